@@ -1,0 +1,220 @@
+"""Products with H and M⁻¹ in block form, the Delassus operator W = Hᵀ M⁻¹ H, islands.
+
+Coordinates come in blocks (a free body: 6, an articulated tree: its nv). Contact c touches at most two blocks,
+``block[c, s]`` (-1: none), and ``h[start[c, s]:]`` holds the 3 x n rows of Hᵀ for that block, row by row.
+``m`` and ``minv`` hold the n x n diagonal blocks of M and M⁻¹, block k from ``m_start[k]`` on.
+"""
+
+import numpy as np
+from numba import njit
+
+from nsdyn._kernels.cones import largest_eigenvalue
+
+
+@njit(cache=True)
+def relative_velocity(offset, block, start, h, v, u):
+    """u = Hᵀ v, into u (3 nc,)."""
+    for c in range(block.shape[0]):
+        for i in range(3):
+            total = 0.0
+            for s in range(2):
+                k = block[c, s]
+                if k >= 0:
+                    o, n = offset[k], offset[k + 1] - offset[k]
+                    row = start[c, s] + i * n
+                    for j in range(n):
+                        total += h[row + j] * v[o + j]
+            u[3 * c + i] = total
+
+
+@njit(cache=True)
+def momentum(offset, block, start, h, r, p):
+    """p = H r, into p (n,)."""
+    p[:] = 0.0
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                o, n = offset[k], offset[k + 1] - offset[k]
+                for i in range(3):
+                    x = r[3 * c + i]
+                    if x != 0.0:
+                        row = start[c, s] + i * n
+                        for j in range(n):
+                            p[o + j] += h[row + j] * x
+
+
+@njit(cache=True)
+def block_product(offset, m_start, m, x, y):
+    """y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
+    for k in range(offset.size - 1):
+        o, n = offset[k], offset[k + 1] - offset[k]
+        for i in range(n):
+            row = m_start[k] + i * n
+            total = 0.0
+            for j in range(n):
+                total += m[row + j] * x[o + j]
+            y[o + i] = total
+
+
+@njit(cache=True)
+def contacts_of_blocks(block, count):
+    """Contacts of every block as (pointer, list), each list ascending."""
+    pointer = np.zeros(count + 1, np.int64)
+    for c in range(block.shape[0]):
+        for s in range(2):
+            if block[c, s] >= 0:
+                pointer[block[c, s] + 1] += 1
+    for k in range(count):
+        pointer[k + 1] += pointer[k]
+    fill = pointer[:-1].copy()
+    members = np.empty(pointer[-1], np.int64)
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                members[fill[k]] = c
+                fill[k] += 1
+    return pointer, members
+
+
+@njit(cache=True)
+def _weighted_rows(offset, block, start, h, m_start, minv):
+    """Rows of (M⁻¹ H)ᵀ in the layout of h."""
+    y = np.zeros_like(h)
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                n = offset[k + 1] - offset[k]
+                for i in range(3):
+                    row = start[c, s] + i * n
+                    for l in range(n):
+                        x = h[row + l]
+                        if x != 0.0:
+                            base = m_start[k] + l * n
+                            for j in range(n):
+                                y[row + j] += x * minv[base + j]
+    return y
+
+
+@njit(cache=True)
+def _add_coupling(offset, block, start, h, y, a, b, out):
+    """Add Σ over shared blocks of H_aᵀ M⁻¹ H_b to out (3, 3)."""
+    for s in range(2):
+        k = block[a, s]
+        if k < 0:
+            continue
+        n = offset[k + 1] - offset[k]
+        for t in range(2):
+            if block[b, t] == k:
+                for i in range(3):
+                    for j in range(3):
+                        ra, rb = start[a, s] + i * n, start[b, t] + j * n
+                        total = 0.0
+                        for l in range(n):
+                            total += y[ra + l] * h[rb + l]
+                        out[i, j] += total
+
+
+@njit(cache=True)
+def delassus(offset, block, start, h, m_start, minv):
+    """Block-sparse W = Hᵀ M⁻¹ H as (indptr, indices, data (nnz, 3, 3)), exactly symmetric, columns ascending."""
+    nc, count = block.shape[0], offset.size - 1
+    pointer, members = contacts_of_blocks(block, count)
+    y = _weighted_rows(offset, block, start, h, m_start, minv)
+    indptr = np.zeros(nc + 1, np.int64)
+    seen = np.full(nc, -1, np.int64)
+    for a in range(nc):
+        found = 0
+        for s in range(2):
+            k = block[a, s]
+            if k >= 0:
+                for m in range(pointer[k], pointer[k + 1]):
+                    if seen[members[m]] != a:
+                        seen[members[m]] = a
+                        found += 1
+        indptr[a + 1] = indptr[a] + found
+    indices = np.empty(indptr[nc], np.int64)
+    data = np.zeros((indptr[nc], 3, 3))
+    seen[:] = -1
+    fill = indptr[:-1].copy()
+    # Visiting columns in ascending order and dropping each into its rows sorts every row.
+    for b in range(nc):
+        for s in range(2):
+            k = block[b, s]
+            if k >= 0:
+                for m in range(pointer[k], pointer[k + 1]):
+                    a = members[m]
+                    if seen[a] != b:
+                        seen[a] = b
+                        indices[fill[a]] = b
+                        fill[a] += 1
+    fill[:] = indptr[:-1]
+    for a in range(nc):
+        for p in range(indptr[a], indptr[a + 1]):
+            b = indices[p]
+            if b < a:
+                # Rows are filled in ascending order of a, so row b has reached its entry for column a.
+                while indices[fill[b]] != a:
+                    fill[b] += 1
+                mirror = data[fill[b]]
+                for i in range(3):
+                    for j in range(3):
+                        data[p, i, j] = mirror[j, i]
+            else:
+                _add_coupling(offset, block, start, h, y, a, b, data[p])
+                if a == b:
+                    for i in range(3):
+                        for j in range(i):
+                            data[p, i, j] = data[p, j, i]
+    return indptr, indices, data
+
+
+@njit(cache=True)
+def delassus_scales(offset, block, start, h, m_start, minv):
+    """lambda_max of every diagonal block W_cc, without the rest of W, shape (nc,)."""
+    nc = block.shape[0]
+    y = _weighted_rows(offset, block, start, h, m_start, minv)
+    out = np.empty(nc)
+    w = np.empty((3, 3))
+    for c in range(nc):
+        w[:] = 0.0
+        _add_coupling(offset, block, start, h, y, c, c, w)
+        out[c] = largest_eigenvalue(w)
+    return out
+
+
+@njit(cache=True)
+def islands(block, count):
+    """Connected components of the graph of blocks and contacts.
+
+    Returns the label of every contact (nc,), ascending in the order of first contact, and their number; contacts
+    are connected when they share a block.
+    """
+    parent = np.arange(count)
+    for c in range(block.shape[0]):
+        a, b = block[c, 0], block[c, 1]
+        if a >= 0 and b >= 0:
+            while parent[a] != a:
+                parent[a] = parent[parent[a]]
+                a = parent[a]
+            while parent[b] != b:
+                parent[b] = parent[parent[b]]
+                b = parent[b]
+            if a < b:
+                parent[b] = a
+            else:
+                parent[a] = b
+    label_of_root = np.full(count, -1, np.int64)
+    label = np.empty(block.shape[0], np.int64)
+    found = 0
+    for c in range(block.shape[0]):
+        k = block[c, 0] if block[c, 0] >= 0 else block[c, 1]
+        while parent[k] != k:
+            k = parent[k]
+        if label_of_root[k] < 0:
+            label_of_root[k] = found
+            found += 1
+        label[c] = label_of_root[k]
+    return label, found

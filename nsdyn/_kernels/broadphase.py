@@ -1,0 +1,166 @@
+"""Where the geoms are and which pairs may touch: exact axis-aligned bounds, sort and sweep."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
+
+
+class Geometry(NamedTuple):
+    """Shapes of all geoms (see `nsdyn.shapes.Shape`) as flat arrays, and how they hang on the frames.
+
+    Geom g has the vertices ``vertex_ptr[g]:vertex_ptr[g + 1]``, the faces ``face_ptr[g]:face_ptr[g + 1]``; face f has
+    the corners ``loop[loop_ptr[f]:loop_ptr[f + 1]]``, counted from the first vertex of its geom.
+    """
+
+    kind: np.ndarray
+    size: np.ndarray
+    offset: np.ndarray
+    radius: np.ndarray
+    vertex_ptr: np.ndarray
+    vertices: np.ndarray
+    face_ptr: np.ndarray
+    face_normals: np.ndarray
+    face_offsets: np.ndarray
+    loop_ptr: np.ndarray
+    loop: np.ndarray
+    frame: np.ndarray
+    placement_R: np.ndarray
+    placement_t: np.ndarray
+
+
+@njit(cache=True)
+def place(geometry, x, R, out_R, out_t):
+    """World pose of every geom on a moving frame; the others keep theirs."""
+    for g in range(geometry.kind.size):
+        f = geometry.frame[g]
+        if f < 0:
+            continue
+        for i in range(3):
+            t = x[f, i]
+            for k in range(3):
+                t += R[f, i, k] * geometry.placement_t[g, k]
+                out_R[g, i, k] = (
+                    R[f, i, 0] * geometry.placement_R[g, 0, k]
+                    + R[f, i, 1] * geometry.placement_R[g, 1, k]
+                    + R[f, i, 2] * geometry.placement_R[g, 2, k]
+                )
+            out_t[g, i] = t
+
+
+@njit(cache=True)
+def bound(geometry, g, R, t, lower, upper):
+    """Smallest axis-aligned box of geom g at the pose (R, t), from its supports along the axes, into rows g."""
+    kind, a, h = geometry.kind[g], geometry.size[g, 0], geometry.size[g, 1]
+    for i in range(3):
+        if kind == POLYTOPE:
+            low, high = math.inf, -math.inf
+            for k in range(geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]):
+                v = geometry.vertices[k]
+                s = R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]
+                low, high = min(low, s), max(high, s)
+            lower[g, i], upper[g, i] = t[i] + low, t[i] + high
+            continue
+        if kind == SPHERE:
+            e = a
+        elif kind == CAPSULE:
+            e = a + h * abs(R[i, 2])
+        elif kind == CYLINDER:
+            e = a * math.sqrt(R[i, 0] ** 2 + R[i, 1] ** 2) + h * abs(R[i, 2])
+        elif kind == ELLIPSOID:
+            s = geometry.size[g]
+            e = math.sqrt((R[i, 0] * s[0]) ** 2 + (R[i, 1] * s[1]) ** 2 + (R[i, 2] * s[2]) ** 2)
+        else:
+            e = math.inf
+        lower[g, i], upper[g, i] = t[i] - e, t[i] + e
+
+
+@njit(cache=True)
+def leaves(geometry, R, t, inflation, lower, upper, fat_lower, fat_upper):
+    """Bounds of the moving geoms into lower, upper; True when one of them, inflated, leaves its fat box."""
+    out = False
+    for g in range(geometry.kind.size):
+        if geometry.frame[g] >= 0:
+            bound(geometry, g, R[g], t[g], lower, upper)
+            for i in range(3):
+                inside = fat_lower[g, i] <= lower[g, i] - inflation[g] and upper[g, i] + inflation[g] <= fat_upper[g, i]
+                out = out or not inside
+    return out
+
+
+@njit(cache=True)
+def contains(sorted_codes, code):
+    """Whether a sorted array holds the code."""
+    low, high = 0, sorted_codes.size
+    while low < high:
+        middle = (low + high) // 2
+        if sorted_codes[middle] < code:
+            low = middle + 1
+        else:
+            high = middle
+    return low < sorted_codes.size and sorted_codes[low] == code
+
+
+@njit(cache=True)
+def below(geometry, h, R, t, lower, upper):
+    """Whether a box reaches into the fixed half-space h."""
+    depth = -geometry.offset[h]
+    for i in range(3):
+        n = R[i, 0] * geometry.size[h, 0] + R[i, 1] * geometry.size[h, 1] + R[i, 2] * geometry.size[h, 2]
+        depth += n * ((lower[i] if n > 0.0 else upper[i]) - t[i])
+    return depth <= 0.0
+
+
+@njit(cache=True)
+def append(codes, count, code):
+    """Array with the code at position `count`, grown when it is full."""
+    if count == codes.size:
+        grown = np.empty(2 * codes.size, dtype=np.int64)
+        grown[:count] = codes
+        codes = grown
+    codes[count] = code
+    return codes
+
+
+@njit(cache=True)
+def candidates(geometry, R, t, lower, upper, excluded, order, axis):
+    """Codes n i + j (i < j) of all pairs of geoms whose boxes meet, in no particular order.
+
+    Left out: both fixed, both on one frame, excluded (sorted codes). `order` holds the geoms that are not half-spaces
+    sorted by ``lower[:, axis]``; they are swept along that axis. Half-spaces are tested against every moving box.
+    """
+    n, m = geometry.kind.size, order.size
+    codes = np.empty(64, dtype=np.int64)
+    count = 0
+    for g in range(n if m < n else 0):
+        if geometry.kind[g] != HALFSPACE:
+            continue
+        for k in range(n):
+            if geometry.frame[k] >= 0 and below(geometry, g, R[g], t[g], lower[k], upper[k]):
+                code = min(g, k) * n + max(g, k)
+                if not contains(excluded, code):
+                    codes = append(codes, count, code)
+                    count += 1
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    for p in range(m):
+        i = order[p]
+        end = upper[i, axis]
+        for q in range(p + 1, m):
+            j = order[q]
+            if lower[j, axis] > end:
+                break
+            if (
+                geometry.frame[i] != geometry.frame[j]
+                and lower[i, a] <= upper[j, a]
+                and lower[j, a] <= upper[i, a]
+                and lower[i, b] <= upper[j, b]
+                and lower[j, b] <= upper[i, b]
+            ):
+                code = min(i, j) * n + max(i, j)
+                if not contains(excluded, code):
+                    codes = append(codes, count, code)
+                    count += 1
+    return codes[:count]

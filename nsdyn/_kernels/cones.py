@@ -1,0 +1,162 @@
+"""Second-order cone of Coulomb, one contact at a time: projection, its Jacobian, the exact one-contact problem."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, inline="always")
+def project(zn, z1, z2, mu):
+    """Projection of (zn, z1, z2) on K = {|r_T| <= mu r_N}; returns three scalars."""
+    t = math.sqrt(z1 * z1 + z2 * z2)
+    if t <= mu * zn:
+        return zn, z1, z2
+    if mu * t <= -zn:
+        return 0.0, 0.0, 0.0
+    pn = (zn + mu * t) / (1.0 + mu * mu)
+    s = mu * pn / t if t > 0.0 else 0.0
+    return pn, s * z1, s * z2
+
+
+@njit(cache=True)
+def project_all(z, mu, out):
+    """Projection of every contact of z (3 nc,) on its cone, into out (3 nc,)."""
+    for c in range(mu.size):
+        i = 3 * c
+        out[i], out[i + 1], out[i + 2] = project(z[i], z[i + 1], z[i + 2], mu[c])
+
+
+@njit(cache=True)
+def projection_jacobian(zn, z1, z2, mu, D):
+    """Element of the generalised Jacobian of the projection at z, into D (3, 3); symmetric, between 0 and I."""
+    D[:] = 0.0
+    t = math.sqrt(z1 * z1 + z2 * z2)
+    if t <= mu * zn:
+        D[0, 0] = D[1, 1] = D[2, 2] = 1.0
+    elif mu * t > -zn:
+        c = 1.0 / (1.0 + mu * mu)
+        a, b = z1 / t, z2 / t
+        d = mu * c * (zn + mu * t) / t
+        e = c * mu * mu - d
+        D[0, 0] = c
+        D[0, 1] = D[1, 0] = c * mu * a
+        D[0, 2] = D[2, 0] = c * mu * b
+        D[1, 1] = d + e * a * a
+        D[2, 2] = d + e * b * b
+        D[1, 2] = D[2, 1] = e * a * b
+
+
+@njit(cache=True)
+def natural_residual(W_diagonal, u, r, mu):
+    """Largest over contacts of |r - P_K(r - rho u_hat)| / rho with rho = 1 / W_diagonal[c], in m/s."""
+    worst = 0.0
+    for c in range(mu.size):
+        i = 3 * c
+        rho = 1.0 / W_diagonal[c]
+        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+        pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu[c])
+        e = math.sqrt((r[i] - pn) ** 2 + (r[i + 1] - p1) ** 2 + (r[i + 2] - p2) ** 2) / rho
+        if not e <= worst:  # a NaN is the worst
+            worst = e
+    return worst
+
+
+@njit(cache=True)
+def natural_error(u, r, mu):
+    """|r - P_K(r - u_hat)|_2 over all contacts (rho = 1): the numerator of the literature's error."""
+    total = 0.0
+    for c in range(mu.size):
+        i = 3 * c
+        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+        pn, p1, p2 = project(r[i] - u[i] - s, r[i + 1] - u[i + 1], r[i + 2] - u[i + 2], mu[c])
+        total += (r[i] - pn) ** 2 + (r[i + 1] - p1) ** 2 + (r[i + 2] - p2) ** 2
+    return math.sqrt(total)
+
+
+@njit(cache=True)
+def _slip(W, q, alpha):
+    """Impulse with u_N = 0 and u_T = -alpha r_T: returns r_N, r_T1, r_T2."""
+    a, b, c, d = W[1, 1] + alpha, W[1, 2], W[2, 1], W[2, 2] + alpha
+    det = a * d - b * c
+    # r_T = x + y r_N solves (W_TT + alpha I) r_T = -(q_T + W_TN r_N)
+    x1, x2 = -(d * q[1] - b * q[2]) / det, -(a * q[2] - c * q[1]) / det
+    y1, y2 = -(d * W[1, 0] - b * W[2, 0]) / det, -(a * W[2, 0] - c * W[1, 0]) / det
+    rn = -(q[0] + W[0, 1] * x1 + W[0, 2] * x2) / (W[0, 0] + W[0, 1] * y1 + W[0, 2] * y2)
+    return rn, x1 + y1 * rn, x2 + y2 * rn
+
+
+@njit(cache=True)
+def solve_one(W, q, mu, r):
+    """Exact solution of the one-contact problem u = W r + q, K* ∋ u_hat ⟂ r ∈ K, into r (3,).
+
+    Take-off if q_N >= 0; else stick if the impulse that stops the contact lies in the cone; else slip, the root of
+    |r_T| = mu r_N along the curve u_N = 0, u_T = -alpha r_T, bracketed in beta = alpha / (alpha + tau) in [0, 1)
+    (at beta = 0 the impulse is outside the cone, at beta = 1 it is normal).
+    """
+    if q[0] >= 0.0:
+        r[0] = r[1] = r[2] = 0.0
+        return
+    if mu == 0.0:
+        r[0], r[1], r[2] = -q[0] / W[0, 0], 0.0, 0.0
+        return
+    tau = 0.5 * (W[1, 1] + W[2, 2])
+    lo, hi = 0.0, 1.0
+    rn, r1, r2 = _slip(W, q, 0.0)
+    f_lo = math.sqrt(r1 * r1 + r2 * r2) - mu * rn
+    if rn >= 0.0 and f_lo <= 0.0:
+        r[0], r[1], r[2] = rn, r1, r2
+        return
+    f_hi = mu * q[0] / W[0, 0]
+    side = 0
+    beta = 0.5
+    for k in range(100):
+        # Illinois steps, with bisections between them for brackets that shrink from one end only
+        beta = (lo * f_hi - hi * f_lo) / (f_hi - f_lo) if k % 3 else 0.5 * (lo + hi)
+        if not lo < beta < hi:
+            break
+        rn, r1, r2 = _slip(W, q, tau * beta / (1.0 - beta))
+        t = math.sqrt(r1 * r1 + r2 * r2)
+        f = t - mu * rn
+        if abs(f) <= 4e-16 * (t + mu * abs(rn)) or hi - lo <= 1e-16 * hi:
+            break
+        if f > 0.0:
+            lo, f_lo = beta, f
+            if side == 1:
+                f_hi *= 0.5
+            side = 1
+        else:
+            hi, f_hi = beta, f
+            if side == -1:
+                f_lo *= 0.5
+            side = -1
+    t = math.sqrt(r1 * r1 + r2 * r2)
+    s = mu * rn / t if t > 0.0 else 0.0
+    r[0], r[1], r[2] = rn, s * r1, s * r2
+
+
+@njit(cache=True)
+def largest_eigenvalue(W):
+    """Largest eigenvalue of the symmetric part of a 3x3 block (trigonometric form)."""
+    a, b, c = W[0, 0], W[1, 1], W[2, 2]
+    d, e, f = 0.5 * (W[0, 1] + W[1, 0]), 0.5 * (W[1, 2] + W[2, 1]), 0.5 * (W[0, 2] + W[2, 0])
+    off = d * d + e * e + f * f
+    mean = (a + b + c) / 3.0
+    p = math.sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * off) / 6.0)
+    if p == 0.0:
+        return mean
+    a, b, c, d, e, f = (a - mean) / p, (b - mean) / p, (c - mean) / p, d / p, e / p, f / p
+    half_det = 0.5 * (a * (b * c - e * e) - d * (d * c - e * f) + f * (d * e - b * f))
+    return mean + 2.0 * p * math.cos(math.acos(min(1.0, max(-1.0, half_det))) / 3.0)
+
+
+@njit(cache=True)
+def diagonal_scales(indptr, indices, data, out):
+    """lambda_max of the diagonal block of every contact of a block-sparse W, into out (nc,)."""
+    block = np.empty((3, 3))
+    for c in range(out.size):
+        out[c] = 0.0
+        for k in range(indptr[c], indptr[c + 1]):
+            if indices[k] == c:
+                block[:] = data[k]
+                out[c] = largest_eigenvalue(block)

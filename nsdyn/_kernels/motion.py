@@ -1,0 +1,306 @@
+"""Motion of free bodies and the rows of their contact Jacobian.
+
+A free body b has the velocity (linear in the world frame, angular in body axes) at v[6 b : 6 b + 6], which makes its
+mass matrix diag(m I, J) constant.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def integrate(x, quaternion, v, h, x_out, quaternion_out):
+    """x + h v and R exp([h omega]x), on unit quaternions xyzw, into the outputs (n, 3) and (n, 4)."""
+    for b in range(x.shape[0]):
+        for i in range(3):
+            x_out[b, i] = x[b, i] + h * v[6 * b + i]
+        a0, a1, a2 = 0.5 * h * v[6 * b + 3], 0.5 * h * v[6 * b + 4], 0.5 * h * v[6 * b + 5]
+        half = math.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
+        q0, q1, q2, q3 = quaternion[b, 0], quaternion[b, 1], quaternion[b, 2], quaternion[b, 3]
+        if half == 0.0:
+            quaternion_out[b, 0], quaternion_out[b, 1] = q0, q1
+            quaternion_out[b, 2], quaternion_out[b, 3] = q2, q3
+            continue
+        s, c = math.sin(half) / half, math.cos(half)
+        e0, e1, e2 = s * a0, s * a1, s * a2
+        p0 = q3 * e0 + q0 * c + q1 * e2 - q2 * e1
+        p1 = q3 * e1 - q0 * e2 + q1 * c + q2 * e0
+        p2 = q3 * e2 + q0 * e1 - q1 * e0 + q2 * c
+        p3 = q3 * c - q0 * e0 - q1 * e1 - q2 * e2
+        norm = math.sqrt(p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3)
+        quaternion_out[b, 0], quaternion_out[b, 1] = p0 / norm, p1 / norm
+        quaternion_out[b, 2], quaternion_out[b, 3] = p2 / norm, p3 / norm
+
+
+@njit(cache=True)
+def rotations(quaternion, R):
+    """Rotation matrices of unit quaternions xyzw, into R (n, 3, 3)."""
+    for b in range(quaternion.shape[0]):
+        x, y, z, w = quaternion[b, 0], quaternion[b, 1], quaternion[b, 2], quaternion[b, 3]
+        R[b, 0, 0], R[b, 0, 1], R[b, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+        R[b, 1, 0], R[b, 1, 1], R[b, 1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+        R[b, 2, 0], R[b, 2, 1], R[b, 2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+
+
+@njit(cache=True)
+def _solve3(A, b, x):
+    """x = A⁻¹ b by Cramer's rule."""
+    c0 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
+    c1 = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
+    c2 = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
+    det = A[0, 0] * c0 + A[0, 1] * c1 + A[0, 2] * c2
+    x[0] = (b[0] * c0 + b[1] * (A[0, 2] * A[2, 1] - A[0, 1] * A[2, 2]) + b[2] * (A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1])) / det
+    x[1] = (b[0] * c1 + b[1] * (A[0, 0] * A[2, 2] - A[0, 2] * A[2, 0]) + b[2] * (A[0, 2] * A[1, 0] - A[0, 0] * A[1, 2])) / det
+    x[2] = (b[0] * c2 + b[1] * (A[0, 1] * A[2, 0] - A[0, 0] * A[2, 1]) + b[2] * (A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])) / det
+
+
+@njit(cache=True)
+def free_velocity(J, inverse_mass, gravity, force, torque, h, v, v_free, gyroscopic):
+    """Velocity of free bodies after a step without contact, into v_free; their gyroscopic torque into gyroscopic.
+
+    Linear: v + h (g + f/m). Angular, in body axes: J (w' - w) = h (tau - w* x J w*) with w* = (w + w')/2, the
+    implicit midpoint, whose work on the free motion is exactly 0; Newton from w' = w.
+    """
+    A, w, mid, rhs, dw, Jm = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for b in range(J.shape[0]):
+        for i in range(3):
+            v_free[6 * b + i] = v[6 * b + i] + h * (gravity[i] + inverse_mass[b] * force[b, i])
+            w[i] = v[6 * b + 3 + i]
+        I = J[b]
+        spin = abs(w[0]) + abs(w[1]) + abs(w[2]) + abs(torque[b, 0]) + abs(torque[b, 1]) + abs(torque[b, 2])
+        if spin == 0.0:
+            for i in range(3):
+                v_free[6 * b + 3 + i] = 0.0
+                gyroscopic[b, i] = 0.0
+            continue
+        new = w.copy()
+        last = np.inf
+        for _ in range(50):
+            for i in range(3):
+                mid[i] = 0.5 * (w[i] + new[i])
+            for i in range(3):
+                Jm[i] = I[i, 0] * mid[0] + I[i, 1] * mid[1] + I[i, 2] * mid[2]
+            gyroscopic[b, 0] = -(mid[1] * Jm[2] - mid[2] * Jm[1])
+            gyroscopic[b, 1] = -(mid[2] * Jm[0] - mid[0] * Jm[2])
+            gyroscopic[b, 2] = -(mid[0] * Jm[1] - mid[1] * Jm[0])
+            for i in range(3):
+                rhs[i] = h * (torque[b, i] + gyroscopic[b, i])
+                for j in range(3):
+                    rhs[i] -= I[i, j] * (new[j] - w[j])
+                    # d(mid x J mid)/d new = ([mid]x J - [J mid]x) / 2
+                    A[i, j] = I[i, j]
+            k = 0.5 * h
+            for j in range(3):
+                A[0, j] += k * (mid[1] * I[2, j] - mid[2] * I[1, j])
+                A[1, j] += k * (mid[2] * I[0, j] - mid[0] * I[2, j])
+                A[2, j] += k * (mid[0] * I[1, j] - mid[1] * I[0, j])
+            A[0, 1] += k * Jm[2]
+            A[0, 2] -= k * Jm[1]
+            A[1, 0] -= k * Jm[2]
+            A[1, 2] += k * Jm[0]
+            A[2, 0] += k * Jm[1]
+            A[2, 1] -= k * Jm[0]
+            _solve3(A, rhs, dw)
+            change = max(abs(dw[0]), abs(dw[1]), abs(dw[2]))
+            for i in range(3):
+                new[i] += dw[i]
+            # Newton has converged when round-off stops the correction from shrinking.
+            if change == 0.0 or (change >= last and change <= 1e-12 * (abs(new[0]) + abs(new[1]) + abs(new[2]))):
+                break
+            last = change
+        for i in range(3):
+            v_free[6 * b + 3 + i] = new[i]
+
+
+@njit(cache=True)
+def reach(v, gravity, h, radius, out):
+    """Bound on how far any point of each free body moves in a step of h, in m, into out (n,)."""
+    fall = h * h * math.sqrt(gravity[0] ** 2 + gravity[1] ** 2 + gravity[2] ** 2)
+    for b in range(radius.size):
+        i = 6 * b
+        speed = math.sqrt(v[i] ** 2 + v[i + 1] ** 2 + v[i + 2] ** 2)
+        spin = math.sqrt(v[i + 3] ** 2 + v[i + 4] ** 2 + v[i + 5] ** 2)
+        out[b] = h * (speed + spin * radius[b]) + fall
+
+
+@njit(cache=True)
+def contact_frames(normal, frame):
+    """Contact frames with rows (n, t1, t2), into frame (nc, 3, 3).
+
+    Tangents vary continuously with n except at n = -e_z (T. Duff et al., Building an orthonormal basis, revisited,
+    JCGT 6, 2017).
+    """
+    for c in range(normal.shape[0]):
+        x, y, z = normal[c, 0], normal[c, 1], normal[c, 2]
+        sign = math.copysign(1.0, z)
+        a = -1.0 / (sign + z)
+        b = x * y * a
+        frame[c, 0, 0], frame[c, 0, 1], frame[c, 0, 2] = x, y, z
+        frame[c, 1, 0], frame[c, 1, 1], frame[c, 1, 2] = 1.0 + sign * x * x * a, sign * b, -sign * x
+        frame[c, 2, 0], frame[c, 2, 1], frame[c, 2, 2] = b, sign + y * y * a, -y
+
+
+@njit(cache=True)
+def contact_layout(frame1, frame2, block_of_frame, offset, block, start):
+    """Blocks of every contact (side 0: minus, side 1: plus) and where their rows begin; returns the size of h.
+
+    Two links of one tree share its block and are merged into side 0.
+    """
+    size = 0
+    for c in range(frame1.size):
+        a = block_of_frame[frame1[c]] if frame1[c] >= 0 else -1
+        b = block_of_frame[frame2[c]] if frame2[c] >= 0 else -1
+        block[c, 0], block[c, 1] = a, (-1 if a == b else b)
+        for s in range(2):
+            start[c, s] = size
+            if block[c, s] >= 0:
+                size += 3 * (offset[block[c, s] + 1] - offset[block[c, s]])
+    return size
+
+
+@njit(cache=True)
+def free_rows(frame1, frame2, point, frame, x, R, free, start, h):
+    """Rows of Hᵀ on free bodies: direction d gives (d, Rᵀ ((p - x) x d)), minus on body 1, into h."""
+    for c in range(frame1.size):
+        for s in range(2):
+            b = frame1[c] if s == 0 else frame2[c]
+            if b < 0 or b >= free:
+                continue
+            sign = -1.0 if s == 0 else 1.0
+            p0, p1, p2 = point[c, 0] - x[b, 0], point[c, 1] - x[b, 1], point[c, 2] - x[b, 2]
+            for i in range(3):
+                d0, d1, d2 = sign * frame[c, i, 0], sign * frame[c, i, 1], sign * frame[c, i, 2]
+                m0, m1, m2 = p1 * d2 - p2 * d1, p2 * d0 - p0 * d2, p0 * d1 - p1 * d0
+                row = start[c, s] + 6 * i
+                h[row], h[row + 1], h[row + 2] = d0, d1, d2
+                for j in range(3):
+                    h[row + 3 + j] = R[b, 0, j] * m0 + R[b, 1, j] * m1 + R[b, 2, j] * m2
+
+
+@njit(cache=True)
+def link_rows(frame1, frame2, point, frame, x, first, jacobians, start, h, nv):
+    """Add the rows of Hᵀ on the links of one tree.
+
+    Its frames are first, first + 1, ...; `jacobians` (n, 6, nv) gives the velocity of each frame's origin and its
+    angular velocity, both in world axes. A contact between two of its links adds both to side 0.
+    """
+    last = first + jacobians.shape[0]
+    for c in range(frame1.size):
+        inside = first <= frame1[c] < last
+        for s in range(2):
+            f = frame1[c] if s == 0 else frame2[c]
+            if f < first or f >= last:
+                continue
+            sign = -1.0 if s == 0 else 1.0
+            side = 0 if inside else s
+            J = jacobians[f - first]
+            p0, p1, p2 = point[c, 0] - x[f, 0], point[c, 1] - x[f, 1], point[c, 2] - x[f, 2]
+            for i in range(3):
+                d0, d1, d2 = sign * frame[c, i, 0], sign * frame[c, i, 1], sign * frame[c, i, 2]
+                m0, m1, m2 = p1 * d2 - p2 * d1, p2 * d0 - p0 * d2, p0 * d1 - p1 * d0
+                row = start[c, side] + nv * i
+                for j in range(nv):
+                    h[row + j] += (
+                        d0 * J[0, j] + d1 * J[1, j] + d2 * J[2, j] + m0 * J[3, j] + m1 * J[4, j] + m2 * J[5, j]
+                    )
+
+
+@njit(cache=True)
+def impact_law(u, gap, restitution, h_theta, resting_speed, w):
+    """Normal offset w_N of the impact law, so that u_N + w_N >= 0 is what the step demands, into w (nc,).
+
+    An impact (e > 0, approach faster than resting_speed, closing by the end of the step) gets Newton's law,
+    w = e u_N⁻; an open contact may close its gap, w = gap / (theta h); a closed one w = 0.
+    """
+    for c in range(gap.size):
+        approach = u[3 * c]
+        if restitution[c] > 0.0 and approach < -resting_speed and gap[c] + h_theta * approach <= 0.0:
+            w[c] = restitution[c] * approach
+        else:
+            w[c] = max(gap[c], 0.0) / h_theta
+
+
+@njit(cache=True)
+def contact_works(u_before, u_after, r, normal, friction):
+    """Work of every contact impulse, ½ (u⁻ + u⁺)·r split in normal and tangential part, in J."""
+    for c in range(normal.size):
+        i = 3 * c
+        normal[c] = 0.5 * (u_before[i] + u_after[i]) * r[i]
+        friction[c] = 0.5 * (
+            (u_before[i + 1] + u_after[i + 1]) * r[i + 1] + (u_before[i + 2] + u_after[i + 2]) * r[i + 2]
+        )
+
+
+@njit(cache=True)
+def contact_status(u, r, mu, status):
+    """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary), into status (nc,)."""
+    for c in range(mu.size):
+        t = math.sqrt(r[3 * c + 1] ** 2 + r[3 * c + 2] ** 2)
+        if r[3 * c] <= 0.0:
+            status[c] = 0
+        elif t < mu[c] * r[3 * c] * (1.0 - 1e-9):
+            status[c] = 1
+        else:
+            status[c] = 2
+
+
+@njit(cache=True)
+def free_energies(mass, J, gravity, x, v):
+    """(kinetic, potential) energy of the free bodies, in J."""
+    kinetic, potential = 0.0, 0.0
+    for b in range(mass.size):
+        i = 6 * b
+        kinetic += 0.5 * mass[b] * (v[i] * v[i] + v[i + 1] * v[i + 1] + v[i + 2] * v[i + 2])
+        for j in range(3):
+            for k in range(3):
+                kinetic += 0.5 * v[i + 3 + j] * J[b, j, k] * v[i + 3 + k]
+        potential -= mass[b] * (gravity[0] * x[b, 0] + gravity[1] * x[b, 1] + gravity[2] * x[b, 2])
+    return kinetic, potential
+
+
+@njit(cache=True)
+def free_works(mass, J, gravity, force, torque, gyroscopic, h, v0, v1, v_theta, x0, x1, out):
+    """Increments of a step over the free bodies, in J, into out (5,).
+
+    Kinetic energy, potential energy, work of external forces, of the gyroscopic torque, and of gravity on the
+    difference between the mean velocity and the one that moved the body.
+    """
+    out[:] = 0.0
+    for b in range(mass.size):
+        i = 6 * b
+        for j in range(3):
+            mean = 0.5 * (v0[i + j] + v1[i + j])
+            spin = 0.5 * (v0[i + 3 + j] + v1[i + 3 + j])
+            out[0] += mass[b] * mean * (v1[i + j] - v0[i + j])
+            for k in range(3):
+                out[0] += spin * J[b, j, k] * (v1[i + 3 + k] - v0[i + 3 + k])
+            out[1] -= mass[b] * gravity[j] * (x1[b, j] - x0[b, j])
+            out[2] += h * (mean * force[b, j] + spin * torque[b, j])
+            out[3] += h * spin * gyroscopic[b, j]
+            out[4] += h * mass[b] * gravity[j] * (mean - v_theta[i + j])
+
+
+@njit(cache=True)
+def pinocchio_layout(quaternion, R, x, v, q_out, v_out):
+    """Free bodies in Pinocchio's layout: q = (x, quaternion), v = (Rᵀ v, omega), into q_out and v_out."""
+    for b in range(x.shape[0]):
+        for i in range(3):
+            q_out[7 * b + i] = x[b, i]
+            v_out[6 * b + i] = R[b, 0, i] * v[6 * b] + R[b, 1, i] * v[6 * b + 1] + R[b, 2, i] * v[6 * b + 2]
+            v_out[6 * b + 3 + i] = v[6 * b + 3 + i]
+        for i in range(4):
+            q_out[7 * b + 3 + i] = quaternion[b, i]
+
+
+@njit(cache=True)
+def match(old_key, new_key):
+    """Index into old_key of every new key, -1 where it is new, shape (new_key.size,)."""
+    order = np.argsort(old_key)
+    out = np.full(new_key.size, -1, np.int64)
+    place = np.searchsorted(old_key[order], new_key)
+    for c in range(new_key.size):
+        if place[c] < order.size and old_key[order[place[c]]] == new_key[c]:
+            out[c] = order[place[c]]
+    return out

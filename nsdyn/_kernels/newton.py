@@ -1,0 +1,283 @@
+"""Semismooth Newton on the augmented Lagrangian of the velocity problem.
+
+For an impulse estimate r and penalties rho, the unknown is the velocity change y with u = Hᵀ y + q:
+
+    F(y) = M y - H P(y) = 0,   P_c = P_K(r_c - rho_c (u_c + mu |u_T| e_N)),
+    F'   = M + Σ_c H_c A_c H_cᵀ,   A_c = rho_c D_c (I + mu e_N t_uᵀ),   t_u = u_T / |u_T|,
+
+with D the Jacobian of the projection. M is definite, so a rank-deficient W is no obstacle. Leaving out the term in
+t_u freezes de Saxcé's shift and makes F' symmetric positive definite.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from nsdyn._kernels.blocks import block_product, momentum, relative_velocity
+from nsdyn._kernels.cones import natural_error, natural_residual, project, projection_jacobian
+
+
+@njit(cache=True)
+def projected(u, r, rho, mu, P):
+    """P_c = P_K(r_c - rho_c u_hat_c) for every contact, into P (3 nc,)."""
+    for c in range(mu.size):
+        i = 3 * c
+        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+        P[i], P[i + 1], P[i + 2] = project(
+            r[i] - rho[c] * (u[i] + s), r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2], mu[c]
+        )
+
+
+@njit(cache=True)
+def stiffness(u, r, rho, mu, A):
+    """A_c = rho_c D_c (I + mu e_N t_uᵀ) for every contact, into A (nc, 3, 3)."""
+    for c in range(mu.size):
+        i = 3 * c
+        slip = math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+        D = A[c]
+        projection_jacobian(
+            r[i] - rho[c] * (u[i] + mu[c] * slip), r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2], mu[c], D
+        )
+        # Where the contact sticks u_T tends to 0 and 0 is in the subdifferential of |u_T|: D = I is left symmetric.
+        if slip > 0.0 and D[1, 1] + D[2, 2] < 2.0:
+            for j in range(3):
+                D[j, 1] += D[j, 0] * mu[c] * u[i + 1] / slip
+                D[j, 2] += D[j, 0] * mu[c] * u[i + 2] / slip
+        for j in range(3):
+            for l in range(3):
+                D[j, l] *= rho[c]
+
+
+@njit(cache=True)
+def assemble_dense(offset, block, start, h, m_start, m, A, K):
+    """K = M + Σ H_c A_c H_cᵀ as a dense matrix, into K (n, n)."""
+    K[:] = 0.0
+    for k in range(offset.size - 1):
+        o, n = offset[k], offset[k + 1] - offset[k]
+        for i in range(n):
+            for j in range(n):
+                K[o + i, o + j] = m[m_start[k] + i * n + j]
+    for c in range(block.shape[0]):
+        a = A[c]
+        if a[0, 0] == 0.0 and a[1, 1] == 0.0 and a[2, 2] == 0.0:
+            continue
+        for s in range(2):
+            k = block[c, s]
+            if k < 0:
+                continue
+            ok, nk, hk = offset[k], offset[k + 1] - offset[k], start[c, s]
+            for t in range(2):
+                l = block[c, t]
+                if l < 0:
+                    continue
+                ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
+                for i in range(nk):
+                    x0, x1, x2 = h[hk + i], h[hk + nk + i], h[hk + 2 * nk + i]
+                    y0 = x0 * a[0, 0] + x1 * a[1, 0] + x2 * a[2, 0]
+                    y1 = x0 * a[0, 1] + x1 * a[1, 1] + x2 * a[2, 1]
+                    y2 = x0 * a[0, 2] + x1 * a[1, 2] + x2 * a[2, 2]
+                    for j in range(nl):
+                        K[ok + i, ol + j] += y0 * h[hl + j] + y1 * h[hl + nl + j] + y2 * h[hl + 2 * nl + j]
+
+
+@njit(cache=True)
+def defect(offset, block, start, h, m_start, m, y, P, F, work):
+    """F = M y - H P, into F (n,)."""
+    momentum(offset, block, start, h, P, F)
+    block_product(offset, m_start, m, y, work)
+    for i in range(y.size):
+        F[i] = work[i] - F[i]
+
+
+@njit(cache=True)
+def velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work):
+    """y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
+    momentum(offset, block, start, h, r, work)
+    block_product(offset, m_start, minv, work, y)
+    relative_velocity(offset, block, start, h, y, u)
+    for i in range(q.size):
+        u[i] += q[i]
+
+
+@njit(cache=True)
+def measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, y, u, work):
+    """Larger of the literature's error and the residual in m/s of impulse r, with its own y and u."""
+    velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work)
+    return max(natural_residual(scales, u, r, mu), natural_error(u, r, mu) / q_norm)
+
+
+@njit(cache=True)
+def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_norm, penalties, steps):
+    """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
+
+    Full steps, without a line search (it would stop at the kinks): the measure may rise for a while, r keeps the
+    best impulse seen. The multiplier estimate follows r when the measure falls by a tenth. The penalties
+    `penalties[k]` / lambda_max(W_cc) are tried in turn, `steps` steps each, every one from the best impulse.
+    """
+    n, nr = offset[-1], q.size
+    y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
+    P, own_y, own_u = np.empty(nr), np.empty(n), np.empty(nr)
+    A, K = np.empty((mu.size, 3, 3)), np.empty((n, n))
+    best = measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, y, u, work)
+    estimate = r.copy()
+    count = 0
+    for k in range(penalties.size):
+        rho = penalties[k] / scales
+        estimate[:] = r
+        velocity_of(offset, block, start, h, m_start, minv, q, estimate, y, u, work)
+        for _ in range(steps):
+            if best <= tol:
+                return count, best
+            projected(u, estimate, rho, mu, P)
+            defect(offset, block, start, h, m_start, m, y, P, F, work)
+            stiffness(u, estimate, rho, mu, A)
+            assemble_dense(offset, block, start, h, m_start, m, A, K)
+            y -= np.linalg.solve(K, F)
+            count += 1
+            relative_velocity(offset, block, start, h, y, u)
+            u += q
+            projected(u, estimate, rho, mu, P)
+            measure = measure_of(
+                offset, block, start, h, m_start, minv, q, mu, scales, q_norm, P, own_y, own_u, work
+            )
+            if measure < best:
+                if measure < 0.9 * best:
+                    estimate[:] = P
+                best = measure
+                r[:] = P
+    return count, best
+
+
+@njit(cache=True)
+def pattern(offset, block):
+    """Sparsity of K, compressed columns: (indptr, indices, slot).
+
+    Entry (i, j) of the coupling of block[c, s] (rows) with block[c, t] (columns) is stored at
+    indptr[offset[block[c, t]] + j] + slot[c, s, t] + i; of a diagonal block k at indptr[offset[k] + j] +
+    diagonal[k] + i.
+    """
+    nb, nc = offset.size - 1, block.shape[0]
+    pairs = np.empty(nb + 2 * nc, np.int64)
+    count = 0
+    for k in range(nb):
+        pairs[count] = k * nb + k
+        count += 1
+    for c in range(nc):
+        a, b = block[c, 0], block[c, 1]
+        if a >= 0 and b >= 0 and a != b:
+            pairs[count] = a * nb + b
+            pairs[count + 1] = b * nb + a
+            count += 2
+    codes = np.unique(pairs[:count])  # ascending: column block first, then row block
+    indptr = np.zeros(offset[-1] + 1, np.int32)
+    place = np.empty(codes.size, np.int64)
+    diagonal = np.empty(nb, np.int64)
+    height = np.zeros(nb, np.int64)
+    for e in range(codes.size):
+        l, k = codes[e] // nb, codes[e] % nb
+        place[e] = height[l]
+        height[l] += offset[k + 1] - offset[k]
+        if k == l:
+            diagonal[k] = place[e]
+    for l in range(nb):
+        for j in range(offset[l], offset[l + 1]):
+            indptr[j + 1] = indptr[j] + height[l]
+    indices = np.empty(indptr[-1], np.int32)
+    for e in range(codes.size):
+        l, k = codes[e] // nb, codes[e] % nb
+        for j in range(offset[l], offset[l + 1]):
+            for i in range(offset[k + 1] - offset[k]):
+                indices[indptr[j] + place[e] + i] = offset[k] + i
+    slot = np.full((nc, 2, 2), -1, np.int64)
+    for c in range(nc):
+        for s in range(2):
+            for t in range(2):
+                if block[c, s] >= 0 and block[c, t] >= 0:
+                    slot[c, s, t] = place[np.searchsorted(codes, block[c, t] * nb + block[c, s])]
+    return indptr, indices, slot, diagonal
+
+
+@njit(cache=True)
+def assemble_sparse(offset, block, start, h, m_start, m, A, indptr, slot, diagonal, data):
+    """K = M + Σ H_c A_c H_cᵀ in the layout of `pattern`, into data."""
+    data[:] = 0.0
+    for k in range(offset.size - 1):
+        o, n = offset[k], offset[k + 1] - offset[k]
+        for j in range(n):
+            for i in range(n):
+                data[indptr[o + j] + diagonal[k] + i] = m[m_start[k] + i * n + j]
+    for c in range(block.shape[0]):
+        a = A[c]
+        if a[0, 0] == 0.0 and a[1, 1] == 0.0 and a[2, 2] == 0.0:
+            continue
+        for t in range(2):
+            l = block[c, t]
+            if l < 0:
+                continue
+            ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
+            for j in range(nl):
+                x0, x1, x2 = h[hl + j], h[hl + nl + j], h[hl + 2 * nl + j]
+                y0 = a[0, 0] * x0 + a[0, 1] * x1 + a[0, 2] * x2
+                y1 = a[1, 0] * x0 + a[1, 1] * x1 + a[1, 2] * x2
+                y2 = a[2, 0] * x0 + a[2, 1] * x1 + a[2, 2] * x2
+                for s in range(2):
+                    k = block[c, s]
+                    if k < 0:
+                        continue
+                    nk, hk = offset[k + 1] - offset[k], start[c, s]
+                    base = indptr[ol + j] + slot[c, s, t]
+                    for i in range(nk):
+                        data[base + i] += h[hk + i] * y0 + h[hk + nk + i] * y1 + h[hk + 2 * nk + i] * y2
+
+
+@njit(cache=True)
+def symmetric(A):
+    """Whether every A_c is symmetric, so that K is symmetric positive definite."""
+    for c in range(A.shape[0]):
+        if A[c, 0, 1] != A[c, 1, 0] or A[c, 0, 2] != A[c, 2, 0] or A[c, 1, 2] != A[c, 2, 1]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def extract(offset, block, start, h, m_start, m, minv, label, island):
+    """Blocks and contacts of one island: (contacts, offset, block, start, h, m_start, m, minv)."""
+    contacts = np.flatnonzero(label == island)
+    nb = offset.size - 1
+    new = np.full(nb, -1, np.int64)
+    for c in contacts:
+        for s in range(2):
+            if block[c, s] >= 0:
+                new[block[c, s]] = 0
+    kept = np.flatnonzero(new == 0)
+    o = np.zeros(kept.size + 1, np.int64)
+    ms = np.zeros(kept.size + 1, np.int64)
+    for e in range(kept.size):
+        n = offset[kept[e] + 1] - offset[kept[e]]
+        new[kept[e]] = e
+        o[e + 1] = o[e] + n
+        ms[e + 1] = ms[e] + n * n
+    mm, mi = np.empty(ms[-1]), np.empty(ms[-1])
+    for e in range(kept.size):
+        a = m_start[kept[e]]
+        mm[ms[e] : ms[e + 1]] = m[a : a + ms[e + 1] - ms[e]]
+        mi[ms[e] : ms[e + 1]] = minv[a : a + ms[e + 1] - ms[e]]
+    b = np.full((contacts.size, 2), -1, np.int64)
+    st = np.zeros((contacts.size, 2), np.int64)
+    size = 0
+    for e in range(contacts.size):
+        for s in range(2):
+            k = block[contacts[e], s]
+            if k >= 0:
+                b[e, s], st[e, s] = new[k], size
+                size += 3 * (offset[k + 1] - offset[k])
+    hh = np.empty(size)
+    for e in range(contacts.size):
+        for s in range(2):
+            k = block[contacts[e], s]
+            if k >= 0:
+                n = 3 * (offset[k + 1] - offset[k])
+                a = start[contacts[e], s]
+                hh[st[e, s] : st[e, s] + n] = h[a : a + n]
+    return contacts, o, b, st, hh, ms[:-1].copy(), mm, mi

@@ -1,0 +1,366 @@
+"""Contact detection: candidate pairs from bounding boxes, touching features from Coal, exact points from the features.
+
+Coal's own contact points are not used: its patches lose points, share one depth among all of them and are noisy near
+gap 0. It is asked only for the distance and the direction of each pair; `nsdyn._kernels.manifold` computes normals,
+points and gaps from the faces, edges and curved surfaces that this direction singles out.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from nsdyn._kernels import broadphase, manifold
+from nsdyn.scene import Geom
+from nsdyn.shapes import CAPSULE, HALFSPACE, SPHERE
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+__all__ = ["ContactMemory", "ContactSet", "Detector"]
+
+MARGIN = 1e-3
+"""Contacts start at a gap of this fraction of the smaller bounding radius, plus what the bodies may move in a step."""
+
+SKIN = 0.05
+"""The candidate pairs serve until a geom has moved this fraction of its bounding radius (and `AHEAD` steps)."""
+
+AHEAD = 4.0
+
+TOLERANCE = 0.05
+"""A contact keeps its key while it moves less than this fraction of the smaller bounding radius, on either geom."""
+
+SLOTS = 256
+"""Geoms per call of Pinocchio: its GeometryModel needs time and memory that grow with the square of their number."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ContactSet:
+    """Contacts of one configuration, sorted by (geom1, geom2) with geom1 < geom2.
+
+    Attributes
+    ----------
+    geom1, geom2 : ndarray, shape (nc,)
+        Indices of the geoms.
+    frame1, frame2 : ndarray, shape (nc,)
+        Moving frames they hang on, -1 for the world.
+    point : ndarray, shape (nc, 3)
+        World, m.
+    normal : ndarray, shape (nc, 3)
+        Unit, world, from geom 1 to geom 2.
+    gap : ndarray, shape (nc,)
+        m, negative where the geoms overlap. Its derivative is normal · (velocity of 2 - velocity of 1) at the point.
+    mu, restitution : ndarray, shape (nc,)
+    key : ndarray, shape (nc,)
+        Names a contact for as long as it lasts; never used twice.
+    """
+
+    geom1: Index
+    geom2: Index
+    frame1: Index
+    frame2: Index
+    point: Array
+    normal: Array
+    gap: Array
+    mu: Array
+    restitution: Array
+    key: Index
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ContactMemory:
+    """What a detector remembers of the last contacts to recognise them, all of it.
+
+    Attributes
+    ----------
+    geom1, geom2, key : ndarray, shape (nc,)
+    local1, local2 : ndarray, shape (nc, 3)
+        The points in the frames of the two geoms, m.
+    next_key : int
+    """
+
+    geom1: Index
+    geom2: Index
+    key: Index
+    local1: Array
+    local2: Array
+    next_key: int
+
+
+class Detector:
+    """Finds the contacts of a fixed list of geoms, configuration after configuration.
+
+    Parameters
+    ----------
+    geoms : sequence of Geom
+        Half-spaces must be fixed.
+    pair_material : callable
+        ``pair_material(i, j) -> (mu, restitution)`` for index arrays of pairs.
+    excluded : collection of (int, int)
+        Pairs of geoms that never touch. Pairs of fixed geoms and those on one frame are left out anyway.
+    max_points : int
+        Most contacts of one pair, at least 4. More are reduced to those that hold the area of the patch.
+    """
+
+    def __init__(
+        self,
+        geoms: Sequence[Geom],
+        pair_material: Callable[[Index, Index], tuple[Array, Array]],
+        excluded: Collection[tuple[int, int]] = (),
+        max_points: int = 8,
+    ) -> None:
+        if max_points < 4:
+            raise ValueError(f"max_points must be at least 4, got {max_points}")
+        for g in geoms:
+            if g.shape.kind == HALFSPACE and g.frame >= 0:
+                raise ValueError(f"halfspace {g.name!r} must be fixed, not on a moving frame")
+        n = len(geoms)
+        self._max_points = max_points
+        self._pair_material = pair_material
+        self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
+        self._geometry = _flatten(geoms)
+        self._shapes = [g.shape.geometry for g in geoms]
+        self._frame = self._geometry.frame
+        self._moving = self._frame >= 0
+        self._R = self._geometry.placement_R.copy()
+        self._t = self._geometry.placement_t.copy()
+        self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
+        self._reach = np.zeros(n)
+        self._lower, self._upper = np.empty((n, 3)), np.empty((n, 3))
+        for g in range(n):
+            broadphase.bound(self._geometry, g, self._R[g], self._t[g], self._lower, self._upper)
+        self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+        self._batches: list[_Batch] = []
+        self._models: list[pin.GeometryModel] = []
+        # Largest polygon: a face clipped by a face or by a circle, or all vertices against a half-space.
+        loops = np.diff(self._geometry.loop_ptr).max(initial=max_points)
+        room = int(max(4 * max(loops, max_points), np.diff(self._geometry.vertex_ptr).max(initial=0)))
+        self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
+        none, no_points = np.empty(0, dtype=np.int64), np.empty((0, 3))
+        self._memory = ContactMemory(none, none, none, no_points, no_points, 0)
+        self._set_pairs(none)
+
+    @property
+    def memory(self) -> ContactMemory:
+        """The last contacts; setting it makes the next detection continue from there, bit for bit."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: ContactMemory) -> None:
+        self._memory = memory
+
+    @property
+    def pairs(self) -> tuple[Index, Index]:
+        """The candidate pairs of geoms, sorted."""
+        return self._first, self._second
+
+    def detect(self, x: Array, R: Array, reach: Array) -> ContactSet:
+        """Contacts of a configuration.
+
+        Parameters
+        ----------
+        x, R : ndarray, shapes (nframes, 3), (nframes, 3, 3)
+            Poses of the moving frames, body to world; m.
+        reach : ndarray, shape (nframes,)
+            How far any point of the frame's geoms may move in the coming step, m. Contacts up to a gap of the sum of
+            both reaches (and `MARGIN` of the size) are found.
+        """
+        self.candidates(x, R, reach)
+        self.narrow()
+        return self.manifold()
+
+    def candidates(self, x: Array, R: Array, reach: Array) -> None:
+        """First part of `detect`: place the geoms and renew the candidate pairs if one has left its fat box."""
+        moving, geometry = self._moving, self._geometry
+        broadphase.place(geometry, x, R, self._R, self._t)
+        self._reach[moving] = reach[self._frame[moving]]
+        need = self._base + self._reach
+        box = self._lower, self._upper
+        fat = self._fat_lower, self._fat_upper
+        if broadphase.leaves(geometry, self._R, self._t, need, *box, *fat):
+            # The skin keeps the list for several steps; fixed geoms need none.
+            skin = np.where(moving, need + SKIN * geometry.radius + AHEAD * self._reach, 0.0)[:, None]
+            np.subtract(self._lower, skin, out=self._fat_lower)
+            np.add(self._upper, skin, out=self._fat_upper)
+            solids = np.flatnonzero(geometry.kind != HALFSPACE)
+            axis = int(np.argmax(self._t[solids].var(axis=0))) if len(solids) else 0
+            order = solids[np.argsort(self._fat_lower[solids, axis], kind="stable")]
+            codes = broadphase.candidates(geometry, self._R, self._t, *fat, self._excluded, order, axis)
+            self._set_pairs(np.sort(codes))
+
+    def _set_pairs(self, codes: Index) -> None:
+        """Everything that depends on the candidate list alone."""
+        first, second = np.divmod(codes, len(self._shapes))
+        kind1, kind2 = self._geometry.kind[first], self._geometry.kind[second]
+        round1, round2 = (kind1 == SPHERE) | (kind1 == CAPSULE), (kind2 == SPHERE) | (kind2 == CAPSULE)
+        asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | (round1 & round2))
+        self._first, self._second = first, second
+        self._slot = np.where(asked, np.cumsum(asked) - 1, -1)
+        radius = np.where(self._moving, self._geometry.radius, np.inf)
+        self._pair_base = MARGIN * np.minimum(radius[first], radius[second])
+        self._mu, self._restitution = self._pair_material(first, second)
+        self._coal = np.empty((int(asked.sum()), 10))
+        self._batches = []
+        for k, (lo, hi) in enumerate(_split(first[asked], second[asked])):
+            if k == len(self._models):
+                self._models.append(_empty_model(min(SLOTS, len(self._shapes))))
+            pairs = first[asked][lo:hi], second[asked][lo:hi]
+            self._batches.append(_Batch(self._models[k], self._shapes, *pairs, self._coal[lo:hi]))
+        room = len(codes) * self._max_points
+        self._point, self._normal = np.empty((room, 3)), np.empty((room, 3))
+        self._gap, self._pair = np.empty(room), np.empty(room, dtype=np.int64)
+
+    def narrow(self) -> None:
+        """Second part of `detect`: ask Coal for distance and direction of the pairs that have no closed form."""
+        for batch in self._batches:
+            batch.run(self._R, self._t)
+
+    def manifold(self) -> ContactSet:
+        """Third part of `detect`: points, normals and gaps, and the keys of contacts that last."""
+        count = manifold.manifolds(
+            self._geometry, self._R, self._t, self._first, self._second, self._slot, self._coal, self._pair_base,
+            self._reach, self._max_points, *self._scratch, self._point, self._normal, self._gap, self._pair,
+        )  # fmt: skip
+        pair = self._pair[:count]
+        first, second = self._first[pair], self._second[pair]
+        point, old = self._point[:count].copy(), self._memory
+        key, local1, local2 = np.empty(count, dtype=np.int64), np.empty((count, 3)), np.empty((count, 3))
+        next_key = manifold.match(
+            self._geometry, self._R, self._t, first, second, point, TOLERANCE, old.geom1, old.geom2, old.key,
+            old.local1, old.local2, old.next_key, key, local1, local2,
+        )  # fmt: skip
+        self._memory = ContactMemory(first, second, key, local1, local2, next_key)
+        return ContactSet(
+            first, second, self._frame[first], self._frame[second], point, self._normal[:count].copy(),
+            self._gap[:count].copy(), self._mu[pair], self._restitution[pair], key,
+        )  # fmt: skip
+
+
+def _flatten(geoms: Sequence[Geom]) -> broadphase.Geometry:
+    """The shapes of all geoms in flat arrays."""
+    shapes = [g.shape for g in geoms]
+
+    def pointer(lengths: list[int]) -> Index:
+        return np.cumsum([0, *lengths], dtype=np.int64)
+
+    return broadphase.Geometry(
+        kind=np.array([s.kind for s in shapes], dtype=np.int64),
+        size=np.array([s.size for s in shapes]).reshape(-1, 3),
+        offset=np.array([s.offset for s in shapes], dtype=float),
+        radius=np.array([s.bounding_radius for s in shapes], dtype=float),
+        vertex_ptr=pointer([len(s.vertices) for s in shapes]),
+        vertices=np.concatenate([np.zeros((0, 3)), *(s.vertices for s in shapes)]),
+        face_ptr=pointer([len(s.face_normals) for s in shapes]),
+        face_normals=np.concatenate([np.zeros((0, 3)), *(s.face_normals for s in shapes)]),
+        face_offsets=np.concatenate([np.zeros(0), *(s.face_offsets for s in shapes)]),
+        loop_ptr=pointer([n for s in shapes for n in np.diff(s.face_ptr)]),
+        loop=np.concatenate([np.zeros(0, dtype=np.int64), *(s.face_loop for s in shapes)]),
+        frame=np.array([g.frame for g in geoms], dtype=np.int64),
+        placement_R=np.array([g.placement_R for g in geoms], dtype=float).reshape(-1, 3, 3),
+        placement_t=np.array([g.placement_t for g in geoms], dtype=float).reshape(-1, 3),
+    )
+
+
+# -- Coal through Pinocchio ------------------------------------------------------------------------------------------
+
+
+def _split(first: Index, second: Index) -> list[tuple[int, int]]:
+    """Ranges of consecutive pairs that involve at most `SLOTS` geoms each."""
+    ranges, start = [], 0
+    geoms: set[int] = set()
+    for k, pair in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        if len(geoms.union(pair)) > SLOTS:
+            ranges.append((start, k))
+            start, geoms = k, set()
+        geoms.update(pair)
+    return [*ranges, (start, len(first))] if len(first) else []
+
+
+def _empty_model(slots: int) -> pin.GeometryModel:
+    """Model of placeholders on the universe, to be given their shapes later."""
+    model, ball = pin.GeometryModel(), coal.Sphere(1.0)
+    for k in range(slots):
+        model.addGeometryObject(pin.GeometryObject(str(k), 0, pin.SE3.Identity(), ball))
+    return model
+
+
+class _Batch:
+    """Pairs whose distances are one call of `pin.computeDistances`.
+
+    The poses of the geoms are written and the results read through views of the memory of `pin.GeometryData`, whose
+    elements lie one after the other: rotations column by column, then translations; distance, normal, nearest points.
+    """
+
+    def __init__(
+        self, model: pin.GeometryModel, shapes: Sequence[object], first: Index, second: Index, out: Array
+    ) -> None:
+        self._geoms, slots = np.unique(np.concatenate((first, second)), return_inverse=True)
+        for k, g in enumerate(self._geoms):
+            model.geometryObjects[k].geometry = shapes[g]
+        m = len(first)
+        del model.collisionPairs[:]
+        model.collisionPairs.extend([pin.CollisionPair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
+        self._model, self._data, self._out = model, pin.GeometryData(model), out
+        self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
+
+    def run(self, R: Array, t: Array) -> None:
+        """Distances at these poses of all geoms, into the rows of `out`."""
+        self._rotation[:] = R[self._geoms]
+        self._translation[:] = t[self._geoms]
+        pin.computeDistances(self._model, self._data)
+        self._out[:] = self._results
+
+
+def _memory(address: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> Array:
+    """Array over foreign memory; whoever owns that must outlive it."""
+    length = sum((n - 1) * s for n, s in zip(shape, strides, strict=True)) // 8 + 1
+    buffer = (ctypes.c_double * length).from_address(address)
+    return np.ndarray(shape, dtype=float, buffer=buffer, strides=strides)
+
+
+def _views(data: pin.GeometryData, geoms: int, pairs: int) -> tuple[Array, Array, Array]:
+    """Rotations (n, 3, 3) and translations (n, 3) of the geoms, results (m, 10) of the pairs, as live arrays."""
+    pose, result, shift = _strides()
+    origin = data.oMg[0].rotation.ctypes.data
+    rotation = _memory(origin, (geoms, 3, 3), (pose, 8, 24))
+    translation = _memory(origin + shift, (geoms, 3), (pose, 8))
+    results = _memory(data.distanceResults[0].normal.ctypes.data - 8, (pairs, 10), (result, 8))
+    return rotation, translation, results
+
+
+@cache
+def _strides() -> tuple[int, int, int]:
+    """Bytes from pose to pose, from result to result and from a rotation to its translation, checked by value."""
+    model = _empty_model(2)
+    model.collisionPairs.extend([pin.CollisionPair(0, 1), pin.CollisionPair(1, 0)])
+    data = pin.GeometryData(model)
+    pose, result = data.oMg, data.distanceResults
+    address = [p.rotation.ctypes.data for p in pose]
+    out = (
+        address[1] - address[0],
+        result[1].normal.ctypes.data - result[0].normal.ctypes.data,
+        pose[0].translation.ctypes.data - address[0],
+    )
+    rotation = _memory(address[0], (2, 3, 3), (out[0], 8, 24))
+    translation = _memory(address[0] + out[2], (2, 3), (out[0], 8))
+    results = _memory(result[0].normal.ctypes.data - 8, (2, 10), (out[1], 8))
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rotation[:], translation[:] = turn, ((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
+    pin.computeDistances(model, data)
+    good = np.array_equal(pose[1].rotation, turn) and np.array_equal(pose[1].translation, translation[1])
+    for row, r in zip(results, result, strict=True):
+        seen = np.concatenate(([r.min_distance], r.normal, r.getNearestPoint1(), r.getNearestPoint2()))
+        good = good and np.array_equal(row, seen)
+    if not good:
+        raise RuntimeError(
+            f"pin {pin.__version__} with coal {coal.__version__} stores distance results in another way than nsdyn "
+            "knows: install the versions that nsdyn was tested with"
+        )
+    return out

@@ -1,0 +1,337 @@
+"""The 3D frictional contact problem, its factors, its measures of error, and what a solver returns.
+
+Find r with u = W r + q and K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K, per contact, normal first (N, T1, T2); W in 1/kg, q and u
+in m/s, r in N·s. The judge is not the player: every solver's answer is measured here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from nsdyn._kernels import blocks as _blocks
+from nsdyn._kernels import cones as _cones
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+__all__ = ["FC3D", "Blocks", "NotConverged", "Solution", "Status"]
+
+
+class Status(IntEnum):
+    """How a solve ended; `message` says it in words."""
+
+    CONVERGED = 0
+    MAX_ITERATIONS = 1
+    STALLED = 2
+    NOT_FINITE = 3
+
+    @property
+    def message(self) -> str:
+        """One sentence for a person, with the remedy."""
+        return {
+            Status.CONVERGED: "converged",
+            Status.MAX_ITERATIONS: "the iteration limit was reached; allow more or use solver='auto'",
+            Status.STALLED: "the residual no longer falls; loosen tol or use another solver",
+            Status.NOT_FINITE: "the iterates are not finite; check W, q and mu",
+        }[self]
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Factors of W = Hᵀ M⁻¹ H in blocks of coordinates.
+
+    Attributes
+    ----------
+    offset : ndarray of int, shape (nb + 1,)
+        First coordinate of each block: 6 per free body, nv per articulated tree.
+    block : ndarray of int, shape (nc, 2)
+        The blocks contact c touches, -1 for none.
+    start : ndarray of int, shape (nc, 2)
+        Where the 3 x n rows of Hᵀ for that block begin in `h`.
+    h : ndarray
+        Rows of Hᵀ, one row after the other, u = Hᵀ v [m/s].
+    m_start : ndarray of int, shape (nb,)
+        Where the n x n block of M (and of M⁻¹) begins in `m` (and `minv`).
+    m, minv : ndarray
+        Blocks of M [kg, kg m²] and of M⁻¹, row by row.
+    """
+
+    offset: Index
+    block: Index
+    start: Index
+    h: Array
+    m_start: Index
+    m: Array
+    minv: Array
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return int(self.offset[-1])
+
+    @property
+    def nc(self) -> int:
+        """Number of contacts."""
+        return int(self.block.shape[0])
+
+    def relative_velocity(self, v: Array) -> Array:
+        """u = Hᵀ v, shape (3 nc,)."""
+        u = np.empty(3 * self.nc)
+        _blocks.relative_velocity(self.offset, self.block, self.start, self.h, v, u)
+        return u
+
+    def velocity_change(self, r: Array) -> Array:
+        """M⁻¹ H r, shape (n,)."""
+        p, dv = np.empty(self.n), np.empty(self.n)
+        _blocks.momentum(self.offset, self.block, self.start, self.h, r, p)
+        _blocks.block_product(self.offset, self.m_start, self.minv, p, dv)
+        return dv
+
+    def delassus(self) -> sp.bsr_array:
+        """W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
+        indptr, indices, data = _blocks.delassus(
+            self.offset, self.block, self.start, self.h, self.m_start, self.minv
+        )
+        return sp.bsr_array((data, indices, indptr), shape=(3 * self.nc, 3 * self.nc))
+
+    def scales(self) -> Array:
+        """λ_max of every diagonal block of W, shape (nc,), in 1/kg."""
+        out: Array = _blocks.delassus_scales(
+            self.offset, self.block, self.start, self.h, self.m_start, self.minv
+        )
+        return out
+
+    def dense(self) -> tuple[Array, Array]:
+        """(M, H) as dense arrays of shapes (n, n) and (n, 3 nc), for checks on small problems."""
+        M, H = np.zeros((self.n, self.n)), np.zeros((self.n, 3 * self.nc))
+        for k, o in enumerate(self.offset[:-1]):
+            n = self.offset[k + 1] - o
+            M[o : o + n, o : o + n] = self.m[self.m_start[k] : self.m_start[k] + n * n].reshape(n, n)
+        for c in range(self.nc):
+            for k, s in zip(self.block[c], self.start[c], strict=True):
+                if k >= 0:
+                    o, n = self.offset[k], self.offset[k + 1] - self.offset[k]
+                    H[o : o + n, 3 * c : 3 * c + 3] += self.h[s : s + 3 * n].reshape(3, n).T
+        return M, H
+
+    @staticmethod
+    def from_delassus(W: Any) -> Blocks:
+        """Factors M = I and H = V Λ^½ of the symmetric part of a given W, one block of rank(W) coordinates.
+
+        Eigenvalues below 1e-14 of the largest are round-off of a rank-deficient W and are left out.
+        """
+        A = W.toarray() if sp.issparse(W) else np.asarray(W)
+        eigenvalues, V = np.linalg.eigh(0.5 * (A + A.T))
+        keep = eigenvalues > 1e-14 * eigenvalues[-1]
+        h = V[:, keep] * np.sqrt(eigenvalues[keep])
+        nc, n = A.shape[0] // 3, h.shape[1]
+        eye = np.eye(n).ravel()
+        block = np.column_stack((np.zeros(nc, np.int64), np.full(nc, -1, np.int64)))
+        start = np.column_stack((3 * n * np.arange(nc), np.zeros(nc, np.int64)))
+        return Blocks(np.array([0, n]), block, start, np.ascontiguousarray(h).ravel(), np.array([0]), eye, eye)
+
+
+def _as_blocks3(W: Any, name: str) -> sp.bsr_array:
+    """W as a BSR array of 3 x 3 blocks; ValueError when it is not square, finite or a multiple of 3."""
+    if not sp.issparse(W):
+        W = np.asarray(W, dtype=float)
+    if W.ndim != 2 or W.shape[0] != W.shape[1] or W.shape[0] % 3:
+        raise ValueError(f"{name} must be square with 3 rows per contact, got shape {W.shape}")
+    out = sp.bsr_array(W, blocksize=(3, 3)) if W.shape[0] else sp.bsr_array((0, 0), blocksize=(1, 1))
+    if not np.isfinite(out.data).all():
+        raise ValueError(f"{name} must be finite, got NaN or infinity")
+    out.sort_indices()
+    return out
+
+
+class FC3D:
+    """Frictional contact problem: find r with u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K.
+
+    Parameters
+    ----------
+    W : array or sparse array, shape (3 nc, 3 nc)
+        Delassus operator in 1/kg, positive semi-definite; singular as soon as contacts are redundant. It need not be
+        symmetric (files of the literature are not always).
+    q : ndarray, shape (3 nc,)
+        Relative velocity without contact impulses, m/s, normal first.
+    mu : ndarray, shape (nc,)
+        Friction coefficients.
+
+    Raises
+    ------
+    ValueError
+        For wrong shapes, values that are not finite, μ < 0, or a diagonal block of W that is zero.
+    """
+
+    def __init__(self, W: Any, q: Any, mu: Any) -> None:
+        self._set(q, mu)
+        self.blocks: Blocks | None = None
+        self.W = _as_blocks3(W, "W")
+        if self.W.shape[0] != self.q.size:
+            raise ValueError(f"W must have {self.q.size} rows like q, got {self.W.shape[0]}")
+        self._check_scales()
+
+    @classmethod
+    def from_blocks(cls, blocks: Blocks, q: Any, mu: Any) -> FC3D:
+        """Problem with W = Hᵀ M⁻¹ H given by its factors; W itself is assembled only when asked for."""
+        problem = cls.__new__(cls)
+        problem._set(q, mu)
+        if blocks.nc != problem.mu.size:
+            raise ValueError(f"blocks must have {problem.mu.size} contacts like mu, got {blocks.nc}")
+        problem.blocks = blocks
+        problem._check_scales()
+        return problem
+
+    def _set(self, q: Any, mu: Any) -> None:
+        self.q: Array = np.ascontiguousarray(q, dtype=float)
+        self.mu: Array = np.ascontiguousarray(mu, dtype=float)
+        if self.mu.ndim != 1 or self.q.shape != (3 * self.mu.size,):
+            raise ValueError(f"q must have 3 entries per entry of mu, got {self.q.shape} and {self.mu.shape}")
+        if not np.isfinite(self.q).all():
+            raise ValueError("q must be finite, got NaN or infinity")
+        if not (np.isfinite(self.mu).all() and (self.mu >= 0).all()):
+            raise ValueError("mu must be finite and not negative")
+
+    def _check_scales(self) -> None:
+        if not (self.scales > 0).all():
+            bad = np.flatnonzero(~(self.scales > 0)).tolist()
+            raise ValueError(f"W must have a non-zero positive diagonal block at every contact, not at {bad[:5]}")
+
+    @cached_property
+    def W(self) -> sp.bsr_array:
+        """Delassus operator, BSR with 3 x 3 blocks."""
+        assert self.blocks is not None
+        return self.blocks.delassus()
+
+    @cached_property
+    def scales(self) -> Array:
+        """λ_max(W_cc) of each contact, shape (nc,), 1/kg."""
+        if self.blocks is not None:
+            return self.blocks.scales()
+        out = np.empty(self.nc)
+        _cones.diagonal_scales(*_csr(self.W), out)
+        return out
+
+    @property
+    def nc(self) -> int:
+        """Number of contacts."""
+        return int(self.mu.size)
+
+    def velocity(self, r: Array) -> Array:
+        """u = W r + q, shape (3 nc,), m/s."""
+        if self.blocks is None:
+            out: Array = self.W @ r + self.q
+            return out
+        return self.blocks.relative_velocity(self.blocks.velocity_change(r)) + self.q
+
+    def error(self, r: Any, u: Array | None = None) -> float:
+        """Error of the literature, ‖r - P_K(r - û)‖₂ / ‖q‖₂ (ρ = 1 in the given units).
+
+        Notes
+        -----
+        It mixes impulses and velocities, so it changes with the unit of mass: read `residual` beside it.
+
+        References
+        ----------
+        V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 6.
+        """
+        r = self._impulse(r)
+        u = self.velocity(r) if u is None else u
+        top, q = _cones.natural_error(u, r, self.mu), math.sqrt(self.q @ self.q)
+        return float(top / q) if q > 0.0 else float(top)
+
+    def residual(self, r: Any, u: Array | None = None) -> float:
+        """Unit-invariant residual in m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ with ρ = 1/λ_max(W_aa)."""
+        r = self._impulse(r)
+        u = self.velocity(r) if u is None else u
+        return float(_cones.natural_residual(self.scales, u, r, self.mu))
+
+    def gap(self, r: Any) -> float:
+        """Duality gap Σ r·(u + δ e_N + μ‖u_T‖ e_N) in J of the problem shifted by δ = max(0, -u_N): see `gauss`."""
+        r = self._impulse(r).reshape(-1, 3)
+        u = self.velocity(r.ravel()).reshape(-1, 3)
+        slip = np.hypot(u[:, 1], u[:, 2])
+        terms = r[:, 0] * (np.maximum(u[:, 0], 0.0) + self.mu * slip) + (r[:, 1:] * u[:, 1:]).sum(axis=1)
+        return max(0.0, float(terms.sum()))
+
+    def _impulse(self, r: Any) -> Array:
+        r = np.ascontiguousarray(r, dtype=float)
+        if r.shape != self.q.shape:
+            raise ValueError(f"r must have shape {self.q.shape} like q, got {r.shape}")
+        return r
+
+    def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:
+        """(both measures within tol, error, residual in m/s, u) of an impulse r."""
+        u = self.velocity(r)
+        error, residual = self.error(r, u), self.residual(r, u)
+        return error <= tol and residual <= tol, error, residual, u
+
+
+def _csr(W: sp.bsr_array) -> tuple[Index, Index, Array]:
+    """(indptr, indices, data) of a BSR array with 64-bit indices, as the kernels take them."""
+    data = np.ascontiguousarray(W.data).reshape(-1, 3, 3)
+    return W.indptr.astype(np.int64, copy=False), W.indices.astype(np.int64, copy=False), data
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What a solver returns, measured by the problem itself.
+
+    Attributes
+    ----------
+    r : ndarray, shape (3 nc,)
+        Impulses, N·s; not unique when contacts are redundant.
+    u : ndarray, shape (3 nc,)
+        u = W r + q, m/s.
+    status : Status
+    error : float
+        `FC3D.error` of r.
+    residual : float
+        `FC3D.residual` of r, m/s.
+    iterations : int
+        Sweeps, factorisations or iterations, in the unit of the solver.
+    time : float
+        Wall time of the solve, s.
+    """
+
+    r: Array
+    u: Array
+    status: Status
+    error: float
+    residual: float
+    iterations: int
+    time: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether both measures met the tolerance."""
+        return self.status is Status.CONVERGED
+
+    @staticmethod
+    def judge(
+        problem: FC3D, r: Array, tol: float, iterations: int, time: float, otherwise: Status = Status.STALLED
+    ) -> Solution:
+        """Solution of impulse r; converged only if the problem's own measures say so."""
+        ok, error, residual, u = problem.solved(r, tol)
+        if not (math.isfinite(error) and math.isfinite(residual)):
+            status = Status.NOT_FINITE
+        else:
+            status = Status.CONVERGED if ok else otherwise
+        return Solution(r, u, status, error, residual, iterations, time)
+
+
+class NotConverged(RuntimeError):
+    """A solve missed its tolerance; carries the `problem` and its best `solution`."""
+
+    def __init__(self, message: str, problem: FC3D, solution: Solution) -> None:
+        super().__init__(message)
+        self.problem = problem
+        self.solution = solution

@@ -1,0 +1,60 @@
+"""Solvers of the frictional contact problem: one protocol, one list, one file each."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from nsdyn.problem import FC3D, Array, Solution
+from nsdyn.solvers.auto import Auto
+from nsdyn.solvers.newton import Newton
+from nsdyn.solvers.pgs import PGS
+
+__all__ = ["PGS", "SOLVERS", "Auto", "Newton", "Solver", "by_name", "solve"]
+
+
+class Solver(Protocol):
+    """A frozen dataclass of its own options that is called on a problem."""
+
+    @property
+    def tol(self) -> float:
+        """Tolerance on `FC3D.error` [-] and `FC3D.residual` [m/s] alike."""
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from the impulse r0 (default 0)."""
+
+
+SOLVERS: dict[str, type] = {"auto": Auto, "newton": Newton, "pgs": PGS}
+"""The solvers by name."""
+
+
+def by_name(name: str, tol: float = 1e-8) -> Solver:
+    """Return the solver of that name at tolerance `tol`; ValueError naming the known ones, or for tol ≤ 0."""
+    if name not in SOLVERS:
+        raise ValueError(f"solver must be one of {sorted(SOLVERS)}, got {name!r}")
+    if not tol > 0.0:
+        raise ValueError(f"tol must be positive, got {tol}")
+    solver: Solver = SOLVERS[name](tol=tol)
+    return solver
+
+
+def solve(
+    problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: Array | None = None
+) -> Solution:
+    """Solve a frictional contact problem.
+
+    Parameters
+    ----------
+    problem : FC3D
+    solver : str or Solver
+        A name of `SOLVERS`, or a solver object, which brings its own tolerance.
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike, for a solver given by name.
+    r0 : ndarray, shape (3 nc,), optional
+        Initial impulse, N·s.
+
+    Returns
+    -------
+    Solution
+        With r, u, status, error, residual, iterations, time.
+    """
+    return (by_name(solver, tol) if isinstance(solver, str) else solver)(problem, r0)

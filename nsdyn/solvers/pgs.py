@@ -1,0 +1,55 @@
+"""Projected (block) Gauss–Seidel."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from nsdyn._kernels import pgs as _kernels
+from nsdyn.problem import FC3D, Array, Solution, Status, _csr
+
+
+@dataclass(frozen=True)
+class PGS:
+    """Block Gauss–Seidel: each contact in turn solved exactly, Anderson-accelerated.
+
+    Good on loose tolerances and granular scenes, where a sweep costs 0.1 µs per contact block. It fails where
+    information must travel far: tall stacks, heavy bodies on light ones, hyperstatic walls at tight tolerance.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Sweeps.
+    memory : int
+        Differences kept by Anderson's acceleration; 0 gives the plain method.
+    patience : int
+        Sweeps without a tenfold fall of the residual after which the solve is called stalled.
+
+    References
+    ----------
+    F. Jourdan, P. Alart, M. Jean, A Gauss-Seidel like algorithm to solve frictional contact problems, CMAME 155,
+    1998. H. Walker, P. Ni, Anderson acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49, 2011.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 10_000
+    memory: int = 20
+    patience: int = 10_000
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        start = time.perf_counter()
+        r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
+        sweeps, stalled = 0, False
+        if problem.nc and not problem.solved(r, self.tol)[0]:
+            q_norm = float(np.linalg.norm(problem.q)) or 1.0
+            sweeps, stalled = _kernels.accelerated(
+                *_csr(problem.W), problem.q, problem.mu, problem.scales, r, self.tol, q_norm,
+                self.max_iter, min(5, self.max_iter), min(self.memory, problem.nc + 1), self.patience,
+            )  # fmt: skip
+        status = Status.STALLED if stalled else Status.MAX_ITERATIONS
+        return Solution.judge(problem, r, self.tol, sweeps, time.perf_counter() - start, status)

@@ -1,0 +1,434 @@
+"""The Moreau–Jean time-stepper: one readable step, and the loop around it."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn import energy, gauss
+from nsdyn._kernels import motion as _motion
+from nsdyn.contacts import ContactMemory, ContactSet, Detector
+from nsdyn.dynamics import Dynamics, Position
+from nsdyn.problem import FC3D, Array, Blocks, Index, NotConverged, Solution
+from nsdyn.scene import Scene
+from nsdyn.solvers import Auto, Solver
+from nsdyn.trajectory import Recorder, Trajectory
+
+__all__ = ["State", "Step", "Stepper", "simulate"]
+
+Callback = Callable[[float, Array, Array], Mapping[str, Any]]
+
+PENETRATION = 1e-10
+"""Penetration in m that the projection leaves alone: a hundredth of what is promised, and far above round-off."""
+
+DEEPEST = 0.01
+"""Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything a run needs to go on bit for bit.
+
+    Attributes
+    ----------
+    origin, dt, count : float, float, int
+        t = origin + count dt.
+    position : Position
+    v : ndarray, shape (n,)
+        Velocity in the coordinates of `Dynamics`.
+    impulse : ndarray, shape (nc, 3)
+        World impulses of the last step's contacts, N·s: the warm start.
+    memory : ContactMemory
+        The last step's contacts and their keys.
+    """
+
+    origin: float
+    dt: float
+    count: int
+    position: Position
+    v: Array
+    impulse: Array
+    key: Index
+    memory: ContactMemory
+
+    @property
+    def t(self) -> float:
+        """Time in s."""
+        return self.origin + self.count * self.dt
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What one step did.
+
+    Attributes
+    ----------
+    t, q, v : float, ndarray, ndarray
+        At the end of the step; q and v in Pinocchio's layout.
+    frames_x, frames_quat : ndarray of shapes (frames, 3) and (frames, 4), or None
+        Poses of all moving frames when the scene has articulations.
+    contacts : ContactSet
+        Evaluated at the midpoint.
+    frame : ndarray, shape (nc, 3, 3)
+        Contact frames, rows (n, t1, t2), world axes.
+    u, r : ndarray, shape (nc, 3)
+        Relative velocity at the end of the step [m/s] and impulse on body 2 [N·s], normal first.
+    contact_status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    work_normal, work_friction : ndarray, shape (nc,)
+        J.
+    energy : dict
+        The terms of `nsdyn.energy.Ledger`, J.
+    gauss : Certificate
+    problem : FC3D
+    solution : Solution
+    times : tuple of 5 floats
+        Wall time of broad phase, narrow phase (Coal), manifold and assembly, solve, and the rest, s.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    frames_x: Array | None
+    frames_quat: Array | None
+    contacts: ContactSet
+    frame: Array
+    u: Array
+    r: Array
+    contact_status: NDArray[np.int8]
+    work_normal: Array
+    work_friction: Array
+    energy: dict[str, float]
+    gauss: gauss.Certificate
+    problem: FC3D
+    solution: Solution
+    times: tuple[float, float, float, float, float]
+
+    @property
+    def tangent(self) -> Array:
+        """First tangent t1 of every contact, shape (nc, 3); t2 = n × t1."""
+        return self.frame[:, 1]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The initial state as a recording shows it: a `Step` without what steps do."""
+
+    t: float
+    q: Array
+    v: Array
+    frames_x: Array | None
+    frames_quat: Array | None
+    energy: dict[str, float]
+
+
+class Stepper:
+    """Moreau–Jean θ-scheme on a scene.
+
+    With h = dt and v_{k+θ} = θ v_{k+1} + (1 - θ) v_k:
+
+        M̃ (v_{k+1} - v_k) = h f̃ + H r,   u = Hᵀ v_{k+1} + w,   K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K,
+        q_{k+1} = q_k ⊕ h v_{k+θ},
+
+    coefficients at q̃ = q_k ⊕ (1 - θ) h v_k, so that smooth motion is second order for θ = ½; w from the gap or from
+    Newton's impact law. Penetration left by curvature or by a bad start is removed by a projection of the positions
+    that never touches v.
+
+    Parameters
+    ----------
+    scene : Scene
+    dt : float
+        Step h, s.
+    theta : float
+        In [½, 1].
+    solver : Solver
+        Default ``Auto(tol=1e-8)``.
+    controller : callable, optional
+        ``controller(t, q, v)`` returns {articulation: joint forces}; called with the time and configuration of the
+        midpoint and the velocity at the beginning, Pinocchio's layout.
+    external_force : callable, optional
+        ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
+        (force, torque)}, world axes, N and N·m. Nothing persists to the next step.
+    on_fail : {"raise", "warn", "ignore"}
+        What to do when the solver misses its tolerance; the status is always recorded.
+    max_points : int
+        Most contact points per pair of shapes.
+
+    Raises
+    ------
+    ValueError
+        For arguments out of range, and for bodies that overlap deeply at the start, naming them and the depth.
+
+    References
+    ----------
+    J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, CISM 302, 1988. M. Jean, The
+    non-smooth contact dynamics method, CMAME 177, 1999. V. Acary, Projected event-capturing time-stepping schemes for
+    nonsmooth mechanical systems with unilateral contact and Coulomb's friction, CMAME 256, 2013.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        dt: float = 1e-3,
+        theta: float = 0.5,
+        solver: Solver | None = None,
+        controller: Callback | None = None,
+        external_force: Callback | None = None,
+        on_fail: str = "raise",
+        max_points: int = 8,
+    ) -> None:
+        if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
+            raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
+        if not 0.5 <= theta <= 1.0:
+            raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
+        if on_fail not in ("raise", "warn", "ignore"):
+            raise ValueError(f"on_fail must be 'raise', 'warn' or 'ignore', got {on_fail!r}")
+        self.scene, self.dt, self.theta = scene, float(dt), float(theta)
+        self.solver: Solver = Auto() if solver is None else solver
+        self.controller, self.external_force, self.on_fail = controller, external_force, on_fail
+        self.dynamics = Dynamics(scene)
+        geoms = scene.geoms()
+        self.detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms), max_points)
+        # A body slower than this rests: an impact at the speed gravity gives in two steps is a contact force.
+        self.resting_speed = 2.0 * self.dt * float(np.linalg.norm(self.dynamics.gravity))
+        self._projection = Auto(tol=PENETRATION)
+        self._failures = 0
+        position, v = self.dynamics.start()
+        self._check_overlap(geoms, position, v)
+        self._state = State(
+            0.0, self.dt, 0, position, v, np.empty((0, 3)), np.empty(0, np.int64), self.detector.memory
+        )
+
+    # -- state -------------------------------------------------------------------------------------------------
+
+    @property
+    def t(self) -> float:
+        """Time in s."""
+        return self._state.t
+
+    def get_state(self) -> State:
+        """State after the last step; with `set_state` a run goes on bit for bit, warm start included."""
+        return self._state
+
+    def set_state(self, state: State) -> None:
+        """Go on from a state of a stepper of the same scene; ValueError if it does not fit."""
+        if not isinstance(state, State):
+            raise ValueError(f"state must come from get_state, got {type(state).__name__}")
+        if state.v.shape != (self.dynamics.n,) or state.position.x.shape != (self.dynamics.free, 3):
+            raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {state.v.shape}")
+        if state.dt != self.dt:
+            state = State(
+                state.t, self.dt, 0, state.position, state.v, state.impulse * (self.dt / state.dt), state.key,
+                state.memory,
+            )  # fmt: skip
+        self.detector.memory = state.memory
+        self._state = state
+
+    def start(self) -> Start:
+        """The present state as row 0 of a recording."""
+        s, d = self._state, self.dynamics
+        kinetic, potential = d.energies(s.position, s.v)
+        links = d.link_poses(s.position) if d.trees else (None, None)
+        return Start(s.t, *d.pinocchio_state(s.position, s.v), *links, {"kinetic": kinetic, "potential": potential})
+
+    # -- one step ----------------------------------------------------------------------------------------------
+
+    def step(self) -> Step:
+        """Advance by dt and return what happened; on `NotConverged` the state is left as it was."""
+        s, d, h, theta = self._state, self.dynamics, self.dt, self.theta
+        clock = time.perf_counter
+        t_start = clock()
+
+        # Free motion, with the coefficients of the midpoint.
+        middle = d.advance(s.position, s.v, (1.0 - theta) * h)
+        d.evaluate(middle)
+        v_free, loads = d.free_velocity(middle, s.v, h, *self._callbacks(middle))
+
+        # Contacts and their impact law.
+        reach = d.reach(s.v, h)
+        fast = self._outruns_contacts(reach)
+        if fast:
+            d.evaluate(s.position)
+        self.detector.candidates(d.x, d.R, reach)
+        t_broad = clock()
+        self.detector.narrow()
+        t_narrow = clock()
+        contacts = self.detector.manifold()
+        blocks, frame = d.blocks(contacts)
+        u_before = blocks.relative_velocity(s.v)
+        gap = contacts.gap + (1.0 - theta) * h * u_before[0::3] if fast else contacts.gap
+        w = np.zeros_like(u_before)
+        _motion.impact_law(u_before, gap, contacts.restitution, theta * h, self.resting_speed, w[0::3])
+        problem = FC3D.from_blocks(blocks, blocks.relative_velocity(v_free) + w, contacts.mu)
+        guess = self._warm_start(contacts, frame)
+        t_assembly = clock()
+
+        # The frictional contact problem.
+        solution = self.solver(problem, guess)
+        t_solve = clock()
+        if not solution.converged:
+            self._fail(problem, solution)
+        v = v_free + blocks.velocity_change(solution.r)
+
+        # Positions, and what penetration is left in them.
+        v_theta = theta * v + (1.0 - theta) * s.v
+        moved = d.advance(s.position, v_theta, h)
+        u = solution.u - w
+        end = self._project(moved, blocks, gap, u, theta * h)
+
+        # Certificate, ledger, record.
+        works = energy.contact_works(u_before, u, solution.r)
+        if fast:
+            d.evaluate(middle)
+        step_energy = energy.ledger(
+            d, h, loads, (s.position, moved, end), (s.v, v, v_theta), float(works[0].sum()), float(works[1].sum())
+        )
+        r = solution.r.reshape(-1, 3)
+        impulse = np.einsum("ci,cij->cj", r, frame)
+        self._state = State(s.origin, s.dt, s.count + 1, end, v, impulse, contacts.key, self.detector.memory)
+        status = np.empty(contacts.mu.size, np.int8)
+        _motion.contact_status(solution.u, solution.r, contacts.mu, status)
+        q, v_out = d.pinocchio_state(end, v)
+        links = d.link_poses(end) if d.trees else (None, None)
+        certificate = gauss.certify(problem, solution.r, solution.u)
+        times = (
+            t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
+        )  # fmt: skip
+        return Step(
+            self._state.t, q, v_out, *links, contacts, frame, u.reshape(-1, 3), r, status, *works, step_energy._asdict(),
+            certificate, problem, solution, times,
+        )  # fmt: skip
+
+    def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
+        """(wrenches, joint forces) of the user's callbacks at the midpoint."""
+        if self.external_force is None and self.controller is None:
+            return None, None
+        q, v = self.dynamics.pinocchio_state(middle, self._state.v)
+        t = self.t + 0.5 * self.dt
+        return (
+            self.external_force(t, q, v) if self.external_force else None,
+            self.controller(t, q, v) if self.controller else None,
+        )
+
+    def _outruns_contacts(self, reach: Array) -> bool:
+        """Whether a body may pass through another within half a step.
+
+        Then contacts are looked for where the step begins, and their gaps are extrapolated to the midpoint.
+        """
+        return bool((reach[: self.dynamics.free] > self.dynamics.inscribed).any())
+
+    def _warm_start(self, contacts: ContactSet, frame: Array) -> Array:
+        """Last step's world impulses of the contacts that are still there, in the frames of now."""
+        r = np.zeros((contacts.key.size, 3))
+        if self._state.key.size and contacts.key.size:
+            old = _motion.match(self._state.key, contacts.key)
+            known = old >= 0
+            r[known] = np.einsum("cij,cj->ci", frame[known], self._state.impulse[old[known]])
+        return r.ravel()
+
+    def _fail(self, problem: FC3D, solution: Solution) -> None:
+        message = (
+            f"step from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
+            f"{solution.residual:.2e} m/s, tolerance {self.solver.tol:.1e} ({solution.status.message})"
+        )
+        if self.on_fail == "raise":
+            self.detector.memory = self._state.memory
+            raise NotConverged(message, problem, solution)
+        if self.on_fail == "warn" and not self._failures:
+            warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
+        self._failures += 1
+
+    def _project(self, moved: Position, blocks: Blocks, gap: Array, u: Array, h_theta: float) -> Position:
+        """Positions without penetration, the closest in the kinetic metric; `moved` itself where there is none.
+
+        min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0, a frictionless contact problem in positions, on the gaps at the end of the
+        step, linear in the motion.
+        """
+        if not gap.size:
+            return moved
+        end = gap + h_theta * u[0::3]
+        # A contact that leaves on its own within a step is not pushed.
+        end = np.where(end + self.dt * u[0::3] >= 0.0, np.maximum(end, 0.0), end)
+        if end.min() >= -PENETRATION:
+            return moved
+        g = np.zeros_like(u)
+        g[0::3] = end
+        shift = self._projection(FC3D.from_blocks(blocks, g, np.zeros(gap.size)))
+        return self.dynamics.advance(moved, blocks.velocity_change(shift.r), 1.0)
+
+    def _check_overlap(self, geoms: list[Any], position: Position, v: Array) -> None:
+        """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
+        d = self.dynamics
+        d.evaluate(position)
+        contacts = self.detector.detect(d.x, d.R, np.zeros(d.frames))
+        if not contacts.gap.size:
+            return
+        for k in np.argsort(contacts.gap)[:1]:
+            a, b = geoms[contacts.geom1[k]], geoms[contacts.geom2[k]]
+            depth = -float(contacts.gap[k])
+            size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
+            where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
+            if depth > DEEPEST * size:
+                raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m)")
+            if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
+                warnings.warn(f"{where}; the first step moves them apart", stacklevel=4)
+
+
+def simulate(
+    scene: Scene,
+    duration: float,
+    dt: float = 1e-3,
+    theta: float = 0.5,
+    solver: Solver | None = None,
+    controller: Callback | None = None,
+    external_force: Callback | None = None,
+    on_fail: str = "raise",
+    record: str | Path | None = None,
+    progress: bool = False,
+    max_points: int = 8,
+) -> Trajectory:
+    """Simulate a scene and return its trajectory.
+
+    Parameters
+    ----------
+    scene : Scene
+    duration : float
+        s; rounded up to whole steps.
+    dt, theta, solver, controller, external_force, on_fail, max_points
+        As in `Stepper`.
+    record : path, optional
+        HDF5 file written while the simulation runs; a killed run keeps its steps.
+    progress : bool
+        Show a progress bar on stderr when it is a terminal.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    ValueError
+        For bad arguments, before anything is written.
+    NotConverged
+        If a step misses the tolerance and ``on_fail="raise"``; the steps before it are in `record`.
+    """
+    from tqdm import tqdm  # costs 50 ms that a library user may not need
+
+    if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
+        raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
+    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points)
+    steps = max(1, math.ceil(duration / stepper.dt - 1e-9))
+    meta = {"dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver)}
+    with Recorder(record, meta, scene.describe(), stepper.start()) as recorder:
+        # disable=None: tqdm draws only on a terminal
+        for _ in tqdm(range(steps), unit="step", disable=None if progress else True):
+            recorder.append(stepper.step())
+        return recorder.trajectory()
