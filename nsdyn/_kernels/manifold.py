@@ -2,9 +2,10 @@
 
 With n the unit normal from geom 1 to geom 2 that separates the pair best, in this order:
 
-1. A face of one geom whose normal is n within `ANGLE` (half-space, polytope face, cylinder cap) is the *reference*:
-   its normal is the contact normal, and the *incident* feature of the other geom, clipped to the face, gives the
-   points, each with its own gap over the plane.
+1. A face of one geom whose normal is about n (half-space, polytope face, cylinder cap) is the *reference*: its normal
+   is the contact normal, and the *incident* feature of the other geom, clipped to the face, gives the points, each
+   with its own gap over the plane. It is what touches if the smallest gap is the distance that Coal found; the
+   direction alone would not tell, since Coal's normal is noise where the distance is 0.
 2. Two segments (polytope edge or corner, sphere, capsule, side of a cylinder: a segment with a radius) touch in their
    closest points, parallel ones at both ends of their overlap.
 3. Anything else touches in the one point that Coal found.
@@ -18,6 +19,8 @@ from numba import njit
 from nsdyn._kernels.broadphase import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, POLYTOPE, SPHERE
 
 ANGLE = 2e-3  # rad; Coal's normal is off by up to 5e-4 near gap 0, and a face within this of it is what it found
+FACE = 0.05  # rad; how far Coal's normal may be off where it is noise; the distance decides
+AGREE = 1e-5  # features whose gap is the distance found, within this fraction of the size, are those that touch
 BIAS = 1e-3  # a face of geom 2 is the reference only if it fits better than that of geom 1 by this much
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
 SAME = 1e-6  # points closer than this fraction of the size are one
@@ -71,12 +74,12 @@ def any_perpendicular(d, out):
 
 @njit(cache=True)
 def aligned_face(geometry, g, R, n, local):
-    """The face of geom g whose outward normal is closest to n, and |difference|; (-1, inf) beyond `ANGLE`.
+    """The face of geom g whose outward normal is closest to n, and |difference|; (-1, inf) beyond `FACE`.
 
     Faces of a polytope count from face_ptr[g]; those of a cylinder are 0 (+z) and 1 (-z).
     """
     to_local(R, n, local)
-    best, face = ANGLE * ANGLE, -1
+    best, face = FACE * FACE, -1
     if geometry.kind[g] == POLYTOPE:
         for f in range(geometry.face_ptr[g], geometry.face_ptr[g + 1]):
             m = geometry.face_normals[f]
@@ -592,11 +595,12 @@ def manifolds(
         known = slot[p] >= 0
         count = 0
         face1, face2 = -1, -1
+        error1, error2 = 0.0, 0.0
+        result = coal[max(slot[p], 0)]
         if plane:
             face1 = 0 if kind1 == HALFSPACE else -1
             face2 = 0 if kind2 == HALFSPACE else -1
         elif known:
-            result = coal[slot[p]]
             if result[0] > margin:
                 continue
             n[:] = result[1:4]
@@ -611,14 +615,21 @@ def manifolds(
                 local[k] = -n[k]
             face1, error1 = aligned_face(geometry, i, R[i], n, middle)
             face2, error2 = aligned_face(geometry, j, R[j], local, middle)
-            if face1 >= 0 and error1 <= error2 + BIAS:
-                face2 = -1
-            else:
-                face1 = -1
         if face1 >= 0 or face2 >= 0:
-            count = reference(
-                geometry, i, j, R, t, n, plane, limit, margin, face1, face2, poly, other, heights, local, m
-            )
+            for attempt in range(2):
+                use1 = face1 >= 0 and ((error1 <= error2 + BIAS) == (attempt == 0))
+                if (face1 if use1 else face2) < 0:
+                    continue
+                count = reference(
+                    geometry, i, j, R, t, n, plane, limit, margin, face1 if use1 else -1, face2, poly, other, heights,
+                    local, m,
+                )  # fmt: skip
+                lowest = math.inf
+                for k in range(count):
+                    lowest = min(lowest, heights[k])
+                if plane or abs(lowest - result[0]) <= AGREE * size:
+                    break
+                count = 0
             count = merge(poly, heights, count, SAME * size)
             if count > limit:
                 count = reduce(poly, heights, count, m, limit)
@@ -636,9 +647,13 @@ def manifolds(
                     ends1, radius1, kind1 == CYLINDER, ends2, radius2, kind2 == CYLINDER, n, known, size,
                     point[total:], normal[total:], gap[total:],
                 )  # fmt: skip
+                lowest = math.inf
+                for k in range(count):
+                    lowest = min(lowest, gap[total + k])
+                if known and abs(lowest - coal[slot[p], 0]) > AGREE * size:
+                    count = 0
             if count == 0:
                 count = 1
-                result = coal[slot[p]]
                 normal[total] = n
                 gap[total] = result[0]
                 for k in range(3):
