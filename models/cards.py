@@ -34,8 +34,9 @@ def scene(
     out.add_halfspace("ground", material=material)
     a = np.radians(lean)
     along, across = np.array([np.sin(a), np.cos(a)]), np.array([np.cos(a), -np.sin(a)])
-    # Left card of a frame with its ridge at x = 0: its axis passes the ridge line 1.5 thicknesses below the top.
-    ridge = np.array([0.0, height - 1.5 * thickness])
+    # Left card of a frame with its ridge at x = 0; its axis gets there so far below the top that the level cut there
+    # is 0.4 thicknesses wide.
+    ridge = np.array([0.0, height - thickness * (0.5 / np.cos(a) - 0.4) / np.tan(a)])
     card = np.array([ridge + s * along * 2 * height + t * across * thickness / 2 for s, t in ((-1, -1), (-1, 1), (1, 1), (1, -1))])
     for normal, offset in (((0, -1), 0.0), ((0, 1), height), ((1, 0), 0.0)):
         card = _clip(card, normal, offset)
@@ -51,7 +52,7 @@ def scene(
                 out.add_convex(f"{side}{level}_{k}", vertices, density * area * depth, material=material)
         for k in range(levels - level - 1):
             x0 = (k + 0.5 * level + 0.5) * pitch
-            size = (pitch - 2 * thickness, depth, thickness)
+            size = (pitch - 0.1 * thickness, depth, thickness)
             out.add_box(
                 f"flat{level}_{k}", size, density * float(np.prod(size)), material=material,
                 position=(x0, 0, z0 + height + thickness / 2),

@@ -11,6 +11,7 @@ import ctypes
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import coal
 import numpy as np
@@ -18,8 +19,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from nsdyn._kernels import broadphase, manifold
+from nsdyn import shapes
 from nsdyn.scene import Geom
-from nsdyn.shapes import CAPSULE, HALFSPACE, SPHERE
+from nsdyn.shapes import CAPSULE, HALFSPACE, SPHERE, Shape
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -36,6 +38,13 @@ AHEAD = 4.0
 
 TOLERANCE = 0.05
 """A contact keeps its key while it moves less than this fraction of the smaller bounding radius, on either geom."""
+
+SHRINK = 1e-3
+"""Coal sees the shapes smaller by this fraction of their inscribed radius. At gap 0 its normals are wrong by anything
+(half of them for ellipsoids), while those of bodies a little apart are right: contact is between cores still apart."""
+
+GJK_TOLERANCE = 1e-9
+"""m; with Coal's 1e-6 two bodies closer than that count as overlapping and get any normal."""
 
 SLOTS = 256
 """Geoms per call of Pinocchio: its GeometryModel needs time and memory that grow with the square of their number."""
@@ -126,7 +135,10 @@ class Detector:
         self._pair_material = pair_material
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
         self._geometry = _flatten(geoms)
-        self._shapes = [g.shape.geometry for g in geoms]
+        cores: dict[int, Any] = {id(g.shape): _core(g.shape) for g in geoms}
+        self._cores = [cores[id(g.shape)] for g in geoms]
+        rounded = (self._geometry.kind == SPHERE) | (self._geometry.kind == CAPSULE)
+        self._slack = np.where(rounded, 0.0, 2.0 * SHRINK * self._geometry.radius)
         self._frame = self._geometry.frame
         self._moving = self._frame >= 0
         self._R = self._geometry.placement_R.copy()
@@ -197,7 +209,7 @@ class Detector:
 
     def _set_pairs(self, codes: Index) -> None:
         """Everything that depends on the candidate list alone."""
-        first, second = np.divmod(codes, len(self._shapes))
+        first, second = np.divmod(codes, len(self._cores))
         kind1, kind2 = self._geometry.kind[first], self._geometry.kind[second]
         round1, round2 = (kind1 == SPHERE) | (kind1 == CAPSULE), (kind2 == SPHERE) | (kind2 == CAPSULE)
         asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | (round1 & round2))
@@ -210,9 +222,9 @@ class Detector:
         self._batches = []
         for k, (lo, hi) in enumerate(_split(first[asked], second[asked])):
             if k == len(self._models):
-                self._models.append(_empty_model(min(SLOTS, len(self._shapes))))
+                self._models.append(_empty_model(min(SLOTS, len(self._cores))))
             pairs = first[asked][lo:hi], second[asked][lo:hi]
-            self._batches.append(_Batch(self._models[k], self._shapes, *pairs, self._coal[lo:hi]))
+            self._batches.append(_Batch(self._models[k], self._cores, *pairs, self._coal[lo:hi]))
         room = len(codes) * self._max_points
         self._point, self._normal = np.empty((room, 3)), np.empty((room, 3))
         self._gap, self._pair = np.empty(room), np.empty(room, dtype=np.int64)
@@ -225,7 +237,7 @@ class Detector:
     def manifold(self) -> ContactSet:
         """Third part of `detect`: points, normals and gaps, and the keys of contacts that last."""
         count = manifold.manifolds(
-            self._geometry, self._R, self._t, self._first, self._second, self._slot, self._coal, self._pair_base,
+            self._geometry, self._R, self._t, self._slack, self._first, self._second, self._slot, self._coal, self._pair_base,
             self._reach, self._max_points, *self._scratch, self._point, self._normal, self._gap, self._pair,
         )  # fmt: skip
         pair = self._pair[:count]
@@ -245,27 +257,42 @@ class Detector:
 
 def _flatten(geoms: Sequence[Geom]) -> broadphase.Geometry:
     """The shapes of all geoms in flat arrays."""
-    shapes = [g.shape for g in geoms]
+    all_shapes = [g.shape for g in geoms]
 
     def pointer(lengths: list[int]) -> Index:
         return np.cumsum([0, *lengths], dtype=np.int64)
 
     return broadphase.Geometry(
-        kind=np.array([s.kind for s in shapes], dtype=np.int64),
-        size=np.array([s.size for s in shapes]).reshape(-1, 3),
-        offset=np.array([s.offset for s in shapes], dtype=float),
-        radius=np.array([s.bounding_radius for s in shapes], dtype=float),
-        vertex_ptr=pointer([len(s.vertices) for s in shapes]),
-        vertices=np.concatenate([np.zeros((0, 3)), *(s.vertices for s in shapes)]),
-        face_ptr=pointer([len(s.face_normals) for s in shapes]),
-        face_normals=np.concatenate([np.zeros((0, 3)), *(s.face_normals for s in shapes)]),
-        face_offsets=np.concatenate([np.zeros(0), *(s.face_offsets for s in shapes)]),
-        loop_ptr=pointer([n for s in shapes for n in np.diff(s.face_ptr)]),
-        loop=np.concatenate([np.zeros(0, dtype=np.int64), *(s.face_loop for s in shapes)]),
+        kind=np.array([s.kind for s in all_shapes], dtype=np.int64),
+        size=np.array([s.size for s in all_shapes]).reshape(-1, 3),
+        offset=np.array([s.offset for s in all_shapes], dtype=float),
+        radius=np.array([s.bounding_radius for s in all_shapes], dtype=float),
+        vertex_ptr=pointer([len(s.vertices) for s in all_shapes]),
+        vertices=np.concatenate([np.zeros((0, 3)), *(s.vertices for s in all_shapes)]),
+        face_ptr=pointer([len(s.face_normals) for s in all_shapes]),
+        face_normals=np.concatenate([np.zeros((0, 3)), *(s.face_normals for s in all_shapes)]),
+        face_offsets=np.concatenate([np.zeros(0), *(s.face_offsets for s in all_shapes)]),
+        loop_ptr=pointer([n for s in all_shapes for n in np.diff(s.face_ptr)]),
+        loop=np.concatenate([np.zeros(0, dtype=np.int64), *(s.face_loop for s in all_shapes)]),
         frame=np.array([g.frame for g in geoms], dtype=np.int64),
         placement_R=np.array([g.placement_R for g in geoms], dtype=float).reshape(-1, 3, 3),
         placement_t=np.array([g.placement_t for g in geoms], dtype=float).reshape(-1, 3),
     )
+
+
+def _core(shape: Shape) -> Any:
+    """Coal's geometry of a slightly smaller shape with the same normals; round ones need none."""
+    thinner = SHRINK * shape.inscribed_radius
+    match shape.kind:
+        case shapes.CYLINDER:
+            return coal.Cylinder(shape.size[0] - thinner, 2.0 * (shape.size[1] - thinner))
+        case shapes.ELLIPSOID:
+            return coal.Ellipsoid(*(shape.size - thinner))
+        case shapes.POLYTOPE if shape.size.any():
+            return coal.Box(*(shape.size - 2.0 * thinner))
+        case shapes.POLYTOPE:
+            return shapes.coal_convex(shape.vertices * (1.0 - SHRINK), shape.face_loop, shape.face_ptr)
+    return shape.geometry
 
 
 # -- Coal through Pinocchio ------------------------------------------------------------------------------------------
@@ -308,6 +335,8 @@ class _Batch:
         del model.collisionPairs[:]
         model.collisionPairs.extend([pin.CollisionPair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
         self._model, self._data, self._out = model, pin.GeometryData(model), out
+        for request in self._data.distanceRequests:
+            request.gjk_tolerance = GJK_TOLERANCE
         self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
 
     def run(self, R: Array, t: Array) -> None:

@@ -256,11 +256,8 @@ class FC3D:
 
     def gap(self, r: Any) -> float:
         """Duality gap Σ r·(u + δ e_N + μ‖u_T‖ e_N) in J of the problem shifted by δ = max(0, -u_N): see `gauss`."""
-        r = self._impulse(r).reshape(-1, 3)
-        u = self.velocity(r.ravel()).reshape(-1, 3)
-        slip = np.hypot(u[:, 1], u[:, 2])
-        terms = r[:, 0] * (np.maximum(u[:, 0], 0.0) + self.mu * slip) + (r[:, 1:] * u[:, 1:]).sum(axis=1)
-        return max(0.0, float(terms.sum()))
+        r = self._impulse(r)
+        return float(_cones.duality_gap(self.velocity(r), r, self.mu)[0])
 
     def _impulse(self, r: Any) -> Array:
         r = np.ascontiguousarray(r, dtype=float)

@@ -255,10 +255,10 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
     # Twice: the centroid of a solid far from the origin loses digits.
     centroid = corners.mean(axis=0)
     for _ in range(2):
-        geometry = _coal_convex(corners - centroid, flat, face_ptr)
+        geometry = coal_convex(corners - centroid, flat, face_ptr)
         centroid = centroid + geometry.computeCOM()
     corners = corners - centroid
-    geometry = _coal_convex(corners, flat, face_ptr)
+    geometry = coal_convex(corners, flat, face_ptr)
     normals = np.array([_area_vector(corners[flat[a:b]]) for a, b in zip(face_ptr, face_ptr[1:], strict=False)])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     offsets = np.array([(corners[flat[face_ptr[f] : face_ptr[f + 1]]] @ n).max() for f, n in enumerate(normals)])
@@ -317,7 +317,7 @@ def _faces(hull: ConvexHull) -> list[Index]:
     return loops
 
 
-def _coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:
+def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:
     """Coal's polytope: the faces cut into fans of triangles."""
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for v in vertices:

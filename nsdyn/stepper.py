@@ -26,8 +26,9 @@ __all__ = ["State", "Step", "Stepper", "simulate"]
 
 Callback = Callable[[float, Array, Array], Mapping[str, Any]]
 
-PENETRATION = 1e-10
-"""Penetration in m that the projection leaves alone: a hundredth of what is promised, and far above round-off."""
+CLOSED = 1e-10
+"""Gap in m, of either sign, that counts as closed: a hundredth of the penetration promised, and far above round-off,
+whose jitter would otherwise change the problem of a body at rest in every step."""
 
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
@@ -77,6 +78,8 @@ class Step:
         Poses of all moving frames when the scene has articulations.
     contacts : ContactSet
         Evaluated at the midpoint.
+    gap : ndarray, shape (nc,)
+        At the end of the step, linear in the motion since the midpoint, m; negative inside.
     frame : ndarray, shape (nc, 3, 3)
         Contact frames, rows (n, t1, t2), world axes.
     u, r : ndarray, shape (nc, 3)
@@ -100,6 +103,7 @@ class Step:
     frames_x: Array | None
     frames_quat: Array | None
     contacts: ContactSet
+    gap: Array
     frame: Array
     u: Array
     r: Array
@@ -199,7 +203,7 @@ class Stepper:
         self.detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms), max_points)
         # A body slower than this rests: an impact at the speed gravity gives in two steps is a contact force.
         self.resting_speed = 2.0 * self.dt * float(np.linalg.norm(self.dynamics.gravity))
-        self._projection = Auto(tol=PENETRATION)
+        self._projection = Auto(tol=CLOSED)
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position, v)
@@ -266,7 +270,7 @@ class Stepper:
         u_before = blocks.relative_velocity(s.v)
         gap = contacts.gap + (1.0 - theta) * h * u_before[0::3] if fast else contacts.gap
         w = np.zeros_like(u_before)
-        _motion.impact_law(u_before, gap, contacts.restitution, theta * h, self.resting_speed, w[0::3])
+        _motion.impact_law(u_before, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w[0::3])
         problem = FC3D.from_blocks(blocks, blocks.relative_velocity(v_free) + w, contacts.mu)
         guess = self._warm_start(contacts, frame)
         t_assembly = clock()
@@ -282,7 +286,7 @@ class Stepper:
         v_theta = theta * v + (1.0 - theta) * s.v
         moved = d.advance(s.position, v_theta, h)
         u = solution.u - w
-        end = self._project(moved, blocks, gap, u, theta * h)
+        end, gap = self._project(moved, blocks, gap + theta * h * u[0::3], u)
 
         # Certificate, ledger, record.
         works = energy.contact_works(u_before, u, solution.r)
@@ -303,7 +307,7 @@ class Stepper:
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q, v_out, *links, contacts, frame, u.reshape(-1, 3), r, status, *works, step_energy._asdict(),
+            self._state.t, q, v_out, *links, contacts, gap, frame, u.reshape(-1, 3), r, status, *works, step_energy._asdict(),
             certificate, problem, solution, times,
         )  # fmt: skip
 
@@ -346,23 +350,21 @@ class Stepper:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
         self._failures += 1
 
-    def _project(self, moved: Position, blocks: Blocks, gap: Array, u: Array, h_theta: float) -> Position:
-        """Positions without penetration, the closest in the kinetic metric; `moved` itself where there is none.
+    def _project(self, moved: Position, blocks: Blocks, gap: Array, u: Array) -> tuple[Position, Array]:
+        """Positions without penetration, the closest in the kinetic metric, and their gaps.
 
-        min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0, a frictionless contact problem in positions, on the gaps at the end of the
-        step, linear in the motion.
+        min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0: a frictionless contact problem in positions, on the gaps g at the end of the
+        step, linear in the motion. Where nothing penetrates `moved` itself is returned.
         """
-        if not gap.size:
-            return moved
-        end = gap + h_theta * u[0::3]
-        # A contact that leaves on its own within a step is not pushed.
-        end = np.where(end + self.dt * u[0::3] >= 0.0, np.maximum(end, 0.0), end)
-        if end.min() >= -PENETRATION:
-            return moved
+        # A contact that leaves on its own within the next step is not pushed.
+        held = np.where(gap + self.dt * u[0::3] >= 0.0, np.maximum(gap, 0.0), gap)
+        if held.min(initial=0.0) >= -CLOSED:
+            return moved, gap
         g = np.zeros_like(u)
-        g[0::3] = end
+        g[0::3] = held
         shift = self._projection(FC3D.from_blocks(blocks, g, np.zeros(gap.size)))
-        return self.dynamics.advance(moved, blocks.velocity_change(shift.r), 1.0)
+        end = self.dynamics.advance(moved, blocks.velocity_change(shift.r), 1.0)
+        return end, gap + (shift.u - g)[0::3]
 
     def _check_overlap(self, geoms: list[Any], position: Position, v: Array) -> None:
         """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""

@@ -155,7 +155,7 @@ _CONTACT = {
     "geom2": ("contacts", "geom2", "i4", 1),
     "point": ("contacts", "point", "f8", 3),
     "normal": ("contacts", "normal", "f8", 3),
-    "gap": ("contacts", "gap", "f8", 1),
+    "gap": ("", "gap", "f8", 1),
     "mu": ("contacts", "mu", "f8", 1),
     "restitution": ("contacts", "restitution", "f8", 1),
     "key": ("contacts", "key", "i8", 1),
@@ -229,7 +229,8 @@ class Recorder:
     energy                        mapping of the fields of `Energy` to floats, J
     gauss                         attributes gap, shift, bound
     solution                      attributes residual, iterations, status, time
-    contacts                      ContactSet: geom1, geom2, point, normal, gap, mu, restitution, key
+    contacts                      ContactSet: geom1, geom2, point, normal, mu, restitution, key
+    gap                           (nc,), at the end of the step
     u, r, tangent                 (nc, 3) each
     contact_status                (nc,), 0 open, 1 stick, 2 slip
     work_normal, work_friction    (nc,)
@@ -420,7 +421,7 @@ class ContactTable:
     point, normal, tangent : ndarray, shape (nc, 3)
         Normal from body 1 to body 2; t1, with t2 = n x t1.
     gap : ndarray, shape (nc,)
-        m, positive apart.
+        At the end of the step, m, positive apart.
     u : ndarray, shape (nc, 3)
         Velocity of body 2 relative to body 1 after the step, (N, T1, T2), m/s.
     impulse : ndarray, shape (nc, 3)
@@ -459,7 +460,7 @@ class ContactTable:
 
     @property
     def status_names(self) -> list[str]:
-        """"open", "stick" or "slip" of each contact."""
+        """ "open", "stick" or "slip" of each contact."""
         return [CONTACT_STATES[s] for s in self.status]
 
     def __len__(self) -> int:

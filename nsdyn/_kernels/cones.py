@@ -75,6 +75,19 @@ def natural_error(u, r, mu):
 
 
 @njit(cache=True)
+def duality_gap(u, r, mu):
+    """(Σ r·(u + (delta + mu |u_T|) e_N), |delta|_2) with delta = max(0, -u_N) and r projected on its cone."""
+    gap, shift = 0.0, 0.0
+    for c in range(mu.size):
+        i = 3 * c
+        rn, r1, r2 = project(r[i], r[i + 1], r[i + 2], mu[c])
+        slip = math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+        gap += rn * (max(u[i], 0.0) + mu[c] * slip) + r1 * u[i + 1] + r2 * u[i + 2]
+        shift += min(u[i], 0.0) ** 2
+    return max(gap, 0.0), math.sqrt(shift)
+
+
+@njit(cache=True)
 def _slip(W, q, alpha):
     """Impulse with u_N = 0 and u_T = -alpha r_T: returns r_N, r_T1, r_T2."""
     a, b, c, d = W[1, 1] + alpha, W[1, 2], W[2, 1], W[2, 2] + alpha

@@ -105,6 +105,187 @@ def deepest_vertex(geometry, g, local):
 
 
 @njit(cache=True)
+def support(geometry, g, R, t, n, local, out):
+    """A point of geom g outermost along n, into out."""
+    kind, a, h = geometry.kind[g], geometry.size[g, 0], geometry.size[g, 1]
+    to_local(R, n, local)
+    if kind == POLYTOPE:
+        k = geometry.vertex_ptr[g] + deepest_vertex(geometry, g, local)
+        to_world(R, geometry.vertices[k], out)
+    elif kind == ELLIPSOID:
+        s = geometry.size[g]
+        length = math.sqrt((s[0] * local[0]) ** 2 + (s[1] * local[1]) ** 2 + (s[2] * local[2]) ** 2)
+        for i in range(3):
+            local[i] *= s[i] * s[i] / length
+        to_world(R, local, out)
+    elif kind == CYLINDER:
+        side = math.sqrt(local[0] ** 2 + local[1] ** 2)
+        c, s_ = (local[0] / side, local[1] / side) if side > 0.0 else (1.0, 0.0)
+        local[0], local[1], local[2] = a * c, a * s_, math.copysign(h, local[2])
+        to_world(R, local, out)
+    else:
+        z = math.copysign(h, local[2]) if kind == CAPSULE else 0.0
+        for i in range(3):
+            out[i] = a * n[i] + z * R[i, 2]
+    for i in range(3):
+        out[i] += t[i]
+
+
+@njit(cache=True)
+def separation(geometry, i, j, R, t, n, work):
+    """Gap of geoms i and j along n, the width of the slab of normal n between them (negative: its overlap).
+
+    The signed distance is the largest value over all n, so that any n bounds it from below.
+    """
+    local, back, p, q = work[0], work[1], work[2], work[3]
+    for k in range(3):
+        back[k] = -n[k]
+    support(geometry, i, R[i], t[i], n, local, p)
+    support(geometry, j, R[j], t[j], back, local, q)
+    return n[0] * (q[0] - p[0]) + n[1] * (q[1] - p[1]) + n[2] * (q[2] - p[2])
+
+
+@njit(cache=True)
+def best_normal(geometry, i, j, R, t, n, trial, work):
+    """Turn n to the normal that separates best among itself, all faces and the line of centres; returns the gap."""
+    best = separation(geometry, i, j, R, t, n, work)
+    for k in range(3):
+        trial[k] = t[j, k] - t[i, k]
+    if normalise(trial) > 0.0:
+        gap = separation(geometry, i, j, R, t, trial, work)
+        if gap > best:
+            best = gap
+            n[:] = trial
+    for g, sign in ((i, 1.0), (j, -1.0)):
+        caps = 2 if geometry.kind[g] == CYLINDER else 0
+        for f in range(geometry.face_ptr[g + 1] - geometry.face_ptr[g] + caps):
+            if caps:
+                for k in range(3):
+                    trial[k] = R[g, k, 2] if f == 0 else -R[g, k, 2]
+            else:
+                to_world(R[g], geometry.face_normals[geometry.face_ptr[g] + f], trial)
+            for k in range(3):
+                trial[k] *= sign
+            gap = separation(geometry, i, j, R, t, trial, work)
+            if gap > best:
+                best = gap
+                n[:] = trial
+    return best
+
+
+@njit(cache=True)
+def curvature(geometry, g, R, n, local, C):
+    """Derivative of the support point of an ellipsoid or of a cylinder's rim with respect to n, into C; else 0."""
+    kind, a = geometry.kind[g], geometry.size[g, 0]
+    C[:] = 0.0
+    to_local(R, n, local)
+    if kind == CYLINDER:
+        side = math.sqrt(local[0] ** 2 + local[1] ** 2)
+        for i in range(3):
+            for k in range(3):
+                u = (R[i, 1] * local[0] - R[i, 0] * local[1]) / side
+                v = (R[k, 1] * local[0] - R[k, 0] * local[1]) / side
+                C[i, k] = a / side * u * v
+    elif kind == ELLIPSOID:
+        s = geometry.size[g]
+        length = math.sqrt((s[0] * local[0]) ** 2 + (s[1] * local[1]) ** 2 + (s[2] * local[2]) ** 2)
+        for i in range(3):
+            for k in range(3):
+                for l in range(3):
+                    C[i, k] += R[i, l] * R[k, l] * s[l] ** 2 / length
+        for l in range(3):
+            local[l] *= s[l] * s[l] / length
+        p = local.copy()
+        to_world(R, p, local)
+        for i in range(3):
+            for k in range(3):
+                C[i, k] -= local[i] * local[k] / length
+
+
+@njit(cache=True)
+def smooth(geometry, i, j, R, t, n, ends1, radius1, valid1, ends2, radius2, valid2, point, normal, gap, work):
+    """The contact of two geoms of which one at least is an ellipsoid or touches with the rim of a cylinder.
+
+    The other may be a segment with a radius (`valid`, with its ends). Newton's method on the condition that the
+    support points along n differ by a multiple of n, from the given n; the answer stands if it separates better.
+    """
+    size = min(geometry.radius[i], geometry.radius[j])
+    first = separation(geometry, i, j, R, t, n, work)
+    local, back, p, q, d, e1, e2, m = work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7]
+    C1, C2 = work[8:11], work[11:14]
+    m[:] = n
+    ends, line = (ends1, valid1) if valid1 else (ends2, valid2)
+    length = 0.0
+    if line:
+        for k in range(3):
+            d[k] = ends[1, k] - ends[0, k]
+        length = normalise(d)
+    for _ in range(12):
+        if length > 0.0:  # across the line
+            along = dot(m, d)
+            for k in range(3):
+                m[k] -= along * d[k]
+            normalise(m)
+            for k in range(3):
+                e1[k] = d[(k + 1) % 3] * m[(k + 2) % 3] - d[(k + 2) % 3] * m[(k + 1) % 3]
+            e2[:] = 0.0
+        else:
+            any_perpendicular(m, e1)
+            for k in range(3):
+                e2[k] = m[(k + 1) % 3] * e1[(k + 2) % 3] - m[(k + 2) % 3] * e1[(k + 1) % 3]
+        for k in range(3):
+            back[k] = -m[k]
+        if valid1:
+            p[:] = ends1[0]
+            C1[:] = 0.0
+        else:
+            support(geometry, i, R[i], t[i], m, local, p)
+            curvature(geometry, i, R[i], m, local, C1)
+        if valid2:
+            q[:] = ends2[0]
+            C2[:] = 0.0
+        else:
+            support(geometry, j, R[j], t[j], back, local, q)
+            curvature(geometry, j, R[j], back, local, C2)
+        f1, f2, a11, a12, a22, width = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(3):
+            delta = q[k] - p[k]
+            f1 += e1[k] * delta
+            f2 += e2[k] * delta
+            width += m[k] * delta
+            for l in range(3):
+                c = C1[k, l] + C2[k, l]
+                a11 += e1[k] * c * e1[l]
+                a12 += e1[k] * c * e2[l]
+                a22 += e2[k] * c * e2[l]
+        a11 += width
+        a22 = a22 + width if length == 0.0 else 1.0
+        det = a11 * a22 - a12 * a12
+        if not (a11 > 0.0 and det > 1e-9 * size * a11):
+            break  # no curvature to turn on: a rim on a corner
+        s1, s2 = (a22 * f1 - a12 * f2) / det, (a11 * f2 - a12 * f1) / det
+        step = math.sqrt(s1 * s1 + s2 * s2)
+        scale = min(1.0, 0.2 / step) if step > 0.0 else 1.0
+        for k in range(3):
+            m[k] += scale * (s1 * e1[k] + s2 * e2[k])
+        normalise(m)
+        if step < 1e-15:
+            break
+    if separation(geometry, i, j, R, t, m, work) < first - INSIDE * size:
+        m[:] = n
+    normal[:] = m
+    gap[0] = separation(geometry, i, j, R, t, m, work)
+    if length > 0.0 and abs(dot(m, d)) < INSIDE:
+        # The support point of a segment is any: the one opposite the other geom.
+        own, far, radius, side = (p, q, radius1, 1.0) if valid1 else (q, p, radius2, -1.0)
+        s = min(max(dot(far, d) - dot(ends[0], d), 0.0), length)
+        for k in range(3):
+            own[k] = ends[0, k] + s * d[k] + side * radius * m[k]
+    for k in range(3):
+        point[k] = 0.5 * (p[k] + q[k])
+
+
+@njit(cache=True)
 def incident(geometry, g, R, t, n, whole, rim, local, poly):
     """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius).
 
@@ -530,14 +711,11 @@ def segments(ends1, radius1, flat1, ends2, radius2, flat2, n, known, size, point
             m[:] = n
     gap[0] = between(a, radius1, b, radius2, m, point[0], normal[0])
     side1, side2 = dot(normal[0], d), dot(normal[0], e)
-    if (flat1 and abs(side1) > INSIDE) or (flat2 and abs(side2) > INSIDE):
-        return 0
-    # A normal far from the one Coal found belongs to other features.
-    return 0 if known and dot(normal[0], n) < 0.9999 else 1
+    return 0 if (flat1 and abs(side1) > INSIDE) or (flat2 and abs(side2) > INSIDE) else 1
 
 
 @njit(cache=True)
-def reference(geometry, i, j, R, t, n, whole, rim, margin, face1, face2, poly, other, gap, local, m):
+def reference(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, other, gap, local, m):
     """Contacts of a face of geom i (or j) with the other geom; returns (number, normal 1 to 2 in m).
 
     face1, face2: the faces as of `aligned_face`, -1 where there is none, of which one is used.
@@ -576,15 +754,17 @@ def reference(geometry, i, j, R, t, n, whole, rim, margin, face1, face2, poly, o
 
 @njit(cache=True)
 def manifolds(
-    geometry, R, t, first, second, slot, coal, base, reach, limit, poly, other, heights, point, normal, gap, pair
+    geometry, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, heights, point, normal, gap,
+    pair,
 ):
     """Contacts of all candidate pairs (first, second), into point, normal, gap and pair; returns their number.
 
-    ``coal[slot[p]]`` is the distance, normal and nearest points of pair p, where slot[p] ≥ 0; ``base[p]`` plus the
-    reach of both geoms is the largest gap of interest. The outputs have room for `limit` contacts per pair.
+    ``coal[slot[p]]`` is the distance and normal of the cores of pair p, where slot[p] ≥ 0; ``slack[g]`` bounds how far
+    the surface of geom g is from that of its core. ``base[p]`` plus the reach of both geoms is the largest gap of
+    interest. The outputs have room for `limit` contacts per pair.
     """
     local, m, n, middle = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    ends1, ends2 = np.empty((2, 3)), np.empty((2, 3))
+    ends1, ends2, work = np.empty((2, 3)), np.empty((2, 3)), np.empty((14, 3))
     total = 0
     for p in range(first.size):
         i, j = first[p], second[p]
@@ -595,41 +775,38 @@ def manifolds(
         known = slot[p] >= 0
         count = 0
         face1, face2 = -1, -1
-        error1, error2 = 0.0, 0.0
-        result = coal[max(slot[p], 0)]
         if plane:
             face1 = 0 if kind1 == HALFSPACE else -1
             face2 = 0 if kind2 == HALFSPACE else -1
         elif known:
-            if result[0] > margin:
+            result = coal[slot[p]]
+            if result[0] - slack[i] - slack[j] > margin:
                 continue
             n[:] = result[1:4]
             length = normalise(n)
             if not (length > 0.5 and length < 2.0):
-                # Coal has none for deep concentric shapes: part them along the line of their centres.
+                n[0], n[1], n[2] = 0.0, 0.0, 1.0
+            trusted = result[0] > 0.0
+            for turn in range(2):
                 for k in range(3):
-                    n[k] = t[j, k] - t[i, k]
-                if normalise(n) == 0.0:
-                    n[2] = 1.0
-            for k in range(3):
-                local[k] = -n[k]
-            face1, error1 = aligned_face(geometry, i, R[i], n, middle)
-            face2, error2 = aligned_face(geometry, j, R[j], local, middle)
-        if face1 >= 0 or face2 >= 0:
-            for attempt in range(2):
-                use1 = face1 >= 0 and ((error1 <= error2 + BIAS) == (attempt == 0))
-                if (face1 if use1 else face2) < 0:
-                    continue
-                count = reference(
-                    geometry, i, j, R, t, n, plane, limit, margin, face1 if use1 else -1, face2, poly, other, heights,
-                    local, m,
-                )  # fmt: skip
-                lowest = math.inf
-                for k in range(count):
-                    lowest = min(lowest, heights[k])
-                if plane or abs(lowest - result[0]) <= AGREE * size:
+                    local[k] = -n[k]
+                face1, error1 = aligned_face(geometry, i, R[i], n, middle)
+                face2, error2 = aligned_face(geometry, j, R[j], local, middle)
+                if turn == 1 or (trusted and (face1 >= 0 or face2 >= 0)):
                     break
-                count = 0
+                # Cores that overlap give no reliable normal, and rounding off a sliver of contact beside an edge
+                # turns it: look at all faces.
+                if trusted and separation(geometry, i, j, R, t, n, work) > slack[i] + slack[j]:
+                    break
+                best_normal(geometry, i, j, R, t, n, middle, work)
+            if face1 >= 0 and error1 <= error2 + BIAS:
+                face2 = -1
+            else:
+                face1 = -1
+        if face1 >= 0 or face2 >= 0:
+            count = reference(
+                geometry, i, j, R, t, plane, limit, margin, face1, face2, poly, other, heights, local, m
+            )
             count = merge(poly, heights, count, SAME * size)
             if count > limit:
                 count = reduce(poly, heights, count, m, limit)
@@ -647,17 +824,18 @@ def manifolds(
                     ends1, radius1, kind1 == CYLINDER, ends2, radius2, kind2 == CYLINDER, n, known, size,
                     point[total:], normal[total:], gap[total:],
                 )  # fmt: skip
-                lowest = math.inf
-                for k in range(count):
-                    lowest = min(lowest, gap[total + k])
-                if known and abs(lowest - coal[slot[p], 0]) > AGREE * size:
-                    count = 0
+                if known and count == 1:
+                    # The distance is the largest separation: the right features reach it.
+                    bound = separation(geometry, i, j, R, t, n, work)
+                    own = separation(geometry, i, j, R, t, normal[total], work)
+                    if own < bound - SAME * size or abs(own - gap[total]) > SAME * size:
+                        count = 0
             if count == 0:
                 count = 1
-                normal[total] = n
-                gap[total] = result[0]
-                for k in range(3):
-                    point[total, k] = 0.5 * (result[4 + k] + result[7 + k])
+                smooth(
+                    geometry, i, j, R, t, n, ends1, radius1, valid1, ends2, radius2, valid2, point[total],
+                    normal[total], gap[total:], work,
+                )  # fmt: skip
         kept = 0
         for k in range(count):
             if gap[total + k] <= margin:

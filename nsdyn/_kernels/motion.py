@@ -208,18 +208,18 @@ def link_rows(frame1, frame2, point, frame, x, first, jacobians, start, h, nv):
 
 
 @njit(cache=True)
-def impact_law(u, gap, restitution, h_theta, resting_speed, w):
+def impact_law(u, gap, restitution, h_theta, resting_speed, closed, w):
     """Normal offset w_N of the impact law, so that u_N + w_N >= 0 is what the step demands, into w (nc,).
 
     An impact (e > 0, approach faster than resting_speed, closing by the end of the step) gets Newton's law,
-    w = e u_N⁻; an open contact may close its gap, w = gap / (theta h); a closed one w = 0.
+    w = e u_N⁻; an open contact may close its gap, w = gap / (theta h); one with gap <= closed has w = 0.
     """
     for c in range(gap.size):
         approach = u[3 * c]
         if restitution[c] > 0.0 and approach < -resting_speed and gap[c] + h_theta * approach <= 0.0:
             w[c] = restitution[c] * approach
         else:
-            w[c] = max(gap[c], 0.0) / h_theta
+            w[c] = gap[c] / h_theta if gap[c] > closed else 0.0
 
 
 @njit(cache=True)
