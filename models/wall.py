@@ -17,17 +17,22 @@ def scene(
 ) -> Scene:
     """`rows` rows of `columns` bricks of `length` x `width` x `height` [m], head joints open by `joint` [m].
 
-    Rows are shifted by half a brick; a wall of 10 x 10 has 100 whole bricks.
+    Odd rows are shifted by half a brick and close with half bricks at both ends.
     """
     out = Scene(name="wall")
     material = Material(mu=mu)
     out.add_halfspace("ground", material=material)
-    pitch = length + joint
+    pitch, half = length + joint, (length - joint) / 2
     for row in range(rows):
-        for column in range(columns):
-            x = (column + 0.5 * (row % 2)) * pitch
+        if row % 2:
+            bricks = [((half - length) / 2, half)]
+            bricks += [((column + 0.5) * pitch, length) for column in range(columns - 1)]
+            bricks += [((columns - 1) * pitch + (length - half) / 2, half)]
+        else:
+            bricks = [(column * pitch, length) for column in range(columns)]
+        for k, (x, size) in enumerate(bricks):
             out.add_box(
-                f"brick{row}_{column}", (length, width, height), density * length * width * height,
+                f"brick{row}_{k}", (size, width, height), density * size * width * height,
                 position=(x, 0, (row + 0.5) * height), material=material,
             )  # fmt: skip
     return out

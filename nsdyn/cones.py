@@ -32,7 +32,7 @@ def project(z: Array, mu: Array) -> Array:
     V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, appendix.
     """
     n, t = z[:, 0], np.hypot(z[:, 1], z[:, 2])
-    inside, polar = t <= mu * n, mu * t <= -n
+    inside, polar = (n >= 0.0) & (t <= mu * n), mu * t <= -n  # n ≥ 0 matters for μ = 0
     pn = (n + mu * t) / (1.0 + mu**2)
     scale = np.divide(mu * pn, t, out=np.zeros_like(t), where=t > 0.0)
     boundary = np.column_stack((pn, scale[:, None] * z[:, 1:]))
@@ -64,7 +64,7 @@ def saxce(u: Array, mu: Array) -> Array:
 def projection_jacobian(z: Array, mu: Array) -> Array:
     """Element of the generalised Jacobian of P_K at z, shape (nc, 3, 3), symmetric with eigenvalues in [0, 1]."""
     n, t = z[:, 0], np.hypot(z[:, 1], z[:, 2])
-    inside, polar = t <= mu * n, mu * t <= -n
+    inside, polar = (n >= 0.0) & (t <= mu * n), mu * t <= -n
     c = 1.0 / (1.0 + mu**2)
     safe = np.where(t > 0.0, t, 1.0)
     d = z[:, 1:] / safe[:, None]

@@ -460,7 +460,7 @@ class ContactTable:
 
     @property
     def status_names(self) -> list[str]:
-        """ "open", "stick" or "slip" of each contact."""
+        """Words for the status of each contact: open, stick or slip."""
         return [CONTACT_STATES[s] for s in self.status]
 
     def __len__(self) -> int:
@@ -652,18 +652,22 @@ class Trajectory:
         ax.legend(loc="best", frameon=False)
         return ax
 
-    def energy_table(self, rows: int = 10) -> str:
-        """Text table of the ledger at about `rows` times: energies, works so far [J], and the worst figures.
+    def ledger(self, rows: int = 10) -> dict[str, Array]:
+        """Energies and works done so far, J, at about `rows` times "t" from the first to the last.
 
-        Works that vanish throughout are left out.
+        Works that never exceed a billionth of the largest energy are left out, the defect is not.
         """
-        e, works = self.energy, [*self._active_works(), "defect"]
-        values = {"t [s]": self.t, "kinetic": e.kinetic, "potential": e.potential}
-        values |= {name: self._cumulative(name) for name in works}
-        lines = ["".join(f"{name:>12}" for name in values)]
-        for k in np.unique(np.linspace(0, self.steps, rows + 1).round().astype(int)):
-            lines.append(f"{self.t[k]:12.6g}" + "".join(f"{x[k]:12.4e}" for x in list(values.values())[1:]))
-        worst = self.worst()
+        k = np.unique(np.linspace(0, self.steps, rows + 1).round().astype(int))
+        out = {"t": self.t[k], "kinetic": self.energy.kinetic[k], "potential": self.energy.potential[k]}
+        return out | {name: self._cumulative(name)[k] for name in [*self._active_works(), "defect"]}
+
+    def energy_table(self, rows: int = 10) -> str:
+        """Text table of `ledger`, and the worst figures of all steps."""
+        ledger, worst = self.ledger(rows), self.worst()
+        times, *energies = ledger.values()
+        lines = [f"{'t [s]':>12}" + "".join(f"{name:>12}" for name in list(ledger)[1:])]
+        for k, t in enumerate(times):
+            lines.append(f"{t:12.6g}" + "".join(f"{values[k]:12.4e}" for values in energies))
         lines.append(
             f"energies and works so far in J; max |defect| {worst['defect']:.1e} J, "
             f"max Gauss bound {worst['gauss_bound']:.1e} √J, max residual {worst['residual']:.1e} m/s"
@@ -681,8 +685,10 @@ class Trajectory:
         }
 
     def _active_works(self) -> list[str]:
-        """Works that are not zero throughout, without the defect."""
-        return [name for name in _WORKS if name != "defect" and self.columns[f"energy/{name}"].any()]
+        """Works of more than round-off, without the defect."""
+        scale = max(np.ptp(self.energy.potential), self.energy.kinetic.max(), 1e-300)
+        works = {name: np.abs(self._cumulative(name)).max() for name in _WORKS if name != "defect"}
+        return [name for name, work in works.items() if work > 1e-9 * max(scale, *works.values())]
 
     def _cumulative(self, work: str) -> Array:
         """Work from 0 to t, shape (n + 1,)."""

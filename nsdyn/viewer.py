@@ -1,9 +1,9 @@
 """A recording as one self-contained web page: meshcat's viewer, the scene, its motion; no server, no network.
 
 Everything is drawn from the collision shapes of the recording. The page is a list of meshcat commands
-(set_object, set_transform, set_property, set_animation) in MessagePack, as in meshcat's own `static_html`, but built
-without meshcat's server, with keyframes as binary arrays, and with identifiers made from names instead of random
-ones: equal recordings give equal bytes.
+(set_object, set_property, set_animation) in MessagePack, as in meshcat's `static_html`, but built without its
+server, with keyframes as binary arrays, and with identifiers made from names instead of random ones: equal
+recordings give equal bytes.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import base64
 import html as _escape
 import importlib.util
-import json
 import math
 import os
 import shutil
@@ -79,7 +78,7 @@ def html(
         Keyframes per second of simulated time; the browser interpolates between them.
     forces : bool
         Draw the contact forces (impulse / dt of the step) on the moving body, on body 2 when both move. Their
-        90 % quantile is as long as a third of the scene's radius; arrows are cut at twice that.
+        90 % quantile is as long as a fifth of the scene's radius; arrows are cut at twice that.
     max_frames : int
         Most keyframes; long recordings get fewer per second.
     at : float, optional
@@ -100,6 +99,9 @@ def html(
     if max_frames < 2:
         raise ValueError(f"max_frames must be at least 2, got {max_frames}")
     t = trajectory.t
+    finite = np.isfinite(trajectory.q).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"the state is not finite from t = {t[np.argmin(finite)]:g} s on")
     if at is None:
         count = min(max_frames, max(2, math.ceil((t[-1] - t[0]) * fps) + 1))
         rows = _nearest(t, np.linspace(t[0], t[-1], count))
@@ -107,31 +109,17 @@ def html(
         rows = _nearest(t, np.array([at]))
     else:
         raise ValueError(f"at must lie between {t[0]:g} and {t[-1]:g} s, got {at}")
-    scene = trajectory.scene
-    motions = [trajectory.body(name) for name in scene["frames"]]
-    view = _View(scene, [m.position for m in motions])
-    commands, animations = _stage(view), []
-    commands += _shapes(scene, view)
-    for motion in motions:
-        path = _body_path(motion.name)
-        tracks = {"position": motion.position[rows], "quaternion": motion.quaternion[rows]}
-        commands += _pose(path, tracks)
-        animations.append(_clip(path, t[rows] - t[0], tracks, view.radius, discrete=False))
-    if forces:
-        arrows = _arrows(trajectory, rows, view)
-        for k, tracks in enumerate(arrows):
-            path = f"/nsdyn/forces/{k}"
-            commands += [_object(path, _ARROW), *_pose(path, tracks)]
-            animations.append(_clip(path, t[rows] - t[0], tracks, view.radius, discrete=True))
-    moving = [a for a in animations if a["clip"]["tracks"]]
-    if moving:
-        options = {"play": True, "repetitions": math.inf}
-        commands.append({"type": "set_animation", "path": "", "animations": moving, "options": options})
+    view = _View(trajectory)
     page = _PAGE.format(
         title=_escape.escape(f"{trajectory.meta['scene_name']} - nsdyn"),
         meshcat=_meshcat_script(),
-        commands=",\n".join(json.dumps(base64.b64encode(umsgpack.packb(c)).decode()) for c in commands),
-        target=json.dumps(_three(view.centre)),
+        commands=",\n".join(
+            f'"{base64.b64encode(umsgpack.packb(command)).decode()}"'
+            for command in _stage(view)
+            + _shapes(trajectory.scene, view)
+            + _motion(trajectory, rows, view, forces)
+        ),
+        target=_three(view.centre),
     )
     if len(page) > LARGE_PAGE:
         warnings.warn(
@@ -163,7 +151,7 @@ if (location.hash == "#picture") viewer.gui.domElement.style.display = "none";
 
 @lru_cache(maxsize=1)
 def _meshcat_script() -> str:
-    """JavaScript of meshcat's viewer; the package is looked up, not imported, for it would load its server."""
+    """JavaScript of meshcat's viewer; the package is not imported, for that would load its server."""
     spec = importlib.util.find_spec("meshcat")
     if spec is None or not spec.submodule_search_locations:
         raise ModuleNotFoundError("the page needs the viewer of the package meshcat: pip install meshcat")
@@ -171,14 +159,14 @@ def _meshcat_script() -> str:
     return (folder / "viewer" / "dist" / "main.min.js").read_text(encoding="utf-8")
 
 
-# -- commands -------------------------------------------------------------------------------------------------
+# -- commands ------------------------------------------------------------------------------------------
 
 
 def _object(path: str, content: Json) -> Json:
     """Command that puts a three.js object, in its JSON format 4, at a path.
 
-    `content` has a node tree whose ``geometry`` and ``material`` are themselves JSON; three.js wants them in lists
-    and referred to by identifiers, which are made from the path here.
+    `content` has a node tree whose ``geometry`` and ``material`` are themselves JSON; three.js wants them in
+    lists and referred to by identifiers, which are made from the path here.
     """
     lists: dict[str, list[Json]] = {"geometries": [], "materials": []}
 
@@ -202,35 +190,6 @@ def _property(path: str, name: str, value: Any) -> Json:
 
 def _uuid(name: str) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_URL, f"nsdyn:{name}"))
-
-
-def _pose(path: str, tracks: dict[str, Array]) -> list[Json]:
-    """Put the node where its tracks begin."""
-    return [_property(path, name, values[0].tolist()) for name, values in tracks.items()]
-
-
-def _clip(path: str, t: Array, tracks: dict[str, Array], radius: float, discrete: bool) -> Json:
-    """Animation of one node without the keys that change nothing; with a moment of rest at the end."""
-    out = []
-    for name, values in tracks.items():
-        # Differences below a millionth of the scene, or of a unit quaternion, are invisible.
-        grid = np.round(values / (1e-6 * (1.0 if name == "quaternion" else radius)))
-        changes = (grid[1:] != grid[:-1]).any(axis=1)
-        if changes.any():
-            keep = np.concatenate([[True], changes]) | np.concatenate([changes, [True]])
-            if discrete:
-                keep = np.concatenate([[True], changes])
-            track: Json = {
-                "name": f".{name}",
-                "type": "quaternion" if name == "quaternion" else "vector3",
-                "times": _floats(t[keep]),
-                "values": _floats(values[keep]),
-            }
-            if discrete:
-                track["interpolation"] = 2300  # THREE.InterpolateDiscrete
-            out.append(track)
-    duration = float(t[-1]) + 0.5
-    return {"path": path, "clip": {"fps": 1, "name": "default", "duration": duration, "tracks": out}}
 
 
 def _floats(values: ArrayLike) -> umsgpack.Ext:
@@ -266,18 +225,20 @@ def _matrix(matrix: Array) -> list[float]:
 
 
 def _three(vector: Array) -> list[float]:
-    """World coordinates of the page, y up."""
+    """World coordinates of the viewer, y up."""
     x, y, z = (float(c) for c in vector)
     return [x, z, -y]
 
 
-# -- camera, lights, ground -----------------------------------------------------------------------------------
+# -- camera, lights, ground ----------------------------------------------------------------------------
 
 
 class _View:
-    """Where the scene is: a ball around all the moving frames ever reach and the fixed bodies, and the camera."""
+    """Where the scene is: a ball around fixed bodies and all that moving ones ever reach; camera and sun."""
 
-    def __init__(self, scene: Json, positions: list[Array]) -> None:
+    def __init__(self, trajectory: Trajectory) -> None:
+        scene = trajectory.scene
+        positions = [trajectory.body(name).position for name in scene["frames"]]
         self.planes = [
             (np.array(g["size"]), float(g["offset"])) for g in scene["geoms"] if g["shape"] == "halfspace"
         ]
@@ -362,10 +323,9 @@ def _halfspace(normal: Array, offset: float, colour: Iterable[float], view: _Vie
     """Disc with a grid that fades into the background, seen from outside only; it receives shadows."""
     R = view.radius
     foot = view.centre - (normal @ view.centre - offset) * normal
-    t1 = np.cross(normal, [0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [1.0, 0.0, 0.0])
+    t1 = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [0.0, 0.0, 1.0], normal)
     t1 /= np.linalg.norm(t1)
-    frame = np.array([-t1 if t1[0] < 0 else t1, np.zeros(3), normal])
-    frame[1] = np.cross(normal, frame[0])
+    frame = np.array([t1, np.cross(normal, t1), normal])
 
     def faded(points: Array, base: Iterable[float], to: ArrayLike, reach: float) -> Array:
         s = np.clip(np.linalg.norm(points[:, :2], axis=1) / reach, 0.0, 1.0)[:, None]
@@ -382,21 +342,7 @@ def _halfspace(normal: Array, offset: float, colour: Iterable[float], view: _Vie
     surface = np.array(disc)
 
     reach = 6.0 * R
-    step = _round_number(R / 2.5)
-    # Lines at whole multiples of the step from the world's origin, cut into pieces that fade one by one.
-    lines = []
-    for axis in (0, 1):
-        origin = -float(frame[axis] @ foot)
-        first, last = math.ceil((-reach - origin) / step), math.floor((reach - origin) / step)
-        for c in origin + step * np.arange(first, last + 1):
-            half = math.sqrt(max(reach**2 - c**2, 0.0))
-            ticks = np.linspace(-half, half, 11)
-            ends = np.column_stack([ticks[:-1], ticks[1:]]).ravel()
-            line = np.zeros((ends.size, 3))
-            line[:, axis], line[:, 1 - axis] = c, ends
-            lines.append(line)
-    grid = np.concatenate(lines)
-
+    grid = _grid(-(frame[:2] @ foot), _round_number(R / 2.5), reach)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = frame.T, foot
     below = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 1.0}
@@ -422,13 +368,74 @@ def _halfspace(normal: Array, offset: float, colour: Iterable[float], view: _Vie
     }
 
 
+def _grid(origin: Array, step: float, reach: float) -> Array:
+    """Return the ends of lines x or y = origin + k step in a disc, cut into pieces that fade one by one."""
+    lines = []
+    for axis in (0, 1):
+        first, last = math.ceil((-reach - origin[axis]) / step), math.floor((reach - origin[axis]) / step)
+        for c in origin[axis] + step * np.arange(first, last + 1):
+            half = math.sqrt(max(reach**2 - c**2, 0.0))
+            ticks = np.linspace(-half, half, 11)
+            ends = np.column_stack([ticks[:-1], ticks[1:]]).ravel()
+            line = np.zeros((ends.size, 3))
+            line[:, axis], line[:, 1 - axis] = c, ends
+            lines.append(line)
+    return np.concatenate(lines)
+
+
 def _round_number(x: float) -> float:
     """Largest of 1, 2, 5 times a power of ten that is not above x."""
     power = 10.0 ** math.floor(math.log10(x))
     return power * max(k for k in (1.0, 2.0, 5.0) if k * power <= x * (1 + 1e-12))
 
 
-# -- bodies ---------------------------------------------------------------------------------------------------
+# -- motion --------------------------------------------------------------------------------------------
+
+
+def _motion(trajectory: Trajectory, rows: NDArray[np.int64], view: _View, forces: bool) -> list[Json]:
+    """Poses at the first of the rows, and the animation through all of them."""
+    nodes = []
+    for name in trajectory.scene["frames"]:
+        motion = trajectory.body(name)
+        tracks = {"position": motion.position[rows], "quaternion": motion.quaternion[rows]}
+        nodes.append((_body_path(name), tracks, False))
+    commands = []
+    if forces:
+        for k, tracks in enumerate(_arrows(trajectory, rows, view)):
+            nodes.append((f"/nsdyn/forces/{k}", tracks, True))
+            commands.append(_object(f"/nsdyn/forces/{k}", _ARROW))
+    t = trajectory.t[rows] - trajectory.t[0]
+    clips = []
+    for path, tracks, jumps in nodes:
+        commands += [_property(path, name, values[0].tolist()) for name, values in tracks.items()]
+        moving = [_track(name, t, values, view.radius, jumps) for name, values in tracks.items()]
+        moving = [track for track in moving if track]
+        if moving:  # each shows its last state for a moment before all begin again
+            clip = {"fps": 1, "name": "default", "duration": float(t[-1]) + 0.5, "tracks": moving}
+            clips.append({"path": path, "clip": clip})
+    if clips:
+        options = {"play": True, "repetitions": math.inf}
+        commands.append({"type": "set_animation", "path": "", "animations": clips, "options": options})
+    return commands
+
+
+def _track(name: str, t: Array, values: Array, radius: float, jumps: bool) -> Json | None:
+    """Keyframes of one property, none if it is constant, without those that change nothing."""
+    # Differences below a millionth of the scene, or of a unit quaternion, are invisible.
+    grid = np.round(values / (1e-6 * (1.0 if name == "quaternion" else radius)))
+    changes = (grid[1:] != grid[:-1]).any(axis=1)
+    if not changes.any():
+        return None
+    keep = np.concatenate([[True], changes])
+    track: Json = {"name": f".{name}", "type": "quaternion" if name == "quaternion" else "vector3"}
+    if jumps:
+        track["interpolation"] = 2300  # THREE.InterpolateDiscrete
+    else:  # a line that ends needs the key where it begins too
+        keep[:-1] |= changes
+    return track | {"times": _floats(t[keep]), "values": _floats(values[keep])}
+
+
+# -- bodies --------------------------------------------------------------------------------------------
 
 
 def _body_path(frame: str) -> str:
@@ -461,7 +468,7 @@ def _shapes(scene: Json, view: _View) -> list[Json]:
 
 
 def _solid(geom: Json, colour: Iterable[float]) -> list[Json]:
-    """Nodes of a bounded shape: a polytope with its edges, a round one in two tones so that its rotation shows."""
+    """Nodes of a bounded shape: a polytope and its edges, or a round one in two tones that show rotation."""
     kind, size = geom["shape"], geom["size"]
     if "vertices" in geom:
         return _polytope(np.array(geom["vertices"]), geom["faces"], colour)
@@ -482,10 +489,14 @@ def _solid(geom: Json, colour: Iterable[float]) -> list[Json]:
         profile = arc * size[0]
     nodes = []
     for half, factor in ((0.0, 1.0), (np.pi, 0.72)):
+        points = [{"x": float(x), "y": float(y)} for x, y in profile]
         lathe = {
-            "type": "LatheGeometry", "points": [{"x": float(x), "y": float(y)} for x, y in profile], "segments": 24,
-            "phiStart": half, "phiLength": np.pi,
-        }  # fmt: skip
+            "type": "LatheGeometry",
+            "points": points,
+            "segments": 24,
+            "phiStart": half,
+            "phiLength": np.pi,
+        }
         nodes.append(_mesh(lathe, _shade(colour, factor)) | {"matrix": _matrix(scale @ _UPRIGHT)})
     return nodes
 
@@ -521,7 +532,7 @@ def _mesh(geometry: Json, colour: Iterable[float]) -> Json:
     }
 
 
-# -- contact forces -------------------------------------------------------------------------------------------
+# -- contact forces ------------------------------------------------------------------------------------
 
 # An arrow of length 1 along z, drawn over everything else: a force begins inside the body it acts on.
 _ARROW = {
@@ -565,7 +576,7 @@ def _arrows(trajectory: Trajectory, rows: NDArray[np.int64], view: _View) -> lis
         for i, (points, force) in enumerate(frames):
             if j < sizes[i].size and sizes[i][j] > 0:
                 point[i], turn[i] = points[j], _from_z(force[j] / sizes[i][j])
-                scale[i] = min(2.0, sizes[i][j] / unit) * view.radius / 3
+                scale[i] = min(2.0, sizes[i][j] / unit) * view.radius / 5
         arrows.append({"position": point, "quaternion": turn, "scale": np.repeat(scale[:, None], 3, axis=1)})
     return arrows
 
@@ -598,7 +609,7 @@ def _nearest(t: Array, wanted: Array) -> NDArray[np.int64]:
     return np.unique(np.where(wanted - t[left] <= t[right] - wanted, left, right))
 
 
-# -- pictures -------------------------------------------------------------------------------------------------
+# -- pictures ------------------------------------------------------------------------------------------
 
 
 def chromium() -> str | None:

@@ -10,7 +10,7 @@ from numba import njit
 def project(zn, z1, z2, mu):
     """Projection of (zn, z1, z2) on K = {|r_T| <= mu r_N}; returns three scalars."""
     t = math.sqrt(z1 * z1 + z2 * z2)
-    if t <= mu * zn:
+    if zn >= 0.0 and t <= mu * zn:  # zn >= 0 matters for mu = 0
         return zn, z1, z2
     if mu * t <= -zn:
         return 0.0, 0.0, 0.0
@@ -32,7 +32,7 @@ def projection_jacobian(zn, z1, z2, mu, D):
     """Element of the generalised Jacobian of the projection at z, into D (3, 3); symmetric, between 0 and I."""
     D[:] = 0.0
     t = math.sqrt(z1 * z1 + z2 * z2)
-    if t <= mu * zn:
+    if zn >= 0.0 and t <= mu * zn:
         D[0, 0] = D[1, 1] = D[2, 2] = 1.0
     elif mu * t > -zn:
         c = 1.0 / (1.0 + mu * mu)

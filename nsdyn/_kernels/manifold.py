@@ -181,6 +181,8 @@ def curvature(geometry, g, R, n, local, C):
     to_local(R, n, local)
     if kind == CYLINDER:
         side = math.sqrt(local[0] ** 2 + local[1] ** 2)
+        if side == 0.0:
+            return
         for i in range(3):
             for k in range(3):
                 u = (R[i, 1] * local[0] - R[i, 0] * local[1]) / side
@@ -206,22 +208,36 @@ def curvature(geometry, g, R, n, local, C):
 def smooth(geometry, i, j, R, t, n, ends1, radius1, valid1, ends2, radius2, valid2, point, normal, gap, work):
     """The contact of two geoms of which one at least is an ellipsoid or touches with the rim of a cylinder.
 
-    The other may be a segment with a radius (`valid`, with its ends). Newton's method on the condition that the
-    support points along n differ by a multiple of n, from the given n; the answer stands if it separates better.
+    The other may be a segment with a radius (`valid`, with its ends). From the given n on, Newton's method maximises
+    the separation: where it is stationary, the support points p and q differ by a multiple of the normal.
     """
     size = min(geometry.radius[i], geometry.radius[j])
-    first = separation(geometry, i, j, R, t, n, work)
-    local, back, p, q, d, e1, e2, m = work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7]
-    C1, C2 = work[8:11], work[11:14]
+    local, back, p, q, d, e1, e2, m, old = (
+        work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8],
+    )  # fmt: skip
+    C1, C2 = work[9:12], work[12:15]
     m[:] = n
-    ends, line = (ends1, valid1) if valid1 else (ends2, valid2)
+    if valid1 and valid2:  # not as segments, then: a cylinder touches with its rim
+        valid1 = geometry.kind[i] != CYLINDER
+        valid2 = geometry.kind[j] != CYLINDER and not valid1
+    ends, radius, side = (ends1, radius1, 1.0) if valid1 else (ends2, radius2, -1.0)
+    own, far = (p, q) if valid1 else (q, p)
     length = 0.0
-    if line:
+    if valid1 or valid2:
         for k in range(3):
             d[k] = ends[1, k] - ends[0, k]
         length = normalise(d)
-    for _ in range(12):
-        if length > 0.0:  # across the line
+    best = separation(geometry, i, j, R, t, m, work)  # leaves the support points in p and q
+    for _ in range(20):
+        if length > 0.0:
+            s = dot(far, d) - dot(ends[0], d)
+            if not (s > 0.0 and s < length):  # opposite the other geom is an end
+                ends[0] = ends[0 if s <= 0.0 else 1]
+                length = 0.0
+                # A cylinder does not end in a ball: its rim is meant.
+                valid1 = valid1 and geometry.kind[i] != CYLINDER
+                valid2 = valid2 and geometry.kind[j] != CYLINDER
+        if length > 0.0:  # turn about the line only
             along = dot(m, d)
             for k in range(3):
                 m[k] -= along * d[k]
@@ -233,19 +249,16 @@ def smooth(geometry, i, j, R, t, n, ends1, radius1, valid1, ends2, radius2, vali
             any_perpendicular(m, e1)
             for k in range(3):
                 e2[k] = m[(k + 1) % 3] * e1[(k + 2) % 3] - m[(k + 2) % 3] * e1[(k + 1) % 3]
-        for k in range(3):
-            back[k] = -m[k]
+        best = separation(geometry, i, j, R, t, m, work)
         if valid1:
-            p[:] = ends1[0]
             C1[:] = 0.0
+            p[:] = ends1[0]
         else:
-            support(geometry, i, R[i], t[i], m, local, p)
             curvature(geometry, i, R[i], m, local, C1)
         if valid2:
-            q[:] = ends2[0]
             C2[:] = 0.0
+            q[:] = ends2[0]
         else:
-            support(geometry, j, R[j], t[j], back, local, q)
             curvature(geometry, j, R[j], back, local, C2)
         f1, f2, a11, a12, a22, width = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(3):
@@ -258,26 +271,38 @@ def smooth(geometry, i, j, R, t, n, ends1, radius1, valid1, ends2, radius2, vali
                 a11 += e1[k] * c * e1[l]
                 a12 += e1[k] * c * e2[l]
                 a22 += e2[k] * c * e2[l]
+        # Where the separation is not concave enough, step as if it were.
+        trace = a11 + a22
+        if not (a11 + width > 0.0 and (a11 + width) * (a22 + width) - a12 * a12 > 1e-10 * trace * trace):
+            width = abs(width) + 1e-5 * trace + INSIDE * size
         a11 += width
-        a22 = a22 + width if length == 0.0 else 1.0
+        a22 += width
         det = a11 * a22 - a12 * a12
-        if not (a11 > 0.0 and det > 1e-9 * size * a11):
-            break  # no curvature to turn on: a rim on a corner
         s1, s2 = (a22 * f1 - a12 * f2) / det, (a11 * f2 - a12 * f1) / det
         step = math.sqrt(s1 * s1 + s2 * s2)
-        scale = min(1.0, 0.2 / step) if step > 0.0 else 1.0
-        for k in range(3):
-            m[k] += scale * (s1 * e1[k] + s2 * e2[k])
-        normalise(m)
         if step < 1e-15:
             break
-    if separation(geometry, i, j, R, t, m, work) < first - INSIDE * size:
+        old[:] = m
+        scale = min(1.0, 0.2 / step)
+        for _ in range(10):
+            for k in range(3):
+                m[k] = old[k] + scale * (s1 * e1[k] + s2 * e2[k])
+            normalise(m)
+            # Close to the maximum round-off decides which value is larger.
+            if step < 1e-7 or separation(geometry, i, j, R, t, m, work) > best:
+                break
+            scale *= 0.5
+        else:
+            m[:] = old
+            break
+        separation(geometry, i, j, R, t, m, work)
+    turned = separation(geometry, i, j, R, t, m, work) >= separation(geometry, i, j, R, t, n, work) - INSIDE * size
+    if not turned:
         m[:] = n
     normal[:] = m
     gap[0] = separation(geometry, i, j, R, t, m, work)
-    if length > 0.0 and abs(dot(m, d)) < INSIDE:
-        # The support point of a segment is any: the one opposite the other geom.
-        own, far, radius, side = (p, q, radius1, 1.0) if valid1 else (q, p, radius2, -1.0)
+    if turned and (valid1 or valid2):
+        # The support point of a segment is any of its points: take the one opposite the other geom.
         s = min(max(dot(far, d) - dot(ends[0], d), 0.0), length)
         for k in range(3):
             own[k] = ends[0, k] + s * d[k] + side * radius * m[k]
@@ -764,7 +789,7 @@ def manifolds(
     interest. The outputs have room for `limit` contacts per pair.
     """
     local, m, n, middle = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    ends1, ends2, work = np.empty((2, 3)), np.empty((2, 3)), np.empty((14, 3))
+    ends1, ends2, work = np.empty((2, 3)), np.empty((2, 3)), np.empty((15, 3))
     total = 0
     for p in range(first.size):
         i, j = first[p], second[p]

@@ -2,11 +2,12 @@
 
 For an impulse estimate r and penalties rho, the unknown is the velocity change y with u = Hᵀ y + q:
 
-    F(y) = M y - H P(y) = 0,   P_c = P_K(r_c - rho_c (u_c + mu |u_T| e_N)),
-    F'   = M + Σ_c H_c A_c H_cᵀ,   A_c = rho_c D_c (I + mu e_N t_uᵀ),   t_u = u_T / |u_T|,
+    F(y) = M y - H P(y) = 0,
+    P_N  = max(0, r_N - rho u_N),   P_T = projection of r_T - rho u_T on the disk of radius mu P_N,
+    F'   = M + Σ_c H_c A_c H_cᵀ,    A_c = -dP_c/du_c.
 
-with D the Jacobian of the projection. M is definite, so a rank-deficient W is no obstacle. Leaving out the term in
-t_u freezes de Saxcé's shift and makes F' symmetric positive definite.
+M is definite, so a rank-deficient W is no obstacle. A_c = rho I where a contact sticks and 0 where it is open, so
+that F' is symmetric unless a contact slips.
 """
 
 import math
@@ -15,38 +16,44 @@ import numpy as np
 from numba import njit
 
 from nsdyn._kernels.blocks import block_product, momentum, relative_velocity
-from nsdyn._kernels.cones import natural_error, natural_residual, project, projection_jacobian
+from nsdyn._kernels.cones import natural_error, natural_residual
 
 
 @njit(cache=True)
 def projected(u, r, rho, mu, P):
-    """P_c = P_K(r_c - rho_c u_hat_c) for every contact, into P (3 nc,)."""
+    """P(u) of every contact, into P (3 nc,)."""
     for c in range(mu.size):
         i = 3 * c
-        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
-        P[i], P[i + 1], P[i + 2] = project(
-            r[i] - rho[c] * (u[i] + s), r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2], mu[c]
-        )
+        a = r[i] - rho[c] * u[i]
+        if a <= 0.0:
+            P[i] = P[i + 1] = P[i + 2] = 0.0
+            continue
+        z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
+        t = math.sqrt(z1 * z1 + z2 * z2)
+        s = mu[c] * a / t if t > mu[c] * a else 1.0
+        P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
 
 
 @njit(cache=True)
 def stiffness(u, r, rho, mu, A):
-    """A_c = rho_c D_c (I + mu e_N t_uᵀ) for every contact, into A (nc, 3, 3)."""
+    """A_c = -dP_c/du_c of every contact, into A (nc, 3, 3)."""
     for c in range(mu.size):
         i = 3 * c
-        slip = math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
-        D = A[c]
-        projection_jacobian(
-            r[i] - rho[c] * (u[i] + mu[c] * slip), r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2], mu[c], D
-        )
-        # Where the contact sticks u_T tends to 0 and 0 is in the subdifferential of |u_T|: D = I is left symmetric.
-        if slip > 0.0 and D[1, 1] + D[2, 2] < 2.0:
-            for j in range(3):
-                D[j, 1] += D[j, 0] * mu[c] * u[i + 1] / slip
-                D[j, 2] += D[j, 0] * mu[c] * u[i + 2] / slip
-        for j in range(3):
-            for l in range(3):
-                D[j, l] *= rho[c]
+        B = A[c]
+        B[:] = 0.0
+        a = r[i] - rho[c] * u[i]
+        if a <= 0.0:
+            continue
+        z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
+        t = math.sqrt(z1 * z1 + z2 * z2)
+        B[0, 0] = rho[c]
+        if t <= mu[c] * a:
+            B[1, 1] = B[2, 2] = rho[c]
+            continue
+        x, y, k = z1 / t, z2 / t, rho[c] * mu[c] * a / t
+        B[1, 0], B[2, 0] = rho[c] * mu[c] * x, rho[c] * mu[c] * y
+        B[1, 1], B[2, 2] = k * y * y, k * x * x
+        B[1, 2] = B[2, 1] = -k * x * y
 
 
 @njit(cache=True)

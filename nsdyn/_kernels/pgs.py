@@ -62,8 +62,10 @@ def accelerated(indptr, indices, data, q, mu, scales, r, tol, q_norm, max_sweeps
     F, G = np.empty((m, n)), np.empty((m, n))
     gram = np.zeros((m, m))
     x, u, best_r = r.copy(), np.empty(n), r.copy()
-    best, best_f = np.inf, np.inf
-    mark, mark_sweep = np.inf, 0
+    velocity(indptr, indices, data, q, x, u)
+    best = max(natural_residual(scales, u, x, mu), natural_error(u, x, mu) / q_norm)
+    best_f = np.inf
+    mark, mark_sweep = best, 0
     used, slot = 0, 0
     for k in range(1, max_sweeps + 1):
         g = G[slot]

@@ -62,7 +62,7 @@ class Auto:
         if blocks.nc == 1:
             _cones.solve_one(blocks.delassus().data[0], q, mu[0], r)
             return r, 1
-        sharp, count = POLISH * tol, 0
+        sharp, count = max(POLISH * tol, 1e-13), 0
         if r.any():
             used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, np.array([1e4]), 6)
             count += used

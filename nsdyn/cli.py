@@ -1,0 +1,464 @@
+"""The `nsdyn` command.
+
+Figures go to stdout, as text or with ``--json``; progress and messages go to stderr. Exit code 0 means success,
+1 a simulation that did not converge or a failed self-check, 2 bad input, which is told in one line before
+anything is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import importlib.util
+import inspect
+import json
+import math
+import os
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+
+if TYPE_CHECKING:
+    from nsdyn.trajectory import Trajectory
+
+__all__ = ["main"]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    arguments = _parser().parse_args(argv)
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        try:
+            return int(arguments.run(arguments))
+        except BrokenPipeError:  # the reader of our output is gone
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
+        except (ValueError, OSError) as error:
+            print(f"nsdyn: error: {_one_line(error)}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            print("nsdyn: interrupted", file=sys.stderr)
+            return 130
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    print(f"nsdyn: warning: {_one_line(message)}", file=sys.stderr)
+
+
+def _one_line(message: object) -> str:
+    return " ".join(str(message).split())
+
+
+class _Parser(argparse.ArgumentParser):
+    """Tells a mistake in one line, as everything else here does."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"nsdyn: error: {message} (see {self.prog} --help)\n")
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
+        prog="nsdyn", description="Rigid multibody dynamics with hard contact and exact Coulomb friction."
+    )
+    parser.add_argument("--version", action="version", version=f"nsdyn {_version('nsdyn')}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def command(name: str, run: Callable[[argparse.Namespace], int], summary: str) -> argparse.ArgumentParser:
+        out = commands.add_parser(name, help=summary, description=summary)
+        out.set_defaults(run=run)
+        return out
+
+    p = command("scenes", _scenes, "List the named scenes and their parameters.")
+    _add_json(p)
+
+    p = command(
+        "doctor", _doctor, "Show versions and places of what nsdyn depends on, and check that it works."
+    )
+    _add_json(p)
+
+    p = command("run", _run, "Simulate a named scene and print its energy ledger.")
+    p.add_argument("scene", metavar="SCENE", help="a name that 'nsdyn scenes' lists")
+    p.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="parameter of the scene; may be repeated",
+    )
+    p.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
+    p.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
+    p.add_argument(
+        "--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)"
+    )
+    p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
+    p.add_argument(
+        "--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)"
+    )
+    p.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
+    p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
+    _add_json(p)
+
+    p = command("energy", _energy, "Print, plot or export the energy ledger of a recording.")
+    p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument(
+        "--plot", type=Path, metavar="E.png", help="picture of energies and works (png, pdf or svg)"
+    )
+    p.add_argument(
+        "--csv", type=Path, metavar="E.csv", help="all times: energies, and the works of each step, in J"
+    )
+    _add_json(p)
+
+    p = command("view", _view, "Make a web page or a picture of a recording.")
+    p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
+    p.add_argument("--forces", action="store_true", help="draw the contact forces")
+    p.add_argument(
+        "--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)"
+    )
+    p.add_argument(
+        "--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium"
+    )
+    p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
+    return parser
+
+
+def _add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+
+
+def _print_json(figures: Any) -> None:
+    print(json.dumps(_plain(figures), indent=2))
+
+
+def _plain(value: Any) -> Any:
+    """Value in JSON's terms: lists for arrays, text for paths, null for what is not finite."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def _check_outputs(*paths: Path | None) -> None:
+    """Refuse paths that cannot be written before any work is done."""
+    for path in filter(None, paths):
+        folder = path.absolute().parent
+        if path.is_dir():
+            raise ValueError(f"cannot write {path}: it is a folder")
+        if not folder.is_dir():
+            raise ValueError(f"cannot write {path}: there is no folder {folder}")
+        if not os.access(path if path.exists() else folder, os.W_OK):
+            raise ValueError(f"cannot write {path}: permission denied")
+
+
+# -- scenes and run ------------------------------------------------------------------------------------
+
+
+def _parameters(name: str) -> dict[str, Any]:
+    """Parameters of a named scene with their default values."""
+    from nsdyn import scenes
+
+    return {p.name: p.default for p in inspect.signature(scenes.load(name)).parameters.values()}
+
+
+def _scenes(arguments: argparse.Namespace) -> int:
+    from nsdyn import scenes
+
+    found: dict[str, Any] = {}
+    for name in scenes.names():
+        summary = (inspect.getdoc(scenes.module(name)) or "").partition("\n")[0]
+        found[name] = {"summary": summary, "parameters": _parameters(name)}
+    if arguments.json:
+        _print_json(found)
+        return 0
+    for name, scene in found.items():
+        settings = ", ".join(f"{key}={_text(value)}" for key, value in scene["parameters"].items())
+        print(f"{name}: {scene['summary']}\n    {settings}")
+    return 0
+
+
+def _text(value: Any) -> str:
+    """How a value is written after ``--set name=``."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _settings(name: str, assignments: list[str]) -> dict[str, Any]:
+    """Parse ``name=value`` settings by the type of the default; ValueError naming what is wrong."""
+    known = _parameters(name)
+    out = {}
+    for assignment in assignments:
+        key, equals, text = assignment.partition("=")
+        if not equals:
+            raise ValueError(f"--set expects NAME=VALUE, got {assignment!r}")
+        if key not in known:
+            raise ValueError(f"scene {name} has no parameter {key!r}; it has {', '.join(known) or 'none'}")
+        out[key] = _parse(text, known[key], key)
+    return out
+
+
+def _parse(text: str, default: Any, name: str) -> Any:
+    """Text as a value of the type of the default."""
+    if isinstance(default, bool):
+        if text.lower() not in ("true", "false"):
+            raise ValueError(f"{name} must be true or false, got {text!r}")
+        return text.lower() == "true"
+    for kind, word in ((int, "a whole number"), (float, "a number")):
+        if isinstance(default, kind):
+            try:
+                return kind(text)
+            except ValueError:
+                raise ValueError(f"{name} must be {word}, got {text!r}") from None
+    return text
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    import nsdyn
+
+    name = arguments.scene
+    scene_function, module = nsdyn.scenes.load(name), nsdyn.scenes.module(name)
+    settings = _settings(name, arguments.set)
+    solver = nsdyn.solvers.by_name(arguments.solver, arguments.tol)
+    _check_outputs(arguments.output, arguments.html)
+    scene = scene_function(**settings)
+    start = time.perf_counter()
+    try:
+        trajectory = nsdyn.simulate(
+            scene,
+            duration=module.DURATION if arguments.time is None else arguments.time,
+            dt=module.DT if arguments.dt is None else arguments.dt,
+            theta=arguments.theta,
+            solver=solver,
+            record=arguments.output,
+            progress=True,
+        )
+    except nsdyn.NotConverged as failure:
+        kept = f"; the steps before it are in {arguments.output}" if arguments.output else ""
+        print(f"nsdyn: not converged: {_one_line(failure)}{kept}", file=sys.stderr)
+        return 1
+    wall = time.perf_counter() - start
+    if arguments.html:
+        trajectory.to_html(arguments.html)
+    figures = {
+        "scene": name,
+        "parameters": _parameters(name) | settings,
+        "dt": trajectory.dt,
+        "steps": trajectory.steps,
+        "wall_time": wall,
+        "contacts": len(trajectory.columns["contacts/gap"]) / trajectory.steps,
+        "worst": trajectory.worst(),
+        "recording": arguments.output,
+        "html": arguments.html,
+    }
+    if arguments.json:
+        _print_json(figures)
+        return 0
+    print(trajectory.energy_table())
+    worst = trajectory.worst()
+    print(
+        f"{trajectory.steps} steps in {wall:.2f} s ({1e3 * wall / trajectory.steps:.2f} ms each), "
+        f"{figures['contacts']:.1f} contacts on average; worst residual {worst['residual']:.1e} m/s, "
+        f"Gauss bound {worst['gauss_bound']:.1e} √J, defect {worst['defect']:.1e} J, "
+        f"penetration {worst['penetration']:.1e} m"
+    )
+    return 0
+
+
+# -- energy and view -----------------------------------------------------------------------------------
+
+
+def _energy(arguments: argparse.Namespace) -> int:
+    from nsdyn.trajectory import Trajectory, replacing
+
+    _check_outputs(arguments.plot, arguments.csv)
+    trajectory = Trajectory.load(arguments.recording)
+    if arguments.plot:
+        from matplotlib.figure import Figure  # needs no display, unlike pyplot
+
+        figure = Figure(figsize=(8, 5), layout="constrained")
+        trajectory.plot_energy(figure.subplots())
+        with replacing(arguments.plot) as part:
+            figure.savefig(part, format=arguments.plot.suffix.removeprefix(".") or "png", dpi=150)
+    if arguments.csv:
+        with replacing(arguments.csv) as part:
+            _write_csv(trajectory, part)
+    if arguments.json:
+        _print_json({"ledger": trajectory.ledger(), "worst": trajectory.worst()})
+    else:
+        print(trajectory.energy_table())
+    return 0
+
+
+def _write_csv(trajectory: Trajectory, path: Path) -> None:
+    import numpy as np
+
+    energy = trajectory.energy
+    columns = {"t [s]": trajectory.t}
+    for name in energy.names:
+        values = getattr(energy, name)
+        # A work belongs to the step that ends at t; none ends at the first time.
+        columns[f"{name} [J]"] = (
+            values if values.size == trajectory.t.size else np.concatenate([[0.0], values])
+        )
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
+
+
+def _view(arguments: argparse.Namespace) -> int:
+    from nsdyn import viewer
+    from nsdyn.trajectory import Trajectory
+
+    if not (arguments.output or arguments.png):
+        raise ValueError("nothing to make: give -o RUN.html, --png FRAME.png, or both")
+    if arguments.at is not None and not arguments.png:
+        raise ValueError("--at is the time of the picture: give --png FRAME.png too")
+    _check_outputs(arguments.output, arguments.png)
+    trajectory = Trajectory.load(arguments.recording)
+    options = {"fps": arguments.fps, "forces": arguments.forces}
+    if arguments.png:
+        at = trajectory.t[-1] if arguments.at is None else arguments.at
+        with tempfile.TemporaryDirectory(prefix="nsdyn-") as folder:
+            page = Path(folder) / "page.html"
+            viewer.write_html(trajectory, page, at=at, **options)
+            viewer.screenshot(page, arguments.png)
+    if arguments.output:
+        viewer.write_html(trajectory, arguments.output, **options)
+    return 0
+
+
+# -- doctor --------------------------------------------------------------------------------------------
+
+# Distribution: module.
+_PACKAGES = {
+    "nsdyn": "nsdyn",
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "numba": "numba",
+    "pin": "pinocchio",
+    "coal": "coal",
+    "qdldl": "qdldl",
+    "h5py": "h5py",
+    "meshcat": "meshcat",
+}
+
+
+def _version(distribution: str) -> str | None:
+    """Version of an installed distribution; of nsdyn also in a source tree."""
+    if distribution == "nsdyn":
+        from nsdyn import __version__
+
+        return __version__
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _doctor(arguments: argparse.Namespace) -> int:
+    from nsdyn import viewer
+
+    packages: dict[str, Any] = {}
+    for distribution, module in _PACKAGES.items():
+        spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server
+        packages[distribution] = {"version": _version(distribution), "file": spec.origin if spec else None}
+    cache, writable = _numba_cache()
+    checks = {name: _outcome(check) for name, check in _CHECKS.items()}
+    sound = all(p["version"] and p["file"] for p in packages.values()) and all(
+        c == "ok" for c in checks.values()
+    )
+    figures: dict[str, Any] = {
+        "python": {"version": sys.version.split()[0], "file": sys.executable},
+        "packages": packages,
+        "chromium": viewer.chromium(),
+        "numba_cache": {"folder": cache, "writable": writable},
+        "checks": checks,
+        "ok": sound,
+    }
+    if arguments.json:
+        _print_json(figures)
+        return 0 if sound else 1
+    for name, found in {"python": figures["python"], **packages}.items():
+        print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
+    print(f"{'chromium':12} {figures['chromium'] or 'not found; only pictures (nsdyn view --png) need it'}")
+    note = (
+        ""
+        if writable
+        else " is not writable: compilation is repeated at every start unless NUMBA_CACHE_DIR is set"
+    )
+    print(f"{'numba cache':12} {cache}{note}")
+    for name, outcome in checks.items():
+        print(f"check        {name}: {outcome}")
+    return 0 if sound else 1
+
+
+def _numba_cache() -> tuple[Path, bool]:
+    """Folder of the compiled kernels, and whether it can be written."""
+    import nsdyn
+
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    cache = Path(given) if given else Path(nsdyn.__file__).parent / "_kernels" / "__pycache__"
+    existing = next(folder for folder in (cache, *cache.absolute().parents) if folder.exists())
+    return cache, os.access(existing, os.W_OK)
+
+
+def _outcome(check: Callable[[], bool]) -> str:
+    try:
+        return "ok" if check() else "WRONG RESULT"
+    except Exception as error:  # whatever a broken installation raises is the finding
+        return f"{type(error).__name__}: {_one_line(error)}"
+
+
+def _check_coal() -> bool:
+    import coal
+    import numpy as np
+
+    ball, there = coal.Sphere(1.0), coal.Transform3s()
+    there.setTranslation(np.array([3.0, 0.0, 0.0]))
+    result = coal.DistanceResult()
+    distance = coal.distance(ball, coal.Transform3s(), ball, there, coal.DistanceRequest(), result)
+    return bool(abs(distance - 1.0) < 1e-6)  # Coal's own tolerance of an iterative distance
+
+
+def _check_qdldl() -> bool:
+    import numpy as np
+    import qdldl
+    import scipy.sparse as sp
+
+    x = qdldl.Solver(sp.csc_matrix([[4.0, 1.0], [1.0, 3.0]])).solve(np.array([1.0, 2.0]))
+    return bool(np.allclose(x, [1 / 11, 7 / 11], rtol=1e-12, atol=0.0))
+
+
+def _check_contact() -> bool:
+    import numpy as np
+
+    import nsdyn
+
+    # One kilogram that slides: r_N stops it, friction is at its limit mu r_N.
+    solution = nsdyn.solve(nsdyn.FC3D(np.eye(3), np.array([-1.0, 2.0, 0.0]), np.array([0.5])))
+    return bool(np.allclose(solution.r, [1.0, -0.5, 0.0], rtol=0.0, atol=1e-7))
+
+
+_CHECKS = {
+    "coal distance": _check_coal,
+    "qdldl solve": _check_qdldl,
+    "sliding contact": _check_contact,
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

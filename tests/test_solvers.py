@@ -1,0 +1,135 @@
+"""Every solver on every small problem, judged by the problem; agreement in velocities, never in impulses."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_problem import corner_box
+
+import nsdyn as nd
+from nsdyn._kernels import newton as kernels
+from nsdyn._kernels import pgs as sweeps
+from nsdyn.problem import _csr
+
+FILES = Path(__file__).resolve().parents[2] / "shared" / "fc3d"
+
+
+def cases():
+    rng = np.random.default_rng(7)
+    yield "rest", corner_box()[0]
+    yield "slip", corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    yield "stop", corner_box(mu=0.6, push=(0.3, -0.4))[0]
+    yield "frictionless", corner_box(mu=0.0, push=(0.5, 0.2))[0]
+    yield "lift", nd.FC3D(np.eye(6), np.array([1.0, 0.3, 0.1, 0.5, 0.0, 0.0]), np.array([0.3, 0.3]))
+    for k in range(3):
+        A = rng.normal(size=(12, 12))
+        yield f"definite{k}", nd.FC3D(A @ A.T + np.eye(12), rng.normal(size=12), rng.uniform(0.1, 0.8, 4))
+
+
+CASES = dict(cases())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_solves(solver, name):
+    problem = CASES[name]
+    solution = solver(problem)
+    assert solution.converged, solution.status.message
+    assert problem.error(solution.r) <= 1e-8 and problem.residual(solution.r) <= 1e-8
+    np.testing.assert_allclose(solution.u, problem.W @ solution.r + problem.q, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_velocities_agree(name):
+    problem = CASES[name]
+    u = [nd.solve(problem, s, tol=1e-9).u for s in ("pgs", "newton", "auto")]
+    # The corner box has one velocity although not one impulse; ten times the tolerance over the stiffness of order 1.
+    np.testing.assert_allclose(u[1], u[0], atol=1e-7)
+    np.testing.assert_allclose(u[2], u[0], atol=1e-7)
+
+
+def test_exact_guess_costs_nothing(solver):
+    problem = corner_box()[0]
+    r = np.tile([0.25, 0.0, 0.0], 4)
+    solution = solver(problem, r)
+    assert solution.iterations == 0 and (solution.r == r).all()
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_scaled_mass(factor):
+    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    scaled = nd.FC3D(problem.W / factor, problem.q, problem.mu)
+    np.testing.assert_allclose(nd.solve(scaled).u, nd.solve(problem).u, atol=1e-8)
+
+
+def test_permuted_contacts_give_the_same_velocity(rng):
+    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    order = rng.permutation(4)
+    rows = (3 * order[:, None] + np.arange(3)).ravel()
+    W = problem.W.toarray()[np.ix_(rows, rows)]
+    u = nd.solve(nd.FC3D(W, problem.q[rows], problem.mu[order])).u
+    np.testing.assert_allclose(u, nd.solve(problem).u[rows], atol=1e-8)
+
+
+def test_failure_is_a_status_not_an_exception():
+    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    solution = nd.solvers.PGS(tol=1e-14, max_iter=1, memory=0)(problem)
+    assert solution.status is nd.Status.MAX_ITERATIONS and not solution.converged
+    assert "limit" in solution.status.message
+
+
+def test_warm_newton_needs_two_factorisations():
+    """All contacts stick and the guess is near: quadratic convergence is one step on the states, one to finish."""
+    problem = corner_box()[0]
+    guess = np.tile([0.25, 0.0, 0.0], 4) + 1e-3
+    assert nd.solve(problem, "newton", r0=guess).iterations <= 3
+
+
+def test_sweep_against_its_definition(rng):
+    """One sweep in NumPy: contacts in order, each solved alone with the others frozen."""
+    problem = CASES["definite0"]
+    r = rng.uniform(0, 0.1, 12)
+    expected, W = r.copy(), problem.W.toarray()
+    for c in range(4):
+        i = slice(3 * c, 3 * c + 3)
+        q = problem.q[i] + W[i] @ expected - W[i, i] @ expected[i]
+        one = nd.FC3D(W[i, i], q, problem.mu[c : c + 1])
+        expected[i] = nd.solve(one, tol=1e-13).r
+    sweeps.sweep(*_csr(problem.W), problem.q, problem.mu, r)
+    np.testing.assert_allclose(r, expected, atol=1e-11)
+
+
+def test_newton_matrix_dense_and_sparse(rng):
+    """Both assemblies of K = M + Σ H A Hᵀ against dense algebra, on the contacts of a real step."""
+    stepper = nd.Stepper(nd.scenes.load("pyramid")(base=3), dt=1e-2)
+    blocks = stepper.step().problem.blocks
+    M, H = blocks.dense()
+    A = rng.normal(size=(blocks.nc, 3, 3))
+    expected = M.copy()
+    for c in range(blocks.nc):
+        rows = H[:, 3 * c : 3 * c + 3]
+        expected += rows @ A[c] @ rows.T
+    K = np.empty((blocks.n, blocks.n))
+    where = blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, A
+    kernels.assemble_dense(*where, K)
+    np.testing.assert_allclose(K, expected, atol=1e-12)
+    indptr, indices, slot, diagonal = kernels.pattern(blocks.offset, blocks.block)
+    data = np.empty(indices.size)
+    kernels.assemble_sparse(*where, indptr, slot, diagonal, data)
+    import scipy.sparse as sp
+
+    sparse = sp.csc_array((data, indices, indptr), shape=K.shape)
+    np.testing.assert_allclose(sparse.toarray(), expected, atol=1e-12)
+
+
+def test_unknown_solver_and_tolerance():
+    with pytest.raises(ValueError, match=r"solver must be one of .*'pgs'"):
+        nd.solve(corner_box()[0], "magic")
+    with pytest.raises(ValueError, match="tol must be positive"):
+        nd.solve(corner_box()[0], tol=0.0)
+
+
+@pytest.mark.skipif(not FILES.is_dir(), reason="the folder of FCLIB problems is not here")
+@pytest.mark.parametrize("name", ["CubeH8", "GFC3D_TwoRods1", "NESpheres_10_1", "local_problem_test"])
+def test_problems_of_the_literature(name):
+    problem = nd.fclib.read(FILES / f"{name}.hdf5")
+    assert nd.solve(problem, tol=1e-8).converged

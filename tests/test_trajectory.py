@@ -1,0 +1,399 @@
+"""Recordings: what goes in comes out, in memory and as a file, also when the process is killed."""
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import nsdyn as nd
+from nsdyn import trajectory as module
+from nsdyn.trajectory import Recorder, Trajectory
+
+DT = 0.01
+META = {"dt": DT, "theta": 0.5, "solver": "Auto(tol=1e-08)"}
+WORKS = ["external", "normal", "friction", "gyroscopic", "theta", "mass", "projection", "defect"]
+
+
+def scene_dict(links: bool = False):
+    box = {"shape": "box", "size": [0.2] * 3, "placement": np.eye(4).tolist(), "colour": None}
+    geoms = [
+        {"name": "ground", "body": "ground", "frame": -1, "shape": "halfspace", "size": [0, 0, 1], "offset": 0.0},
+        {"name": "a", "body": "a", "frame": 0, **box},
+        {"name": "b", "body": "b", "frame": 1, **box},
+    ]
+    scene = {"name": "two boxes", "geoms": geoms, "frames": ["a", "b"], "free": 2, "articulations": []}
+    if links:
+        scene["frames"] = ["a", "b", "arm/elbow"]
+        scene["articulations"] = [{"name": "arm", "nq": 1, "nv": 1}]
+    return scene
+
+
+def rows(n: int, links: bool = False, seed: int = 0):
+    """An initial state and n steps of random numbers, with 0 to 3 contacts each."""
+    rng = np.random.default_rng(seed)
+
+    def state(k):
+        quaternion = rng.normal(size=(2, 4))
+        quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+        q = np.column_stack([rng.normal(size=(2, 3)), quaternion]).ravel()
+        poses = (rng.normal(size=(3, 3)), rng.normal(size=(3, 4))) if links else (None, None)
+        joint = [0.5] if links else []
+        return dict(
+            t=k * DT, q=np.append(q, joint), v=np.append(rng.normal(size=12), joint),
+            frames_x=poses[0], frames_quat=poses[1],
+            energy={"kinetic": float(k), "potential": 2.0 * k, **dict(zip(WORKS, rng.normal(size=8), strict=True))},
+        )  # fmt: skip
+
+    def step(k):
+        nc = int(rng.integers(0, 4))
+        frame = Rotation.random(nc, rng=rng).as_matrix() if nc else np.empty((0, 3, 3))
+        contacts = SimpleNamespace(
+            geom1=np.zeros(nc, np.int64), geom2=rng.integers(1, 3, nc), point=rng.normal(size=(nc, 3)),
+            normal=frame[:, 0], gap=rng.normal(size=nc), mu=np.full(nc, 0.5), restitution=np.zeros(nc),
+            key=rng.integers(0, 2**60, nc),
+        )  # fmt: skip
+        return SimpleNamespace(
+            **state(k), contacts=contacts, tangent=frame[:, 1], u=rng.normal(size=(nc, 3)),
+            r=rng.normal(size=(nc, 3)), contact_status=rng.integers(0, 3, nc).astype(np.int8),
+            work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc),
+            gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k),
+            solution=SimpleNamespace(residual=1e-9 * k, iterations=k, status=nd.Status.CONVERGED, time=1e-4),
+        )  # fmt: skip
+
+    return SimpleNamespace(**state(0)), [step(k) for k in range(1, n + 1)]
+
+
+def record(path, n, links=False):
+    first, steps = rows(n, links)
+    with Recorder(path, META, scene_dict(links), first) as recorder:
+        for step in steps:
+            recorder.append(step)
+    return recorder.trajectory(), first, steps
+
+
+def assert_same(a: Trajectory, b: Trajectory):
+    assert a.meta == b.meta and a.scene == b.scene
+    assert a.columns.keys() == b.columns.keys()
+    for name, values in a.columns.items():
+        assert values.dtype == b.columns[name].dtype, name
+        np.testing.assert_array_equal(values, b.columns[name], err_msg=name)
+
+
+@pytest.mark.parametrize("links", [False, True])
+@pytest.mark.parametrize("n", [0, 1, 256, 600])  # 256 rows are one block
+def test_what_goes_in_comes_out(n, links, tmp_path):
+    trajectory, first, steps = record(None, n, links)
+    np.testing.assert_array_equal(trajectory.t, [s.t for s in [first, *steps]])
+    np.testing.assert_array_equal(trajectory.q, [s.q for s in [first, *steps]])
+    np.testing.assert_array_equal(trajectory.energy.kinetic, np.arange(n + 1.0))
+    np.testing.assert_array_equal(trajectory.energy.friction, [s.energy["friction"] for s in steps])
+    np.testing.assert_array_equal(trajectory.solver.iterations, np.arange(1, n + 1))
+    for k, step in enumerate(steps, start=1):
+        table = trajectory.contacts(k)
+        assert len(table) == step.contacts.gap.size
+        np.testing.assert_array_equal(table.impulse, step.r)
+        np.testing.assert_array_equal(table.key, step.contacts.key)
+
+    in_file, _, _ = record(tmp_path / "run.h5", n, links)
+    assert_same(in_file, trajectory)
+    trajectory.save(tmp_path / "copy.h5")
+    assert_same(Trajectory.load(tmp_path / "copy.h5"), trajectory)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.h5", "run.h5"]
+
+
+def test_frequent_flushes_change_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_FLUSH_SECONDS", 0.0)
+    in_file, _, _ = record(tmp_path / "run.h5", 20, links=True)
+    monkeypatch.undo()
+    assert_same(in_file, record(None, 20, links=True)[0])
+
+
+def test_file_is_readable_without_nsdyn(tmp_path):
+    record(tmp_path / "run.h5", 7, links=True)
+    with h5py.File(tmp_path / "run.h5") as file:
+        meta = dict(file["meta"].attrs)
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 1 and meta["dt"] == DT
+        assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
+        assert b'"two boxes"' in file["meta/scene"][()]
+        assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
+        assert file["frames/x"].shape == (8, 3, 3) and file["frames/quat"].shape == (8, 3, 4)
+        assert set(file["energy"]) == {"kinetic", "potential", *WORKS}
+        assert file["energy/kinetic"].shape == (8,) and file["energy/defect"].shape == (7,)
+        assert set(file["gauss"]) == {"gap", "shift", "bound"}
+        assert set(file["solver"]) == {"residual", "iterations", "status", "time"}
+        offset = file["contacts/offset"][:]
+        assert offset.shape == (8,) and offset[0] == 0
+        columns = set(file["contacts"]) - {"offset"}
+        assert columns == {
+            "geom1", "geom2", "point", "normal", "gap", "u", "impulse", "mu", "restitution", "key", "status",
+            "tangent", "work_normal", "work_friction",
+        }  # fmt: skip
+        assert {len(file[f"contacts/{name}"]) for name in columns} == {offset[-1]}
+
+
+# A process that records until it is killed, by itself in the middle of a write or by its parent.
+ENDLESS = """
+import itertools, os, signal, sys
+sys.path[:0] = {paths!r}
+import h5py
+from nsdyn import trajectory
+from test_trajectory import META, rows, scene_dict
+trajectory._FLUSH_SECONDS = 0.0
+flushes = itertools.count(1)
+flush = h5py.File.flush
+def dying(file):
+    if next(flushes) == {dies_at}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    flush(file)
+h5py.File.flush = dying
+first, steps = rows(300)
+recorder = trajectory.Recorder(sys.argv[1], META, scene_dict(), first)
+for k, step in enumerate(itertools.cycle(steps), start=1):
+    recorder.append(step)
+    print(k, flush=True)
+"""
+
+
+def killed(path, dies_at):
+    paths = [str(Path(__file__).parent), str(Path(nd.__file__).parents[1])]
+    code = ENDLESS.format(paths=paths, dies_at=dies_at)
+    process = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    written = 0
+    for line in process.stdout:
+        written = int(line)
+        if written == 40 and not dies_at:
+            process.kill()
+    process.wait()
+    assert process.returncode == -9
+    return written
+
+
+def check_rows_of_killed_run(trajectory):
+    first, steps = rows(300)
+    n = trajectory.steps
+    expected = Recorder(None, META, scene_dict(), first)
+    for step in steps[:n]:
+        expected.append(step)
+    assert_same(trajectory, expected.trajectory())
+
+
+def test_killed_run_keeps_its_steps(tmp_path):
+    written = killed(tmp_path / "run.h5", dies_at=0)
+    trajectory = Trajectory.load(tmp_path / "run.h5")
+    assert trajectory.steps >= written  # every step was flushed before it was printed
+    check_rows_of_killed_run(trajectory)
+
+
+def test_run_killed_while_it_writes_keeps_its_complete_steps(tmp_path):
+    # The tenth write has put all columns but /t into the file.
+    assert killed(tmp_path / "run.h5", dies_at=10) == 9
+    with h5py.File(tmp_path / "run.h5", swmr=True) as file:
+        assert file["t"].shape == (10,)
+    trajectory = Trajectory.load(tmp_path / "run.h5")
+    assert trajectory.steps == 9
+    check_rows_of_killed_run(trajectory)
+
+
+def test_interrupted_write_is_completed(tmp_path, monkeypatch):
+    first, steps = rows(6)
+    recorder = Recorder(tmp_path / "run.h5", META, scene_dict(), first)
+    for step in steps[:4]:
+        recorder.append(step)
+
+    def interrupt(file):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(h5py.File, "flush", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            recorder.flush()
+    for step in steps[4:]:
+        recorder.append(step)
+    assert_same(recorder.trajectory(), record(None, 6)[0])
+
+
+def test_recording_can_be_read_while_it_grows(tmp_path):
+    first, steps = rows(6)
+    recorder = Recorder(tmp_path / "run.h5", META, scene_dict(), first)
+    with h5py.File(tmp_path / "run.h5") as reader:  # holds a lock that must not stop the simulation
+        for step in steps:
+            recorder.append(step)
+        recorder.flush()
+        assert reader["t"].shape == (1,)
+    assert Trajectory.load(tmp_path / "run.h5").steps == 6
+
+
+@pytest.mark.parametrize("name", ["missing/run.h5", "folder"])
+def test_unwritable_path_is_named_and_nothing_is_left(name, tmp_path):
+    (tmp_path / "folder").mkdir()
+    first, _ = rows(0)
+    with pytest.raises(ValueError, match=f"cannot write .*{name}"):
+        Recorder(tmp_path / name, META, scene_dict(), first)
+    with pytest.raises(ValueError, match=f"cannot write .*{name}"):
+        record(None, 3)[0].save(tmp_path / name)
+    assert [p.name for p in tmp_path.rglob("*")] == ["folder"]
+
+
+def test_failed_save_leaves_the_old_file(tmp_path):
+    path = tmp_path / "run.h5"
+    record(path, 3)
+    old = path.read_bytes()
+    bad = Trajectory({"dt": object()}, {}, {})
+    with pytest.raises(TypeError):
+        bad.save(path)
+    assert path.read_bytes() == old and os.listdir(tmp_path) == ["run.h5"]
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
+        (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", 2), "format_version 2"),
+        (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
+        (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
+        (lambda f: f["t"].resize(0, axis=0), "is damaged"),
+    ],
+)
+def test_damaged_file_is_named(damage, message, tmp_path):
+    path = tmp_path / "run.h5"
+    record(path, 5)
+    with h5py.File(path, "r+") as file:
+        damage(file)
+    with pytest.raises(ValueError, match=message) as failure:
+        Trajectory.load(path)
+    assert str(path) in str(failure.value)
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nothing.h5"):
+        Trajectory.load(tmp_path / "nothing.h5")
+    (tmp_path / "text.h5").write_text("text")
+    with pytest.raises(ValueError, match=r"text\.h5 .* not an HDF5 file"):
+        Trajectory.load(tmp_path / "text.h5")
+
+
+def test_body_motion_is_in_the_world_frame():
+    trajectory, _, _ = record(None, 5, links=True)
+    body = trajectory.body("b")
+    np.testing.assert_array_equal(body.position, trajectory.q[:, 7:10])
+    np.testing.assert_array_equal(body.quaternion, trajectory.q[:, 10:14])
+    R = Rotation.from_quat(body.quaternion)
+    # Two ways to rotate vectors of size 1: a few units of round-off.
+    np.testing.assert_allclose(body.linear_velocity, R.apply(trajectory.v[:, 6:9]), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(body.angular_velocity, R.apply(trajectory.v[:, 9:12]), rtol=0, atol=1e-14)
+    link = trajectory.body("arm/elbow")
+    np.testing.assert_array_equal(link.position, trajectory.columns["frames/x"][:, 2])
+    with pytest.raises(ValueError, match="arm/elbow"):
+        _ = link.linear_velocity
+    with pytest.raises(ValueError, match="no moving body 'c'"):
+        trajectory.body("c")
+
+
+def test_contact_table():
+    trajectory, _, steps = record(None, 10)
+    k = next(k for k, s in enumerate(steps, start=1) if s.contacts.gap.size == 3)
+    step, table = steps[k - 1], trajectory.contacts(k)
+    assert table.body1 == ("ground",) * 3
+    assert table.body2 == tuple("ground a b".split()[g] for g in step.contacts.geom2)
+    assert table.status_names == [["open", "stick", "slip"][s] for s in step.contact_status]
+    t2 = np.cross(step.contacts.normal, step.tangent)
+    frame = np.stack([step.contacts.normal, step.tangent, t2], axis=1)
+    # Sums of three products of size 1.
+    np.testing.assert_allclose(table.impulse_world, np.einsum("ci,cij->cj", step.r, frame), atol=1e-15, rtol=1e-14)
+    lines = repr(table).splitlines()
+    assert len(lines) == 4 and "r_N [N·s]" in lines[0] and "ground" in lines[1]
+    np.testing.assert_array_equal(trajectory.contacts(k - 11).gap, table.gap)
+    for outside in (0, 11, -11):
+        with pytest.raises(IndexError, match="steps 1 to 10"):
+            trajectory.contacts(outside)
+
+
+def test_ledger_and_table():
+    trajectory, _, steps = record(None, 95)
+    ledger = trajectory.ledger()
+    assert len(ledger["t"]) == 11 and ledger["t"][-1] == trajectory.t[-1]
+    total = sum(s.energy["normal"] for s in steps)
+    assert ledger["normal"][0] == 0.0
+    assert ledger["normal"][-1] == pytest.approx(total, rel=1e-12)  # the same 95 terms, summed in order
+    table = trajectory.energy_table().splitlines()
+    assert len(table) == 13 and table[0].split()[:4] == ["t", "[s]", "kinetic", "potential"]
+    assert "max residual 9.5e-08 m/s" in table[-1]
+
+
+def test_works_that_vanish_are_left_out():
+    first, steps = rows(5)
+    for step in steps:
+        step.energy |= dict.fromkeys(WORKS, 0.0) | {"mass": 1e-20, "friction": -1.0}
+    with Recorder(None, META, scene_dict(), first) as recorder:
+        for step in steps:
+            recorder.append(step)
+    assert list(recorder.trajectory().ledger()) == ["t", "kinetic", "potential", "friction", "defect"]
+
+
+def test_energy_plot_uses_the_given_axes():
+    from matplotlib.figure import Figure
+
+    trajectory, _, _ = record(None, 5)
+    ax = Figure().subplots()
+    assert trajectory.plot_energy(ax) is ax
+    total = next(line for line in ax.get_lines() if line.get_label() == "kinetic + potential")
+    np.testing.assert_array_equal(total.get_ydata(), 3.0 * np.arange(6))
+
+
+def test_matplotlib_is_not_loaded_by_recordings():
+    code = textwrap.dedent("""
+        import sys, nsdyn.trajectory
+        sys.exit("matplotlib" in sys.modules)
+    """)
+    root = str(Path(nd.__file__).parents[1])
+    assert subprocess.run([sys.executable, "-c", code], cwd=root).returncode == 0
+
+
+def sliding_box():
+    scene = nd.Scene(name="slide")
+    scene.add_halfspace("ground")
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1), linear_velocity=(1, 0, 0))
+    return scene
+
+
+def test_recorded_simulation_equals_the_one_in_memory(tmp_path):
+    in_memory = nd.simulate(sliding_box(), duration=0.1, dt=1e-3)
+    recorded = nd.simulate(sliding_box(), duration=0.1, dt=1e-3, record=tmp_path / "run.h5")
+    np.testing.assert_array_equal(recorded.q, in_memory.q)
+    np.testing.assert_array_equal(
+        recorded.columns["contacts/impulse"], in_memory.columns["contacts/impulse"]
+    )
+    assert Trajectory.load(tmp_path / "run.h5").meta == in_memory.meta
+
+
+def test_trajectory_of_a_simulation():
+    trajectory = nd.simulate(sliding_box(), duration=0.1, dt=1e-3)
+    assert trajectory.steps == 100 and trajectory.dt == 1e-3
+    assert trajectory.t[-1] == pytest.approx(0.1, rel=1e-14)
+    assert set(trajectory.solver.status_names) == {"CONVERGED"}
+    body, e = trajectory.body("box"), trajectory.energy
+    # v - mu g t, exact for the scheme up to the tolerance of the solver, 1e-8 m/s per step.
+    np.testing.assert_allclose(body.linear_velocity[:, 0], 1.0 - 0.5 * 9.81 * trajectory.t, rtol=0, atol=1e-6)
+    works = sum(getattr(e, name) for name in e.names[2:])
+    np.testing.assert_allclose(np.diff(e.total), works, rtol=0, atol=1e-14)  # round-off of 1 J
+    table = trajectory.contacts(-1)
+    assert table.body1 == ("ground",) * 4 and table.body2 == ("box",) * 4
+    assert table.status_names == ["slip"] * 4
+    assert table.impulse_world.sum(axis=0)[2] == pytest.approx(9.81e-3, rel=1e-6)  # weight x dt
+
+
+def test_refused_simulation_leaves_an_existing_recording(tmp_path):
+    path = tmp_path / "run.h5"
+    path.write_text("precious")
+    with pytest.raises(ValueError, match="theta"):
+        nd.simulate(sliding_box(), duration=0.1, theta=2.0, record=path)
+    assert path.read_text() == "precious"
