@@ -290,7 +290,7 @@ class Recorder:
     def _pack_rows(self) -> None:
         if self._rows:
             block = _pack(self._rows, self._rows)
-            block["contacts/offset"] = self._contacts + np.cumsum([s.contacts.gap.size for s in self._rows])
+            block["contacts/offset"] = self._contacts + np.cumsum([s.gap.size for s in self._rows])
             self._contacts = int(block["contacts/offset"][-1])
             self._blocks.append(block)
             self._rows = []

@@ -18,6 +18,8 @@ from numba import njit
 from nsdyn._kernels.blocks import block_product, momentum, relative_velocity
 from nsdyn._kernels.cones import natural_error, natural_residual
 
+PATIENCE = 8  # Newton steps without settling after which a penalty is called too large
+
 
 @njit(cache=True)
 def projected(u, r, rho, mu, P):
@@ -115,12 +117,35 @@ def measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r,
 
 
 @njit(cache=True)
-def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_norm, penalties, steps):
+def settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F, work):
+    """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)).
+
+    That is a hundredth of the momentum H (P - estimate), or 1e-5 of the step weighed by lambda_max(W_cc) contact by
+    contact: redundant contacts exchange impulses without any momentum.
+    """
+    defect(offset, block, start, h, m_start, m, y, P, F, work)
+    block_product(offset, m_start, minv, F, work)
+    left = 0.0
+    for i in range(F.size):
+        left += F[i] * work[i]
+    change = P - estimate
+    momentum(offset, block, start, h, change, F)
+    block_product(offset, m_start, minv, F, work)
+    total, weighed = 0.0, 0.0
+    for i in range(F.size):
+        total += F[i] * work[i]
+    for i in range(change.size):
+        weighed += scales[i // 3] * change[i] ** 2
+    return left <= max(1e-4 * total, 1e-10 * weighed)
+
+
+@njit(cache=True)
+def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
 
-    Full steps, without a line search (it would stop at the kinks): the measure may rise for a while, r keeps the
-    best impulse seen. The multiplier estimate follows r when the measure falls by a tenth. The penalties
-    `penalties[k]` / lambda_max(W_cc) are tried in turn, `steps` steps each, every one from the best impulse.
+    Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and where F
+    has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, grows threefold with
+    every quick success and falls tenfold after a failure, which starts again from the estimate.
     """
     n, nr = offset[-1], q.size
     y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
@@ -128,31 +153,36 @@ def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_no
     A, K = np.empty((mu.size, 3, 3)), np.empty((n, n))
     best = measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, y, u, work)
     estimate = r.copy()
-    count = 0
-    for k in range(penalties.size):
-        rho = penalties[k] / scales
-        estimate[:] = r
-        velocity_of(offset, block, start, h, m_start, minv, q, estimate, y, u, work)
-        for _ in range(steps):
-            if best <= tol:
-                return count, best
-            projected(u, estimate, rho, mu, P)
-            defect(offset, block, start, h, m_start, m, y, P, F, work)
-            stiffness(u, estimate, rho, mu, A)
-            assemble_dense(offset, block, start, h, m_start, m, A, K)
-            y -= np.linalg.solve(K, F)
-            count += 1
-            relative_velocity(offset, block, start, h, y, u)
-            u += q
-            projected(u, estimate, rho, mu, P)
-            measure = measure_of(
-                offset, block, start, h, m_start, minv, q, mu, scales, q_norm, P, own_y, own_u, work
-            )
-            if measure < best:
-                if measure < 0.9 * best:
-                    estimate[:] = P
-                best = measure
-                r[:] = P
+    count, inner = 0, 0
+    rho = penalty / scales
+    projected(u, estimate, rho, mu, P)
+    while best > tol and count < max_iter and penalty > 1e-2:
+        defect(offset, block, start, h, m_start, m, y, P, F, work)
+        stiffness(u, estimate, rho, mu, A)
+        assemble_dense(offset, block, start, h, m_start, m, A, K)
+        y -= np.linalg.solve(K, F)
+        count += 1
+        inner += 1
+        relative_velocity(offset, block, start, h, y, u)
+        u += q
+        projected(u, estimate, rho, mu, P)
+        measure = measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, P, own_y, own_u, work)
+        if measure < best:
+            best = measure
+            r[:] = P
+        if settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F, work):
+            if inner <= 2:
+                penalty = min(3.0 * penalty, 1e8)
+            estimate[:] = P
+            inner = 0
+        elif inner >= PATIENCE:
+            penalty *= 0.1
+            inner = 0
+            velocity_of(offset, block, start, h, m_start, minv, q, estimate, y, u, work)
+        else:
+            continue
+        rho = penalty / scales
+        projected(u, estimate, rho, mu, P)
     return count, best
 
 

@@ -64,14 +64,14 @@ class Auto:
             return r, 1
         sharp, count = max(POLISH * tol, 1e-13), 0
         if r.any():
-            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, np.array([1e4]), 6)
+            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 1e4, 6)
             count += used
             if best <= tol:
                 return r, count
         W = _csr(blocks.delassus())
         for _ in range(self.rounds):
             sweeps, _ = _pgs.accelerated(*W, q, mu, scales, r, sharp, q_norm, 200, 5, min(20, mu.size + 1), 200)
-            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, np.array([1e4, 1e2, 1e6]), 10)
+            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 1e4, 60)
             count += sweeps + used
             if best <= tol:
                 break

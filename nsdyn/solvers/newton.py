@@ -55,42 +55,44 @@ def _factor(offset: bytes, block: bytes) -> _Factor:
 
 
 def _sparse(
-    blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, penalties: Array, steps: int
+    blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, penalty: float, max_iter: int
 ) -> tuple[int, float]:
     """The method of `_kernels.newton.dense` with sparse factorisations, in place of r."""
     n, nr = blocks.n, q.size
     topology = blocks.offset, blocks.block, blocks.start, blocks.h
+    weights = *topology, blocks.m_start, blocks.minv
     factor = _factor(blocks.offset.tobytes(), blocks.block.tobytes())
     y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
     P, own_y, own_u, A = np.empty(nr), np.empty(n), np.empty(nr), np.empty((mu.size, 3, 3))
-
-    def measure(x: Array, y: Array, u: Array) -> float:
-        return float(
-            _kernels.measure_of(*topology, blocks.m_start, blocks.minv, q, mu, scales, q_norm, x, y, u, work)
-        )
-
-    best = measure(r, y, u)
-    count = 0
-    for penalty in penalties:
-        rho, estimate = penalty / scales, r.copy()
-        _kernels.velocity_of(*topology, blocks.m_start, blocks.minv, q, estimate, y, u, work)
-        for _ in range(steps):
-            if best <= tol:
-                return count, best
-            _kernels.projected(u, estimate, rho, mu, P)
-            _kernels.defect(*topology, blocks.m_start, blocks.m, y, P, F, work)
-            _kernels.stiffness(u, estimate, rho, mu, A)
-            y -= factor.solve(blocks, A, F)
-            count += 1
-            _blocks.relative_velocity(*topology, y, u)
-            u += q
-            _kernels.projected(u, estimate, rho, mu, P)
-            new = measure(P, own_y, own_u)
-            if new < best:
-                if new < 0.9 * best:
-                    estimate[:] = P
-                best = new
-                r[:] = P
+    best = float(_kernels.measure_of(*weights, q, mu, scales, q_norm, r, y, u, work))
+    estimate, rho = r.copy(), penalty / scales
+    count = inner = 0
+    _kernels.projected(u, estimate, rho, mu, P)
+    while best > tol and count < max_iter and penalty > 1e-2:
+        _kernels.defect(*topology, blocks.m_start, blocks.m, y, P, F, work)
+        _kernels.stiffness(u, estimate, rho, mu, A)
+        y -= factor.solve(blocks, A, F)
+        count, inner = count + 1, inner + 1
+        _blocks.relative_velocity(*topology, y, u)
+        u += q
+        _kernels.projected(u, estimate, rho, mu, P)
+        new = float(_kernels.measure_of(*weights, q, mu, scales, q_norm, P, own_y, own_u, work))
+        if new < best:
+            best = new
+            r[:] = P
+        if _kernels.settled(*topology, blocks.m_start, blocks.m, blocks.minv, scales, y, P, estimate, F, work):
+            if inner <= 2:
+                penalty = min(3.0 * penalty, 1e8)
+            estimate[:] = P
+            inner = 0
+        elif inner >= _kernels.PATIENCE:
+            penalty *= 0.1
+            inner = 0
+            _kernels.velocity_of(*weights, q, estimate, y, u, work)
+        else:
+            continue
+        rho = penalty / scales
+        _kernels.projected(u, estimate, rho, mu, P)
     return count, best
 
 
@@ -115,16 +117,16 @@ def rows(contacts: Any, nc: int) -> Any:
 
 
 def solve_blocks(
-    blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, penalties: Array, steps: int
+    blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, penalty: float, max_iter: int
 ) -> tuple[int, float]:
     """Newton on one connected problem, dense or sparse by its size, in place of r; (factorisations, measure)."""
     if blocks.n <= DENSE:
         count, best = _kernels.dense(
             blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, blocks.minv,
-            q, mu, scales, r, tol, q_norm, penalties, steps,
+            q, mu, scales, r, tol, q_norm, penalty, max_iter,
         )  # fmt: skip
         return int(count), float(best)
-    return _sparse(blocks, q, mu, scales, r, tol, q_norm, penalties, steps)
+    return _sparse(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter)
 
 
 @dataclass(frozen=True)
@@ -139,10 +141,10 @@ class Newton:
     ----------
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
-    penalties : tuple of floats
-        Penalties times λ_max(W_cc), tried in turn.
-    steps : int
-        Newton steps per penalty.
+    penalty : float
+        First penalty times λ_max(W_cc); it adapts.
+    max_iter : int
+        Factorisations per island.
 
     References
     ----------
@@ -151,8 +153,8 @@ class Newton:
     """
 
     tol: float = 1e-8
-    penalties: tuple[float, ...] = (1e4, 1e2, 1e6)
-    steps: int = 15
+    penalty: float = 1e4
+    max_iter: int = 200
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
@@ -169,7 +171,7 @@ class Newton:
                 tol = 0.5 * self.tol
                 count += solve_blocks(
                     part, problem.q[i], problem.mu[contacts], problem.scales[contacts], x, tol, q_norm,
-                    np.array(self.penalties), self.steps,
+                    self.penalty, self.max_iter,
                 )[0]  # fmt: skip
                 r[i] = x
         return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
