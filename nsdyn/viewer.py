@@ -47,6 +47,8 @@ MAX_ARROWS = 300  # per frame, the largest forces
 
 _UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """Turns y, the axis of three.js, to z."""
+_BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 1.0}
+"""Moves a surface back in depth, so that lines on it stay whole."""
 
 
 def write_html(trajectory: Trajectory, path: str | Path, **options: Any) -> None:
@@ -333,39 +335,41 @@ def _halfspace(normal: Array, offset: float, colour: Iterable[float], view: _Vie
         out: Array = (1.0 - s) * np.array(list(base)[:3]) + s * np.asarray(to)
         return out
 
-    rings, turns = np.array([0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0]) * R, np.linspace(0.0, 2.0 * np.pi, 49)
-    disc = []
+    rings, turns = np.array([0.0, 1.0, 2.5, 4.5, 7.0, 10.0]) * R, np.linspace(0.0, 2.0 * np.pi, 33)
+    triangles = []
     for inner, outer in pairwise(rings):
         for a, b in pairwise(turns):
             p, q, r, s = ((d * np.cos(x), d * np.sin(x), 0.0) for d in (inner, outer) for x in (a, b))
-            disc += [p, r, s, p, s, q] if inner else [p, r, s]
-    surface = np.array(disc)
-
-    reach = 6.0 * R
-    grid = _grid(-(frame[:2] @ foot), _round_number(R / 2.5), reach)
+            triangles += [p, r, s, p, s, q] if inner else [p, r, s]
+    disc = np.array(triangles)
+    floor = {
+        "type": "Mesh",
+        "geometry": _buffer(position=disc, color=faded(disc, colour, BACKGROUND, rings[-1])),
+        "material": {"type": "MeshBasicMaterial", "vertexColors": True, **_BEHIND_LINES},
+    }
+    shadow = {
+        "type": "Mesh",
+        "geometry": {"type": "CircleGeometry", "radius": rings[-1], "segments": 32},
+        "material": {
+            "type": "ShadowMaterial",
+            "color": 0,
+            "opacity": 0.28,
+            "transparent": True,
+            "depthWrite": False,
+        },
+        "receiveShadow": True,
+    }
+    parts = [floor, shadow]
+    if normal[2] > 0.3:  # no grid on walls: lines, unlike surfaces, would be seen from behind too
+        reach = 6.0 * R
+        grid = _grid(-(frame[:2] @ foot), _round_number(R / 2.5), reach)
+        ground = faded(grid, colour, BACKGROUND, rings[-1])
+        lines = _buffer(position=grid, color=faded(grid, _shade(colour, 0.9), ground, reach))
+        material = {"type": "LineBasicMaterial", "vertexColors": True}
+        parts.append({"type": "LineSegments", "geometry": lines, "material": material})
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = frame.T, foot
-    below = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 1.0}
-    up = np.tile([0.0, 0.0, 1.0], (len(surface), 1))
-    floor = _buffer(position=surface, normal=up, color=faded(surface, colour, BACKGROUND, rings[-1]))
-    ground = faded(grid, colour, BACKGROUND, rings[-1])
-    raster = _buffer(position=grid, color=faded(grid, _shade(colour, 0.9), ground, reach))
-    shadow = {"type": "ShadowMaterial", "color": 0, "opacity": 0.28, "transparent": True, "depthWrite": False}
-    coloured = {"vertexColors": True, **below}
-    shade = _buffer(position=surface, normal=up)
-    return {
-        "type": "Group",
-        "matrix": _matrix(matrix),
-        "children": [
-            {"type": "Mesh", "geometry": floor, "material": {"type": "MeshBasicMaterial", **coloured}},
-            {
-                "type": "LineSegments",
-                "geometry": raster,
-                "material": {"type": "LineBasicMaterial", "vertexColors": True},
-            },
-            {"type": "Mesh", "geometry": shade, "material": shadow, "receiveShadow": True},
-        ],
-    }
+    return {"type": "Group", "matrix": _matrix(matrix), "children": parts}
 
 
 def _grid(origin: Array, step: float, reach: float) -> Array:
@@ -519,10 +523,14 @@ def _polytope(vertices: Array, faces: list[list[int]], colour: Iterable[float]) 
 def _mesh(geometry: Json, colour: Iterable[float]) -> Json:
     alpha = [*colour, 1.0][3]
     material = {
-        "type": "MeshPhongMaterial", "color": _hex(colour), "specular": 0x222222, "shininess": 25,
-        "opacity": alpha, "transparent": alpha < 1.0, "polygonOffset": True, "polygonOffsetFactor": 1.0,
-        "polygonOffsetUnits": 1.0,
-    }  # fmt: skip
+        "type": "MeshPhongMaterial",
+        "color": _hex(colour),
+        "specular": 0x222222,
+        "shininess": 25,
+        "opacity": alpha,
+        "transparent": alpha < 1.0,
+        **_BEHIND_LINES,
+    }
     return {
         "type": "Mesh",
         "geometry": geometry,

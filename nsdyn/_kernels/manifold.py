@@ -23,6 +23,7 @@ FACE = 0.05  # rad; how far Coal's normal may be off where it is noise; the dist
 AGREE = 1e-5  # features whose gap is the distance found, within this fraction of the size, are those that touch
 BIAS = 1e-3  # a face of geom 2 is the reference only if it fits better than that of geom 1 by this much
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
+RESCUE = 1e-5  # a face is preferred to what Coal found if it separates better by this fraction of the size
 SAME = 1e-6  # points closer than this fraction of the size are one
 INSIDE = 1e-9  # a point this fraction of the size outside a side plane is on it
 
@@ -146,9 +147,9 @@ def separation(geometry, i, j, R, t, n, work):
 
 
 @njit(cache=True)
-def best_normal(geometry, i, j, R, t, n, trial, work):
-    """Turn n to the normal that separates best among itself, all faces and the line of centres; returns the gap."""
-    best = separation(geometry, i, j, R, t, n, work)
+def best_normal(geometry, i, j, R, t, n, gain, trial, work):
+    """Turn n to the face normal or line of centres that separates best, if by more than `gain`."""
+    best = separation(geometry, i, j, R, t, n, work) + gain
     for k in range(3):
         trial[k] = t[j, k] - t[i, k]
     if normalise(trial) > 0.0:
@@ -170,7 +171,6 @@ def best_normal(geometry, i, j, R, t, n, trial, work):
             if gap > best:
                 best = gap
                 n[:] = trial
-    return best
 
 
 @njit(cache=True)
@@ -778,9 +778,80 @@ def reference(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, othe
 
 
 @njit(cache=True)
+def faces(geometry, i, j, R, n, work):
+    """The reference face of the normal n: (face of geom i, -1), (-1, face of geom j) or (-1, -1)."""
+    local, back = work[0], work[1]
+    for k in range(3):
+        back[k] = -n[k]
+    face1, error1 = aligned_face(geometry, i, R[i], n, local)
+    face2, error2 = aligned_face(geometry, j, R[j], back, local)
+    if face1 >= 0 and error1 <= error2 + BIAS:
+        return face1, -1
+    return -1, face2
+
+
+@njit(cache=True)
+def pair_contacts(
+    geometry, i, j, R, t, slack, known, trusted, n, margin, limit, poly, other, point, normal, gap, work
+):
+    """Contacts of one pair, into the first rows of point, normal, gap; returns their number.
+
+    n is the normal of the cores, if `known`, and to be relied on if `trusted`.
+    """
+    size = min(geometry.radius[i], geometry.radius[j])
+    kind1, kind2 = geometry.kind[i], geometry.kind[j]
+    whole = kind1 == HALFSPACE or kind2 == HALFSPACE
+    m, found = work[15], work[16]
+    face1, face2 = 0 if kind1 == HALFSPACE else -1, 0 if kind2 == HALFSPACE else -1
+    if known:
+        found[:] = n
+        face1, face2 = faces(geometry, i, j, R, n, work)
+        face = face1 >= 0 or face2 >= 0
+        # Cores that overlap give no reliable normal, and rounding off a sliver of contact beside an edge turns it.
+        if not trusted or not face and separation(geometry, i, j, R, t, n, work) <= slack:
+            best_normal(geometry, i, j, R, t, n, RESCUE * size if trusted else 0.0, m, work)
+            face1, face2 = faces(geometry, i, j, R, n, work)
+    if face1 >= 0 or face2 >= 0:
+        count = reference(geometry, i, j, R, t, whole, limit, margin, face1, face2, poly, other, gap, work[0], m)
+        deepest = math.inf
+        for k in range(count):
+            deepest = min(deepest, gap[k])
+        if known and deepest > separation(geometry, i, j, R, t, m, work) + SAME * size:
+            count = 0  # what is deepest is not over this face
+            if trusted:
+                n[:] = found
+        count = merge(poly, gap, count, SAME * size)
+        if count > limit:
+            count = reduce(poly, gap, count, m, limit)
+        for k in range(count):
+            point[k] = poly[k]
+            normal[k] = m
+        if count > 0 or whole:
+            return count
+    ends1, ends2 = work[17:19], work[19:21]
+    for k in range(3):
+        m[k] = -n[k]
+    radius1, valid1 = segment(geometry, i, R[i], t[i], n, work[0], ends1)
+    radius2, valid2 = segment(geometry, j, R[j], t[j], m, work[0], ends2)
+    if valid1 and valid2:
+        flat1, flat2 = kind1 == CYLINDER, kind2 == CYLINDER
+        count = segments(ends1, radius1, flat1, ends2, radius2, flat2, n, known, size, point, normal, gap)
+        if not known or count == 2:
+            return count
+        if count == 1:
+            # The distance is the largest separation: the right features reach it.
+            own = separation(geometry, i, j, R, t, normal[0], work)
+            if own > separation(geometry, i, j, R, t, n, work) - SAME * size and abs(own - gap[0]) < SAME * size:
+                return 1
+    smooth(
+        geometry, i, j, R, t, n, ends1, radius1, valid1, ends2, radius2, valid2, point[0], normal[0], gap, work
+    )
+    return 1
+
+
+@njit(cache=True)
 def manifolds(
-    geometry, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, heights, point, normal, gap,
-    pair,
+    geometry, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, heights, point, normal, gap, pair
 ):
     """Contacts of all candidate pairs (first, second), into point, normal, gap and pair; returns their number.
 
@@ -788,88 +859,32 @@ def manifolds(
     the surface of geom g is from that of its core. ``base[p]`` plus the reach of both geoms is the largest gap of
     interest. The outputs have room for `limit` contacts per pair.
     """
-    local, m, n, middle = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    ends1, ends2, work = np.empty((2, 3)), np.empty((2, 3)), np.empty((15, 3))
+    n, work = np.empty(3), np.empty((21, 3))
+    points, normals = np.empty((limit, 3)), np.empty((limit, 3))
     total = 0
     for p in range(first.size):
         i, j = first[p], second[p]
-        margin = base[p] + reach[i] + reach[j]
-        size = min(geometry.radius[i], geometry.radius[j])
-        kind1, kind2 = geometry.kind[i], geometry.kind[j]
-        plane = kind1 == HALFSPACE or kind2 == HALFSPACE
-        known = slot[p] >= 0
-        count = 0
-        face1, face2 = -1, -1
-        if plane:
-            face1 = 0 if kind1 == HALFSPACE else -1
-            face2 = 0 if kind2 == HALFSPACE else -1
-        elif known:
+        margin, both = base[p] + reach[i] + reach[j], slack[i] + slack[j]
+        known, trusted = slot[p] >= 0, True
+        if known:
             result = coal[slot[p]]
-            if result[0] - slack[i] - slack[j] > margin:
+            if result[0] - both > margin:
                 continue
             n[:] = result[1:4]
             length = normalise(n)
             if not (length > 0.5 and length < 2.0):
                 n[0], n[1], n[2] = 0.0, 0.0, 1.0
             trusted = result[0] > 0.0
-            for turn in range(2):
-                for k in range(3):
-                    local[k] = -n[k]
-                face1, error1 = aligned_face(geometry, i, R[i], n, middle)
-                face2, error2 = aligned_face(geometry, j, R[j], local, middle)
-                if turn == 1 or (trusted and (face1 >= 0 or face2 >= 0)):
-                    break
-                # Cores that overlap give no reliable normal, and rounding off a sliver of contact beside an edge
-                # turns it: look at all faces.
-                if trusted and separation(geometry, i, j, R, t, n, work) > slack[i] + slack[j]:
-                    break
-                best_normal(geometry, i, j, R, t, n, middle, work)
-            if face1 >= 0 and error1 <= error2 + BIAS:
-                face2 = -1
-            else:
-                face1 = -1
-        if face1 >= 0 or face2 >= 0:
-            count = reference(
-                geometry, i, j, R, t, plane, limit, margin, face1, face2, poly, other, heights, local, m
-            )
-            count = merge(poly, heights, count, SAME * size)
-            if count > limit:
-                count = reduce(poly, heights, count, m, limit)
-            for k in range(count):
-                point[total + k] = poly[k]
-                normal[total + k] = m
-                gap[total + k] = heights[k]
-        if count == 0 and not plane:
-            for k in range(3):
-                local[k] = -n[k]
-            radius1, valid1 = segment(geometry, i, R[i], t[i], n, middle, ends1)
-            radius2, valid2 = segment(geometry, j, R[j], t[j], local, middle, ends2)
-            if valid1 and valid2:
-                count = segments(
-                    ends1, radius1, kind1 == CYLINDER, ends2, radius2, kind2 == CYLINDER, n, known, size,
-                    point[total:], normal[total:], gap[total:],
-                )  # fmt: skip
-                if known and count == 1:
-                    # The distance is the largest separation: the right features reach it.
-                    bound = separation(geometry, i, j, R, t, n, work)
-                    own = separation(geometry, i, j, R, t, normal[total], work)
-                    if own < bound - SAME * size or abs(own - gap[total]) > SAME * size:
-                        count = 0
-            if count == 0:
-                count = 1
-                smooth(
-                    geometry, i, j, R, t, n, ends1, radius1, valid1, ends2, radius2, valid2, point[total],
-                    normal[total], gap[total:], work,
-                )  # fmt: skip
-        kept = 0
+        count = pair_contacts(
+            geometry, i, j, R, t, both, known, trusted, n, margin, limit, poly, other, points, normals, heights, work
+        )
         for k in range(count):
-            if gap[total + k] <= margin:
-                point[total + kept] = point[total + k]
-                normal[total + kept] = normal[total + k]
-                gap[total + kept] = gap[total + k]
-                pair[total + kept] = p
-                kept += 1
-        total += kept
+            if heights[k] <= margin:
+                point[total] = points[k]
+                normal[total] = normals[k]
+                gap[total] = heights[k]
+                pair[total] = p
+                total += 1
     return total
 
 

@@ -30,11 +30,11 @@ class Auto:
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     rounds : int
-        Alternations of Gauss–Seidel and Newton.
+        Alternations of Gauss–Seidel and Newton, each with twice the Newton steps of the one before.
     """
 
     tol: float = 1e-8
-    rounds: int = 8
+    rounds: int = 5
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
@@ -69,9 +69,9 @@ class Auto:
             if best <= tol:
                 return r, count
         W = _csr(blocks.delassus())
-        for _ in range(self.rounds):
+        for k in range(self.rounds):
             sweeps, _ = _pgs.accelerated(*W, q, mu, scales, r, sharp, q_norm, 200, 5, min(20, mu.size + 1), 200)
-            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 1e4, 60)
+            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 1e4 if k % 2 else 1e2, 60 * 2**k)
             count += sweeps + used
             if best <= tol:
                 break

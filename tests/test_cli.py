@@ -1,0 +1,285 @@
+"""The command: what it prints, what it writes, and how it says no."""
+
+import csv
+import json
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+from nsdyn import cli, viewer
+from nsdyn.trajectory import Trajectory
+
+SHORT = ["--time", "0.02", "--dt", "1e-3"]
+
+
+@pytest.fixture
+def run(capsys, tmp_path, monkeypatch):
+    """Run the command in an empty folder; (exit code, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        try:
+            code = cli.main([str(a) for a in arguments])
+        except SystemExit as exit_:  # argparse ends --help and wrong usage so
+            code = exit_.code
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def recording(run, tmp_path):
+    assert run("run", "slide", *SHORT, "-o", "run.h5")[0] == 0
+    return tmp_path / "run.h5"
+
+
+@pytest.mark.parametrize("command", [[], ["scenes"], ["doctor"], ["run"], ["energy"], ["view"]])
+def test_help(run, command):
+    code, out, err = run(*command, "--help")
+    assert code == 0 and out.startswith("usage: nsdyn") and err == ""
+
+
+def test_version(run):
+    assert run("--version")[1] == f"nsdyn {nd.__version__}\n"
+
+
+def test_help_loads_no_heavy_package():
+    code = """
+import sys
+from nsdyn import cli
+try:
+    cli.main(["--help"])
+except SystemExit:
+    heavy = {"numpy", "numba", "pinocchio", "coal", "h5py", "scipy"}
+    print(*sorted(heavy & set(sys.modules)), file=sys.stderr)
+"""
+    root = str(Path(nd.__file__).parents[1])
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
+    assert done.stdout.startswith("usage: nsdyn") and done.stderr == "\n"
+
+
+def test_scenes(run):
+    code, out, err = run("scenes")
+    assert code == 0 and err == ""
+    assert [line.partition(":")[0] for line in out.splitlines()[::2]] == nd.scenes.names()
+    found = json.loads(run("scenes", "--json")[1])
+    assert found["slide"]["parameters"]["mu"] == 0.5 and found["slide"]["summary"]
+    assert f"mu={found['slide']['parameters']['mu']}" in out
+
+
+def test_doctor(run, monkeypatch):
+    code, out, _ = run("doctor", "--json")
+    figures = json.loads(out)
+    assert code == 0 and figures["ok"]
+    assert figures["packages"]["numpy"] == {"version": np.__version__, "file": np.__file__}
+    assert set(figures["checks"].values()) == {"ok"}
+    out = run("doctor")[1]
+    assert all(word in out for word in ("pin ", "coal", "qdldl", "numba cache", "chromium", "check"))
+
+    monkeypatch.setitem(cli._CHECKS, "coal distance", lambda: False)
+    monkeypatch.setitem(cli._CHECKS, "qdldl solve", lambda: 1 / 0)
+    code, out, _ = run("doctor")
+    assert code == 1
+    assert "coal distance: WRONG RESULT" in out and "qdldl solve: ZeroDivisionError" in out
+
+
+def test_doctor_misses_a_package(run, monkeypatch):
+    monkeypatch.setitem(cli._PACKAGES, "no-such-distribution", "no_such_module")
+    code, out, _ = run("doctor")
+    assert code == 1 and "no-such-distribution MISSING" in out
+
+
+def test_run_prints_records_and_draws(run, tmp_path):
+    code, out, err = run("run", "slide", *SHORT, "--set", "mu=0.25", "-o", "run.h5", "--html", "run.html")
+    assert code == 0 and err == ""
+    trajectory = Trajectory.load(tmp_path / "run.h5")
+    assert trajectory.steps == 20 and trajectory.dt == 1e-3
+    assert set(trajectory.columns["contacts/mu"]) == {0.25}
+    lines = out.splitlines()
+    assert "\n".join(lines[:-1]) == trajectory.energy_table()
+    assert lines[-1].startswith("20 steps in ") and "4.0 contacts on average" in lines[-1]
+    assert (tmp_path / "run.html").read_text() == viewer.html(trajectory)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.h5", "run.html"]
+
+
+def test_run_gives_its_figures_as_json(run, tmp_path):
+    code, out, _ = run(
+        "run",
+        "slide",
+        *SHORT,
+        "--theta",
+        "0.6",
+        "--solver",
+        "newton",
+        "--tol",
+        "1e-7",
+        "--json",
+        "-o",
+        "run.h5",
+    )
+    figures = json.loads(out)
+    trajectory = Trajectory.load(tmp_path / "run.h5")
+    assert code == 0 and figures["steps"] == 20 and figures["contacts"] == 4.0
+    assert figures["worst"] == trajectory.worst()
+    assert figures["parameters"]["speed"] == 2.0 and figures["recording"] == "run.h5"
+    assert trajectory.meta["theta"] == 0.6
+    assert trajectory.meta["solver"].startswith("Newton(tol=1e-07")
+
+
+def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
+    # No solver reaches 1e-300 once something moves.
+    code, out, err = run("run", "slide", *SHORT, "--solver", "pgs", "--tol", "1e-300", "-o", "run.h5")
+    assert code == 1 and out == ""
+    assert err.startswith("nsdyn: not converged: step from t = ") and err.count("\n") == 1
+    assert "run.h5" in err and Trajectory.load(tmp_path / "run.h5").steps < 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "required"),
+        (["fly"], "invalid choice"),
+        (["run", "no_such_scene"], "scene must be one of"),
+        (["run", "slide", "--set", "colour=1"], "no parameter 'colour'; it has mu"),
+        (["run", "slide", "--set", "mu"], "--set expects NAME=VALUE"),
+        (["run", "slide", "--set", "mu=much"], "mu must be a number, got 'much'"),
+        (["run", "slide", "--set", "mu=-1"], "mu must not be negative"),
+        (["run", "stack", "--set", "height=2.5"], "height must be a whole number, got '2.5'"),
+        (["run", "slide", "--time", "soon"], "invalid float value"),
+        (["run", "slide", "--time", "-1"], "duration must be a positive"),
+        (["run", "slide", "--dt", "0"], "dt must be a positive"),
+        (["run", "slide", "--theta", "0.2"], "theta must lie in"),
+        (["run", "slide", "--solver", "magic"], "solver must be one of"),
+        (["run", "slide", "--tol", "0"], "tol must be positive"),
+        (["run", "slide", "-o", "missing/run.h5"], "cannot write missing/run.h5: there is no folder"),
+        (["run", "slide", "-o", "run.h5", "--html", "missing/run.html"], "cannot write missing/run.html"),
+        (["run", "slide", "-o", "."], "cannot write .: it is a folder"),
+        (["energy", "missing.h5"], "no such recording: missing.h5"),
+        (["energy", "text.h5", "--csv", "e.csv"], "text.h5 is not a recording of nsdyn"),
+        (["view", "text.h5"], "nothing to make"),
+        (["view", "text.h5", "-o", "run.html", "--at", "1"], "--at is the time of the picture"),
+        (["view", "text.h5", "-o", "run.html"], "text.h5 is not a recording of nsdyn"),
+    ],
+)
+def test_bad_input_is_told_in_one_line_and_leaves_nothing(run, tmp_path, arguments, message):
+    (tmp_path / "text.h5").write_text("text")
+    code, out, err = run(*arguments)
+    assert code == 2 and out == ""
+    assert err.startswith("nsdyn: error: ") and err.count("\n") == 1
+    assert message in err
+    assert [p.name for p in tmp_path.iterdir()] == ["text.h5"]
+
+
+def test_bad_input_leaves_existing_files(run, tmp_path):
+    (tmp_path / "run.h5").write_text("precious")
+    assert run("run", "slide", "--theta", "2", "-o", "run.h5")[0] == 2
+    assert (tmp_path / "run.h5").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("text", "default", "value"),
+    [
+        ("3", 1, 3),
+        ("3", 1.0, 3.0),
+        ("1e-3", 1.0, 1e-3),
+        ("true", False, True),
+        ("False", True, False),
+        ("3", "a", "3"),
+    ],
+)
+def test_values_take_the_type_of_their_default(text, default, value):
+    parsed = cli._parse(text, default, "name")
+    assert parsed == value and type(parsed) is type(value)
+
+
+def test_truth_is_true_or_false():
+    with pytest.raises(ValueError, match="name must be true or false, got '1'"):
+        cli._parse("1", True, "name")
+
+
+def test_energy(run, recording, tmp_path):
+    trajectory = Trajectory.load(recording)
+    code, out, err = run("energy", "run.h5", "--plot", "e.png", "--csv", "e.csv")
+    assert code == 0 and err == "" and out == trajectory.energy_table() + "\n"
+    assert (tmp_path / "e.png").read_bytes().startswith(b"\x89PNG")
+
+    head, *rows = csv.reader((tmp_path / "e.csv").read_text().splitlines())
+    assert head[:3] == ["t [s]", "kinetic [J]", "potential [J]"] and len(rows) == 21
+    table = np.array(rows, dtype=float)
+    np.testing.assert_array_equal(table[:, 1], trajectory.energy.kinetic)  # 17 digits are exact
+    np.testing.assert_array_equal(table[1:, -1], trajectory.energy.defect)
+    # Energies of a few joules: the ledger of every line closes to their round-off.
+    np.testing.assert_allclose(
+        np.diff(table[:, 1:3].sum(axis=1)), table[1:, 3:].sum(axis=1), rtol=0, atol=1e-14
+    )
+
+    figures = json.loads(run("energy", "run.h5", "--json")[1])
+    assert figures["worst"] == trajectory.worst()
+    assert figures["ledger"]["friction"][-1] == pytest.approx(trajectory.energy.friction.sum(), rel=1e-12)
+
+
+def test_plot_of_unknown_kind(run, recording, tmp_path):
+    code, _, err = run("energy", "run.h5", "--plot", "e.xyz")
+    assert code == 2 and "xyz" in err and err.count("\n") == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_view(run, recording, tmp_path):
+    assert run("view", "run.h5", "-o", "run.html", "--forces", "--fps", "100") == (0, "", "")
+    assert (tmp_path / "run.html").read_text() == viewer.html(
+        Trajectory.load(recording), fps=100, forces=True
+    )
+    code, _, err = run("view", "run.h5", "-o", "new.html", "--fps", "0")
+    assert code == 2 and "fps must be positive" in err and not (tmp_path / "new.html").exists()
+
+
+@pytest.mark.skipif(viewer.chromium() is None, reason="no Chromium on the PATH")
+def test_view_takes_a_picture(run, recording, tmp_path):
+    assert run("view", "run.h5", "--png", "frame.png", "--at", "0.01") == (0, "", "")
+    assert (tmp_path / "frame.png").read_bytes().startswith(b"\x89PNG")
+    code, _, err = run("view", "run.h5", "--png", "late.png", "--at", "1")
+    assert code == 2 and "at must lie between 0 and 0.02 s" in err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["frame.png", "run.h5"]
+
+
+def test_picture_without_a_browser(run, recording, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    code, _, err = run("view", "run.h5", "--png", "frame.png")
+    assert code == 2 and "apt-get install chromium" in err and err.count("\n") == 1
+
+
+def test_warnings_are_one_line(run, monkeypatch):
+    real = nd.simulate
+
+    def simulate(*arguments, **keywords):
+        warnings.warn("boxes overlap\nby 1 mm", stacklevel=2)
+        return real(*arguments, **keywords)
+
+    monkeypatch.setattr(nd, "simulate", simulate)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        code, _, err = run("run", "slide", *SHORT)
+    assert code == 0 and err == "nsdyn: warning: boxes overlap by 1 mm\n"
+
+
+def test_interruption(run, monkeypatch):
+    def simulate(*arguments, **keywords):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(nd, "simulate", simulate)
+    assert run("run", "slide") == (130, "", "nsdyn: interrupted\n")
+
+
+def test_reader_that_goes_away():
+    root = str(Path(nd.__file__).parents[1])
+    command = [sys.executable, "-u", "-m", "nsdyn.cli", "scenes"]
+    with subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        err = process.stderr.read()
+    assert process.returncode == 1 and err == b""
