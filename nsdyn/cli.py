@@ -1,8 +1,8 @@
 """The `nsdyn` command.
 
 Figures go to stdout, as text or with ``--json``; progress and messages go to stderr. The exit code is 0 for
-success, 1 for a simulation that did not converge or a failed self-check, 2 for bad input, which is told in one
-line before anything is written.
+success, 1 for a simulation that did not converge or a failed self-check, 2 for bad input, which is told in
+one line before anything is written.
 """
 
 from __future__ import annotations

@@ -444,7 +444,7 @@ class Scene:
                 model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
             else:
                 model = pin.buildModelFromUrdf(str(path))
-            geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, dirs)
+            geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, package_dirs=dirs)
         except (ValueError, RuntimeError) as failure:
             raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
         at = pin.SE3(

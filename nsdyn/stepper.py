@@ -286,7 +286,8 @@ class Stepper:
         v_theta = theta * v + (1.0 - theta) * s.v
         moved = d.advance(s.position, v_theta, h)
         u = solution.u - w
-        end, gap = self._project(moved, blocks, gap + theta * h * u[0::3], u)
+        # What rebounds leaves on its own, unless it is so fast that it would do so on the other side.
+        end, gap = self._project(moved, blocks, gap + theta * h * u[0::3], (w[0::3] < 0.0) & (not fast))
 
         # Certificate, ledger, record.
         works = energy.contact_works(u_before, u, solution.r)
@@ -350,17 +351,19 @@ class Stepper:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
         self._failures += 1
 
-    def _project(self, moved: Position, blocks: Blocks, gap: Array, u: Array) -> tuple[Position, Array]:
+    def _project(
+        self, moved: Position, blocks: Blocks, gap: Array, leaving: NDArray[np.bool_]
+    ) -> tuple[Position, Array]:
         """Positions without penetration, the closest in the kinetic metric, and their gaps.
 
         min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0: a frictionless contact problem in positions, on the gaps g at the end of the
-        step, linear in the motion. Where nothing penetrates `moved` itself is returned.
+        step, linear in the motion. Contacts that are `leaving` are not pushed. Where nothing penetrates `moved` itself
+        is returned.
         """
-        # A contact that leaves on its own within the next step is not pushed.
-        held = np.where(gap + self.dt * u[0::3] >= 0.0, np.maximum(gap, 0.0), gap)
+        held = np.where(leaving, np.maximum(gap, 0.0), gap)
         if held.min(initial=0.0) >= -CLOSED:
             return moved, gap
-        g = np.zeros_like(u)
+        g = np.zeros(3 * gap.size)
         g[0::3] = held
         shift = self._projection(FC3D.from_blocks(blocks, g, np.zeros(gap.size)))
         end = self.dynamics.advance(moved, blocks.velocity_change(shift.r), 1.0)

@@ -240,7 +240,8 @@ class _View:
 
     def __init__(self, trajectory: Trajectory) -> None:
         scene = trajectory.scene
-        positions = [trajectory.body(name).position for name in scene["frames"]]
+        every = 1 + trajectory.steps // 1000  # enough to see where a body goes
+        positions = [trajectory.body(name).position[::every] for name in scene["frames"]]
         self.planes = [
             (np.array(g["size"]), float(g["offset"])) for g in scene["geoms"] if g["shape"] == "halfspace"
         ]
@@ -645,19 +646,24 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
     browser = chromium()
     if browser is None:
         raise ValueError("pictures need Chromium or Chrome on the PATH, as from 'apt-get install chromium'")
-    with replacing(picture) as part, tempfile.TemporaryDirectory(prefix="nsdyn-") as folder:
+    with (
+        replacing(picture) as part,
+        tempfile.TemporaryDirectory(prefix="nsdyn-", ignore_cleanup_errors=True) as folder,
+    ):
         shot = Path(folder) / "shot.png"
         flags = [
             "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
             "--enable-unsafe-swiftshader", "--hide-scrollbars", "--disable-quic", "--no-first-run",
             "--disable-background-networking", "--disable-component-update", "--disable-sync",
-            "--virtual-time-budget=2000", f"--user-data-dir={folder}/profile", f"--screenshot={shot}",
-            f"--window-size={size[0]},{size[1]}",
+            "--virtual-time-budget=2000", "--host-resolver-rules=MAP * ~NOTFOUND",
+            f"--user-data-dir={folder}/profile", f"--screenshot={shot}", f"--window-size={size[0]},{size[1]}",
         ]  # fmt: skip
         url = Path(page).resolve().as_uri() + "#picture"
-        done = subprocess.run(
-            [browser, *flags, url], capture_output=True, timeout=120, env=os.environ | {"HOME": folder}
-        )
+        environment = os.environ | {"HOME": folder}
+        try:
+            done = subprocess.run([browser, *flags, url], capture_output=True, timeout=120, env=environment)
+        except subprocess.TimeoutExpired:
+            raise ValueError(f"{browser} took more than two minutes over {page}") from None
         if not shot.is_file():
             raise ValueError(
                 f"{browser} made no picture of {page}: {done.stderr.decode(errors='replace')[-500:]}"

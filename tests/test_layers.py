@@ -9,7 +9,7 @@ ROOT = Path(nsdyn.__file__).parent
 ORDER = [
     ["_kernels"], ["cones"], ["problem"], ["solvers", "fclib"],
     ["shapes"], ["scene"], ["contacts", "scenes"], ["dynamics"],
-    ["gauss", "energy"], ["viewer"], ["trajectory"], ["stepper"], ["cli"],
+    ["gauss", "energy"], ["trajectory"], ["viewer", "stepper"], ["cli"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
 MATHEMATICS = {"_kernels", "cones", "problem", "solvers", "fclib", "gauss"}

@@ -405,10 +405,10 @@ def cut(poly, count, heights, tol, out):
 
 
 @njit(cache=True)
-def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
+def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights, work):
     """Clip a polygon by the sides of a polytope face; returns its new number of points, in poly."""
     first, tol = geometry.vertex_ptr[g], INSIDE * geometry.radius[g]
-    a, b, side = np.empty(3), np.empty(3), np.empty(3)
+    a, b, side = work[4], work[5], work[6]
     begin, end = geometry.loop_ptr[face], geometry.loop_ptr[face + 1]
     to_world(R, geometry.vertices[first + geometry.loop[end - 1]], a)
     for p in range(begin, end):
@@ -665,14 +665,13 @@ def between(p, radius1, q, radius2, n, point, normal):
 
 
 @njit(cache=True)
-def segments(ends1, radius1, flat1, ends2, radius2, flat2, n, known, size, point, normal, gap):
+def segments(ends1, radius1, flat1, ends2, radius2, flat2, n, known, size, point, normal, gap, work):
     """Contacts of two segments with radii, into the first rows of point, normal, gap; returns their number.
 
     n is the normal found by Coal, if `known`. A segment with flat ends (the side of a cylinder) touches with its
     side only. 0 means that the segments are not the features that touch.
     """
-    d, e, m = np.empty(3), np.empty(3), np.empty(3)
-    a, b = np.empty(3), np.empty(3)
+    d, e, m, a, b = work[4], work[5], work[6], work[7], work[8]
     for i in range(3):
         d[i] = ends1[1, i] - ends1[0, i]
         e[i] = ends2[1, i] - ends2[0, i]
@@ -740,7 +739,7 @@ def segments(ends1, radius1, flat1, ends2, radius2, flat2, n, known, size, point
 
 
 @njit(cache=True)
-def reference(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, other, gap, local, m):
+def reference(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, other, gap, work, m):
     """Contacts of a face of geom i (or j) with the other geom; returns (number, normal 1 to 2 in m).
 
     face1, face2: the faces as of `aligned_face`, -1 where there is none, of which one is used.
@@ -758,11 +757,11 @@ def reference(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, othe
     else:
         to_world(R[g], geometry.face_normals[face], m)
         level = geometry.face_offsets[face]
-    count, radius = incident(geometry, o, R[o], t[o], m, whole, rim, local, poly)
+    count, radius = incident(geometry, o, R[o], t[o], m, whole, rim, work[0], poly)
     if kind == CYLINDER:
         count = clip_to_disk(geometry.size[g, 0], R[g], t[g], poly, count, rim, other)
     elif kind == POLYTOPE:
-        count = clip_to_face(geometry, g, face, R[g], t[g], m, poly, count, other, gap)
+        count = clip_to_face(geometry, g, face, R[g], t[g], m, poly, count, other, gap, work)
     kept = 0
     for k in range(count):
         height = m[0] * (poly[k, 0] - t[g, 0]) + m[1] * (poly[k, 1] - t[g, 1]) + m[2] * (poly[k, 2] - t[g, 2])
@@ -812,7 +811,7 @@ def pair_contacts(
             best_normal(geometry, i, j, R, t, n, RESCUE * size if trusted else 0.0, m, work)
             face1, face2 = faces(geometry, i, j, R, n, work)
     if face1 >= 0 or face2 >= 0:
-        count = reference(geometry, i, j, R, t, whole, limit, margin, face1, face2, poly, other, gap, work[0], m)
+        count = reference(geometry, i, j, R, t, whole, limit, margin, face1, face2, poly, other, gap, work, m)
         deepest = math.inf
         for k in range(count):
             deepest = min(deepest, gap[k])
@@ -835,7 +834,7 @@ def pair_contacts(
     radius2, valid2 = segment(geometry, j, R[j], t[j], m, work[0], ends2)
     if valid1 and valid2:
         flat1, flat2 = kind1 == CYLINDER, kind2 == CYLINDER
-        count = segments(ends1, radius1, flat1, ends2, radius2, flat2, n, known, size, point, normal, gap)
+        count = segments(ends1, radius1, flat1, ends2, radius2, flat2, n, known, size, point, normal, gap, work)
         if not known or count == 2:
             return count
         if count == 1:
@@ -847,6 +846,21 @@ def pair_contacts(
         geometry, i, j, R, t, n, ends1, radius1, valid1, ends2, radius2, valid2, point[0], normal[0], gap, work
     )
     return 1
+
+
+@njit(cache=True)
+def apart(geometry, i, j, R, t, margin):
+    """Whether the bounding spheres (or a sphere and a half-space) are farther apart than margin."""
+    x, y, z = t[j, 0] - t[i, 0], t[j, 1] - t[i, 1], t[j, 2] - t[i, 2]
+    for h, g, sign in ((i, j, 1.0), (j, i, -1.0)):
+        if geometry.kind[h] == HALFSPACE:
+            height = -geometry.offset[h] - geometry.radius[g]
+            for k in range(3):
+                n = geometry.size[h, k]
+                height += sign * n * (R[h, 0, k] * x + R[h, 1, k] * y + R[h, 2, k] * z)
+            return height > margin
+    reach = geometry.radius[i] + geometry.radius[j] + margin
+    return x * x + y * y + z * z > reach * reach
 
 
 @njit(cache=True)
@@ -866,6 +880,8 @@ def manifolds(
         i, j = first[p], second[p]
         margin, both = base[p] + reach[i] + reach[j], slack[i] + slack[j]
         known, trusted = slot[p] >= 0, True
+        if not known and apart(geometry, i, j, R, t, margin):
+            continue
         if known:
             result = coal[slot[p]]
             if result[0] - both > margin:

@@ -71,7 +71,7 @@ class Auto:
         W = _csr(blocks.delassus())
         for k in range(self.rounds):
             sweeps, _ = _pgs.accelerated(*W, q, mu, scales, r, sharp, q_norm, 200, 5, min(20, mu.size + 1), 200)
-            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 1e4 if k % 2 else 1e2, 60 * 2**k)
+            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 10.0, 60 * 2**k)
             count += sweeps + used
             if best <= tol:
                 break

@@ -153,7 +153,7 @@ class Newton:
     """
 
     tol: float = 1e-8
-    penalty: float = 1e4
+    penalty: float = 10.0
     max_iter: int = 200
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:

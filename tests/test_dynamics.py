@@ -1,0 +1,161 @@
+"""Mass matrices, Jacobians and free motion against Pinocchio's own."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import nsdyn as nd
+from nsdyn.dynamics import Dynamics
+
+
+def mixed_scene():
+    """Three free bodies at random poses in contact with each other and the ground."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_box("box", (0.2, 0.3, 0.2), 1.3, position=(0, 0, 0.1), linear_velocity=(0.3, 0, 0))
+    scene.add_sphere("ball", 0.1, 0.7, position=(0.02, 0.03, 0.3), angular_velocity=(0, 3, 1))
+    scene.add_cylinder(
+        "roller", 0.1, 0.3, 2.0, position=(0.5, 0, 0.1), quaternion=(0, np.sqrt(0.5), 0, np.sqrt(0.5)),
+        angular_velocity=(1, 0, 2),
+    )  # fmt: skip
+    return scene
+
+
+def test_free_bodies_against_one_pinocchio_model():
+    """M, H and W of a step, in Pinocchio's free-flyer coordinates, against its mass matrix and frame Jacobians."""
+    scene = mixed_scene()
+    stepper = nd.Stepper(scene, dt=1e-3)
+    d = stepper.dynamics
+    step = stepper.step()
+    M, H = step.problem.blocks.dense()
+
+    model = pin.Model()
+    for body in scene.free_bodies:
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), body.name)
+        model.appendBodyToJoint(joint, pin.Inertia(body.mass, np.zeros(3), body.inertia), pin.SE3.Identity())
+    # x, R of the dynamics are the midpoint where the contacts were evaluated.
+    q = np.concatenate([np.r_[d.x[b], pin.Quaternion(d.R[b].copy()).coeffs()] for b in range(3)])
+    data = model.createData()
+    # Pinocchio's linear velocity is in body axes: v = T v_pin with T = diag(R, I) per body.
+    T = np.zeros((18, 18))
+    for b in range(3):
+        T[6 * b : 6 * b + 3, 6 * b : 6 * b + 3], T[6 * b + 3 : 6 * b + 6, 6 * b + 3 : 6 * b + 6] = d.R[b], np.eye(3)
+    np.testing.assert_allclose(T.T @ M @ T, pin.crba(model, data, q), atol=1e-12)
+
+    pin.computeJointJacobians(model, data, q)
+    expected = np.zeros((18, H.shape[1]))
+    c = step.contacts
+    for k in range(c.gap.size):
+        for frame, sign in ((c.frame1[k], -1.0), (c.frame2[k], 1.0)):
+            if frame >= 0:
+                J = pin.getJointJacobian(model, data, int(frame) + 1, pin.LOCAL_WORLD_ALIGNED)
+                at_point = J[:3] - pin.skew(c.point[k] - d.x[frame]) @ J[3:]
+                expected[:, 3 * k : 3 * k + 3] += sign * (step.frame[k] @ at_point).T
+    np.testing.assert_allclose(T.T @ H, expected, atol=1e-12)
+    W = expected.T @ np.linalg.solve(pin.crba(model, data, q), expected)
+    np.testing.assert_allclose(step.problem.W.toarray(), W, atol=1e-12 * np.abs(W).max())
+    np.testing.assert_array_equal(step.problem.W.toarray(), step.problem.W.toarray().T)
+
+
+def test_tree_and_body_against_pinocchio():
+    """The arm in contact with the cube: W couples the tree and the free body."""
+    stepper = nd.Stepper(nd.scenes.load("arm_pushes_box")(), dt=2e-3)
+    for _ in range(500):
+        step = stepper.step()
+        if ((step.contacts.frame1 >= 0) & (step.contacts.frame2 >= 0)).any():
+            break
+    else:
+        pytest.fail("the arm never touches the box")
+    M, H = step.problem.blocks.dense()
+    d, tree = stepper.dynamics, stepper.dynamics.trees[0]
+    # The configuration of the tree at the midpoint, from the recorded end and the velocities of the step.
+    model, data = tree.model, tree.model.createData()
+    q = pin.integrate(model, np.array(step.q[7:]), -0.5 * stepper.dt * step.v[6:])
+    np.testing.assert_allclose(M[6:, 6:], pin.crba(model, data, q), atol=1e-12)
+    pin.computeJointJacobians(model, data, q)
+    pin.framesForwardKinematics(model, data, q)
+    c = step.contacts
+    k = int(np.flatnonzero((c.frame1 >= 0) & (c.frame2 >= 0))[0])
+    frame = c.frame1[k] if c.frame1[k] > 0 else c.frame2[k]
+    sign = -1.0 if c.frame1[k] > 0 else 1.0
+    joint = tree.joints[frame - tree.frames.start]
+    J = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
+    at_point = J[:3] - pin.skew(c.point[k] - data.oMi[joint].translation) @ J[3:]
+    np.testing.assert_allclose(H[6:, 3 * k : 3 * k + 3], sign * (step.frame[k] @ at_point).T, atol=1e-12)
+    W = H.T @ np.linalg.solve(M, H)
+    np.testing.assert_allclose(step.problem.W.toarray(), W, atol=1e-12 * np.abs(W).max())
+    assert np.abs(step.problem.W.toarray()[3 * k : 3 * k + 3]).sum() > 0 and d.n == 6 + model.nv
+
+
+def test_rows_are_gap_rates(rng):
+    """u_N is d(gap)/dt and u the relative velocity, by differences along the motion."""
+    scene = mixed_scene()
+    stepper = nd.Stepper(scene, dt=1e-3)
+    d = stepper.dynamics
+    position, _ = d.start()
+    v = rng.normal(size=d.n)
+    h = 1e-6
+    gaps = []
+    for s in (-h, h):
+        d.evaluate(d.advance(position, v, s))
+        gaps.append(stepper.detector.detect(d.x, d.R, np.full(3, 1e-3)))
+    d.evaluate(position)
+    contacts = stepper.detector.detect(d.x, d.R, np.full(3, 1e-3))
+    blocks, _ = d.blocks(contacts)
+    same = (gaps[0].key[:, None] == contacts.key).any(axis=0) & (gaps[1].key[:, None] == contacts.key).any(axis=0)
+    assert same.sum() >= 5
+    for k in np.flatnonzero(same):
+        low, high = (float(g.gap[g.key == contacts.key[k]][0]) for g in gaps)
+        # Curvature is of order 1/m: h² and round-off / h.
+        assert blocks.relative_velocity(v)[3 * k] == pytest.approx((high - low) / (2 * h), abs=1e-5)
+
+
+def test_torque_free_motion_is_second_order():
+    """J = (1, 2, 3), spin about the unstable axis: energy to round-off, error falling by 4 when dt is halved."""
+    inertia = np.diag([1.0, 2.0, 2.9])
+
+    def run(dt):
+        scene = nd.Scene(gravity=(0, 0, 0))
+        scene.add_box("b", (1, 1, 1), 1.0, inertia=inertia, angular_velocity=(0.3, 1.0, 0.2))
+        trajectory = nd.simulate(scene, 4.0, dt=dt)
+        energy = trajectory.energy
+        # The implicit midpoint does no gyroscopic work; 400 steps of round-off.
+        assert np.abs(energy.kinetic - energy.kinetic[0]).max() < 1e-13
+        assert np.abs(energy.gyroscopic).max() < 1e-15
+        return trajectory.v[-1, 3:]
+
+    fine = run(1e-3)
+    ratio = np.linalg.norm(run(2e-2) - fine) / np.linalg.norm(run(1e-2) - fine)
+    # (4 - 1/100)/(1 - 1/100) with the error of the fine run; 5 % for the next order.
+    assert ratio == pytest.approx(4.03, rel=0.05)
+
+
+def test_pendulum_of_two_links_is_second_order():
+    """The arm of `models`, swinging under a tilted gravity without contacts, against a fine run."""
+
+    def run(dt):
+        scene = nd.Scene(gravity=(9.81, 0, 0))
+        path = nd.scenes.folder() / "arm.urdf"
+        scene.add_urdf("arm", path, q=(1.0, 0.5), v=(0.3, -0.2))
+        trajectory = nd.simulate(scene, 1.0, dt=dt)
+        assert np.abs(trajectory.energy.defect).max() < 1e-13
+        return trajectory.q[-1]
+
+    fine = run(5e-4)
+    ratio = np.abs(run(1e-2) - fine).max() / np.abs(run(5e-3) - fine).max()
+    assert ratio == pytest.approx(4.03, rel=0.1)
+
+
+def test_initial_velocity_is_in_world_axes():
+    scene = nd.Scene(gravity=(0, 0, 0))
+    turned = (0, 0, np.sqrt(0.5), np.sqrt(0.5))
+    scene.add_box(
+        "b", (0.1, 0.2, 0.3), 1.0, quaternion=turned, linear_velocity=(1, 0, 0), angular_velocity=(0, 0, 2)
+    )
+    trajectory = nd.simulate(scene, 0.01)
+    body = trajectory.body("b")
+    np.testing.assert_allclose(body.linear_velocity, [[1, 0, 0]] * 11, atol=1e-15)
+    np.testing.assert_allclose(body.angular_velocity, [[0, 0, 2]] * 11, atol=1e-14)
+    # Pinocchio's layout: the linear velocity in body axes, turned by -90 degrees about z.
+    np.testing.assert_allclose(trajectory.v[0], [0, -1, 0, 0, 0, 2], atol=1e-15)
+    assert Dynamics(scene).n == 6

@@ -1,0 +1,140 @@
+"""What a scene accepts, and the words with which it refuses the rest."""
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+
+GOOD = {"size": (0.2, 0.2, 0.2), "mass": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"mass": -1.0}, "mass of 'b' must be positive"),
+        ({"mass": 0.0}, "mass of 'b' must be positive"),
+        ({"mass": float("nan")}, "mass of 'b' must be finite"),
+        ({"mass": "heavy"}, "mass of 'b' must be a number"),
+        ({"mass": None}, "mass of 'b' is needed"),
+        ({"size": (0.2, -0.2, 0.2)}, "size"),
+        ({"size": (0.2, float("nan"), 0.2)}, "size"),
+        ({"size": (0.2, 0.2)}, "size"),
+        ({"position": (0, 0)}, "position of 'b' must be 3 numbers"),
+        ({"position": (0, 0, float("inf"))}, "position of 'b' must be finite"),
+        ({"quaternion": (1, 0, 0, 1)}, "quaternion of 'b' must be a unit quaternion x y z w"),
+        ({"quaternion": (0, 0, 0, 1.00001)}, "unit quaternion"),
+        ({"linear_velocity": (1, 2)}, "linear_velocity of 'b'"),
+        ({"material": 0.5}, "material of 'b' must be a nsdyn.Material"),
+        ({"inertia": np.diag([1.0, 1.0, 3.0])}, "triangle inequality"),
+        ({"inertia": np.diag([1.0, 1.0, -1.0])}, "positive definite"),
+        ({"inertia": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, "symmetric"),
+        ({"fixed": True, "linear_velocity": (1, 0, 0)}, "'b' is fixed"),
+        ({"colour": (2, 0, 0)}, "colour of 'b'"),
+        ({"friction": 0.5}, "unknown argument 'friction'"),
+    ],
+)
+def test_bad_box(change, words):
+    scene = nd.Scene()
+    with pytest.raises(ValueError, match=words):
+        scene.add_box("b", **GOOD | change)
+    assert not scene.bodies, "a refused body leaves the scene as it was"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"mu": -0.1}, "mu must not be negative"),
+        ({"mu": float("nan")}, "mu must be finite"),
+        ({"restitution": 1.1}, r"restitution must lie in \[0, 1\]"),
+        ({"restitution": -0.1}, r"restitution must lie in \[0, 1\]"),
+    ],
+)
+def test_bad_material(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        nd.Material(**arguments)
+
+
+def test_bad_scene():
+    with pytest.raises(ValueError, match="gravity must be 3 numbers"):
+        nd.Scene(gravity=(0, 9.81))
+    with pytest.raises(ValueError, match="friction_rule must be one of"):
+        nd.Scene(friction_rule="product")
+    scene = nd.Scene()
+    scene.add_box("b", **GOOD)
+    with pytest.raises(ValueError, match="name must be unique"):
+        scene.add_sphere("b", 0.1, 1.0)
+    with pytest.raises(ValueError, match="unknown body 'c'"):
+        scene.set_pair("b", "c", mu=0.1)
+    with pytest.raises(ValueError, match="mu must not be negative"):
+        scene.set_pair("b", "b", mu=-0.1)
+    with pytest.raises(ValueError, match="must be a URDF file"):
+        scene.add_urdf("arm", "nowhere.urdf")
+
+
+def test_bad_urdf_is_named(tmp_path):
+    path = tmp_path / "broken.urdf"
+    path.write_text("<robot name='r'><link")
+    with pytest.raises(ValueError, match=r"broken\.urdf could not be read"):
+        nd.Scene().add_urdf("r", path)
+
+
+def test_unknown_named_scene():
+    with pytest.raises(ValueError, match="scene must be one of .*stack.*; got 'stak'"):
+        nd.scenes.load("stak")
+
+
+def test_close_quaternion_is_normalised():
+    scene = nd.Scene()
+    scene.add_box("b", **GOOD, quaternion=(0, 0, 0, 1 + 5e-7))
+    assert np.linalg.norm(scene.bodies["b"].quaternion) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("rule", "mu"), [("geometric_mean", 0.4), ("average", 0.5), ("min", 0.2), ("max", 0.8), ("multiply", 0.16),
+                     ("harmonic_mean", 0.32)],
+)  # fmt: skip
+def test_combination_rules(rule, mu):
+    scene = nd.Scene(friction_rule=rule)
+    scene.add_halfspace("ground", material=nd.Material(0.2, 0.1))
+    scene.add_box("a", **GOOD, position=(0, 0, 0.1), material=nd.Material(0.8, 0.3))
+    contacts = nd.Stepper(scene).step().contacts
+    np.testing.assert_allclose(contacts.mu, mu, rtol=1e-15)
+    np.testing.assert_allclose(contacts.restitution, 0.3)
+
+
+def test_a_pair_beats_the_rule():
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(0.2))
+    scene.add_box("a", **GOOD, position=(0, 0, 0.1))
+    scene.add_box("b", **GOOD, position=(1, 0, 0.1))
+    scene.set_pair("ground", "b", mu=0.07)
+    contacts = nd.simulate(scene, 1e-3).contacts(1)
+    mu = {name: m for name, m in zip(contacts.body2, contacts.mu, strict=True)}
+    assert mu["b"] == 0.07 and mu["a"] == pytest.approx(np.sqrt(0.2 * 0.5))
+
+
+def test_convex_stays_where_its_vertices_are():
+    corners = np.array([(x, y, z) for x in (1, 1.2) for y in (2, 2.2) for z in (0, 0.2)])
+    scene = nd.Scene()
+    scene.add_convex("c", corners, mass=1.0)
+    np.testing.assert_allclose(scene.bodies["c"].position, (1.1, 2.1, 0.1), atol=1e-15)
+    # The inertia of a cube, m a²/6.
+    np.testing.assert_allclose(scene.bodies["c"].inertia, np.eye(3) * 0.04 / 6, atol=1e-15)
+
+
+def test_overlap_at_the_start():
+    def scene(depth):
+        out = nd.Scene()
+        out.add_halfspace("ground")
+        out.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1 - depth))
+        return out
+
+    with pytest.raises(ValueError, match=r"'ground' and 'box' overlap at the start by 0\.05 m"):
+        nd.Stepper(scene(0.05))
+    with pytest.warns(UserWarning, match=r"'ground' and 'box' overlap at the start by 0\.0005 m"):
+        stepper = nd.Stepper(scene(0.0005))
+    step = stepper.step()
+    # Moved out at once, without any velocity.
+    assert stepper.get_state().position.x[0, 2] == pytest.approx(0.1, abs=1e-9)
+    assert np.abs(step.v).max() < 1e-9
+    nd.Stepper(scene(1e-10))
