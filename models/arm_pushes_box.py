@@ -13,7 +13,12 @@ def scene(swing: float = 2.0, mass: float = 1.0, size: float = 0.2, mu: float = 
     material = Material(mu=mu)
     out.add_halfspace("ground", material=material)
     out.add_urdf(
-        "arm", Path(__file__).with_name("arm.urdf"), position=(0, 0, 0), q=(-0.6, 0.3), v=(swing, 0.0), material=material
+        "arm",
+        Path(__file__).with_name("arm.urdf"),
+        position=(0, 0, 0),
+        q=(-0.6, 0.3),
+        v=(swing, 0.0),
+        material=material,
     )
     out.add_box("box", (size, size, size), mass, position=(0.75, 0.15, size / 2), material=material)
     return out

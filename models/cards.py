@@ -37,7 +37,9 @@ def scene(
     # Left card of a frame with its ridge at x = 0; its axis gets there so far below the top that the level cut there
     # is 0.4 thicknesses wide.
     ridge = np.array([0.0, height - thickness * (0.5 / np.cos(a) - 0.4) / np.tan(a)])
-    card = np.array([ridge + s * along * 2 * height + t * across * thickness / 2 for s, t in ((-1, -1), (-1, 1), (1, 1), (1, -1))])
+    card = np.array(
+        [ridge + s * along * 2 * height + t * across * thickness / 2 for s, t in ((-1, -1), (-1, 1), (1, 1), (1, -1))]
+    )
     for normal, offset in (((0, -1), 0.0), ((0, 1), height), ((1, 0), 0.0)):
         card = _clip(card, normal, offset)
     x, z = card.T

@@ -15,7 +15,12 @@ def scene(
     out = Scene(name="pile")
     material = Material(mu=mu)
     out.add_halfspace("ground", material=material)
-    for name, normal in {"west": (1, 0, 0), "east": (-1, 0, 0), "south": (0, 1, 0), "north": (0, -1, 0)}.items():
+    for name, normal in {
+        "west": (1, 0, 0),
+        "east": (-1, 0, 0),
+        "south": (0, 1, 0),
+        "north": (0, -1, 0),
+    }.items():
         out.add_halfspace(name, normal=normal, offset=-side / 2, material=material)
     rng = np.random.default_rng(seed)
     # Cells as wide as a cube's diagonal, so that nothing overlaps at the start whatever its orientation.

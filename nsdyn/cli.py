@@ -69,9 +69,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> _Parser:
-    parser = _Parser(
-        prog="nsdyn", description="Rigid multibody dynamics with hard contact and exact Coulomb friction."
-    )
+    parser = _Parser(prog="nsdyn", description="Rigid multibody dynamics with hard contact and exact Coulomb friction.")
     parser.add_argument("--version", action="version", version=f"nsdyn {_version('nsdyn')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
@@ -83,9 +81,7 @@ def _parser() -> _Parser:
     p = command("scenes", _scenes, "List the named scenes and their parameters.")
     _add_json(p)
 
-    p = command(
-        "doctor", _doctor, "Show versions and places of what nsdyn depends on, and check that it works."
-    )
+    p = command("doctor", _doctor, "Show versions and places of what nsdyn depends on, and check that it works.")
     _add_json(p)
 
     p = command("run", _run, "Simulate a named scene and print its energy ledger.")
@@ -99,37 +95,25 @@ def _parser() -> _Parser:
     )
     p.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     p.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
-    p.add_argument(
-        "--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)"
-    )
+    p.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
     p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
-    p.add_argument(
-        "--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)"
-    )
+    p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
     p.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
     _add_json(p)
 
     p = command("energy", _energy, "Print, plot or export the energy ledger of a recording.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
-    p.add_argument(
-        "--plot", type=Path, metavar="E.png", help="picture of energies and works (png, pdf or svg)"
-    )
-    p.add_argument(
-        "--csv", type=Path, metavar="E.csv", help="all times: energies, and the works of each step, in J"
-    )
+    p.add_argument("--plot", type=Path, metavar="E.png", help="picture of energies and works (png, pdf or svg)")
+    p.add_argument("--csv", type=Path, metavar="E.csv", help="all times: energies, and the works of each step, in J")
     _add_json(p)
 
     p = command("view", _view, "Make a web page or a picture of a recording.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
     p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
     p.add_argument("--forces", action="store_true", help="draw the contact forces")
-    p.add_argument(
-        "--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)"
-    )
-    p.add_argument(
-        "--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium"
-    )
+    p.add_argument("--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)")
+    p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
     return parser
 
@@ -312,9 +296,7 @@ def _write_csv(trajectory: Trajectory, path: Path) -> None:
     for name in energy.names:
         values = getattr(energy, name)
         # A work belongs to the step that ends at t; none ends at the first time.
-        columns[f"{name} [J]"] = (
-            values if values.size == trajectory.t.size else np.concatenate([[0.0], values])
-        )
+        columns[f"{name} [J]"] = values if values.size == trajectory.t.size else np.concatenate([[0.0], values])
     table = np.column_stack(list(columns.values()))
     np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
 
@@ -378,9 +360,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
         packages[distribution] = {"version": _version(distribution), "file": spec.origin if spec else None}
     cache, writable = _numba_cache()
     checks = {name: _outcome(check) for name, check in _CHECKS.items()}
-    sound = all(p["version"] and p["file"] for p in packages.values()) and all(
-        c == "ok" for c in checks.values()
-    )
+    sound = all(p["version"] and p["file"] for p in packages.values()) and all(c == "ok" for c in checks.values())
     figures: dict[str, Any] = {
         "python": {"version": sys.version.split()[0], "file": sys.executable},
         "packages": packages,
@@ -395,11 +375,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
     for name, found in {"python": figures["python"], **packages}.items():
         print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
     print(f"{'chromium':12} {figures['chromium'] or 'not found; only pictures (nsdyn view --png) need it'}")
-    note = (
-        ""
-        if writable
-        else " is not writable: compilation is repeated at every start unless NUMBA_CACHE_DIR is set"
-    )
+    note = "" if writable else " is not writable: compilation is repeated at every start unless NUMBA_CACHE_DIR is set"
     print(f"{'numba cache':12} {cache}{note}")
     for name, outcome in checks.items():
         print(f"check        {name}: {outcome}")

@@ -333,7 +333,9 @@ class _Batch:
             model.geometryObjects[k].geometry = shapes[g]
         m = len(first)
         del model.collisionPairs[:]
-        model.collisionPairs.extend([pin.CollisionPair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
+        model.collisionPairs.extend(
+            [pin.CollisionPair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)]
+        )
         self._model, self._data, self._out = model, pin.GeometryData(model), out
         for request in self._data.distanceRequests:
             request.gjk_tolerance = GJK_TOLERANCE

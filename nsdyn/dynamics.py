@@ -166,7 +166,7 @@ class Dynamics:
         return self._start
 
     def advance(self, position: Position, v: Array, h: float) -> Position:
-        """q ⊕ h v: x + h v, R exp([h ω]x) for free bodies, Pinocchio's integrate for trees."""
+        """Q ⊕ h v: x + h v, R exp([h ω]x) for free bodies, Pinocchio's integrate for trees."""
         x, quaternion = np.empty_like(position.x), np.empty_like(position.quaternion)
         _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
         trees = tuple(
@@ -251,7 +251,9 @@ class Dynamics:
                 raise ValueError(f"controller must give {t.model.nv} finite joint forces for {t.name!r}, got {value}")
             out.append(value)
         if given:
-            raise ValueError(f"controller names {next(iter(given))!r}; articulations are {[t.name for t in self.trees]}")
+            raise ValueError(
+                f"controller names {next(iter(given))!r}; articulations are {[t.name for t in self.trees]}"
+            )
         return tuple(out)
 
     def blocks(self, contacts: ContactSet) -> tuple[Blocks, Array]:
@@ -260,9 +262,7 @@ class Dynamics:
         frame = np.empty((nc, 3, 3))
         block, start = np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
         _motion.contact_frames(contacts.normal, frame)
-        size = _motion.contact_layout(
-            contacts.frame1, contacts.frame2, self.block_of_frame, self.offset, block, start
-        )
+        size = _motion.contact_layout(contacts.frame1, contacts.frame2, self.block_of_frame, self.offset, block, start)
         h = np.zeros(size)
         where = contacts.frame1, contacts.frame2, contacts.point, frame, self.x
         _motion.free_rows(*where, self.R, self.free, start, h)

@@ -110,6 +110,4 @@ def ledger(
         projection += V1 - V_moved
     total = external + normal + friction + gyroscopic + theta + mass + projection
     defect = d_kinetic + d_potential - total
-    return Ledger(
-        kinetic, potential, external, normal, friction, gyroscopic, theta, mass, projection, defect
-    )
+    return Ledger(kinetic, potential, external, normal, friction, gyroscopic, theta, mass, projection, defect)

@@ -83,7 +83,7 @@ class Blocks:
         return int(self.block.shape[0])
 
     def relative_velocity(self, v: Array) -> Array:
-        """u = Hᵀ v, shape (3 nc,)."""
+        """U = Hᵀ v, shape (3 nc,)."""
         u = np.empty(3 * self.nc)
         _blocks.relative_velocity(self.offset, self.block, self.start, self.h, v, u)
         return u
@@ -97,16 +97,12 @@ class Blocks:
 
     def delassus(self) -> sp.bsr_array:
         """W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
-        indptr, indices, data = _blocks.delassus(
-            self.offset, self.block, self.start, self.h, self.m_start, self.minv
-        )
+        indptr, indices, data = _blocks.delassus(self.offset, self.block, self.start, self.h, self.m_start, self.minv)
         return sp.bsr_array((data, indices, indptr), shape=(3 * self.nc, 3 * self.nc))
 
     def scales(self) -> Array:
         """λ_max of every diagonal block of W, shape (nc,), in 1/kg."""
-        out: Array = _blocks.delassus_scales(
-            self.offset, self.block, self.start, self.h, self.m_start, self.minv
-        )
+        out: Array = _blocks.delassus_scales(self.offset, self.block, self.start, self.h, self.m_start, self.minv)
         return out
 
     def dense(self) -> tuple[Array, Array]:
@@ -226,7 +222,7 @@ class FC3D:
         return int(self.mu.size)
 
     def velocity(self, r: Array) -> Array:
-        """u = W r + q, shape (3 nc,), m/s."""
+        """U = W r + q, shape (3 nc,), m/s."""
         if self.blocks is None:
             out: Array = self.W @ r + self.q
             return out

@@ -24,7 +24,7 @@ __all__ = ["COMBINATION_RULES", "Articulation", "Body", "Geom", "Material", "Sce
 
 COMBINATION_RULES: dict[str, Callable[[Array, Array], Array]] = {
     "average": lambda a, b: 0.5 * (a + b),
-    "geometric_mean": lambda a, b: np.sqrt(a * b),
+    "geometric_mean": lambda a, b: np.asarray(np.sqrt(a * b)),
     "harmonic_mean": lambda a, b: 2.0 * a * b / np.where(a + b > 0.0, a + b, 1.0),
     "max": np.maximum,
     "min": np.minimum,
@@ -84,7 +84,8 @@ def _inertia(value: ArrayLike, what: str) -> Array:
         raise ValueError(
             f"{what} is not that of a body: its principal moments {moments.tolist()} break the triangle inequality"
         )
-    return 0.5 * (inertia + inertia.T)
+    out: Array = 0.5 * (inertia + inertia.T)
+    return out
 
 
 @dataclass(frozen=True)
@@ -258,15 +259,11 @@ class Scene:
         """Add a sphere of `radius` [m]; see `add_convex` for the other keywords."""
         self._add(name, shapes.sphere(radius), mass, **self._keywords(keywords))
 
-    def add_capsule(
-        self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Any
-    ) -> None:
+    def add_capsule(self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Any) -> None:
         """Add a capsule along its z axis, `length` [m] between the centres of its two half-spheres."""
         self._add(name, shapes.capsule(radius, length), mass, **self._keywords(keywords))
 
-    def add_cylinder(
-        self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Any
-    ) -> None:
+    def add_cylinder(self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Any) -> None:
         """Add a cylinder along its z axis of full height `length` [m]."""
         self._add(name, shapes.cylinder(radius, length), mass, **self._keywords(keywords))
 
@@ -275,7 +272,12 @@ class Scene:
         self._add(name, shapes.ellipsoid(radii), mass, **self._keywords(keywords))
 
     def add_convex(
-        self, name: str, vertices: ArrayLike, mass: float | None = None, position: ArrayLike | None = None, **keywords: Any
+        self,
+        name: str,
+        vertices: ArrayLike,
+        mass: float | None = None,
+        position: ArrayLike | None = None,
+        **keywords: Any,
     ) -> None:
         """Add the convex hull of points.
 
@@ -319,7 +321,13 @@ class Scene:
         self._add_hull(name, shape, centroid, mass, position, keywords)
 
     def _add_hull(
-        self, name: str, shape: Shape, centroid: Array, mass: float | None, position: Any, keywords: dict[str, Any]
+        self,
+        name: str,
+        shape: Shape,
+        centroid: Array,
+        mass: float | None,
+        position: Any,
+        keywords: dict[str, Any],
     ) -> None:
         quaternion = _quaternion(keywords.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
         keywords["position"] = _rotation(quaternion) @ centroid if position is None else position
@@ -448,7 +456,8 @@ class Scene:
         except (ValueError, RuntimeError) as failure:
             raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
         at = pin.SE3(
-            _rotation(_quaternion(quaternion, f"quaternion of {name!r}")), _vector(position, 3, f"position of {name!r}")
+            _rotation(_quaternion(quaternion, f"quaternion of {name!r}")),
+            _vector(position, 3, f"position of {name!r}"),
         )
         q0, v0 = pin.neutral(model), np.zeros(model.nv)
         lead_q, lead_v = (7, 6) if base == "free" else (0, 0)
@@ -470,9 +479,7 @@ class Scene:
                 placement = at * placement
             links.append((g.name, int(g.parentJoint), placement, shape))
         model.gravity = pin.Motion(self.gravity, np.zeros(3))
-        self.articulations[name] = Articulation(
-            name, model, tuple(links), q0, v0, self._material(material, name)
-        )
+        self.articulations[name] = Articulation(name, model, tuple(links), q0, v0, self._material(material, name))
 
     # -- materials ---------------------------------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -25,7 +25,7 @@ def names() -> list[str]:
     return sorted(p.stem for p in folder().glob("*.py") if not p.stem.startswith("_"))
 
 
-@lru_cache(maxsize=None)
+@cache
 def module(name: str) -> ModuleType:
     """Module of a named scene, with its `scene` function, DURATION [s] and DT [s]; ValueError naming the known ones."""
     if name not in names():

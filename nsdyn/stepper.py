@@ -207,9 +207,7 @@ class Stepper:
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position, v)
-        self._state = State(
-            0.0, self.dt, 0, position, v, np.empty((0, 3)), np.empty(0, np.int64), self.detector.memory
-        )
+        self._state = State(0.0, self.dt, 0, position, v, np.empty((0, 3)), np.empty(0, np.int64), self.detector.memory)
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -240,8 +238,9 @@ class Stepper:
         """The present state as row 0 of a recording."""
         s, d = self._state, self.dynamics
         kinetic, potential = d.energies(s.position, s.v)
-        links = d.link_poses(s.position) if d.trees else (None, None)
-        return Start(s.t, *d.pinocchio_state(s.position, s.v), *links, {"kinetic": kinetic, "potential": potential})
+        x, quaternion = d.link_poses(s.position) if d.trees else (None, None)
+        q, v = d.pinocchio_state(s.position, s.v)
+        return Start(s.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
 
     # -- one step ----------------------------------------------------------------------------------------------
 
@@ -294,7 +293,13 @@ class Stepper:
         if fast:
             d.evaluate(middle)
         step_energy = energy.ledger(
-            d, h, loads, (s.position, moved, end), (s.v, v, v_theta), float(works[0].sum()), float(works[1].sum())
+            d,
+            h,
+            loads,
+            (s.position, moved, end),
+            (s.v, v, v_theta),
+            float(works[0].sum()),
+            float(works[1].sum()),
         )
         r = solution.r.reshape(-1, 3)
         impulse = np.einsum("ci,cij->cj", r, frame)
@@ -302,13 +307,14 @@ class Stepper:
         status = np.empty(contacts.mu.size, np.int8)
         _motion.contact_status(solution.u, solution.r, contacts.mu, status)
         q, v_out = d.pinocchio_state(end, v)
-        links = d.link_poses(end) if d.trees else (None, None)
+        x, quaternion = d.link_poses(end) if d.trees else (None, None)
         certificate = gauss.certify(problem, solution.r, solution.u)
         times = (
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q, v_out, *links, contacts, gap, frame, u.reshape(-1, 3), r, status, *works, step_energy._asdict(),
+            self._state.t, q, v_out, x, quaternion, contacts, gap, frame, u.reshape(-1, 3), r, status, works[0], works[1],
+            step_energy._asdict(),
             certificate, problem, solution, times,
         )  # fmt: skip
 

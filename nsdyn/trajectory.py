@@ -240,9 +240,7 @@ class Recorder:
     manager, so that the last rows reach the file also when the simulation raises.
     """
 
-    def __init__(
-        self, path: str | Path | None, meta: Mapping[str, Any], scene: Mapping[str, Any], first: Any
-    ) -> None:
+    def __init__(self, path: str | Path | None, meta: Mapping[str, Any], scene: Mapping[str, Any], first: Any) -> None:
         self.meta = {
             "format": "nsdyn",
             "format_version": FORMAT_VERSION,
@@ -335,9 +333,7 @@ def _rows(names: Iterable[str], states: int, contacts: int) -> dict[str, int]:
     return {name: count.get(name, states) for name in names}
 
 
-def _create(
-    path: Path, meta: Mapping[str, Any], scene: Mapping[str, Any], columns: Columns, grow: bool
-) -> None:
+def _create(path: Path, meta: Mapping[str, Any], scene: Mapping[str, Any], columns: Columns, grow: bool) -> None:
     """Write a new file, its datasets of fixed size or ready to grow."""
     with h5py.File(path, "w", libver="latest", locking=False) as file:
         file.create_group("meta").attrs.update(meta)

@@ -117,9 +117,7 @@ def html(
         meshcat=_meshcat_script(),
         commands=",\n".join(
             f'"{base64.b64encode(umsgpack.packb(command)).decode()}"'
-            for command in _stage(view)
-            + _shapes(trajectory.scene, view)
-            + _motion(trajectory, rows, view, forces)
+            for command in _stage(view) + _shapes(trajectory.scene, view) + _motion(trajectory, rows, view, forces)
         ),
         target=_three(view.centre),
     )
@@ -242,9 +240,7 @@ class _View:
         scene = trajectory.scene
         every = 1 + trajectory.steps // 1000  # enough to see where a body goes
         positions = [trajectory.body(name).position[::every] for name in scene["frames"]]
-        self.planes = [
-            (np.array(g["size"]), float(g["offset"])) for g in scene["geoms"] if g["shape"] == "halfspace"
-        ]
+        self.planes = [(np.array(g["size"]), float(g["offset"])) for g in scene["geoms"] if g["shape"] == "halfspace"]
         points, reach = [np.zeros((1, 3))], [np.ones(1)]
         for geom in scene["geoms"]:
             if geom["shape"] != "halfspace":
@@ -553,9 +549,7 @@ _ARROW = {
             "geometry": {
                 "type": "LatheGeometry",
                 "segments": 12,
-                "points": [
-                    {"x": x, "y": y} for x, y in ((0, 0), (0.016, 0), (0.016, 0.8), (0.05, 0.8), (0, 1.0))
-                ],
+                "points": [{"x": x, "y": y} for x, y in ((0, 0), (0.016, 0), (0.016, 0.8), (0.05, 0.8), (0, 1.0))],
             },
             "material": {
                 "type": "MeshBasicMaterial",
@@ -665,7 +659,5 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
         except subprocess.TimeoutExpired:
             raise ValueError(f"{browser} took more than two minutes over {page}") from None
         if not shot.is_file():
-            raise ValueError(
-                f"{browser} made no picture of {page}: {done.stderr.decode(errors='replace')[-500:]}"
-            )
+            raise ValueError(f"{browser} made no picture of {page}: {done.stderr.decode(errors='replace')[-500:]}")
         shutil.copyfile(shot, part)

@@ -39,7 +39,10 @@ def test_free_bodies_against_one_pinocchio_model():
     # Pinocchio's linear velocity is in body axes: v = T v_pin with T = diag(R, I) per body.
     T = np.zeros((18, 18))
     for b in range(3):
-        T[6 * b : 6 * b + 3, 6 * b : 6 * b + 3], T[6 * b + 3 : 6 * b + 6, 6 * b + 3 : 6 * b + 6] = d.R[b], np.eye(3)
+        T[6 * b : 6 * b + 3, 6 * b : 6 * b + 3], T[6 * b + 3 : 6 * b + 6, 6 * b + 3 : 6 * b + 6] = (
+            d.R[b],
+            np.eye(3),
+        )
     np.testing.assert_allclose(T.T @ M @ T, pin.crba(model, data, q), atol=1e-12)
 
     pin.computeJointJacobians(model, data, q)
@@ -149,9 +152,7 @@ def test_pendulum_of_two_links_is_second_order():
 def test_initial_velocity_is_in_world_axes():
     scene = nd.Scene(gravity=(0, 0, 0))
     turned = (0, 0, np.sqrt(0.5), np.sqrt(0.5))
-    scene.add_box(
-        "b", (0.1, 0.2, 0.3), 1.0, quaternion=turned, linear_velocity=(1, 0, 0), angular_velocity=(0, 0, 2)
-    )
+    scene.add_box("b", (0.1, 0.2, 0.3), 1.0, quaternion=turned, linear_velocity=(1, 0, 0), angular_velocity=(0, 0, 2))
     trajectory = nd.simulate(scene, 0.01)
     body = trajectory.body("b")
     np.testing.assert_allclose(body.linear_velocity, [[1, 0, 0]] * 11, atol=1e-15)

@@ -29,8 +29,7 @@ def test_ten_stacks_of_ten():
     trajectory = nd.simulate(nd.scenes.load("stacks")(), 0.5, dt=5e-3, solver=nd.solvers.Auto(tol=1e-8))
     assert len(trajectory.contacts(1)) == 400
     assert (trajectory.solver.status == nd.Status.CONVERGED).all()
-    # The bar is on scenes of this size: sqrt(2 gap) of the sum over 400 contacts.
-    assert trajectory.gauss.bound.max() <= 1e-5
+    assert trajectory.gauss.bound.max() <= 1e-6
     assert drift(trajectory) <= 1e-9
 
 

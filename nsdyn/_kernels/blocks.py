@@ -13,7 +13,7 @@ from nsdyn._kernels.cones import largest_eigenvalue
 
 @njit(cache=True)
 def relative_velocity(offset, block, start, h, v, u):
-    """u = Hᵀ v, into u (3 nc,)."""
+    """U = Hᵀ v, into u (3 nc,)."""
     for c in range(block.shape[0]):
         for i in range(3):
             total = 0.0
@@ -29,7 +29,7 @@ def relative_velocity(offset, block, start, h, v, u):
 
 @njit(cache=True)
 def momentum(offset, block, start, h, r, p):
-    """p = H r, into p (n,)."""
+    """P = H r, into p (n,)."""
     p[:] = 0.0
     for c in range(block.shape[0]):
         for s in range(2):
@@ -46,7 +46,7 @@ def momentum(offset, block, start, h, r, p):
 
 @njit(cache=True)
 def block_product(offset, m_start, m, x, y):
-    """y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
+    """Y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
     for k in range(offset.size - 1):
         o, n = offset[k], offset[k + 1] - offset[k]
         for i in range(n):

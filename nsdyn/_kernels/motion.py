@@ -12,7 +12,7 @@ from numba import njit
 
 @njit(cache=True)
 def integrate(x, quaternion, v, h, x_out, quaternion_out):
-    """x + h v and R exp([h omega]x), on unit quaternions xyzw, into the outputs (n, 3) and (n, 4)."""
+    """X + h v and R exp([h omega]x), on unit quaternions xyzw, into the outputs (n, 3) and (n, 4)."""
     for b in range(x.shape[0]):
         for i in range(3):
             x_out[b, i] = x[b, i] + h * v[6 * b + i]
@@ -46,14 +46,20 @@ def rotations(quaternion, R):
 
 @njit(cache=True)
 def _solve3(A, b, x):
-    """x = A⁻¹ b by Cramer's rule."""
+    """X = A⁻¹ b by Cramer's rule."""
     c0 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
     c1 = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
     c2 = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
     det = A[0, 0] * c0 + A[0, 1] * c1 + A[0, 2] * c2
-    x[0] = (b[0] * c0 + b[1] * (A[0, 2] * A[2, 1] - A[0, 1] * A[2, 2]) + b[2] * (A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1])) / det
-    x[1] = (b[0] * c1 + b[1] * (A[0, 0] * A[2, 2] - A[0, 2] * A[2, 0]) + b[2] * (A[0, 2] * A[1, 0] - A[0, 0] * A[1, 2])) / det
-    x[2] = (b[0] * c2 + b[1] * (A[0, 1] * A[2, 0] - A[0, 0] * A[2, 1]) + b[2] * (A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])) / det
+    x[0] = (
+        b[0] * c0 + b[1] * (A[0, 2] * A[2, 1] - A[0, 1] * A[2, 2]) + b[2] * (A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1])
+    ) / det
+    x[1] = (
+        b[0] * c1 + b[1] * (A[0, 0] * A[2, 2] - A[0, 2] * A[2, 0]) + b[2] * (A[0, 2] * A[1, 0] - A[0, 0] * A[1, 2])
+    ) / det
+    x[2] = (
+        b[0] * c2 + b[1] * (A[0, 1] * A[2, 0] - A[0, 0] * A[2, 1]) + b[2] * (A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
+    ) / det
 
 
 @njit(cache=True)

@@ -101,7 +101,7 @@ def defect(offset, block, start, h, m_start, m, y, P, F, work):
 
 @njit(cache=True)
 def velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work):
-    """y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
+    """Y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
     momentum(offset, block, start, h, r, work)
     block_product(offset, m_start, minv, work, y)
     relative_velocity(offset, block, start, h, y, u)

@@ -33,7 +33,7 @@ def sweep(indptr, indices, data, q, mu, r):
 
 @njit(cache=True)
 def velocity(indptr, indices, data, q, r, u):
-    """u = W r + q, into u."""
+    """U = W r + q, into u."""
     for c in range(indptr.size - 1):
         u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
         for p in range(indptr[c], indptr[c + 1]):

@@ -37,9 +37,7 @@ def by_name(name: str, tol: float = 1e-8) -> Solver:
     return solver
 
 
-def solve(
-    problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: Array | None = None
-) -> Solution:
+def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: Array | None = None) -> Solution:
     """Solve a frictional contact problem.
 
     Parameters

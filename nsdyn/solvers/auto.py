@@ -12,9 +12,10 @@ from nsdyn._kernels import pgs as _pgs
 from nsdyn.problem import FC3D, Array, Blocks, Solution, Status, _csr
 from nsdyn.solvers.newton import each_island, rows, solve_blocks
 
-POLISH = 1e-3
-"""Islands are solved to this fraction of the tolerance where Newton reaches it: what is left of a sticking contact's
-velocity is a creep, and the steps of a long simulation add it up."""
+POLISH, FLOOR = 1e-5, 1e-14
+"""Islands are solved to this fraction of the tolerance where Newton reaches it, but not below the round-off of FLOOR
+m/s: what is left of a sticking contact's velocity is a creep that a long simulation adds up, and the impulses times
+what is left of all velocities is the gap that certifies the step."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Auto:
         start = time.perf_counter()
         r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
         count = 0
-        if problem.nc and not problem.solved(r, POLISH * self.tol)[0]:
+        if problem.nc and not problem.solved(r, max(POLISH * self.tol, FLOOR))[0]:
             blocks = problem.blocks or Blocks.from_delassus(problem.W)
             q_norm = float(np.linalg.norm(problem.q)) or 1.0
             parts = each_island(blocks)
@@ -50,7 +51,13 @@ class Auto:
             for contacts, part in parts:
                 i = rows(contacts, problem.nc)
                 r[i], used = self._island(
-                    part, problem.q[i], problem.mu[contacts], problem.scales[contacts], r[i].copy(), tol, q_norm
+                    part,
+                    problem.q[i],
+                    problem.mu[contacts],
+                    problem.scales[contacts],
+                    r[i].copy(),
+                    tol,
+                    q_norm,
                 )
                 count += used
         return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
@@ -62,9 +69,9 @@ class Auto:
         if blocks.nc == 1:
             _cones.solve_one(blocks.delassus().data[0], q, mu[0], r)
             return r, 1
-        sharp, count = max(POLISH * tol, 1e-13), 0
+        sharp, count = max(POLISH * tol, FLOOR), 0
         if r.any():
-            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 1e4, 6)
+            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 1e2, 6)
             count += used
             if best <= tol:
                 return r, count

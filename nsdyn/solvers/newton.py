@@ -42,9 +42,7 @@ class _Factor:
                 self.ldl.update(self.K)
             out: Array = self.ldl.solve(b)
             return out
-        lu = splu(
-            self.K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+        lu = splu(self.K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         return np.asarray(lu.solve(b))
 
 
@@ -55,7 +53,15 @@ def _factor(offset: bytes, block: bytes) -> _Factor:
 
 
 def _sparse(
-    blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, penalty: float, max_iter: int
+    blocks: Blocks,
+    q: Array,
+    mu: Array,
+    scales: Array,
+    r: Array,
+    tol: float,
+    q_norm: float,
+    penalty: float,
+    max_iter: int,
 ) -> tuple[int, float]:
     """The method of `_kernels.newton.dense` with sparse factorisations, in place of r."""
     n, nr = blocks.n, q.size
@@ -117,7 +123,15 @@ def rows(contacts: Any, nc: int) -> Any:
 
 
 def solve_blocks(
-    blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, penalty: float, max_iter: int
+    blocks: Blocks,
+    q: Array,
+    mu: Array,
+    scales: Array,
+    r: Array,
+    tol: float,
+    q_norm: float,
+    penalty: float,
+    max_iter: int,
 ) -> tuple[int, float]:
     """Newton on one connected problem, dense or sparse by its size, in place of r; (factorisations, measure)."""
     if blocks.n <= DENSE:

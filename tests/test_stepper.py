@@ -1,0 +1,224 @@
+"""The stepper itself: resuming, determinism, callbacks, failures, arguments, the ledger and the certificate."""
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+
+
+@pytest.mark.parametrize("name", nd.scenes.names())
+def test_ledger_closes_on_every_named_scene(name):
+    module = nd.scenes.module(name)
+    trajectory = nd.simulate(module.scene(), 60 * module.DT, dt=module.DT)
+    energy = trajectory.energy
+    largest = max(np.abs(getattr(energy, term)).max() for term in energy.names if term != "defect")
+    assert np.abs(energy.defect).max() <= 1e-12 * largest
+    works = ("external", "normal", "friction", "gyroscopic", "theta", "mass", "projection", "defect")
+    total = energy.kinetic + energy.potential
+    # The same sum over all steps; 60 additions of numbers as large as the potential energy.
+    change = sum(getattr(energy, term).sum() for term in works)
+    assert total[-1] - total[0] == pytest.approx(change, abs=1e-12 * max(largest, 1e-3))
+    assert (trajectory.solver.status == nd.Status.CONVERGED).all()
+
+
+def test_contact_works_add_up_and_friction_only_dissipates():
+    trajectory = nd.simulate(nd.scenes.load("slide")(), 0.5, dt=1e-3)
+    for k in (1, 200, 408, 450):
+        contacts = trajectory.contacts(k)
+        assert contacts.work_normal.sum() == pytest.approx(trajectory.energy.normal[k - 1], abs=1e-18)
+        assert contacts.work_friction.sum() == pytest.approx(trajectory.energy.friction[k - 1], abs=1e-18)
+    assert trajectory.energy.friction.max() <= 1e-15
+    # All kinetic energy, m v²/2 = 2 J, goes into friction.
+    assert trajectory.energy.friction.sum() == pytest.approx(-2.0, abs=1e-6)
+    # The cone is round: dissipation is -mu r_N |u_T|, the most that any impulse in the cone can take.
+    contacts = trajectory.contacts(100)
+    slip = np.hypot(contacts.u[:, 1], contacts.u[:, 2])
+    taken = -(contacts.impulse[:, 1:] * contacts.u[:, 1:]).sum(axis=1)
+    np.testing.assert_allclose(taken, contacts.mu * contacts.impulse[:, 0] * slip, rtol=1e-9)
+
+
+def test_theta_one_loses_energy_in_the_ledger():
+    scene = nd.Scene()
+    scene.add_sphere("ball", 0.1, 2.0, position=(0, 0, 5))
+    trajectory = nd.simulate(scene, 0.1, dt=1e-2, theta=1.0)
+    # W_theta = -h (theta - 1/2) m g·dv = -(1/2) m g² h² per step.
+    np.testing.assert_allclose(trajectory.energy.theta, -0.5 * 2.0 * 9.81**2 * 1e-4, rtol=1e-9)
+    assert np.abs(trajectory.energy.defect).max() < 1e-13
+
+
+def test_resuming_is_bit_exact():
+    """From the middle of a landing, warm start and contact keys included, in a fresh stepper."""
+    make = lambda: nd.Stepper(nd.scenes.load("pile")(boxes=4, spheres=4), dt=5e-3)  # noqa: E731
+    first = make()
+    for _ in range(70):
+        first.step()
+    state = first.get_state()
+    expected = [first.step() for _ in range(20)]
+    second = make()
+    second.set_state(state)
+    for step in expected:
+        other = second.step()
+        assert other.t == step.t
+        assert other.q.tobytes() == step.q.tobytes() and other.v.tobytes() == step.v.tobytes()
+        assert other.r.tobytes() == step.r.tobytes() and (other.contacts.key == step.contacts.key).all()
+
+
+def test_two_runs_are_equal_to_the_last_bit():
+    runs = [nd.simulate(nd.scenes.load("pile")(boxes=3, spheres=3), 0.4, dt=5e-3) for _ in range(2)]
+    assert runs[0].q.tobytes() == runs[1].q.tobytes()
+
+
+def test_state_of_another_scene_is_refused():
+    stepper = nd.Stepper(nd.scenes.load("stack")(height=2))
+    with pytest.raises(ValueError, match="state must have 12 velocities"):
+        stepper.set_state(nd.Stepper(nd.scenes.load("slide")()).get_state())
+    with pytest.raises(ValueError, match="state must come from get_state"):
+        stepper.set_state(None)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"dt": 0.0}, "dt must be a positive"),
+        ({"dt": -1e-3}, "dt must be a positive"),
+        ({"dt": float("nan")}, "dt must be a positive"),
+        ({"duration": 0.0}, "duration must be a positive"),
+        ({"duration": float("inf")}, "duration must be a positive"),
+        ({"theta": 0.4}, r"theta must lie in \[0.5, 1\]"),
+        ({"theta": 1.1}, r"theta must lie in \[0.5, 1\]"),
+        ({"on_fail": "shrug"}, "on_fail must be"),
+        ({"max_points": 2}, "max_points"),
+    ],
+)
+def test_bad_arguments_write_nothing(arguments, words, tmp_path):
+    path = tmp_path / "run.h5"
+    with pytest.raises(ValueError, match=words):
+        nd.simulate(nd.scenes.load("slide")(), **({"duration": 0.1, "record": path} | arguments))
+    assert not path.exists()
+
+
+def test_failure_raises_warns_or_is_recorded(tmp_path):
+    scene = nd.scenes.load("stack")(height=4)
+    lazy = nd.solvers.PGS(tol=1e-12, max_iter=1, memory=0)
+    with pytest.raises(nd.NotConverged, match="did not converge") as caught:
+        nd.simulate(scene, 0.1, dt=1e-2, solver=lazy)
+    assert caught.value.problem.nc == 16 and caught.value.solution.iterations == 1
+    with pytest.warns(UserWarning, match="did not converge") as warned:
+        trajectory = nd.simulate(scene, 0.1, dt=1e-2, solver=lazy, on_fail="warn")
+    assert len(warned) == 1, "one warning a run"
+    assert (trajectory.solver.status == nd.Status.MAX_ITERATIONS).any()
+    nd.simulate(scene, 0.1, dt=1e-2, solver=lazy, on_fail="ignore")
+
+
+def test_failed_step_leaves_the_state():
+    stepper = nd.Stepper(
+        nd.scenes.load("stack")(height=4), dt=1e-2, solver=nd.solvers.PGS(tol=1e-12, max_iter=1, memory=0)
+    )
+    before = stepper.get_state()
+    with pytest.raises(nd.NotConverged):
+        stepper.step()
+    assert stepper.get_state() is before
+
+
+def test_external_force_and_its_work():
+    """Twice the friction limit pulls a block: a = F/m - mu g, W = F x."""
+    pull = 2 * 0.5 * 9.81
+    trajectory = nd.simulate(
+        nd.scenes.load("slide")(speed=0.0), 1.0, dt=1e-2, external_force=lambda t, q, v: {"box": (pull, 0, 0)}
+    )
+    x = trajectory.body("box").position[-1, 0]
+    # The force acts at the centre, so the block tips a little on its front edge without leaving the ground.
+    assert x == pytest.approx(0.5 * 0.5 * 9.81, abs=1e-9)
+    assert trajectory.energy.external.sum() == pytest.approx(pull * x, rel=1e-12)
+
+
+def test_torque_and_controller():
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_box("b", (0.1, 0.1, 0.1), 6.0, quaternion=(0, 0, np.sqrt(0.5), np.sqrt(0.5)))
+    scene.add_urdf("arm", nd.scenes.folder() / "arm.urdf", position=(3, 0, 0))
+    trajectory = nd.simulate(
+        scene, 0.1, dt=1e-2, external_force=lambda t, q, v: {"b": ((0, 0, 0), (0.02, 0, 0))},
+        controller=lambda t, q, v: {"arm": [0.5, 0.0]},
+    )  # fmt: skip
+    # J = m a²/6 = 0.01: w = 0.02/0.01 * 0.1 about the world's x axis.
+    np.testing.assert_allclose(trajectory.body("b").angular_velocity[-1], (0.2, 0, 0), atol=1e-14)
+    kinetic = trajectory.energy.kinetic[-1]
+    assert trajectory.energy.external.sum() == pytest.approx(kinetic, rel=1e-4)
+    assert np.abs(trajectory.energy.defect).max() < 1e-16
+    assert abs(trajectory.v[-1, 6]) > 0.01, "the arm turns"
+
+
+@pytest.mark.parametrize(
+    ("callback", "words"),
+    [
+        ({"external_force": lambda t, q, v: {"ghost": (0, 0, 1)}}, "'ghost', which is no free body"),
+        ({"external_force": lambda t, q, v: {"box": (0, 1)}}, "external_force on 'box'"),
+        ({"external_force": lambda t, q, v: {"box": (0, 0, np.nan)}}, "external_force on 'box'"),
+        ({"controller": lambda t, q, v: {"arm": [1.0]}}, "controller must give 2 finite joint forces"),
+        ({"controller": lambda t, q, v: {"leg": [1.0, 0.0]}}, "controller names 'leg'"),
+    ],
+)
+def test_bad_callbacks(callback, words):
+    stepper = nd.Stepper(nd.scenes.load("arm_pushes_box")(), **callback)
+    with pytest.raises(ValueError, match=words):
+        stepper.step()
+
+
+def test_gauss_least_constraint_literally(rng):
+    """No admissible virtual velocity lowers ½|v - v_f|²_M with the shift of the solution frozen."""
+    stepper = nd.Stepper(nd.scenes.load("slide")(), dt=1e-2)
+    for _ in range(10):
+        step = stepper.step()
+    M, H = step.problem.blocks.dense()
+    change = step.problem.blocks.velocity_change(step.solution.r)
+    q, mu = step.problem.q, step.problem.mu
+    shift = mu * np.hypot(step.solution.u[1::3], step.solution.u[2::3])
+    least = 0.5 * change @ M @ change
+    found = 0
+    for _ in range(4000):
+        other = change + 10.0 ** rng.uniform(-6, 0) * rng.normal(size=6)
+        u = H.T @ other + q
+        if (u[0::3] + shift >= mu * np.hypot(u[1::3], u[2::3])).all():
+            found += 1
+            # What the solver's tolerance leaves of the minimum.
+            assert 0.5 * other @ M @ other >= least - 1e-10
+    assert found > 100
+    assert step.gauss.bound <= 1e-6
+
+
+def test_gauss_bound_grows_with_the_tolerance():
+    bounds = []
+    for tol in (1e-4, 1e-10):
+        scene = nd.scenes.load("stack")(height=5)
+        trajectory = nd.simulate(scene, 0.1, dt=1e-2, solver=nd.solvers.PGS(tol=tol, memory=0, max_iter=100_000))
+        bounds.append(trajectory.gauss.bound.max())
+    assert bounds[0] > 100 * bounds[1] > 0
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_unit_of_mass_does_not_matter(factor):
+    """Motion is the same for masses a million times larger or smaller."""
+    runs = [nd.simulate(nd.scenes.load("slide")(mass=m, heading=30.0), 0.5, dt=1e-2) for m in (1.0, factor)]
+    assert np.abs(runs[0].q - runs[1].q).max() <= 1e-9
+
+
+def test_rotated_scene_moves_the_same():
+    """A cube thrown on the ground, and the whole scene turned by a random rotation."""
+    import pinocchio as pin
+
+    rng = np.random.default_rng(3)
+    turn = rng.normal(size=4)
+    Q = pin.Quaternion(turn / np.linalg.norm(turn))
+    R = np.array(Q.toRotationMatrix())
+
+    def run(R, Q):
+        scene = nd.Scene(gravity=R @ (0, 0, -9.81))
+        scene.add_halfspace("ground", normal=R @ (0, 0, 1))
+        scene.add_box(
+            "box", (0.2, 0.1, 0.1), 1.0, position=R @ (0, 0, 0.3), quaternion=Q.coeffs(),
+            linear_velocity=R @ (1, 0.3, 0), angular_velocity=R @ (1, 2, -0.5),
+        )  # fmt: skip
+        return nd.simulate(scene, 0.2, dt=2e-3).body("box").position
+
+    straight = run(np.eye(3), pin.Quaternion(1.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(run(R, Q), straight @ R.T, atol=1e-9)
