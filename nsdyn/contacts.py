@@ -18,8 +18,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from nsdyn._kernels import broadphase, manifold
 from nsdyn import shapes
+from nsdyn._kernels import broadphase, manifold
 from nsdyn.scene import Geom
 from nsdyn.shapes import CAPSULE, HALFSPACE, SPHERE, Shape
 
@@ -146,8 +146,8 @@ class Detector:
         self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
         self._reach = np.zeros(n)
         self._lower, self._upper = np.empty((n, 3)), np.empty((n, 3))
-        for g in range(n):
-            broadphase.bound(self._geometry, g, self._R[g], self._t[g], self._lower, self._upper)
+        for k in range(n):
+            broadphase.bound(self._geometry, k, self._R[k], self._t[k], self._lower, self._upper)
         self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
         self._batches: list[_Batch] = []
         self._models: list[pin.GeometryModel] = []
@@ -237,8 +237,9 @@ class Detector:
     def manifold(self) -> ContactSet:
         """Third part of `detect`: points, normals and gaps, and the keys of contacts that last."""
         count = manifold.manifolds(
-            self._geometry, self._R, self._t, self._slack, self._first, self._second, self._slot, self._coal, self._pair_base,
-            self._reach, self._max_points, *self._scratch, self._point, self._normal, self._gap, self._pair,
+            self._geometry, self._R, self._t, self._slack, self._first, self._second, self._slot, self._coal,
+            self._pair_base, self._reach, self._max_points, *self._scratch, self._point, self._normal, self._gap,
+            self._pair,
         )  # fmt: skip
         pair = self._pair[:count]
         first, second = self._first[pair], self._second[pair]
@@ -302,11 +303,11 @@ def _split(first: Index, second: Index) -> list[tuple[int, int]]:
     """Ranges of consecutive pairs that involve at most `SLOTS` geoms each."""
     ranges, start = [], 0
     geoms: set[int] = set()
-    for k, pair in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-        if len(geoms.union(pair)) > SLOTS:
+    for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        if len(geoms) + (i not in geoms) + (j not in geoms) > SLOTS:
             ranges.append((start, k))
             start, geoms = k, set()
-        geoms.update(pair)
+        geoms |= {i, j}
     return [*ranges, (start, len(first))] if len(first) else []
 
 
@@ -352,8 +353,8 @@ class _Batch:
 def _memory(address: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> Array:
     """Array over foreign memory; whoever owns that must outlive it."""
     length = sum((n - 1) * s for n, s in zip(shape, strides, strict=True)) // 8 + 1
-    buffer = (ctypes.c_double * length).from_address(address)
-    return np.ndarray(shape, dtype=float, buffer=buffer, strides=strides)
+    flat = np.frombuffer(memoryview((ctypes.c_double * length).from_address(address)))
+    return np.lib.stride_tricks.as_strided(flat, shape, strides)
 
 
 def _views(data: pin.GeometryData, geoms: int, pairs: int) -> tuple[Array, Array, Array]:

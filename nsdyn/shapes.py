@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -259,7 +260,7 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
         centroid = centroid + geometry.computeCOM()
     corners = corners - centroid
     geometry = coal_convex(corners, flat, face_ptr)
-    normals = np.array([_area_vector(corners[flat[a:b]]) for a, b in zip(face_ptr, face_ptr[1:], strict=False)])
+    normals = np.array([_area_vector(corners[flat[a:b]]) for a, b in pairwise(face_ptr)])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     offsets = np.array([(corners[flat[face_ptr[f] : face_ptr[f + 1]]] @ n).max() for f, n in enumerate(normals)])
     shape = Shape(
@@ -322,7 +323,7 @@ def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for v in vertices:
         points.append(v)
-    for a, b in zip(ptr, ptr[1:], strict=False):
+    for a, b in pairwise(ptr):
         for k in range(a + 1, b - 1):
             triangles.append(coal.Triangle(int(loop[a]), int(loop[k]), int(loop[k + 1])))
     return coal.Convex(points, triangles)

@@ -1,0 +1,107 @@
+"""Time per step of ten stacks of ten boxes, its split, and MuJoCo's step on the same scene in the same run.
+
+    python demos/bench/step_time.py [--scene stacks] [--dt 5e-3] [--tol 1e-6] [--steps 200]
+
+MuJoCo (extra `peers`) runs at its defaults and at settings stiff enough for comparable penetration. Prints medians.
+"""
+
+import argparse
+import statistics
+import time
+
+import numpy as np
+
+import nsdyn as nd
+
+PHASES = ("broad phase", "Coal", "manifold and assembly", "solve", "the rest", "record")
+
+
+def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> tuple[list[float], float, float]:
+    """Median seconds of each phase, deepest penetration [m] and drift [m] after settling for a quarter of a second."""
+    from nsdyn.trajectory import Recorder
+
+    stepper = nd.Stepper(scene, dt=dt, solver=nd.solvers.Auto(tol=tol))
+    start = stepper.get_state().position.x
+    split = []
+    deepest = 0.0
+    with Recorder(None, {"dt": dt, "theta": 0.5, "solver": ""}, scene.describe(), stepper.start()) as recorder:
+        for k in range(steps + round(0.25 / dt)):
+            step = stepper.step()
+            t = time.perf_counter()
+            recorder.append(step)
+            if k >= 0.25 / dt:
+                split.append([*step.times, time.perf_counter() - t])
+                deepest = max(deepest, float(-step.gap.min(initial=0.0)))
+    drift = float(np.abs(stepper.get_state().position.x - start).max())
+    return [statistics.median(phase) for phase in zip(*split, strict=True)], deepest, drift
+
+
+def mujoco_model(scene: nd.Scene, dt: float, stiff: bool) -> str:
+    """MJCF text of a scene of boxes and spheres on a ground."""
+    stiffness = f'solref="{3 * dt} 1" solimp=".99 .999 .001"' if stiff else ""
+    option = '<option cone="elliptic" impratio="1e4" tolerance="1e-12"/>' if stiff else ""
+    bodies = []
+    for b in scene.free_bodies:
+        half = " ".join(str(s / 2) for s in b.shape.size)
+        kind = f'type="box" size="{half}"' if b.shape.size.all() else f'type="sphere" size="{b.shape.size[0]}"'
+        x, y, z = b.position
+        qx, qy, qz, qw = b.quaternion
+        bodies.append(
+            f'<body pos="{x} {y} {z}" quat="{qw} {qx} {qy} {qz}"><freejoint/>'
+            f'<geom {kind} mass="{b.mass}" friction="{b.material.mu} 0 0" {stiffness}/></body>'
+        )
+    return (
+        f'<mujoco><option timestep="{dt}"/>{option}<size memory="200M"/><worldbody>'
+        f'<geom type="plane" size="100 100 1" friction=".5 0 0" {stiffness}/>{"".join(bodies)}</worldbody></mujoco>'
+    )
+
+
+def peer(scene: nd.Scene, dt: float, steps: int, stiff: bool) -> tuple[float, float]:
+    """Median seconds of MuJoCo's step and its deepest penetration [m], after the same settling."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(mujoco_model(scene, dt, stiff))
+    data = mujoco.MjData(model)
+    for _ in range(round(0.25 / dt)):
+        mujoco.mj_step(model, data)
+    times, deepest = [], 0.0
+    for _ in range(steps):
+        t = time.perf_counter()
+        mujoco.mj_step(model, data)
+        times.append(time.perf_counter() - t)
+        if data.ncon:
+            deepest = max(deepest, float(-np.min(data.contact.dist)))
+    return statistics.median(times), deepest
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="stacks")
+    parser.add_argument("--dt", type=float, default=5e-3)
+    parser.add_argument("--tol", type=float, default=1e-6)
+    parser.add_argument("--steps", type=int, default=200)
+    arguments = parser.parse_args()
+    scene = nd.scenes.load(arguments.scene)()
+    split, deepest, drift = ours(scene, arguments.dt, arguments.tol, arguments.steps)
+    total = sum(split)
+    print(f"{arguments.scene}, dt {arguments.dt:g} s, medians over {arguments.steps} steps after 0.25 s of settling")
+    print(f"nsdyn, tol {arguments.tol:g}: {1e6 * total:8.0f} us   penetration {deepest:.1e} m   drift {drift:.1e} m")
+    for phase, seconds in zip(PHASES, split, strict=True):
+        print(f"  {phase:22} {1e6 * seconds:8.0f} us  {seconds / total:4.0%}")
+    try:
+        import mujoco
+    except ImportError:
+        print(f"MuJoCo is not installed: pip install 'nsdyn[peers]'")
+        return
+    for stiff in (False, True):
+        seconds, sunk = peer(scene, arguments.dt, arguments.steps, stiff)
+        name = "stiff" if stiff else "default"
+        print(
+            f"MuJoCo {mujoco.__version__} {name}: {1e6 * seconds:8.0f} us   penetration {sunk:.1e} m   "
+            f"nsdyn/MuJoCo time {total / seconds:.2f}, penetration {deepest / sunk if sunk else float('nan'):.1e}"
+        )
+
+
+if __name__ == "__main__":
+    main()
