@@ -8,7 +8,7 @@ DURATION, DT = 2.0, 1e-2
 
 
 def scene(angle: float = 20.0, mu: float = 0.37, speed: float = 0.0, size: float = 0.2, mass: float = 1.0) -> Scene:
-    """Cube of edge `size` [m] and `mass` [kg] on a plane tilted by `angle` [deg], thrown downhill (+x) at `speed` [m/s]."""
+    """Cube of edge `size` [m] and `mass` [kg] on a plane tilted by `angle` [deg], sent down it at `speed` [m/s]."""
     out = Scene(name="incline")
     material = Material(mu=mu)
     a = math.radians(angle)

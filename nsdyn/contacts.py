@@ -136,6 +136,8 @@ class Detector:
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
         self._geometry = _flatten(geoms)
         cores: dict[int, Any] = {id(g.shape): _core(g.shape) for g in geoms}
+        for core in cores.values():
+            core.computeLocalAABB()
         self._cores = [cores[id(g.shape)] for g in geoms]
         rounded = (self._geometry.kind == SPHERE) | (self._geometry.kind == CAPSULE)
         self._slack = np.where(rounded, 0.0, 2.0 * SHRINK * self._geometry.radius)
@@ -338,8 +340,11 @@ class _Batch:
             [pin.CollisionPair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)]
         )
         self._model, self._data, self._out = model, pin.GeometryData(model), out
-        for request in self._data.distanceRequests:
-            request.gjk_tolerance = GJK_TOLERANCE
+        request = coal.DistanceRequest()
+        request.gjk_tolerance = GJK_TOLERANCE
+        request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
+        for k in range(m):  # Pinocchio's own requests start from the last answer: not reproducible
+            self._data.distanceRequests[k] = request
         self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
 
     def run(self, R: Array, t: Array) -> None:

@@ -257,7 +257,7 @@ class Dynamics:
         return tuple(out)
 
     def blocks(self, contacts: ContactSet) -> tuple[Blocks, Array]:
-        """Factors (M, H) of the contacts and their frames (nc, 3, 3) with rows (n, t1, t2), at the evaluated position."""
+        """Factors (M, H) of the contacts at the evaluated position, and their frames (nc, 3, 3), rows (n, t1, t2)."""
         nc = contacts.gap.size
         frame = np.empty((nc, 3, 3))
         block, start = np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)

@@ -313,9 +313,8 @@ class Stepper:
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q, v_out, x, quaternion, contacts, gap, frame, u.reshape(-1, 3), r, status, works[0], works[1],
-            step_energy._asdict(),
-            certificate, problem, solution, times,
+            self._state.t, q, v_out, x, quaternion, contacts, gap, frame, u.reshape(-1, 3), r, status,
+            works[0], works[1], step_energy._asdict(), certificate, problem, solution, times,
         )  # fmt: skip
 
     def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:

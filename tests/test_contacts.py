@@ -145,7 +145,7 @@ def test_overhanging_box_is_cut_at_the_edge():
 
 
 @pytest.mark.parametrize("width", [1e-1, 1e-3, 1e-4])
-@pytest.mark.parametrize("gap", [0.0, 1e-6, -1e-5])
+@pytest.mark.parametrize("gap", [0.0, 1e-6, -1e-4])
 def test_sliver_of_a_face(width, gap):
     """A box that rests on the last `width` of another one still rests on its face."""
     cube = shapes.box((1, 1, 1))
@@ -369,11 +369,14 @@ def test_misuse():
 # -- sets of contacts --------------------------------------------------------------------------------------
 
 
-def pile(rng, count=40, names=tuple(ALL)):
+CROWD = [GROUND, *ALL.values()] + [*ALL.values()] * 6
+
+
+def pile(rng):
     """A crowd of shapes of all kinds over a plane: detector, x, R."""
-    d = detector(GROUND, *(ALL[names[k % len(names)]] for k in range(count)))
+    count = len(CROWD) - 1
     x = rng.uniform([-1.5, -1.5, 0.0], [1.5, 1.5, 2.5], size=(count, 3))
-    return d, x, np.array([random_rotation(rng) for _ in range(count)])
+    return detector(*CROWD), x, np.array([random_rotation(rng) for _ in range(count)])
 
 
 def rows(c):
@@ -401,17 +404,17 @@ def test_candidates_equal_brute_force(rng):
         d, x, R = pile(rng)
         reach = rng.uniform(0, 0.05, size=len(x))
         d.detect(x, R, reach)
-        shape = [GROUND] + [list(ALL.values())[k % len(ALL)] for k in range(len(x))]
-        low, high = np.zeros((len(shape), 3)), np.zeros((len(shape), 3))
-        for g in range(1, len(shape)):
-            radius = shape[g].bounding_radius
+        n = len(CROWD)
+        low, high = np.zeros((n, 3)), np.zeros((n, 3))
+        for g in range(1, n):
+            radius = CROWD[g].bounding_radius
             skin = contacts.MARGIN * radius + contacts.SKIN * radius + (1.0 + contacts.AHEAD) * reach[g - 1]
             for k, e in enumerate(np.eye(3)):
-                high[g, k] = x[g - 1, k] + e @ support(shape[g], R[g - 1], e) + skin
-                low[g, k] = x[g - 1, k] + e @ support(shape[g], R[g - 1], -e) - skin
-        expected = {(0, g) for g in range(1, len(shape)) if low[g, 2] <= 0.0}
+                high[g, k] = x[g - 1, k] + e @ support(CROWD[g], R[g - 1], e) + skin
+                low[g, k] = x[g - 1, k] + e @ support(CROWD[g], R[g - 1], -e) - skin
+        expected = {(0, g) for g in range(1, n) if low[g, 2] <= 0.0}
         expected |= {
-            (i, j) for i in range(1, len(shape)) for j in range(i + 1, len(shape))
+            (i, j) for i in range(1, n) for j in range(i + 1, n)
             if (low[i] <= high[j]).all() and (low[j] <= high[i]).all()
         }  # fmt: skip
         assert set(zip(*(p.tolist() for p in d.pairs), strict=True)) == expected
@@ -428,17 +431,12 @@ def test_reused_candidates_give_the_contacts_of_fresh_ones(rng):
     for _ in range(30):
         x = x + velocity
         c = d.detect(x, R, reach)
-        fresh = pile_again(d)
+        fresh = detector(*CROWD)
         for a, b in zip(rows(c), rows(fresh.detect(x, R, reach)), strict=True):
             assert a.tobytes() == b.tobytes()
         renewed += d.pairs[0] is not last
         last = d.pairs[0]
     assert 2 <= renewed <= 10
-
-
-def pile_again(d):
-    """A new detector of the same crowd."""
-    return detector(GROUND, *(list(ALL.values())[k % len(ALL)] for k in range(d.pairs_geoms - 1)))
 
 
 def test_swapped_bodies_mirror_the_contacts(rng):
@@ -510,12 +508,12 @@ def test_reduction_keeps_the_area_and_the_deepest_point(sides, limit):
 def test_points_inside_the_patch_are_given_up_first():
     """A deep point inside the hull is kept beside the corners."""
     top = polygon(12)
-    cone = np.vstack((np.column_stack((top, np.zeros(12))), [[0.0, 0.0, -1e-5], [0.0, 0.0, 1.0]]))
+    cone = np.vstack((np.column_stack((top, np.zeros(12))), [[0.0, 0.0, -1e-4], [0.0, 0.0, 1.0]]))
     shape, centroid = shapes.convex(cone)
     c = contacts_of((GROUND, np.zeros(3), UPRIGHT), (shape, (0, 0, centroid[2]), UPRIGHT), reach=1e-3)
     assert len(c.gap) == 8
     deepest = np.argmin(c.gap)
-    np.testing.assert_allclose(c.point[deepest], [0, 0, -1e-5], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(c.point[deepest], [0, 0, -1e-4], rtol=0, atol=1e-14)
     rim = np.delete(c.point, deepest, axis=0)
     np.testing.assert_allclose(np.hypot(rim[:, 0], rim[:, 1]), 1.0, rtol=1e-12)
 
@@ -561,7 +559,7 @@ def test_memory_resumes_bit_for_bit(rng):
     for k in range(5):
         d.detect(x + k * velocity, R, reach)
     saved = d.memory
-    fresh = pile_again(d)
+    fresh = detector(*CROWD)
     fresh.memory = saved
     for k in range(5, 10):
         a, b = (each.detect(x + k * velocity, R, reach) for each in (d, fresh))
@@ -580,7 +578,7 @@ def test_many_geoms_are_asked_in_batches(rng, monkeypatch):
     d, x, R = pile(rng)
     c = d.detect(x, R, np.zeros(len(x)))
     monkeypatch.setattr(contacts, "SLOTS", 5)
-    small = pile_again(d)
+    small = detector(*CROWD)
     b = small.detect(x, R, np.zeros(len(x)))
     for one, two in zip(rows(c), rows(b), strict=True):
         assert one.tobytes() == two.tobytes()

@@ -79,7 +79,7 @@ def test_bad_urdf_is_named(tmp_path):
 
 
 def test_unknown_named_scene():
-    with pytest.raises(ValueError, match="scene must be one of .*stack.*; got 'stak'"):
+    with pytest.raises(ValueError, match=r"scene must be one of .*stack.*; got 'stak'"):
         nd.scenes.load("stak")
 
 

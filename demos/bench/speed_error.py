@@ -3,7 +3,7 @@
     python demos/bench/speed_error.py
 
 Error is the distance from the exact stopping point v0²/(2 mu g); time is wall time per simulated second, the median of
-five runs, recording included for nsdyn. MuJoCo (extra `peers`) runs at its defaults, elliptic and stiff, in the same run.
+five runs, recording included for nsdyn. MuJoCo (extra `peers`) runs in the same run, at its defaults and stiff.
 """
 
 import math

@@ -92,7 +92,7 @@ def main() -> None:
     try:
         import mujoco
     except ImportError:
-        print(f"MuJoCo is not installed: pip install 'nsdyn[peers]'")
+        print("MuJoCo is not installed: pip install 'nsdyn[peers]'")
         return
     for stiff in (False, True):
         seconds, sunk = peer(scene, arguments.dt, arguments.steps, stiff)

@@ -113,25 +113,24 @@ def solve_one(W, q, mu, r):
     if mu == 0.0:
         r[0], r[1], r[2] = -q[0] / W[0, 0], 0.0, 0.0
         return
-    tau = 0.5 * (W[1, 1] + W[2, 2])
-    lo, hi = 0.0, 1.0
     rn, r1, r2 = _slip(W, q, 0.0)
-    f_lo = math.sqrt(r1 * r1 + r2 * r2) - mu * rn
-    if rn >= 0.0 and f_lo <= 0.0:
+    t = math.sqrt(r1 * r1 + r2 * r2)
+    if t <= mu * rn:
         r[0], r[1], r[2] = rn, r1, r2
         return
-    f_hi = mu * q[0] / W[0, 0]
+    # f = (|r_T| - mu r_N) / (|r_T| + mu |r_N|) falls from f_lo in (0, 1] at lo to -1 at hi.
+    tau = 0.5 * (W[1, 1] + W[2, 2])
+    lo, f_lo, hi, f_hi = 0.0, (t - mu * rn) / (t + mu * abs(rn)), 1.0, -1.0
     side = 0
-    beta = 0.5
     for k in range(100):
-        # Illinois steps, with bisections between them for brackets that shrink from one end only
+        # Illinois steps, a bisection every third
         beta = (lo * f_hi - hi * f_lo) / (f_hi - f_lo) if k % 3 else 0.5 * (lo + hi)
         if not lo < beta < hi:
-            break
+            beta = 0.5 * (lo + hi)
         rn, r1, r2 = _slip(W, q, tau * beta / (1.0 - beta))
         t = math.sqrt(r1 * r1 + r2 * r2)
-        f = t - mu * rn
-        if abs(f) <= 4e-16 * (t + mu * abs(rn)) or hi - lo <= 1e-16 * hi:
+        f = (t - mu * rn) / (t + mu * abs(rn))
+        if abs(f) <= 4e-16 or not lo < beta < hi:
             break
         if f > 0.0:
             lo, f_lo = beta, f

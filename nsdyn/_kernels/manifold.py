@@ -23,6 +23,7 @@ ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (go
 BIAS = 1e-6  # a face of geom 2 is the reference only if it fits better than that of geom 1 by more than noise
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
 RESCUE = 1e-5  # a face is preferred to what Coal found if it separates better by this fraction of the size
+NEAR = 1e-2  # a point over a face within this fraction of the size of one found otherwise adds nothing
 SAME = 1e-6  # points closer than this fraction of the size are one
 INSIDE = 1e-9  # a point this fraction of the size outside a side plane is on it
 
@@ -451,11 +452,19 @@ def merge(poly, gap, count, tol):
 
 
 @njit(cache=True)
+def triangle(x, y, hull, p, q, r):
+    """Twice the area of the triangle of three corners of a hull."""
+    a, b, c = hull[p], hull[q], hull[r]
+    return abs((x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a]))
+
+
+@njit(cache=True)
 def reduce(poly, gap, count, n, limit):
     """Keep at most `limit` points: the deepest and the corners of the patch that hold most of its area.
 
     The convex hull of the points in the plane of n loses corner after corner, each time the one whose triangle with
-    its neighbours is smallest. Returns the number left, in their former order.
+    its neighbours is smallest; then corners move along the hull as long as the area grows. Returns the number left, in
+    their former order.
     """
     e1 = perpendicular(n)
     e2 = cross(n, e1)
@@ -485,25 +494,40 @@ def reduce(poly, gap, count, n, limit):
             hull[m] = k
             m += 1
         m -= 1  # the last of one half is the first of the other
-    room = limit - 1
+    # The corners kept, as positions in the hull.
+    kept = m
+    corner = np.arange(m)
+    free = limit - 1
     for p in range(m):
         if hull[p] == deepest:
-            room = limit
-    while m > room:
+            free = limit
+    while kept > free:
         worst, smallest = -1, math.inf
-        for p in range(m):
-            a, b, c = hull[p - 1 if p > 0 else m - 1], hull[p], hull[p + 1 if p + 1 < m else 0]
-            area = abs((x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a]))
+        for p in range(kept):
+            area = triangle(x, y, hull, corner[p - 1 if p > 0 else kept - 1], corner[p], corner[(p + 1) % kept])
             # Equal within round-off counts as equal, so that the order and not noise decides.
-            if b != deepest and area < smallest * (1.0 - 1e-9):
+            if hull[corner[p]] != deepest and area < smallest * (1.0 - 1e-9):
                 worst, smallest = p, area
-        for p in range(worst, m - 1):
-            hull[p] = hull[p + 1]
-        m -= 1
+        for p in range(worst, kept - 1):
+            corner[p] = corner[p + 1]
+        kept -= 1
+    for _ in range(10):
+        moved = False
+        for p in range(kept):
+            before, after = corner[p - 1 if p > 0 else kept - 1], corner[(p + 1) % kept]
+            if hull[corner[p]] != deepest:
+                largest = triangle(x, y, hull, before, corner[p], after)
+                for step in range(1, (after - before) % m):
+                    q = (before + step) % m
+                    area = triangle(x, y, hull, before, q, after)
+                    if area > largest * (1.0 + 1e-9):
+                        largest, corner[p], moved = area, q, True
+        if not moved:
+            break
     keep = np.zeros(count, dtype=np.bool_)
     keep[deepest] = True
-    for p in range(m):
-        keep[hull[p]] = True
+    for p in range(kept):
+        keep[hull[corner[p]]] = True
     kept = 0
     for k in range(count):
         if keep[k]:
@@ -738,9 +762,32 @@ def apart(geometry, i, j, R, t, margin):
 
 
 @njit(cache=True)
+def of_features(geometry, i, j, R, t, known, n, point, normal, gap, at):
+    """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number."""
+    size = min(geometry.radius[i], geometry.radius[j])
+    flat1, flat2 = geometry.kind[i] == CYLINDER, geometry.kind[j] == CYLINDER
+    p1, q1, radius1, valid1 = segment(geometry, i, R, t, n)
+    p2, q2, radius2, valid2 = segment(geometry, j, R, t, times(-1.0, n))
+    if valid1 and valid2:
+        count = segments(
+            p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, point, normal, gap, at
+        )  # fmt: skip
+        if not known or count == 2:
+            return count
+        if count == 1:
+            # The distance is the largest separation: the right features reach it.
+            own, _, _ = separation(geometry, i, j, R, t, row(normal, at))
+            given, _, _ = separation(geometry, i, j, R, t, n)
+            if own > given - SAME * size and abs(own - gap[at]) < SAME * size:
+                return 1
+    smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, valid2, point, normal, gap, at)
+    return 1
+
+
+@njit(cache=True)
 def pair_contacts(
     geometry, i, j, R, t, slack, known, trusted, n, margin, limit, poly, other, heights, point, normal, gap, at
-):
+):  # fmt: skip
     """Contacts of one pair, into point, normal, gap from index `at` on; returns their number.
 
     n is the normal of the cores, if `known`, and to be relied on if `trusted`.
@@ -756,44 +803,35 @@ def pair_contacts(
         if not trusted or (face1 < 0 and face2 < 0 and separation(geometry, i, j, R, t, n)[0] <= slack):
             n = best_normal(geometry, i, j, R, t, n, RESCUE * size if trusted else 0.0)
             face1, face2 = reference_face(geometry, i, j, R, n)
+    first, count, m = 0, 0, n
+    complete = whole
     if face1 >= 0 or face2 >= 0:
         count, m = over_face(geometry, i, j, R, t, whole, limit, margin, face1, face2, poly, other, heights)
-        if known:
-            width, _, _ = separation(geometry, i, j, R, t, m)
-            deepest = math.inf
-            for k in range(count):
-                deepest = min(deepest, heights[k])
-            if deepest > width + SAME * size:
-                count = 0  # what is deepest is not over this face
-                n = found if trusted else n
-        count = merge(poly, heights, count, SAME * size)
-        if count > limit:
-            count = reduce(poly, heights, count, m, limit)
+        deepest = math.inf
         for k in range(count):
-            put(point, at + k, row(poly, k))
-            put(normal, at + k, m)
-            gap[at + k] = heights[k]
-        if count > 0 or whole:
-            return count
-    p1, q1, radius1, valid1 = segment(geometry, i, R, t, n)
-    p2, q2, radius2, valid2 = segment(geometry, j, R, t, times(-1.0, n))
-    if valid1 and valid2:
-        count = segments(
-            p1, q1, radius1, kind1 == CYLINDER, p2, q2, radius2, kind2 == CYLINDER, n, known, size,
-            point, normal, gap, at,
-        )  # fmt: skip
-        if not known or count == 2:
-            return count
-        if count == 1:
-            # The distance is the largest separation: the right features reach it.
-            own, _, _ = separation(geometry, i, j, R, t, row(normal, at))
-            given, _, _ = separation(geometry, i, j, R, t, n)
-            if own > given - SAME * size and abs(own - gap[at]) < SAME * size:
-                return 1
-    smooth(
-        geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, valid2, point, normal, gap, at
-    )  # fmt: skip
-    return 1
+            deepest = min(deepest, heights[k])
+        complete = whole or deepest <= separation(geometry, i, j, R, t, m)[0] + SAME * size
+    if not complete:  # what is deepest is not over a face
+        first = of_features(geometry, i, j, R, t, known, found if trusted else n, point, normal, gap, at)
+        kept = 0
+        for k in range(count):
+            new = True
+            for c in range(first):
+                d = minus(row(poly, k), row(point, at + c))
+                new = new and dot(d, d) > (NEAR * size) ** 2
+            if new:
+                put(poly, kept, row(poly, k))
+                heights[kept] = heights[k]
+                kept += 1
+        count = kept
+    count = merge(poly, heights, count, SAME * size)
+    if count > limit - first:
+        count = reduce(poly, heights, count, m, limit - first)
+    for k in range(count):
+        put(point, at + first + k, row(poly, k))
+        put(normal, at + first + k, m)
+        gap[at + first + k] = heights[k]
+    return first + count
 
 
 @njit(cache=True)
