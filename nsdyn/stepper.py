@@ -18,7 +18,7 @@ from nsdyn._kernels import motion as _motion
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.problem import FC3D, Array, Blocks, Index, NotConverged, Solution
-from nsdyn.scene import Scene
+from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
 from nsdyn.trajectory import Recorder, Trajectory
 
@@ -206,7 +206,7 @@ class Stepper:
         self._projection = Auto(tol=CLOSED)
         self._failures = 0
         position, v = self.dynamics.start()
-        self._check_overlap(geoms, position, v)
+        self._check_overlap(geoms, position)
         self._state = State(0.0, self.dt, 0, position, v, np.empty((0, 3)), np.empty(0, np.int64), self.detector.memory)
 
     # -- state -------------------------------------------------------------------------------------------------
@@ -374,22 +374,22 @@ class Stepper:
         end = self.dynamics.advance(moved, blocks.velocity_change(shift.r), 1.0)
         return end, gap + (shift.u - g)[0::3]
 
-    def _check_overlap(self, geoms: list[Any], position: Position, v: Array) -> None:
+    def _check_overlap(self, geoms: list[Geom], position: Position) -> None:
         """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
         d = self.dynamics
         d.evaluate(position)
         contacts = self.detector.detect(d.x, d.R, np.zeros(d.frames))
         if not contacts.gap.size:
             return
-        for k in np.argsort(contacts.gap)[:1]:
-            a, b = geoms[contacts.geom1[k]], geoms[contacts.geom2[k]]
-            depth = -float(contacts.gap[k])
-            size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
-            where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
-            if depth > DEEPEST * size:
-                raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m)")
-            if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
-                warnings.warn(f"{where}; the first step moves them apart", stacklevel=4)
+        k = int(contacts.gap.argmin())
+        a, b = geoms[contacts.geom1[k]], geoms[contacts.geom2[k]]
+        depth = -float(contacts.gap[k])
+        size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
+        where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
+        if depth > DEEPEST * size:
+            raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m)")
+        if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
+            warnings.warn(f"{where}; the first step moves them apart", stacklevel=4)
 
 
 def simulate(

@@ -127,10 +127,12 @@ def solve_one(W, q, mu, r):
         beta = (lo * f_hi - hi * f_lo) / (f_hi - f_lo) if k % 3 else 0.5 * (lo + hi)
         if not lo < beta < hi:
             beta = 0.5 * (lo + hi)
+            if not lo < beta < hi:
+                break
         rn, r1, r2 = _slip(W, q, tau * beta / (1.0 - beta))
         t = math.sqrt(r1 * r1 + r2 * r2)
         f = (t - mu * rn) / (t + mu * abs(rn))
-        if abs(f) <= 4e-16 or not lo < beta < hi:
+        if abs(f) <= 4e-16:
             break
         if f > 0.0:
             lo, f_lo = beta, f

@@ -20,6 +20,7 @@ from numba import njit
 from nsdyn._kernels.broadphase import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, POLYTOPE, SPHERE
 
 ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
+SHARP = 1e-6  # rad; the same for corners and edges beside such a face
 BIAS = 1e-6  # a face of geom 2 is the reference only if it fits better than that of geom 1 by more than noise
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
 RESCUE = 1e-5  # a face is preferred to what Coal found if it separates better by this fraction of the size
@@ -516,12 +517,15 @@ def reduce(poly, gap, count, n, limit):
         for p in range(kept):
             before, after = corner[p - 1 if p > 0 else kept - 1], corner[(p + 1) % kept]
             if hull[corner[p]] != deepest:
-                largest = triangle(x, y, hull, before, corner[p], after)
+                best, largest = corner[p], triangle(x, y, hull, before, corner[p], after)
                 for step in range(1, (after - before) % m):
                     q = (before + step) % m
                     area = triangle(x, y, hull, before, q, after)
-                    if area > largest * (1.0 + 1e-9):
-                        largest, corner[p], moved = area, q, True
+                    # The last of equal ones: that spreads the corners of a regular polygon evenly.
+                    if area > largest * (1.0 - 1e-9):
+                        best, largest = q, max(area, largest)
+                moved = moved or best != corner[p]
+                corner[p] = best
         if not moved:
             break
     keep = np.zeros(count, dtype=np.bool_)
@@ -540,21 +544,21 @@ def reduce(poly, gap, count, n, limit):
 # -- segments ----------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
-def segment(geometry, g, R, t, n):
+@njit(cache=True, forceinline=True)
+def segment(geometry, g, R, t, n, angle):
     """Segment (or point) of geom g that is outermost along n: (its ends p, q, its radius, valid)."""
     kind, s, c, z = geometry.kind[g], row(geometry.size, g), row(t, g), axis(R, g)
     if kind == SPHERE:
         return c, c, s[0], True
     if kind == CAPSULE or kind == CYLINDER:
-        side = kind == CAPSULE or abs(dot(n, z)) < ANGLE
+        side = kind == CAPSULE or abs(dot(n, z)) < angle
         return along(c, -s[1], z), along(c, s[1], z), s[0], side
     if kind != POLYTOPE:
         return c, c, 0.0, False
     m = to_local(R, g, n)
     first, last = geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]
     top = row(geometry.vertices, deepest_vertex(geometry, g, m))
-    # The edge: the two outermost corners among those seen from the topmost one under less than ANGLE.
+    # The edge: the two outermost corners among those seen from the topmost one under less than `angle`.
     p, q = top, top
     for _ in range(2):
         p, q = q, p
@@ -562,19 +566,19 @@ def segment(geometry, g, R, t, n):
         for k in range(first, last):
             v = row(geometry.vertices, k)
             d, e = minus(v, top), minus(v, p)
-            if -dot(d, m) <= ANGLE * math.sqrt(dot(d, d)) and dot(e, e) > farthest:
+            if -dot(d, m) <= angle * math.sqrt(dot(d, d)) and dot(e, e) > farthest:
                 farthest, q = dot(e, e), v
     edge = minus(q, p)
     valid = True
     for k in range(first, last):
         v = row(geometry.vertices, k)
         d, e = minus(v, top), cross(edge, minus(v, p))
-        if -dot(d, m) <= ANGLE * math.sqrt(dot(d, d)) and math.sqrt(dot(e, e)) > 1e-3 * dot(edge, edge):
+        if -dot(d, m) <= angle * math.sqrt(dot(d, d)) and math.sqrt(dot(e, e)) > 1e-3 * dot(edge, edge):
             valid = False  # a face
     return along(c, 1.0, to_world(R, g, p)), along(c, 1.0, to_world(R, g, q)), 0.0, valid
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def closest(p, d, length1, q, e, length2):
     """Arc lengths (s, r) of the closest points p + s d, q + r e of two segments with unit directions d, e."""
     b = dot(d, e)
@@ -595,7 +599,7 @@ def closest(p, d, length1, q, e, length2):
     return s, r
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def touch(a, radius1, b, radius2, n, point, normal, gap, at):
     """Write the contact of two balls (or of two points, with the known normal n) at index `at`."""
     if radius1 + radius2 > 0.0:
@@ -605,7 +609,7 @@ def touch(a, radius1, b, radius2, n, point, normal, gap, at):
     put(point, at, times(0.5, along(along(along(a, radius1, n), 1.0, b), -radius2, n)))
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def segments(p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, point, normal, gap, at):
     """Contacts of two segments with radii, into the outputs from index `at` on; returns their number.
 
@@ -749,7 +753,7 @@ def smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, va
 # -- pairs -------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def apart(geometry, i, j, R, t, margin):
     """Whether the bounding spheres (or a sphere and a half-space) are farther apart than margin."""
     d = minus(row(t, j), row(t, i))
@@ -761,13 +765,13 @@ def apart(geometry, i, j, R, t, margin):
     return dot(d, d) > reach * reach
 
 
-@njit(cache=True)
-def of_features(geometry, i, j, R, t, known, n, point, normal, gap, at):
+@njit(cache=True, forceinline=True)
+def of_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, at):
     """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number."""
     size = min(geometry.radius[i], geometry.radius[j])
     flat1, flat2 = geometry.kind[i] == CYLINDER, geometry.kind[j] == CYLINDER
-    p1, q1, radius1, valid1 = segment(geometry, i, R, t, n)
-    p2, q2, radius2, valid2 = segment(geometry, j, R, t, times(-1.0, n))
+    p1, q1, radius1, valid1 = segment(geometry, i, R, t, n, angle)
+    p2, q2, radius2, valid2 = segment(geometry, j, R, t, times(-1.0, n), angle)
     if valid1 and valid2:
         count = segments(
             p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, point, normal, gap, at
@@ -811,8 +815,9 @@ def pair_contacts(
         for k in range(count):
             deepest = min(deepest, heights[k])
         complete = whole or deepest <= separation(geometry, i, j, R, t, m)[0] + SAME * size
-    if not complete:  # what is deepest is not over a face
-        first = of_features(geometry, i, j, R, t, known, found if trusted else n, point, normal, gap, at)
+    if not complete:  # what is deepest is not over a face; beside an aligned one the features are seen more sharply
+        angle = ANGLE if face1 < 0 and face2 < 0 else SHARP
+        first = of_features(geometry, i, j, R, t, known, found if trusted else n, angle, point, normal, gap, at)
         kept = 0
         for k in range(count):
             new = True

@@ -1,0 +1,71 @@
+"""Laws that every step of every scene obeys, tried on random scenes."""
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import nsdyn as nd
+
+LENGTH = st.floats(0.05, 0.3)
+
+
+@st.composite
+def scenes(draw):
+    """Up to five bodies of random shapes thrown at each other over the ground."""
+    scene = nd.Scene(gravity=(0, 0, draw(st.sampled_from([0.0, -9.81]))))
+    material = nd.Material(draw(st.floats(0.0, 2.0)))
+    scene.add_halfspace("ground", material=material)
+    for k in range(draw(st.integers(1, 5))):
+        quaternion = np.array([draw(st.floats(-1, 1)) for _ in range(3)] + [1.5])
+        common = {
+            "mass": draw(st.floats(0.1, 100.0)),
+            # At least 0.66 m apart: no shape below is longer from its centre than 0.33 m.
+            "position": (0.66 * (k % 2), 0.66 * (k // 2 % 2), 0.4 + 0.66 * (k // 4)),
+            "quaternion": quaternion / np.linalg.norm(quaternion),
+            "linear_velocity": [draw(st.floats(-3, 3)) for _ in range(3)],
+            "angular_velocity": [draw(st.floats(-5, 5)) for _ in range(3)],
+            "material": material,
+        }
+        kind = draw(st.sampled_from(["box", "sphere", "capsule", "cylinder"]))
+        if kind == "box":
+            scene.add_box(f"b{k}", [draw(LENGTH) for _ in range(3)], **common)
+        elif kind == "sphere":
+            scene.add_sphere(f"b{k}", draw(LENGTH), **common)
+        elif kind == "capsule":
+            scene.add_capsule(f"b{k}", draw(LENGTH) / 2, draw(LENGTH), **common)
+        else:
+            scene.add_cylinder(f"b{k}", draw(LENGTH) / 2, draw(LENGTH), **common)
+    return scene
+
+
+@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@given(scenes())
+def test_every_step(scene):
+    stepper = nd.Stepper(scene, dt=5e-3, on_fail="ignore")
+    kinetic = stepper.start().energy["kinetic"]
+    for _ in range(60):
+        before = stepper.get_state()
+        step = stepper.step()
+        energy, r, u, mu = step.energy, step.r, step.u, step.contacts.mu
+        scale = max(kinetic, energy["kinetic"], abs(energy["potential"]), 1.0)
+        # The ledger closes whatever the solver did.
+        assert abs(energy["defect"]) <= 1e-12 * scale
+        # Impulses are in their cones and friction never adds energy.
+        assert (r[:, 0] >= 0).all()
+        assert (np.hypot(r[:, 1], r[:, 2]) <= mu * r[:, 0] * (1 + 1e-12) + 1e-300).all()
+        # Momentum: what the contacts with the ground gave and what gravity gave.
+        mass = stepper.dynamics.mass
+        change = (mass[:, None] * (stepper.get_state().v.reshape(-1, 6) - before.v.reshape(-1, 6))[:, :3]).sum(axis=0)
+        ground = step.contacts.frame1 < 0
+        given_ = np.einsum("ci,cij->j", r[ground], step.frame[ground]) + mass.sum() * 5e-3 * scene.gravity
+        np.testing.assert_allclose(change, given_, atol=1e-11 * max(1.0, mass.sum()))
+        if step.solution.converged:
+            # With e = 0 contacts change T by U⁺·P - PᵀWP/2, and U⁺·P <= 0 up to the tolerance times the impulse.
+            slack = 1e-7 * max(1.0, float(np.abs(r).sum(initial=0.0)))
+            assert (u * r).sum() <= slack
+            # Signorini: closed or speculative contacts do not close further, and an impulse holds only a contact.
+            w = step.solution.u[0::3] - u[:, 0]
+            assert (u[:, 0] + w >= -1e-7).all()
+            assert (np.abs(r[:, 0] * (u[:, 0] + w)) <= slack).all()
+            assert step.gauss.gap <= slack
+        kinetic = energy["kinetic"]
