@@ -370,7 +370,10 @@ def test_misuse():
 # -- sets of contacts --------------------------------------------------------------------------------------
 
 
-CROWD = [GROUND, *ALL.values()] + [*ALL.values()] * 6
+DIRECTIONS = np.random.default_rng(1).normal(size=(60, 3))
+# More than 32 corners: Coal climbs from corner to corner of such a polytope instead of trying all.
+ROCK = shapes.convex(0.4 * DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1)[:, None])[0]
+CROWD = [GROUND] + [*ALL.values(), ROCK] * 6
 
 
 def pile(rng):
@@ -419,8 +422,6 @@ def test_candidates_equal_brute_force(rng):
             if (low[i] <= high[j]).all() and (low[j] <= high[i]).all()
         }  # fmt: skip
         assert set(zip(*(p.tolist() for p in d.pairs), strict=True)) == expected
-
-
 
 
 def test_reused_candidates_give_the_contacts_of_fresh_ones(rng):

@@ -236,8 +236,9 @@ def reference_face(geometry, i, j, R, n):
 @njit(cache=True)
 def best_normal(geometry, i, j, R, t, n, gain):
     """The face normal or line of centres that separates best; n itself unless that is better by `gain`."""
-    best, _, _ = separation(geometry, i, j, R, t, n)
+    best, p, q = separation(geometry, i, j, R, t, n)
     best += gain
+    between = minus(q, p)
     m, distance = unit(minus(row(t, j), row(t, i)))
     if distance > 0.0:
         gap, _, _ = separation(geometry, i, j, R, t, m)
@@ -246,9 +247,10 @@ def best_normal(geometry, i, j, R, t, n, gain):
     for g, sign in ((i, 1.0), (j, -1.0)):
         for f in range(face_count(geometry, g)):
             m = times(sign, to_world(R, g, face_normal(geometry, g, f)))
-            gap, _, _ = separation(geometry, i, j, R, t, m)
-            if gap > best:
-                best, n = gap, m
+            if dot(m, between) > best:  # any two points bound the gap from above
+                gap, _, _ = separation(geometry, i, j, R, t, m)
+                if gap > best:
+                    best, n = gap, m
     return n
 
 
