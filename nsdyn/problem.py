@@ -224,8 +224,7 @@ class FC3D:
     def velocity(self, r: Array) -> Array:
         """U = W r + q, shape (3 nc,), m/s."""
         if self.blocks is None:
-            out: Array = self.W @ r + self.q
-            return out
+            return np.asarray(self.W @ r + self.q)
         return self.blocks.relative_velocity(self.blocks.velocity_change(r)) + self.q
 
     def error(self, r: Any, u: Array | None = None) -> float:

@@ -215,9 +215,7 @@ def test_energy(run, recording, tmp_path):
     np.testing.assert_array_equal(table[:, 1], trajectory.energy.kinetic)  # 17 digits are exact
     np.testing.assert_array_equal(table[1:, -1], trajectory.energy.defect)
     # Energies of a few joules: the ledger of every line closes to their round-off.
-    np.testing.assert_allclose(
-        np.diff(table[:, 1:3].sum(axis=1)), table[1:, 3:].sum(axis=1), rtol=0, atol=1e-14
-    )
+    np.testing.assert_allclose(np.diff(table[:, 1:3].sum(axis=1)), table[1:, 3:].sum(axis=1), rtol=0, atol=1e-14)
 
     figures = json.loads(run("energy", "run.h5", "--json")[1])
     assert figures["worst"] == trajectory.worst()
@@ -232,9 +230,7 @@ def test_plot_of_unknown_kind(run, recording, tmp_path):
 
 def test_view(run, recording, tmp_path):
     assert run("view", "run.h5", "-o", "run.html", "--forces", "--fps", "100") == (0, "", "")
-    assert (tmp_path / "run.html").read_text() == viewer.html(
-        Trajectory.load(recording), fps=100, forces=True
-    )
+    assert (tmp_path / "run.html").read_text() == viewer.html(Trajectory.load(recording), fps=100, forces=True)
     code, _, err = run("view", "run.h5", "-o", "new.html", "--fps", "0")
     assert code == 2 and "fps must be positive" in err and not (tmp_path / "new.html").exists()
 

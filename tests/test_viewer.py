@@ -305,9 +305,7 @@ def test_camera_sees_everything_and_is_outside(falling):
 
 
 def test_meshcat_itself_is_not_loaded():
-    code = (
-        "import sys; from nsdyn import viewer; viewer._meshcat_script(); sys.exit('meshcat' in sys.modules)"
-    )
+    code = "import sys; from nsdyn import viewer; viewer._meshcat_script(); sys.exit('meshcat' in sys.modules)"
     root = str(Path(nd.__file__).parents[1])
     assert subprocess.run([sys.executable, "-c", code], cwd=root).returncode == 0
 
@@ -321,9 +319,7 @@ def test_articulation_is_drawn_link_by_link():
         assert viewer._body_path(frame) in {p.rpartition("/")[0] for p in by_path(page, "set_object")}
     link = next(name for name in trajectory.scene["frames"] if name.startswith("arm/"))
     track = next(t for t in moving[viewer._body_path(link)]["tracks"] if t["name"] == ".quaternion")
-    np.testing.assert_allclose(
-        floats(track["values"], 4)[-1], trajectory.body(link).quaternion[-1], atol=1e-7
-    )
+    np.testing.assert_allclose(floats(track["values"], 4)[-1], trajectory.body(link).quaternion[-1], atol=1e-7)
 
 
 # -- in a browser --------------------------------------------------------------------------------------------
@@ -343,9 +339,7 @@ def test_picture_shows_the_bodies_where_they_are(falling, tmp_path):
     assert pictures[0].shape == (360, 640, 3)
     blue = [((p[:, :, 2] - p[:, :, 0]) > 60).nonzero()[0] for p in pictures]  # first colour of the palette
     assert min(b.size for b in blue) > 100
-    assert (
-        blue[0].mean() < 120 < blue[1].mean() - 60
-    )  # it fell from the upper third by a good part of the picture
+    assert blue[0].mean() < 120 < blue[1].mean() - 60  # it fell from the upper third by a good part of the picture
     assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "page.png"]
 
 
