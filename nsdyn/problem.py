@@ -255,10 +255,10 @@ class FC3D:
         return float(_cones.duality_gap(self.velocity(r), r, self.mu)[0])
 
     def _impulse(self, r: Any) -> Array:
-        r = np.ascontiguousarray(r, dtype=float)
-        if r.shape != self.q.shape:
-            raise ValueError(f"r must have shape {self.q.shape} like q, got {r.shape}")
-        return r
+        out: Array = np.ascontiguousarray(r, dtype=float)
+        if out.shape != self.q.shape:
+            raise ValueError(f"r must have shape {self.q.shape} like q, got {out.shape}")
+        return out
 
     def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:
         """(both measures within tol, error, residual in m/s, u) of an impulse r."""
