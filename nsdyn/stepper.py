@@ -302,7 +302,8 @@ class Stepper:
             float(works[1].sum()),
         )
         r = solution.r.reshape(-1, 3)
-        impulse = np.einsum("ci,cij->cj", r, frame)
+        impulse = np.empty_like(r)
+        _motion.to_world(frame, r, impulse)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, impulse, contacts.key, self.detector.memory)
         status = np.empty(contacts.mu.size, np.int8)
         _motion.contact_status(solution.u, solution.r, contacts.mu, status)
@@ -337,12 +338,9 @@ class Stepper:
 
     def _warm_start(self, contacts: ContactSet, frame: Array) -> Array:
         """Last step's world impulses of the contacts that are still there, in the frames of now."""
-        r = np.zeros((contacts.key.size, 3))
-        if self._state.key.size and contacts.key.size:
-            old = _motion.match(self._state.key, contacts.key)
-            known = old >= 0
-            r[known] = np.einsum("cij,cj->ci", frame[known], self._state.impulse[old[known]])
-        return r.ravel()
+        r = np.empty(3 * contacts.key.size)
+        _motion.warm_start(self._state.key, self._state.impulse, contacts.key, frame, r)
+        return r
 
     def _fail(self, problem: FC3D, solution: Solution) -> None:
         message = (

@@ -301,12 +301,23 @@ def pinocchio_layout(quaternion, R, x, v, q_out, v_out):
 
 
 @njit(cache=True)
-def match(old_key, new_key):
-    """Index into old_key of every new key, -1 where it is new, shape (new_key.size,)."""
+def to_world(frame, r, out):
+    """Impulses r (nc, 3) in the contact frames, in world axes, into out (nc, 3)."""
+    for c in range(out.shape[0]):
+        for j in range(3):
+            out[c, j] = frame[c, 0, j] * r[c, 0] + frame[c, 1, j] * r[c, 1] + frame[c, 2, j] * r[c, 2]
+
+
+@njit(cache=True)
+def warm_start(old_key, impulse, new_key, frame, r):
+    """World impulses of old contacts in the frames of the contacts that continue them, 0 for new ones, into r (3 nc,)."""
     order = np.argsort(old_key)
-    out = np.full(new_key.size, -1, np.int64)
-    place = np.searchsorted(old_key[order], new_key)
+    keys = old_key[order]
+    place = np.searchsorted(keys, new_key)
     for c in range(new_key.size):
-        if place[c] < order.size and old_key[order[place[c]]] == new_key[c]:
-            out[c] = order[place[c]]
-    return out
+        known = place[c] < order.size and keys[place[c]] == new_key[c]
+        for i in range(3):
+            r[3 * c + i] = 0.0
+            if known:
+                p = impulse[order[place[c]]]
+                r[3 * c + i] = frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2]
