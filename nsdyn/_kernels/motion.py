@@ -310,7 +310,7 @@ def to_world(frame, r, out):
 
 @njit(cache=True)
 def warm_start(old_key, impulse, new_key, frame, r):
-    """World impulses of old contacts in the frames of the contacts that continue them, 0 for new ones, into r (3 nc,)."""
+    """World impulses of old contacts in the frames of those that continue them, 0 for new ones, into r (3 nc,)."""
     order = np.argsort(old_key)
     keys = old_key[order]
     place = np.searchsorted(keys, new_key)
