@@ -35,7 +35,7 @@ class Auto:
     """
 
     tol: float = 1e-8
-    rounds: int = 5
+    rounds: int = 8
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
