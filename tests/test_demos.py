@@ -37,8 +37,10 @@ def test_stacking():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(p.stem for p in DEMOS.glob("*.py")))
-def test_demo_as_a_script(name, tmp_path):
+@pytest.mark.parametrize(("name", "product"), [("sliding", "html"), ("stacking", "html"), ("elastic_block", "png")])
+def test_demo_as_a_script(name, product, tmp_path):
+    if name == "elastic_block":
+        pytest.importorskip("skfem", reason="scikit-fem is not installed (extra `fem`)")
     done = subprocess.run([sys.executable, DEMOS / f"{name}.py"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / f"{name}.html").stat().st_size > 500_000
+    assert (tmp_path / f"{name}.{product}").stat().st_size > 20_000

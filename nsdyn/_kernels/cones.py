@@ -110,16 +110,18 @@ def solve_one(W, q, mu, r):
     if q[0] >= 0.0:
         r[0] = r[1] = r[2] = 0.0
         return
-    if mu == 0.0:
+    tau = 0.5 * (W[1, 1] + W[2, 2])
+    if mu == 0.0 or tau == 0.0:
         r[0], r[1], r[2] = -q[0] / W[0, 0], 0.0, 0.0
         return
-    rn, r1, r2 = _slip(W, q, 0.0)
+    # A point that cannot move in a tangential direction has a singular W_TT.
+    singular = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1] <= 1e-14 * tau * tau
+    rn, r1, r2 = _slip(W, q, 1e-14 * tau if singular else 0.0)
     t = math.sqrt(r1 * r1 + r2 * r2)
     if t <= mu * rn:
         r[0], r[1], r[2] = rn, r1, r2
         return
     # f = (|r_T| - mu r_N) / (|r_T| + mu |r_N|) falls from f_lo in (0, 1] at lo to -1 at hi.
-    tau = 0.5 * (W[1, 1] + W[2, 2])
     lo, f_lo, hi, f_hi = 0.0, (t - mu * rn) / (t + mu * abs(rn)), 1.0, -1.0
     side = 0
     for k in range(100):
