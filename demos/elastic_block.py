@@ -124,8 +124,8 @@ def solve(
         position = body.rigid_W @ force + 1e7 * (side * body.rigid_side + top * body.rigid_top) + rest * body.rigid_lift
         step, rest = position - rest, position
         if abs(step) <= 1e-9 * abs(position):
-            break
-    return solution.u * length, force, used
+            return solution.u * length, force, used
+    raise RuntimeError(f"the rigid mode still moves by {step:.1e} m after {passes} passes")
 
 
 def zones(body: Block, u: np.ndarray, r: np.ndarray) -> tuple[float, float]:
