@@ -100,6 +100,26 @@ def _parser() -> _Parser:
     p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
     p.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
+    p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
+    _add_json(p)
+
+    p = command("solve", _solve, "Solve a frictional contact problem in an FCLIB file.")
+    p.add_argument("problem", type=Path, metavar="PROBLEM.hdf5")
+    p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
+    p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
+    p.add_argument("-o", "--output", type=Path, metavar="SOLUTION.hdf5", help="new file: the problem and its solution")
+    _add_json(p)
+
+    p = command("profile", _profile, "Compare solvers on a folder of FCLIB files: Dolan-Moré performance profiles.")
+    p.add_argument("folder", type=Path, metavar="DIR")
+    p.add_argument("--solver", action="append", metavar="S", help="solver by name; may be repeated (default: auto)")
+    p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="on the error measure (default: %(default)s)")
+    p.add_argument(
+        "--limit", type=float, default=10.0, metavar="SECONDS", help="time limit of each solve (default: %(default)s)"
+    )
+    p.add_argument("--peer", action="append", default=[], metavar="NAME", help="siconos or pinocchio: all its solvers")
+    p.add_argument("--csv", type=Path, metavar="F.csv", help="all runs, one a line")
+    p.add_argument("--plot", type=Path, metavar="F.png", help="picture of the profiles (png, pdf or svg)")
     _add_json(p)
 
     p = command("energy", _energy, "Print, plot or export the energy ledger of a recording.")
@@ -230,6 +250,7 @@ def _run(arguments: argparse.Namespace) -> int:
             solver=solver,
             record=arguments.output,
             progress=True,
+            dump_on_fail=arguments.dump_on_fail,
         )
     except nsdyn.NotConverged as failure:
         kept = f"; the steps before it are in {arguments.output}" if arguments.output else ""
@@ -263,6 +284,76 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+# -- solve and profile ---------------------------------------------------------------------------------
+
+
+def _solve(arguments: argparse.Namespace) -> int:
+    from nsdyn import fclib, solvers
+
+    solver = solvers.by_name(arguments.solver, arguments.tol)
+    _check_outputs(arguments.output)
+    if arguments.output and arguments.output.exists():
+        raise ValueError(f"cannot write {arguments.output}: it exists")
+    problem = fclib.read(arguments.problem)
+    solution = solver(problem)
+    if arguments.output:
+        fclib.write_solution(arguments.output, arguments.problem, solution)
+    figures = {
+        "problem": arguments.problem,
+        "contacts": problem.nc,
+        "solver": arguments.solver,
+        "tol": arguments.tol,
+        "converged": solution.converged,
+        "status": solution.status.message,
+        "error": solution.error,
+        "residual": solution.residual,
+        "iterations": solution.iterations,
+        "time": solution.time,
+        "solution": arguments.output,
+    }
+    if arguments.json:
+        _print_json(figures)
+    else:
+        print(
+            f"{problem.nc} contacts, {arguments.solver}: {solution.status.message}; error {solution.error:.2e}, "
+            f"residual {solution.residual:.2e} m/s, {solution.iterations} iterations in {1e3 * solution.time:.3g} ms"
+        )
+    return 0 if solution.converged else 1
+
+
+def _profile(arguments: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from nsdyn import profile
+
+    _check_outputs(arguments.csv, arguments.plot)
+    found = profile.measure(
+        arguments.folder, arguments.solver or ["auto"], arguments.tol, arguments.limit, arguments.peer, progress=True
+    )
+    if arguments.csv:
+        found.write_csv(arguments.csv)
+    if arguments.plot:
+        _plot(arguments.plot, found.plot)
+    if arguments.json:
+        runs = [asdict(run) for run in found.runs]
+        _print_json({"tol": found.tol, "limit": found.limit, "summary": found.summary(), "runs": runs})
+    else:
+        print(found.table())
+    return 0
+
+
+def _plot(path: Path, draw: Callable[[Any], Any]) -> None:
+    """Picture of what `draw` draws on matplotlib axes."""
+    from matplotlib.figure import Figure  # needs no display, unlike pyplot
+
+    from nsdyn.trajectory import replacing
+
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    draw(figure.subplots())
+    with replacing(path) as part:
+        figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=150)
+
+
 # -- energy and view -----------------------------------------------------------------------------------
 
 
@@ -272,12 +363,7 @@ def _energy(arguments: argparse.Namespace) -> int:
     _check_outputs(arguments.plot, arguments.csv)
     trajectory = Trajectory.load(arguments.recording)
     if arguments.plot:
-        from matplotlib.figure import Figure  # needs no display, unlike pyplot
-
-        figure = Figure(figsize=(8, 5), layout="constrained")
-        trajectory.plot_energy(figure.subplots())
-        with replacing(arguments.plot) as part:
-            figure.savefig(part, format=arguments.plot.suffix.removeprefix(".") or "png", dpi=150)
+        _plot(arguments.plot, trajectory.plot_energy)
     if arguments.csv:
         with replacing(arguments.csv) as part:
             _write_csv(trajectory, part)

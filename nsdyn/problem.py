@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels import blocks as _blocks
 from nsdyn._kernels import cones as _cones
+from nsdyn._kernels import pgs as _pgs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -88,11 +89,16 @@ class Blocks:
         _blocks.relative_velocity(self.offset, self.block, self.start, self.h, v, u)
         return u
 
+    def momentum(self, r: Array) -> Array:
+        """H r, shape (n,)."""
+        p = np.empty(self.n)
+        _blocks.momentum(self.offset, self.block, self.start, self.h, r, p)
+        return p
+
     def velocity_change(self, r: Array) -> Array:
         """M⁻¹ H r, shape (n,)."""
-        p, dv = np.empty(self.n), np.empty(self.n)
-        _blocks.momentum(self.offset, self.block, self.start, self.h, r, p)
-        _blocks.block_product(self.offset, self.m_start, self.minv, p, dv)
+        dv = np.empty(self.n)
+        _blocks.block_product(self.offset, self.m_start, self.minv, self.momentum(r), dv)
         return dv
 
     def delassus(self) -> sp.bsr_array:
@@ -213,8 +219,18 @@ class FC3D:
         if self.blocks is not None:
             return self.blocks.scales()
         out = np.empty(self.nc)
-        _cones.diagonal_scales(*_csr(self.W), out)
+        _cones.diagonal_scales(*self.csr, out)
         return out
+
+    @cached_property
+    def csr(self) -> tuple[Index, Index, Array]:
+        """(indptr, indices, data (nnz, 3, 3)) of W with 64-bit indices, as the kernels take them."""
+        return _csr(self.W)
+
+    @cached_property
+    def q_norm(self) -> float:
+        """‖q‖₂ in m/s, or 1 where q = 0."""
+        return math.sqrt(self.q @ self.q) or 1.0
 
     @property
     def nc(self) -> int:
@@ -224,7 +240,9 @@ class FC3D:
     def velocity(self, r: Array) -> Array:
         """U = W r + q, shape (3 nc,), m/s."""
         if self.blocks is None:
-            return np.asarray(self.W @ r + self.q)
+            u = np.empty_like(self.q)
+            _pgs.velocity(*self.csr, self.q, r, u)
+            return u
         return self.blocks.relative_velocity(self.blocks.velocity_change(r)) + self.q
 
     def error(self, r: Any, u: Array | None = None) -> float:
@@ -240,8 +258,7 @@ class FC3D:
         """
         r = self._impulse(r)
         u = self.velocity(r) if u is None else u
-        top, q = _cones.natural_error(u, r, self.mu), math.sqrt(self.q @ self.q)
-        return float(top / q) if q > 0.0 else float(top)
+        return float(_cones.natural_error(u, r, self.mu)) / self.q_norm
 
     def residual(self, r: Any, u: Array | None = None) -> float:
         """Unit-invariant residual in m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ with ρ = 1/λ_max(W_aa)."""
@@ -262,8 +279,10 @@ class FC3D:
 
     def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:
         """(both measures within tol, error, residual in m/s, u) of an impulse r."""
+        r = self._impulse(r)
         u = self.velocity(r)
-        error, residual = self.error(r, u), self.residual(r, u)
+        top, residual = _cones.measures(self.scales, u, r, self.mu)
+        error = top / self.q_norm
         return error <= tol and residual <= tol, error, residual, u
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn import energy, gauss
+from nsdyn import energy, fclib, gauss
 from nsdyn._kernels import motion as _motion
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
@@ -165,6 +165,8 @@ class Stepper:
         What to do when the solver misses its tolerance; the status is always recorded.
     max_points : int
         Most contact points per pair of shapes.
+    dump_on_fail : path, optional
+        Folder for the problems of failing steps, FCLIB global files named by the step, the warm start as a guess.
 
     Raises
     ------
@@ -188,6 +190,7 @@ class Stepper:
         external_force: Callback | None = None,
         on_fail: str = "raise",
         max_points: int = 8,
+        dump_on_fail: str | Path | None = None,
     ) -> None:
         if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
@@ -195,6 +198,9 @@ class Stepper:
             raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
         if on_fail not in ("raise", "warn", "ignore"):
             raise ValueError(f"on_fail must be 'raise', 'warn' or 'ignore', got {on_fail!r}")
+        self.dump_on_fail = None if dump_on_fail is None else Path(dump_on_fail)
+        if self.dump_on_fail is not None and self.dump_on_fail.is_file():
+            raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
         self.solver: Solver = Auto() if solver is None else solver
         self.controller, self.external_force, self.on_fail = controller, external_force, on_fail
@@ -278,7 +284,7 @@ class Stepper:
         solution = self.solver(problem, guess)
         t_solve = clock()
         if not solution.converged:
-            self._fail(problem, solution)
+            self._fail(problem, solution, v_free, guess)
         v = v_free + blocks.velocity_change(solution.r)
 
         # Positions, and what penetration is left in them.
@@ -342,11 +348,16 @@ class Stepper:
         _motion.warm_start(self._state.key, self._state.impulse, contacts.key, frame, r)
         return r
 
-    def _fail(self, problem: FC3D, solution: Solution) -> None:
+    def _fail(self, problem: FC3D, solution: Solution, v_free: Array, guess: Array) -> None:
         message = (
             f"step from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
             f"{solution.residual:.2e} m/s, tolerance {self.solver.tol:.1e} ({solution.status.message})"
         )
+        if self.dump_on_fail is not None:
+            self.dump_on_fail.mkdir(parents=True, exist_ok=True)
+            path = self.dump_on_fail / f"step-{self._state.count + 1:06d}.hdf5"
+            fclib.write(path, problem, guesses=[guess], v_free=v_free, description=message, overwrite=True)
+            message += f"; its problem is in {path}"
         if self.on_fail == "raise":
             self.detector.memory = self._state.memory
             raise NotConverged(message, problem, solution)
@@ -402,6 +413,7 @@ def simulate(
     record: str | Path | None = None,
     progress: bool = False,
     max_points: int = 8,
+    dump_on_fail: str | Path | None = None,
 ) -> Trajectory:
     """Simulate a scene and return its trajectory.
 
@@ -410,7 +422,7 @@ def simulate(
     scene : Scene
     duration : float
         s; rounded up to whole steps.
-    dt, theta, solver, controller, external_force, on_fail, max_points
+    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail
         As in `Stepper`.
     record : path, optional
         HDF5 file written while the simulation runs; a killed run keeps its steps.
@@ -432,7 +444,7 @@ def simulate(
 
     if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
         raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
-    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points)
+    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail)
     steps = max(1, math.ceil(duration / stepper.dt - 1e-9))
     meta = {"dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver)}
     with Recorder(record, meta, scene.describe(), stepper.start()) as recorder:

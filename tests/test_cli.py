@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_problem import corner_box
 
 import nsdyn as nd
 from nsdyn import cli, viewer
@@ -39,7 +40,7 @@ def recording(run, tmp_path):
     return tmp_path / "run.h5"
 
 
-@pytest.mark.parametrize("command", [[], ["scenes"], ["doctor"], ["run"], ["energy"], ["view"]])
+@pytest.mark.parametrize("command", [[], ["scenes"], ["doctor"], ["run"], ["solve"], ["profile"], ["energy"], ["view"]])
 def test_help(run, command):
     code, out, err = run(*command, "--help")
     assert code == 0 and out.startswith("usage: nsdyn") and err == ""
@@ -160,6 +161,14 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["run", "slide", "-o", "missing/run.h5"], "cannot write missing/run.h5: there is no folder"),
         (["run", "slide", "-o", "run.h5", "--html", "missing/run.html"], "cannot write missing/run.html"),
         (["run", "slide", "-o", "."], "cannot write .: it is a folder"),
+        (["solve", "missing.hdf5"], "no such file: missing.hdf5"),
+        (["solve", "text.h5"], "text.h5 is not an HDF5 file"),
+        (["solve", "text.h5", "--solver", "magic"], "solver must be one of"),
+        (["solve", "text.h5", "--tol", "-1"], "tol must be positive"),
+        (["solve", "text.h5", "-o", "missing/s.hdf5"], "cannot write missing/s.hdf5: there is no folder"),
+        (["solve", "text.h5", "-o", "text.h5"], "cannot write text.h5: it exists"),
+        (["profile", "."], "no *.hdf5 files in ."),
+        (["profile", ".", "--plot", "missing/p.png"], "cannot write missing/p.png: there is no folder"),
         (["energy", "missing.h5"], "no such recording: missing.h5"),
         (["energy", "text.h5", "--csv", "e.csv"], "text.h5 is not a recording of nsdyn"),
         (["view", "text.h5"], "nothing to make"),
@@ -180,6 +189,49 @@ def test_bad_input_leaves_existing_files(run, tmp_path):
     (tmp_path / "run.h5").write_text("precious")
     assert run("run", "slide", "--theta", "2", "-o", "run.h5")[0] == 2
     assert (tmp_path / "run.h5").read_text() == "precious"
+
+
+@pytest.fixture
+def problem(tmp_path):
+    path = tmp_path / "p.hdf5"
+    nd.fclib.write(path, corner_box(mu=0.1, push=(0.5, 0.2))[0])
+    return path
+
+
+def test_solve(run, problem, tmp_path):
+    code, out, err = run("solve", "p.hdf5", "-o", "s.hdf5")
+    assert code == 0 and err == "" and out.startswith("4 contacts, auto: converged; error ") and out.count("\n") == 1
+    given = nd.fclib.read(problem)
+    r = nd.fclib.read_solution(tmp_path / "s.hdf5").r
+    assert given.error(r) <= 1e-8 and (nd.fclib.read(tmp_path / "s.hdf5").W != given.W).nnz == 0
+    code, out, _ = run("solve", "p.hdf5", "--solver", "pgs", "--tol", "1e-6", "--json")
+    figures = json.loads(out)
+    assert code == 0 and figures["converged"] and figures["contacts"] == 4 and figures["error"] <= 1e-6
+    assert figures["residual"] <= 1e-6 and figures["iterations"] > 0 and figures["time"] > 0
+
+
+def test_solve_that_does_not_converge(run, problem):
+    code, out, err = run("solve", "p.hdf5", "--solver", "pgs", "--tol", "1e-300")
+    assert code == 1 and "the iteration limit was reached" in out and err == ""
+
+
+def test_failing_run_dumps_a_problem_that_solve_reads(run):
+    code, _, err = run("run", "slide", *SHORT, "--solver", "pgs", "--tol", "1e-300", "--dump-on-fail", "dumps")
+    assert code == 1 and "its problem is in dumps/step-000001.hdf5" in err
+    code, out, _ = run("solve", "dumps/step-000001.hdf5", "--json")
+    assert code == 0 and json.loads(out)["contacts"] == 4
+
+
+def test_profile(run, problem, tmp_path):
+    code, out, err = run("profile", ".", "--solver", "pgs", "--csv", "p.csv", "--plot", "p.png")
+    assert code == 0 and err == ""
+    assert out.splitlines()[1].split() == ["pgs", "1/1", "1.00", "1.00", "1.00", "1.00", "1"]
+    rows = list(csv.DictReader((tmp_path / "p.csv").read_text().splitlines()))
+    assert rows[0]["problem"] == "p" and rows[0]["solved"] == "True"
+    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+    figures = json.loads(run("profile", ".", "--solver", "pgs", "--tol", "1e-30", "--json")[1])
+    assert figures["summary"][0]["solved"] == 0 and figures["summary"][0]["mean_ratio"] is None
+    assert figures["runs"][0]["error"] > 1e-30
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ import nsdyn
 
 ROOT = Path(nsdyn.__file__).parent
 ORDER = [
-    ["_kernels"], ["cones"], ["problem"], ["solvers", "fclib"],
+    ["_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
     ["shapes"], ["scene"], ["contacts", "scenes"], ["dynamics"],
-    ["gauss", "energy"], ["trajectory"], ["viewer", "stepper"], ["cli"],
+    ["gauss", "energy", "profile", "_peers"], ["trajectory"], ["viewer", "stepper"], ["cli"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
-MATHEMATICS = {"_kernels", "cones", "problem", "solvers", "fclib", "gauss"}
+MATHEMATICS = {"_kernels", "cones", "problem", "formulations", "solvers", "fclib", "gauss"}
 
 
 def imports(path: Path) -> set[str]:

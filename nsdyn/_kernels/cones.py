@@ -75,6 +75,12 @@ def natural_error(u, r, mu):
 
 
 @njit(cache=True)
+def measures(W_diagonal, u, r, mu):
+    """(natural_error, natural_residual) in one call."""
+    return natural_error(u, r, mu), natural_residual(W_diagonal, u, r, mu)
+
+
+@njit(cache=True)
 def duality_gap(u, r, mu):
     """(Σ r·(u + (delta + mu |u_T|) e_N), |delta|_2) with delta = max(0, -u_N) and r projected on its cone."""
     gap, shift = 0.0, 0.0

@@ -18,7 +18,13 @@ from numba import njit
 from nsdyn._kernels.blocks import block_product, momentum, relative_velocity
 from nsdyn._kernels.cones import natural_error, natural_residual
 
-PATIENCE = 8  # Newton steps without settling after which a penalty is called too large
+PATIENCE = 5  # Newton steps without settling after which a penalty is called too large
+
+
+@njit(cache=True)
+def grown(penalty, inner):
+    """Next penalty after settling in `inner` steps: twice as large after a quick success."""
+    return min(2.0 * penalty, 1e8) if inner <= 2 else penalty
 
 
 @njit(cache=True)
@@ -144,7 +150,7 @@ def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_no
     """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
 
     Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and where F
-    has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, grows threefold with
+    has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, doubles with
     every quick success and falls tenfold after a failure, which starts again from the estimate.
     """
     n, nr = offset[-1], q.size
@@ -156,7 +162,7 @@ def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_no
     count, inner = 0, 0
     rho = penalty / scales
     projected(u, estimate, rho, mu, P)
-    while best > tol and count < max_iter and penalty > 1e-2:
+    while best > tol and count < max_iter and penalty > 1e-3:
         defect(offset, block, start, h, m_start, m, y, P, F, work)
         stiffness(u, estimate, rho, mu, A)
         assemble_dense(offset, block, start, h, m_start, m, A, K)
@@ -171,8 +177,7 @@ def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_no
             best = measure
             r[:] = P
         if settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F, work):
-            if inner <= 2:
-                penalty = min(3.0 * penalty, 1e8)
+            penalty = grown(penalty, inner)
             estimate[:] = P
             inner = 0
         elif inner >= PATIENCE:

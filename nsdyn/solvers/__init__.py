@@ -5,11 +5,43 @@ from __future__ import annotations
 from typing import Protocol
 
 from nsdyn.problem import FC3D, Array, Solution
+from nsdyn.solvers.aclm import ACLM
+from nsdyn.solvers.admm import ADMM
 from nsdyn.solvers.auto import Auto
+from nsdyn.solvers.bundle import Bundle
+from nsdyn.solvers.extragradient import Extragradient
+from nsdyn.solvers.fixed_point import FixedPoint
+from nsdyn.solvers.impulse_newton import ImpulseNewton
+from nsdyn.solvers.interior import Interior
+from nsdyn.solvers.interior_point import InteriorPoint
 from nsdyn.solvers.newton import Newton
+from nsdyn.solvers.panagiotopoulos import Panagiotopoulos
 from nsdyn.solvers.pgs import PGS
+from nsdyn.solvers.proximal import Proximal
+from nsdyn.solvers.tresca import Tresca
+from nsdyn.solvers.uzawa import Uzawa
 
-__all__ = ["PGS", "SOLVERS", "Auto", "Newton", "Solver", "by_name", "solve"]
+__all__ = [
+    "ACLM",
+    "ADMM",
+    "PGS",
+    "SOLVERS",
+    "Auto",
+    "Bundle",
+    "Extragradient",
+    "FixedPoint",
+    "ImpulseNewton",
+    "Interior",
+    "InteriorPoint",
+    "Newton",
+    "Panagiotopoulos",
+    "Proximal",
+    "Solver",
+    "Tresca",
+    "Uzawa",
+    "by_name",
+    "solve",
+]
 
 
 class Solver(Protocol):
@@ -23,7 +55,23 @@ class Solver(Protocol):
         """Solve the problem from the impulse r0 (default 0)."""
 
 
-SOLVERS: dict[str, type] = {"auto": Auto, "newton": Newton, "pgs": PGS}
+SOLVERS: dict[str, type] = {
+    "aclm": ACLM,
+    "admm": ADMM,
+    "auto": Auto,
+    "bundle": Bundle,
+    "extragradient": Extragradient,
+    "fixed_point": FixedPoint,
+    "impulse_newton": ImpulseNewton,
+    "interior": Interior,
+    "interior_point": InteriorPoint,
+    "newton": Newton,
+    "panagiotopoulos": Panagiotopoulos,
+    "pgs": PGS,
+    "proximal": Proximal,
+    "tresca": Tresca,
+    "uzawa": Uzawa,
+}
 """The solvers by name."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -20,7 +21,7 @@ DENSE = 120
 """Islands up to this many coordinates are factorised densely: below it LAPACK in the kernel beats a sparse call."""
 
 
-class _Factor:
+class Factor:
     """Sparse factorisations of K on one contact graph: Cholesky-like where K is symmetric, LU elsewhere."""
 
     def __init__(self, offset: Index, block: Index) -> None:
@@ -29,27 +30,40 @@ class _Factor:
         self.K = sp.csc_matrix((np.empty(self.indices.size), self.indices, self.indptr), shape=(n, n))
         self.ldl: Any = None
 
-    def solve(self, blocks: Blocks, A: Array, b: Array) -> Array:
-        """K⁻¹ b for K = M + Σ H_c A_c H_cᵀ."""
+    def _assemble(self, blocks: Blocks, A: Array) -> None:
         _kernels.assemble_sparse(
             blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, A,
             self.indptr, self.slot, self.diagonal, self.K.data,
         )  # fmt: skip
-        if _kernels.symmetric(A):
-            if self.ldl is None:
-                self.ldl = qdldl.Solver(self.K)
-            else:
-                self.ldl.update(self.K)
-            out: Array = self.ldl.solve(b)
-            return out
+
+    def lu(self, blocks: Blocks, A: Array) -> Callable[[Array], Array]:
+        """Function b ↦ K⁻¹ b for K = M + Σ H_c A_c H_cᵀ; RuntimeError when K is singular."""
+        self._assemble(blocks, A)
         lu = splu(self.K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        return np.asarray(lu.solve(b))
+        return lambda b: np.asarray(lu.solve(b))
+
+    def solve(self, blocks: Blocks, A: Array, b: Array) -> Array:
+        """K⁻¹ b, by LDLᵀ where K is symmetric."""
+        if not _kernels.symmetric(A):
+            return self.lu(blocks, A)(b)
+        self._assemble(blocks, A)
+        if self.ldl is None:
+            self.ldl = qdldl.Solver(self.K)
+        else:
+            self.ldl.update(self.K)
+        out: Array = self.ldl.solve(b)
+        return out
 
 
 @lru_cache(maxsize=16)
-def _factor(offset: bytes, block: bytes) -> _Factor:
-    """One `_Factor` per contact graph, so that the symbolic part lives as long as the graph."""
-    return _Factor(np.frombuffer(offset, np.int64), np.frombuffer(block, np.int64).reshape(-1, 2))
+def _factor(offset: bytes, block: bytes) -> Factor:
+    """One `Factor` per contact graph, so that the symbolic part lives as long as the graph."""
+    return Factor(np.frombuffer(offset, np.int64), np.frombuffer(block, np.int64).reshape(-1, 2))
+
+
+def contact_graph(blocks: Blocks) -> Factor:
+    """The factorisations on the contact graph of some blocks."""
+    return _factor(blocks.offset.tobytes(), blocks.block.tobytes())
 
 
 def _sparse(
@@ -67,14 +81,14 @@ def _sparse(
     n, nr = blocks.n, q.size
     topology = blocks.offset, blocks.block, blocks.start, blocks.h
     weights = *topology, blocks.m_start, blocks.minv
-    factor = _factor(blocks.offset.tobytes(), blocks.block.tobytes())
+    factor = contact_graph(blocks)
     y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
     P, own_y, own_u, A = np.empty(nr), np.empty(n), np.empty(nr), np.empty((mu.size, 3, 3))
     best = float(_kernels.measure_of(*weights, q, mu, scales, q_norm, r, y, u, work))
     estimate, rho = r.copy(), penalty / scales
     count = inner = 0
     _kernels.projected(u, estimate, rho, mu, P)
-    while best > tol and count < max_iter and penalty > 1e-2:
+    while best > tol and count < max_iter and penalty > 1e-3:
         _kernels.defect(*topology, blocks.m_start, blocks.m, y, P, F, work)
         _kernels.stiffness(u, estimate, rho, mu, A)
         y -= factor.solve(blocks, A, F)
@@ -87,8 +101,7 @@ def _sparse(
             best = new
             r[:] = P
         if _kernels.settled(*topology, blocks.m_start, blocks.m, blocks.minv, scales, y, P, estimate, F, work):
-            if inner <= 2:
-                penalty = min(3.0 * penalty, 1e8)
+            penalty = _kernels.grown(penalty, inner)
             estimate[:] = P
             inner = 0
         elif inner >= _kernels.PATIENCE:
@@ -177,7 +190,7 @@ class Newton:
         count = 0
         if problem.nc and not problem.solved(r, self.tol)[0]:
             blocks = problem.blocks or Blocks.from_delassus(problem.W)
-            q_norm = float(np.linalg.norm(problem.q)) or 1.0
+            q_norm = problem.q_norm
             # Half the tolerance: the judge measures the islands together and, for a given W, with W itself.
             for contacts, part in each_island(blocks):
                 i = rows(contacts, problem.nc)

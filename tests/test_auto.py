@@ -1,0 +1,149 @@
+"""The portfolio and the interior point method on what defeats other solvers: cold, redundant, unsymmetric, mixed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from test_problem import corner_box
+
+import nsdyn as nd
+from nsdyn._kernels import interior as kernels
+from nsdyn._kernels import local
+from nsdyn.solvers import interior
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+SOLVERS = ("auto", "interior")
+
+
+def kicked_stack(height=6, ratio=1.0, mu=0.6, seed=0):
+    """First step of a stack of boxes, the masses growing by `ratio` from bottom to top, all thrown about."""
+    rng = np.random.default_rng(seed)
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(mu=mu))
+    for k in range(height):
+        scene.add_box(
+            f"box{k}", (0.4, 0.4, 0.2), float(ratio ** (k / (height - 1))), position=(0, 0, 0.1 + 0.2 * k),
+            linear_velocity=rng.normal(size=3) * (0.3, 0.3, 0.1), angular_velocity=0.3 * rng.normal(size=3),
+            material=nd.Material(mu=mu),
+        )  # fmt: skip
+    return nd.Stepper(scene, dt=1e-2, on_fail="ignore").step().problem
+
+
+def given(problem):
+    """The same problem by W alone."""
+    return nd.FC3D(problem.W, problem.q, problem.mu)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("form", [lambda p: p, given], ids=["factors", "matrix"])
+@pytest.mark.parametrize("mu", [0.0, 0.3, 1.0, 10.0])
+def test_kicked_stack_from_nothing(solver, form, mu):
+    solution = nd.solve(form(kicked_stack(mu=mu)), solver, tol=1e-9)
+    assert solution.converged, (solution.error, solution.residual)
+
+
+@pytest.mark.parametrize("ratio", [1e-3, 1.0, 1e3])
+def test_iterations_do_not_grow_with_the_mass_ratio(ratio):
+    solution = nd.solve(kicked_stack(height=20, ratio=ratio), tol=1e-8)
+    assert solution.converged
+    assert solution.iterations <= 600
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_ten_copies_of_every_contact(solver):
+    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    copies = np.tile(np.arange(12), 10)
+    W = problem.W.toarray()[np.ix_(copies, copies)]
+    solution = nd.solve(nd.FC3D(W, problem.q[copies], np.tile(problem.mu, 10)), solver)
+    assert solution.converged
+    # The velocity of the box is unique; tolerance times the condition of order 10.
+    np.testing.assert_allclose(solution.u[:12], nd.solve(problem).u, atol=1e-7)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_unit_of_mass(solver, factor):
+    problem = given(kicked_stack())
+    assert nd.solve(nd.FC3D(problem.W / factor, problem.q, problem.mu), solver).residual <= 1e-8
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("seed", range(3))
+def test_unsymmetric_matrix(solver, seed):
+    """W with a gyroscopic part: W is taken as it is, not its symmetric part."""
+    rng = np.random.default_rng(seed)
+    nc = 8
+    G = rng.normal(size=(3 * nc, 12))
+    A = rng.normal(size=(12, 12))
+    W = G @ (np.eye(12) + 0.05 * (A - A.T)) @ G.T
+    problem = nd.FC3D(W, G @ rng.normal(size=12), rng.uniform(0.2, 0.8, nc))
+    solution = nd.solve(problem, solver, tol=1e-10)
+    assert solution.converged
+    np.testing.assert_allclose(solution.u, W @ solution.r + problem.q, atol=1e-12)
+
+
+def test_islands_of_a_matrix():
+    W = sp.block_diag([np.eye(3), np.ones((6, 6)) + np.eye(6), np.eye(3)]).toarray()
+    order = np.array([1, 0, 3, 2])  # islands {1}, {0, 3}, {2}
+    rows = (3 * order[:, None] + np.arange(3)).ravel()
+    problem = nd.FC3D(W[np.ix_(rows, rows)], np.ones(12), np.ones(4))
+    label, found = local.islands(*problem.csr[:2])
+    assert found == 3 and label.tolist() == [0, 1, 2, 0]
+
+
+def test_large_island_of_a_matrix():
+    """More contacts than are solved densely: the sparse form of the same methods."""
+    n = 120
+    W = sp.kron(sp.diags_array([-0.5, 1.0, -0.5], offsets=[-1, 0, 1], shape=(n, n)), np.eye(3))
+    rng = np.random.default_rng(0)
+    problem = nd.FC3D(W, rng.normal(size=3 * n), np.full(n, 0.5))
+    for solver in SOLVERS:
+        assert nd.solve(problem, solver).converged
+
+
+def test_factorisation_against_dense_algebra(rng):
+    S, b = rng.normal(size=(9, 9)), rng.normal(size=9)
+    expected, pivot = np.linalg.solve(S, b), np.empty(9, np.int64)
+    assert kernels.factorise(S, pivot)
+    kernels.substitute(S, pivot, b)
+    np.testing.assert_allclose(b, expected, atol=1e-12)
+    assert not kernels.factorise(np.zeros((2, 2)), np.empty(2, np.int64))
+
+
+@pytest.mark.parametrize("operator", ["Velocity", "Local"])
+def test_operators(operator, rng):
+    """Both forms of W (I + A W)⁻¹ against dense algebra."""
+    problem = kicked_stack(height=3)
+    W, nc = problem.W.toarray(), problem.nc
+    made = interior.Velocity(problem.blocks) if operator == "Velocity" else interior.Local(problem.W)
+    A = np.array([R @ R.T for R in rng.normal(size=(nc, 3, 3))])
+    g = rng.normal(size=3 * nc)
+    expected = W @ np.linalg.solve(np.eye(3 * nc) + sp.block_diag(A).toarray() @ W, g)
+    np.testing.assert_allclose(made.factor(A)(g), expected, atol=1e-9)
+    np.testing.assert_allclose(made.product(g), W @ g, atol=1e-10)
+
+
+def test_scaling_point(rng):
+    """T z = T⁻¹ x = λ with T symmetric, and the mean of x·z."""
+    nc = 5
+    mu, u, z = rng.uniform(0.2, 1, nc), rng.normal(size=(nc, 3)), rng.normal(size=(nc, 3))
+    u[:, 0], z[:, 0] = np.abs(u[:, 0]) + 0.1, np.hypot(z[:, 1], z[:, 2]) + rng.uniform(0.1, 1, nc)
+    (T, V, C, A), lam = (np.empty((nc, 3, 3)) for _ in range(4)), np.empty((nc, 3))
+    gap = kernels.scaling(u, z, mu, T, V, C, A, lam)
+    x = np.column_stack((u[:, 0] / mu + np.hypot(u[:, 1], u[:, 2]), u[:, 1:]))
+    assert gap == pytest.approx((x * z).sum() / nc, rel=1e-13)
+    np.testing.assert_allclose(np.einsum("cij,cj->ci", V, x), lam, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("cij,cj->ci", T, z), lam, atol=1e-12)
+    np.testing.assert_allclose(T @ V, np.broadcast_to(np.eye(3), T.shape), atol=1e-12)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the folders of FCLIB problems are not here")
+@pytest.mark.parametrize(
+    "path", sorted(SHARED.glob("fc3d/*.hdf5")) + sorted(SHARED.glob("hard/*.hdf5")), ids=lambda p: p.stem
+)
+def test_every_problem_of_the_literature(path):
+    problem = nd.fclib.read(path)
+    solution = nd.solve(problem, tol=1e-8)
+    assert solution.converged, (solution.error, solution.residual)
+    assert (nd.solve(problem, tol=1e-8).r == solution.r).all(), "not reproducible to the last bit"

@@ -1,0 +1,220 @@
+"""The solvers of the literature on small problems: each at its reach, velocities against `auto`, their theorems."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+from test_problem import corner_box
+from test_solvers import CASES
+
+import nsdyn as nd
+import nsdyn.formulations
+from nsdyn.solvers import bundle, interior_point, uzawa
+from nsdyn.solvers._common import Equilibrated, factor
+from nsdyn.solvers._frozen import shifted, slip_shift
+from nsdyn.solvers.impulse_newton import ImpulseNewton, steps
+
+REACH = 1e-6
+NAMES = sorted(set(nd.solvers.SOLVERS) - {"auto", "newton", "pgs"})
+
+
+@pytest.fixture(scope="module")
+def velocities():
+    return {name: nd.solve(problem, tol=1e-10).u for name, problem in CASES.items()}
+
+
+def agrees(solution, u):
+    assert solution.converged, solution.status.message
+    # Ten times the tolerance over the stiffness of order 1; the velocity is unique in all cases.
+    np.testing.assert_allclose(solution.u, u, atol=10 * REACH)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("name", NAMES)
+def test_solves(velocities, name, case):
+    agrees(nd.solve(CASES[case], name, tol=REACH), velocities[case])
+
+
+@pytest.mark.parametrize("rule", ["khobotov", "solodov-tseng"])
+@pytest.mark.parametrize("solver", [nd.solvers.FixedPoint, nd.solvers.Extragradient])
+def test_rules_of_the_step(velocities, solver, rule):
+    for case, problem in CASES.items():
+        agrees(solver(tol=REACH, rule=rule)(problem), velocities[case])
+
+
+@pytest.mark.parametrize("search", ["goldstein-price", "armijo", "none"])
+@pytest.mark.parametrize("function", ["alart-curnier", "fischer-burmeister", "jean-moreau", "natural"])
+def test_newton_functions(velocities, function, search):
+    for case, problem in CASES.items():
+        agrees(ImpulseNewton(tol=REACH, function=function, search=search)(problem), velocities[case])
+
+
+@pytest.mark.parametrize("rho", ["split", "condition"])
+def test_rules_of_rho(velocities, rho):
+    for case, problem in CASES.items():
+        agrees(ImpulseNewton(tol=REACH, function="alart-curnier", rho=rho)(problem), velocities[case])
+
+
+def test_rho_of_a_block_on_paper():
+    """W_cc = diag(4, 2, 1): λ_max = 4, W_NN = 4, λ(W_TT) = 2, 1; the steps are returned times λ_max."""
+    problem = nd.FC3D(np.diag([4.0, 2.0, 1.0]), np.ones(3), np.ones(1))
+    expected = {"spectral": [1.0, 1.0], "split": [1.0, 2.0], "condition": [1.0, 1.0], "one": [4.0, 4.0]}
+    for rule, rho in expected.items():
+        np.testing.assert_allclose(steps(problem, rule), [rho], rtol=1e-15)
+
+
+def test_newton_is_quadratic_near_the_solution():
+    """Full steps on a definite problem from a near guess: three factorisations take 1e-3 to round-off."""
+    problem = CASES["definite0"]
+    r = nd.solve(problem, tol=1e-13).r
+    solution = ImpulseNewton(tol=1e-12, function="alart-curnier")(problem, r + 1e-4)
+    assert solution.converged and solution.iterations <= 3
+
+
+def all_stick():
+    """Box at rest pushed into the floor: every contact sticks. (csr, q, radius, r*, λ_max) at frozen bounds."""
+    problem = corner_box(mu=0.5, push=(0.02, 0.01))[0]
+    scaled = Equilibrated(problem)
+    r = nd.solve(problem, tol=1e-13).r
+    radius = problem.mu * r[::3]
+    slack = radius - np.hypot(r[1::3], r[2::3])
+    assert slack.min() > 0.01 and r[::3].min() > 0.1
+    return scaled.csr, scaled.q, scaled.root[::3] * radius, scaled.root * r, np.linalg.eigvalsh(scaled.W.toarray())[-1]
+
+
+def test_uzawa_is_monotone_just_below_its_bound():
+    csr, q, radius, target, top = all_stick()
+    start = target + 1e-3 * np.cos(np.arange(q.size))
+    iterates = islice(uzawa.uzawa_iterates(csr, q, radius, 1.99 / top, start), 300)
+    distance = np.array([np.linalg.norm(start - target), *(np.linalg.norm(r - target) for r in iterates)])
+    # Non-expansive up to the rounding of numbers of order 1.
+    assert (np.diff(distance) <= 1e-15).all() and distance[-1] < distance[0]
+
+
+def test_uzawa_diverges_just_above_its_bound():
+    csr, q, radius, target, top = all_stick()
+    A = np.zeros((q.size, q.size))
+    for c in range(csr[0].size - 1):
+        for p in range(csr[0][c], csr[0][c + 1]):
+            A[3 * c : 3 * c + 3, 3 * csr[1][p] : 3 * csr[1][p] + 3] = csr[2][p]
+    worst = np.linalg.eigh(A)[1][:, -1]
+    start = target + 1e-8 * worst  # small against the slack of the cones: the map is linear at first
+    iterates = list(islice(uzawa.uzawa_iterates(csr, q, radius, 2.02 / top, start), 2000))
+    distance = np.array([np.linalg.norm(r - target) for r in iterates])
+    # Grows by 2 % an iteration until a projection catches it, and does not come back.
+    np.testing.assert_allclose(distance[50] / distance[0], 1.02**50, rtol=1e-3)
+    assert distance[-100:].min() > 1e3 * distance[0]
+
+
+def test_uzawa_refuses_a_step_beyond_its_bound():
+    for step in (0.0, 2.0):
+        with pytest.raises(ValueError, match="step must be between 0 and 2"):
+            nd.solvers.Uzawa(step=step)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_interior_point_solves_the_convex_problem(case, rng):
+    """KKT of the frozen problem: x ∈ K, W x + q + s ∈ K*, orthogonal; also for an unsymmetric monotone W."""
+    A = rng.normal(size=(12, 12))
+    skew = nd.FC3D(CASES["definite0"].W.toarray() + 0.3 * (A - A.T), CASES["definite0"].q, CASES["definite0"].mu)
+    for problem in (CASES[case], skew):
+        scaled = Equilibrated(problem)
+        q = shifted(scaled, slip_shift(scaled, rng.uniform(size=scaled.q.size)))
+        x, count = interior_point.minimise(scaled, q, 1e-10)
+        frozen = nd.formulations.cones.project((x - scaled.W @ x - q).reshape(-1, 3), problem.mu).ravel()
+        np.testing.assert_allclose(frozen, x, atol=1e-9)
+        assert count <= 30
+
+
+def test_shortest_vector_of_a_hull():
+    """Segment from (1, 1) to (1, -1): nearest to 0 is its middle; a triangle around 0 holds it; the norm is free."""
+    for scale in (1e-9, 1.0, 1e9):
+        V = scale * np.array([[1.0, 1.0], [1.0, -1.0]])
+        np.testing.assert_allclose(bundle.shortest(V) @ V, [scale, 0.0], rtol=1e-12, atol=1e-12 * scale)
+    around = np.array([[1.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
+    np.testing.assert_allclose(bundle.shortest(around) @ around, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("function", sorted(nd.formulations.ELEMENTS))
+def test_bundle_solves_one_contact(function):
+    """One contact that sticks and one that slides: the merits lead to the solution of the closed form."""
+    for push in (0.1, 2.0):
+        problem = nd.FC3D(np.diag([1.0, 2.0, 2.0]), np.array([-1.0, push, 0.5 * push]), np.array([0.5]))
+        exact = nd.solve(problem, tol=1e-13)
+        solution = nd.solvers.Bundle(tol=REACH, function=function)(problem)
+        agrees(solution, exact.u)
+
+
+def test_bundle_on_the_paper_s_equation():
+    """The box at rest is solved; on a sliding contact φ has a stationary point that is no solution, and it says so."""
+    equation = "xuewen-soh-wanji"
+    assert nd.solvers.Bundle(tol=REACH, function=equation)(corner_box()[0]).converged
+    sliding = nd.FC3D(np.diag([1.0, 2.0, 2.0]), np.array([-1.0, 2.0, 1.0]), np.array([0.5]))
+    solution = nd.solvers.Bundle(tol=REACH, function=equation, max_iter=50)(sliding)
+    F = nd.formulations.residual_xuewen_soh_wanji
+    assert not solution.converged
+    assert np.linalg.norm(F(sliding, solution.r)) < np.linalg.norm(F(sliding, np.zeros(3)))
+
+
+def test_admm_and_proximal_on_redundant_contacts():
+    """W of rank 6 in 12 and a tight tolerance: what the methods are for."""
+    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    for solver in (nd.solvers.ADMM(tol=1e-10), nd.solvers.Proximal(tol=1e-12)):
+        assert solver(problem).converged
+
+
+def test_anderson_needs_no_more_passes():
+    """The shift of a stiffly coupled problem contracts slowly; acceleration may not cost sweeps."""
+    problem = CASES["definite1"]
+    plain, accelerated = (nd.solvers.ACLM(tol=1e-10, memory=m)(problem) for m in (0, 5))
+    assert plain.converged and accelerated.converged and accelerated.iterations <= plain.iterations
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_contacts_and_one_iteration(name):
+    solver = nd.solvers.SOLVERS[name]
+    empty = solver()(nd.FC3D(np.zeros((0, 0)), np.zeros(0), np.zeros(0)))
+    assert empty.converged and empty.r.size == 0
+    short = solver(tol=1e-15, max_iter=1)(CASES["definite2"])
+    assert not short.converged and np.isfinite(short.r).all()
+
+
+def test_bad_options():
+    with pytest.raises(ValueError, match="rule must be"):
+        nd.solvers.FixedPoint(rule="guess")(CASES["slip"])
+    with pytest.raises(ValueError, match="function must be one of"):
+        nd.solvers.ImpulseNewton(function="magic")
+    with pytest.raises(ValueError, match="splits the cone"):
+        nd.solvers.ImpulseNewton(function="natural", rho="split")
+    with pytest.raises(ValueError, match="function must be one of"):
+        nd.solvers.Bundle(function="magic")
+
+
+@pytest.mark.parametrize("contacts", [5, 60])
+def test_largest_eigenvalue_is_a_bound(contacts, rng):
+    """Below 100 rows exact, above by Lanczos: never too small, at most 0.2 % too large; W need not be symmetric."""
+    A = rng.normal(size=(3 * contacts, 3 * contacts))
+    problem = nd.FC3D(A @ A.T + A - A.T, rng.normal(size=3 * contacts), np.ones(contacts))
+    scaled = Equilibrated(problem)
+    exact = np.linalg.eigvalsh(0.5 * (scaled.W + scaled.W.T).toarray())[-1]
+    assert exact * (1 - 1e-14) <= scaled.largest_eigenvalue() <= 1.002 * exact
+
+
+def test_equilibrated_problem_is_the_same_problem(rng):
+    """Diagonal blocks of norm 1, and its velocity is that of the problem times S^-½."""
+    problem = CASES["definite2"]
+    scaled, r = Equilibrated(problem), rng.normal(size=12)
+    np.testing.assert_allclose(nd.FC3D(scaled.W, scaled.q, scaled.mu).scales, 1.0, rtol=1e-12)
+    u = scaled.W @ (scaled.root * r) + scaled.q
+    np.testing.assert_allclose(u * scaled.root, problem.velocity(r), rtol=1e-12, atol=1e-12)
+
+
+def test_over_relaxation(velocities):
+    for case, problem in CASES.items():
+        agrees(nd.solvers.ADMM(tol=REACH, relaxation=1.6)(problem), velocities[case])
+    with pytest.raises(ValueError, match="relaxation must be in"):
+        nd.solvers.ADMM(relaxation=2.0)
+
+
+def test_singular_matrix_has_no_solve():
+    assert factor(np.zeros((3, 3))) is None
