@@ -9,7 +9,7 @@ from test_problem import corner_box
 
 import nsdyn as nd
 from nsdyn._kernels import interior as kernels
-from nsdyn._kernels import local
+from nsdyn._kernels import linear, local
 from nsdyn.solvers import interior
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -94,7 +94,7 @@ def test_islands_of_a_matrix():
 
 def test_large_island_of_a_matrix():
     """More contacts than are solved densely: the sparse form of the same methods."""
-    n = 120
+    n = 400
     W = sp.kron(sp.diags_array([-0.5, 1.0, -0.5], offsets=[-1, 0, 1], shape=(n, n)), np.eye(3))
     rng = np.random.default_rng(0)
     problem = nd.FC3D(W, rng.normal(size=3 * n), np.full(n, 0.5))
@@ -102,13 +102,26 @@ def test_large_island_of_a_matrix():
         assert nd.solve(problem, solver).converged
 
 
-def test_factorisation_against_dense_algebra(rng):
-    S, b = rng.normal(size=(9, 9)), rng.normal(size=9)
-    expected, pivot = np.linalg.solve(S, b), np.empty(9, np.int64)
-    assert kernels.factorise(S, pivot)
-    kernels.substitute(S, pivot, b)
-    np.testing.assert_allclose(b, expected, atol=1e-12)
-    assert not kernels.factorise(np.zeros((2, 2)), np.empty(2, np.int64))
+@pytest.mark.parametrize("band", [2, 9])
+def test_factorisation_against_dense_algebra(band, rng):
+    i, j = np.indices((9, 9))
+    S = np.where(np.abs(i - j) <= band, rng.normal(size=(9, 9)), 0.0)
+    b, work = rng.normal(size=9), np.empty((3, 9), np.int64)
+    expected = np.linalg.solve(S, b)
+    assert linear.factorise(S, *work)
+    linear.substitute(S, *work, b)
+    np.testing.assert_allclose(b, expected, atol=1e-11)
+    assert not linear.factorise(np.zeros((9, 9)), *work)
+
+
+def test_narrow_order(rng):
+    """A chain of contacts numbered at random is put in line again, so that its matrix is tridiagonal."""
+    n = 12
+    order = rng.permutation(n)
+    chain = sp.diags_array([np.ones(n - 1), np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1]).toarray()
+    W = sp.csr_array(chain[np.ix_(order, order)])
+    new = local.narrow(W.indptr.astype(np.int64), W.indices.astype(np.int64), np.arange(n))
+    np.testing.assert_array_equal(W.toarray()[np.ix_(new, new)], chain)
 
 
 @pytest.mark.parametrize("operator", ["Velocity", "Local"])

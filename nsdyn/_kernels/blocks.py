@@ -175,12 +175,36 @@ def delassus(offset, block, start, h, m_start, minv):
 def delassus_scales(offset, block, start, h, m_start, minv):
     """lambda_max of every diagonal block W_cc, without the rest of W, shape (nc,)."""
     nc = block.shape[0]
-    y = _weighted_rows(offset, block, start, h, m_start, minv)
+    widest = 0
+    for k in range(offset.size - 1):
+        widest = max(widest, offset[k + 1] - offset[k])
+    x, y = np.empty((3, widest)), np.empty((3, widest))
     out = np.empty(nc)
     w = np.empty((3, 3))
     for c in range(nc):
         w[:] = 0.0
-        _add_coupling(offset, block, start, h, y, c, c, w)
+        twice = block[c, 0] == block[c, 1]  # both sides on one block: their rows add up
+        for s in range(1 if twice else 2):
+            k = block[c, s]
+            if k < 0:
+                continue
+            n = offset[k + 1] - offset[k]
+            for i in range(3):
+                for j in range(n):
+                    x[i, j] = h[start[c, s] + i * n + j] + (h[start[c, 1] + i * n + j] if twice else 0.0)
+                    y[i, j] = 0.0
+                for l in range(n):
+                    f, base = x[i, l], m_start[k] + l * n
+                    if f != 0.0:
+                        for j in range(n):
+                            y[i, j] += f * minv[base + j]
+            for i in range(3):
+                for j in range(i, 3):
+                    total = 0.0
+                    for l in range(n):
+                        total += y[i, l] * x[j, l]
+                    w[i, j] += total
+        w[1, 0], w[2, 0], w[2, 1] = w[0, 1], w[0, 2], w[1, 2]
         out[c] = largest_eigenvalue(w)
     return out
 

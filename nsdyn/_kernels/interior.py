@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 
 from nsdyn._kernels.cones import natural_error, natural_residual
+from nsdyn._kernels.linear import factorise, substitute
 
 START = 100.0  # first x and z: far inside, whatever the solution of a problem of unit size
 
@@ -204,49 +205,6 @@ def centring(gap, after, full, worst, last):
 
 
 @njit(cache=True)
-def factorise(S, pivot):
-    """LU with partial pivoting in place of S (n, n); False when S is singular or not finite."""
-    n = pivot.size
-    for k in range(n):
-        p, largest = k, abs(S[k, k])
-        for i in range(k + 1, n):
-            if abs(S[i, k]) > largest:
-                p, largest = i, abs(S[i, k])
-        if not (0.0 < largest < np.inf):
-            return False
-        pivot[k] = p
-        if p != k:
-            for j in range(n):
-                S[k, j], S[p, j] = S[p, j], S[k, j]
-        for i in range(k + 1, n):
-            if S[i, k] != 0.0:
-                f = S[i, k] / S[k, k]
-                S[i, k] = f
-                for j in range(k + 1, n):
-                    S[i, j] -= f * S[k, j]
-    return True
-
-
-@njit(cache=True)
-def substitute(S, pivot, b):
-    """Solution of the factorised system in place of b."""
-    n = pivot.size
-    for k in range(n):
-        p = pivot[k]
-        b[k], b[p] = b[p], b[k]
-    for i in range(n):
-        total = b[i]
-        for j in range(i):
-            total -= S[i, j] * b[j]
-        b[i] = total
-    for i in range(n - 1, -1, -1):
-        total = b[i]
-        for j in range(i + 1, n):
-            total -= S[i, j] * b[j]
-        b[i] = total / S[i, i]
-
-
-@njit(cache=True)
 def system(W, A, unit, S):
     """S = I + unit A W for a dense W, into S."""
     n = W.shape[0]
@@ -290,7 +248,8 @@ def dense(W, q_given, mu, scales, r, tol, q_norm, max_iter):
     u, z, F, nu, nz = np.empty((nc, 3)), np.empty((nc, 3)), np.empty((nc, 3)), np.empty((nc, 3)), np.empty((nc, 3))
     T, V, C, A = np.empty((nc, 3, 3)), np.empty((nc, 3, 3)), np.empty((nc, 3, 3)), np.empty((nc, 3, 3))
     lam, d, du, dx, dz = np.empty((nc, 3)), np.empty((nc, 3)), np.empty((nc, 3)), np.zeros((nc, 3)), np.zeros((nc, 3))
-    g, v, trial, S, pivot = np.empty(n), np.empty(n), np.empty(n), np.empty((n, n)), np.empty(n, np.int64)
+    g, v, trial, S = np.empty(n), np.empty(n), np.empty(n), np.empty((n, n))
+    pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     start(q, mu, u, z)
     best, last, short, count = np.inf, 1.0, 0, 0
     while True:
@@ -305,14 +264,14 @@ def dense(W, q_given, mu, scales, r, tol, q_norm, max_iter):
         v /= speed
         worst = defect(u, v, mu, F)
         system(W, A, 1.0 / mean, S)
-        if not factorise(S, pivot):
+        if not factorise(S, pivot, low, end):
             return count, best
         count += 1
         sigma = 0.0
         for stage in range(2):
             target(lam, T, V, dx, dz, sigma * gap, stage == 1, d)
             right_side(mu, V, A, d, F, g)
-            substitute(S, pivot, g)
+            substitute(S, pivot, low, end, g)
             product(W, g, v)
             v /= mean
             recover(mu, V, C, d, F, v, du, dx, dz)

@@ -5,6 +5,7 @@ from numba import njit
 
 from nsdyn._kernels import interior, pgs
 from nsdyn._kernels.cones import natural_error, natural_residual, solve_one
+from nsdyn._kernels.linear import factorise, substitute
 from nsdyn._kernels.newton import PATIENCE, grown, projected, stiffness
 
 
@@ -28,7 +29,8 @@ def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     n = q.size
     x, estimate, u, own_u, P = r.copy(), r.copy(), np.empty(n), np.empty(n), np.empty(n)
     f, d, Wf, Wd = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    A, S, pivot = np.empty((mu.size, 3, 3)), np.empty((n, n)), np.empty(n, np.int64)
+    A, S = np.empty((mu.size, 3, 3)), np.empty((n, n))
+    pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     best = interior.measure(W, q, mu, scales, q_norm, r, u)
     count, inner = 0, 0
     rho = penalty / scales
@@ -36,11 +38,11 @@ def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     while best > tol and count < max_iter and penalty > 1e-3:
         stiffness(u, estimate, rho, mu, A)
         interior.system(W, A, 1.0, S)
-        if not interior.factorise(S, pivot):
+        if not factorise(S, pivot, low, end):
             return count, best
         for i in range(n):
             f[i] = P[i] - x[i]
-        interior.substitute(S, pivot, f)
+        substitute(S, pivot, low, end, f)
         count += 1
         inner += 1
         x += f
@@ -103,6 +105,34 @@ def islands(indptr, indices):
 
 
 @njit(cache=True)
+def narrow(indptr, indices, contacts):
+    """Contacts of an island in the order of Cuthill and McKee, from one of fewest neighbours: a narrow profile."""
+    seen = np.zeros(indptr.size - 1, np.bool_)
+    first = contacts[0]
+    for c in contacts:
+        if indptr[c + 1] - indptr[c] < indptr[first + 1] - indptr[first]:
+            first = c
+    order = np.empty(contacts.size, np.int64)
+    order[0] = first
+    seen[first] = True
+    found = 1
+    for e in range(contacts.size):
+        c, begin = order[e], found
+        for p in range(indptr[c], indptr[c + 1]):
+            d = indices[p]
+            if not seen[d]:
+                seen[d] = True
+                # Neighbours ascending in their own number of neighbours
+                i = found
+                while i > begin and indptr[order[i - 1] + 1] - indptr[order[i - 1]] > indptr[d + 1] - indptr[d]:
+                    order[i] = order[i - 1]
+                    i -= 1
+                order[i] = d
+                found += 1
+    return order
+
+
+@njit(cache=True)
 def extract(indptr, indices, data, contacts):
     """Block-sparse W of some contacts that nothing connects with others: (indptr, indices, data)."""
     new = np.empty(indptr.size - 1, np.int64)
@@ -159,6 +189,8 @@ def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, fou
         k = contacts.size
         if k > largest:
             continue
+        if k > 30:
+            contacts = narrow(indptr, indices, contacts)
         part = extract(indptr, indices, data, contacts)
         x, u, own_q = np.empty(3 * k), np.empty(3 * k), np.empty(3 * k)
         own_mu, own_scales = np.empty(k), np.empty(k)

@@ -17,6 +17,7 @@ from numba import njit
 
 from nsdyn._kernels.blocks import block_product, momentum, relative_velocity
 from nsdyn._kernels.cones import natural_error, natural_residual
+from nsdyn._kernels.linear import factorise, substitute
 
 PATIENCE = 5  # Newton steps without settling after which a penalty is called too large
 
@@ -123,6 +124,18 @@ def measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r,
 
 
 @njit(cache=True)
+def measures_of_islands(label, found, scales, q_norm, u, r, mu):
+    """The measure of every island by itself, shape (found,), for the impulse r and its velocity u."""
+    residual, squares = np.zeros(found), np.zeros(found)
+    for c in range(mu.size):
+        i, l = 3 * c, label[c]
+        part = slice(i, i + 3)
+        residual[l] = max(residual[l], natural_residual(scales[c : c + 1], u[part], r[part], mu[c : c + 1]))
+        squares[l] += natural_error(u[part], r[part], mu[c : c + 1]) ** 2
+    return np.maximum(residual, np.sqrt(squares) / q_norm)
+
+
+@njit(cache=True)
 def settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F, work):
     """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)).
 
@@ -157,6 +170,7 @@ def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_no
     y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
     P, own_y, own_u = np.empty(nr), np.empty(n), np.empty(nr)
     A, K = np.empty((mu.size, 3, 3)), np.empty((n, n))
+    pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     best = measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, y, u, work)
     estimate = r.copy()
     count, inner = 0, 0
@@ -166,7 +180,10 @@ def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_no
         defect(offset, block, start, h, m_start, m, y, P, F, work)
         stiffness(u, estimate, rho, mu, A)
         assemble_dense(offset, block, start, h, m_start, m, A, K)
-        y -= np.linalg.solve(K, F)
+        if not factorise(K, pivot, low, end):
+            return count, best
+        substitute(K, pivot, low, end, F)
+        y -= F
         count += 1
         inner += 1
         relative_velocity(offset, block, start, h, y, u)
@@ -323,3 +340,52 @@ def extract(offset, block, start, h, m_start, m, minv, label, island):
                 a = start[contacts[e], s]
                 hh[st[e, s] : st[e, s] + n] = h[a : a + n]
     return contacts, o, b, st, hh, ms[:-1].copy(), mm, mi
+
+
+@njit(cache=True)
+def warm_islands(
+    offset,
+    block,
+    start,
+    h,
+    m_start,
+    m,
+    minv,
+    q,
+    mu,
+    scales,
+    r,
+    label,
+    measures,
+    tol,
+    q_norm,
+    largest,
+    penalty,
+    max_iter,
+):
+    """`dense` on every island of at most `largest` coordinates with measure above `tol`, in place of r.
+
+    `measures` (found,) holds those of r and gets the new ones; returns the factorisations.
+    """
+    count = 0
+    for k in range(measures.size):
+        if measures[k] <= tol:
+            continue
+        contacts, o, b, st, hh, ms, mm, mi = extract(offset, block, start, h, m_start, m, minv, label, k)
+        if o[-1] > largest:
+            continue
+        nc = contacts.size
+        x, own_q, own_mu, own_scales = np.empty(3 * nc), np.empty(3 * nc), np.empty(nc), np.empty(nc)
+        for e in range(nc):
+            c = contacts[e]
+            own_mu[e], own_scales[e] = mu[c], scales[c]
+            for i in range(3):
+                x[3 * e + i], own_q[3 * e + i] = r[3 * c + i], q[3 * c + i]
+        used, measures[k] = dense(
+            o, b, st, hh, ms, mm, mi, own_q, own_mu, own_scales, x, tol, q_norm, penalty, max_iter
+        )  # fmt: skip
+        count += used
+        for e in range(nc):
+            for i in range(3):
+                r[3 * contacts[e] + i] = x[3 * e + i]
+    return count

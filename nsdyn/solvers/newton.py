@@ -115,17 +115,26 @@ def _sparse(
     return count, best
 
 
-def each_island(blocks: Blocks) -> list[tuple[Any, Blocks]]:
-    """(contacts, blocks) of every connected component of the contact graph; contacts is a slice when there is one."""
+def islands_of(blocks: Blocks) -> tuple[Index, int]:
+    """(island of every contact, number of islands): connected components of the contact graph."""
     label, found = _blocks.islands(blocks.block, blocks.offset.size - 1)
-    if found == 1 and np.unique(blocks.block[blocks.block >= 0]).size == blocks.offset.size - 1:
-        return [(slice(None), blocks)]
-    arrays = blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, blocks.minv
-    out = []
-    for k in range(found):
-        contacts, *parts = _kernels.extract(*arrays, label, k)
-        out.append((contacts, Blocks(*parts)))
-    return out
+    return label, int(found)
+
+
+def island(blocks: Blocks, label: Index, k: int) -> tuple[Any, Blocks]:
+    """(contacts, blocks) of island k; contacts is a slice when it is all there is."""
+    if not label.any() and np.unique(blocks.block[blocks.block >= 0]).size == blocks.offset.size - 1:
+        return slice(None), blocks
+    contacts, *parts = _kernels.extract(
+        blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, blocks.minv, label, k
+    )
+    return contacts, Blocks(*parts)
+
+
+def each_island(blocks: Blocks) -> list[tuple[Any, Blocks]]:
+    """(contacts, blocks) of every island."""
+    label, found = islands_of(blocks)
+    return [island(blocks, label, k) for k in range(found)]
 
 
 def rows(contacts: Any, nc: int) -> Any:
