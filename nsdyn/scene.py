@@ -6,7 +6,7 @@ A scene only collects and checks; nothing is simulated here. SI units, world fra
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -598,9 +598,3 @@ class Scene:
                 for a in self.articulations.values()
             ],
         }
-
-    def with_name(self, name: str) -> Scene:
-        """The same scene under another name."""
-        out = replace(self, name=name)
-        out.bodies, out.articulations, out.pairs = self.bodies, self.articulations, self.pairs
-        return out
