@@ -84,7 +84,7 @@ class Blocks:
         return int(self.block.shape[0])
 
     def relative_velocity(self, v: Array) -> Array:
-        """U = Hᵀ v, shape (3 nc,)."""
+        """u = Hᵀ v, shape (3 nc,)."""
         u = np.empty(3 * self.nc)
         _blocks.relative_velocity(self.offset, self.block, self.start, self.h, v, u)
         return u
@@ -238,7 +238,7 @@ class FC3D:
         return int(self.mu.size)
 
     def velocity(self, r: Array) -> Array:
-        """U = W r + q, shape (3 nc,), m/s."""
+        """u = W r + q, shape (3 nc,), m/s."""
         if self.blocks is None:
             u = np.empty_like(self.q)
             _pgs.velocity(*self.csr, self.q, r, u)

@@ -13,7 +13,7 @@ from nsdyn._kernels.cones import largest_eigenvalue
 
 @njit(cache=True)
 def relative_velocity(offset, block, start, h, v, u):
-    """U = Hᵀ v, into u (3 nc,)."""
+    """u = Hᵀ v, into u (3 nc,)."""
     for c in range(block.shape[0]):
         for i in range(3):
             total = 0.0
@@ -29,7 +29,7 @@ def relative_velocity(offset, block, start, h, v, u):
 
 @njit(cache=True)
 def momentum(offset, block, start, h, r, p):
-    """P = H r, into p (n,)."""
+    """p = H r, into p (n,)."""
     p[:] = 0.0
     for c in range(block.shape[0]):
         for s in range(2):
@@ -46,7 +46,7 @@ def momentum(offset, block, start, h, r, p):
 
 @njit(cache=True)
 def block_product(offset, m_start, m, x, y):
-    """Y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
+    """y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
     for k in range(offset.size - 1):
         o, n = offset[k], offset[k + 1] - offset[k]
         for i in range(n):
@@ -210,6 +210,21 @@ def delassus_scales(offset, block, start, h, m_start, minv):
 
 
 @njit(cache=True)
+def unite(parent, a, b):
+    """Join the components of a and b in a union-find forest; the smaller root stays."""
+    while parent[a] != a:
+        parent[a] = parent[parent[a]]
+        a = parent[a]
+    while parent[b] != b:
+        parent[b] = parent[parent[b]]
+        b = parent[b]
+    if a < b:
+        parent[b] = a
+    else:
+        parent[a] = b
+
+
+@njit(cache=True)
 def islands(block, count):
     """Connected components of the graph of blocks and contacts.
 
@@ -220,16 +235,7 @@ def islands(block, count):
     for c in range(block.shape[0]):
         a, b = block[c, 0], block[c, 1]
         if a >= 0 and b >= 0:
-            while parent[a] != a:
-                parent[a] = parent[parent[a]]
-                a = parent[a]
-            while parent[b] != b:
-                parent[b] = parent[parent[b]]
-                b = parent[b]
-            if a < b:
-                parent[b] = a
-            else:
-                parent[a] = b
+            unite(parent, a, b)
     label_of_root = np.full(count, -1, np.int64)
     label = np.empty(block.shape[0], np.int64)
     found = 0

@@ -220,7 +220,7 @@ def system(W, A, unit, S):
 
 @njit(cache=True)
 def product(W, x, y):
-    """Y = W x for a dense W, into y."""
+    """y = W x for a dense W, into y."""
     for i in range(x.size):
         total = 0.0
         for j in range(x.size):

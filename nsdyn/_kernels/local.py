@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from nsdyn._kernels import interior, pgs
+from nsdyn._kernels.blocks import unite
 from nsdyn._kernels.cones import natural_error, natural_residual, solve_one
 from nsdyn._kernels.linear import factorise, substitute
 from nsdyn._kernels.newton import PATIENCE, grown, projected, stiffness
@@ -80,17 +81,7 @@ def islands(indptr, indices):
     parent = np.arange(nc)
     for c in range(nc):
         for p in range(indptr[c], indptr[c + 1]):
-            a, b = c, indices[p]
-            while parent[a] != a:
-                parent[a] = parent[parent[a]]
-                a = parent[a]
-            while parent[b] != b:
-                parent[b] = parent[parent[b]]
-                b = parent[b]
-            if a < b:
-                parent[b] = a
-            else:
-                parent[a] = b
+            unite(parent, c, indices[p])
     label, found = np.empty(nc, np.int64), 0
     for c in range(nc):
         a = c

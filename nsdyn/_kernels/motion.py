@@ -46,7 +46,7 @@ def rotations(quaternion, R):
 
 @njit(cache=True)
 def _solve3(A, b, x):
-    """X = A⁻¹ b by Cramer's rule."""
+    """x = A⁻¹ b by Cramer's rule."""
     c0 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
     c1 = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
     c2 = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]

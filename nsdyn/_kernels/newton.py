@@ -108,7 +108,7 @@ def defect(offset, block, start, h, m_start, m, y, P, F, work):
 
 @njit(cache=True)
 def velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work):
-    """Y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
+    """y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
     momentum(offset, block, start, h, r, work)
     block_product(offset, m_start, minv, work, y)
     relative_velocity(offset, block, start, h, y, u)

@@ -32,17 +32,23 @@ def sweep(indptr, indices, data, q, mu, r):
 
 
 @njit(cache=True)
+def velocity_of(indptr, indices, data, q, r, c):
+    """u_c = (W r + q)_c of contact c: three scalars."""
+    u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
+    for p in range(indptr[c], indptr[c + 1]):
+        d = 3 * indices[p]
+        A = data[p]
+        u0 += A[0, 0] * r[d] + A[0, 1] * r[d + 1] + A[0, 2] * r[d + 2]
+        u1 += A[1, 0] * r[d] + A[1, 1] * r[d + 1] + A[1, 2] * r[d + 2]
+        u2 += A[2, 0] * r[d] + A[2, 1] * r[d + 1] + A[2, 2] * r[d + 2]
+    return u0, u1, u2
+
+
+@njit(cache=True)
 def velocity(indptr, indices, data, q, r, u):
-    """U = W r + q, into u."""
+    """u = W r + q, into u (3 nc,)."""
     for c in range(indptr.size - 1):
-        u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
-        for p in range(indptr[c], indptr[c + 1]):
-            d = 3 * indices[p]
-            A = data[p]
-            u0 += A[0, 0] * r[d] + A[0, 1] * r[d + 1] + A[0, 2] * r[d + 2]
-            u1 += A[1, 0] * r[d] + A[1, 1] * r[d + 1] + A[1, 2] * r[d + 2]
-            u2 += A[2, 0] * r[d] + A[2, 1] * r[d + 1] + A[2, 2] * r[d + 2]
-        u[3 * c], u[3 * c + 1], u[3 * c + 2] = u0, u1, u2
+        u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(indptr, indices, data, q, r, c)
 
 
 @njit(cache=True)

@@ -5,7 +5,7 @@ import math
 from numba import njit
 
 from nsdyn._kernels.cones import project
-from nsdyn._kernels.pgs import velocity
+from nsdyn._kernels.pgs import velocity, velocity_of
 
 
 @njit(cache=True)
@@ -43,7 +43,7 @@ def cone_sweep(indptr, indices, data, q, mu, scales, r):
     """One projected Gauss–Seidel sweep of min ½ rᵀ W r + qᵀ r on the cones, in place of r."""
     for c in range(mu.size):
         i = 3 * c
-        u0, u1, u2 = _velocity_of(indptr, indices, data, q, r, c)
+        u0, u1, u2 = velocity_of(indptr, indices, data, q, r, c)
         rho = 1.0 / scales[c]
         r[i], r[i + 1], r[i + 2] = project(r[i] - rho * u0, r[i + 1] - rho * u1, r[i + 2] - rho * u2, mu[c])
 
@@ -56,7 +56,7 @@ def cylinder_sweep(indptr, indices, data, q, radius, scales, normal, tangent, r)
     """
     for c in range(radius.size):
         i = 3 * c
-        u0, u1, u2 = _velocity_of(indptr, indices, data, q, r, c)
+        u0, u1, u2 = velocity_of(indptr, indices, data, q, r, c)
         rho = 1.0 / scales[c]
         if normal:
             r[i] = max(0.0, r[i] - rho * u0)
@@ -65,16 +65,3 @@ def cylinder_sweep(indptr, indices, data, q, radius, scales, normal, tangent, r)
             t = math.sqrt(x * x + y * y)
             s = radius[c] / t if t > radius[c] else 1.0
             r[i + 1], r[i + 2] = s * x, s * y
-
-
-@njit(cache=True)
-def _velocity_of(indptr, indices, data, q, r, c):
-    """Velocity of contact c: three scalars."""
-    u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
-    for p in range(indptr[c], indptr[c + 1]):
-        d = 3 * indices[p]
-        A = data[p]
-        u0 += A[0, 0] * r[d] + A[0, 1] * r[d + 1] + A[0, 2] * r[d + 2]
-        u1 += A[1, 0] * r[d] + A[1, 1] * r[d + 1] + A[1, 2] * r[d + 2]
-        u2 += A[2, 0] * r[d] + A[2, 1] * r[d + 1] + A[2, 2] * r[d + 2]
-    return u0, u1, u2
