@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -133,6 +133,8 @@ class Description:
     loops : tuple of Loop
     excluded : frozenset of frozenset of str
         Pairs of bodies that are never tested for contact.
+    filtered : frozenset of frozenset of str
+        Pairs of links, by name, that are never tested for contact.
     dropped : tuple of str
         What is not used and changes the motion; it is warned of.
     unused : tuple of str
@@ -146,7 +148,8 @@ class Description:
     stiffness: Array
     rest: Array
     loops: tuple[Loop, ...] = ()
-    excluded: frozenset[frozenset[str]] = field(default_factory=frozenset)
+    excluded: frozenset[frozenset[str]] = frozenset()
+    filtered: frozenset[frozenset[str]] = frozenset()
     dropped: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
 
@@ -219,7 +222,11 @@ def assemble(
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
     _check_joints(name, model, q0, limits, in_joints["stiffness"])
-    named = {(i, j) for (i, a), (j, b) in combinations(enumerate(bodies), 2) if frozenset((a, b)) in excluded}
+    named = {
+        (i, j)
+        for i, j in combinations(range(len(links)), 2)
+        if {bodies[i], bodies[j]} in excluded or {links[i].name, links[j].name} in description.filtered
+    }
     if dropped:
         warnings.warn(f"{name!r} leaves out: {'; '.join(dropped)}", stacklevel=4)
     return Articulation(

@@ -351,6 +351,33 @@ class Scene:
         description = robot_files.read_urdf(name, Path(path), base, [Path(d) for d in package_dirs])
         self._add_articulation(name, description, keywords)
 
+    def add_mjcf(self, name: str, path: str | Path, keyframe: str | None = None, **keywords: Any) -> None:
+        """Add the articulated trees of an MJCF file; see `add_model` for the other keywords.
+
+        Parameters
+        ----------
+        name : str
+        path : path
+            Its bases are fixed or free as it says; geoms of its world are fixed.
+        keyframe : str, optional
+            Name of the one to start from.
+        """
+        self._add_articulation(name, robot_files.read_mjcf(name, Path(path), keyframe), keywords)
+
+    def add_sdf(self, name: str, path: str | Path, package_dirs: Sequence[str | Path] = (), **keywords: Any) -> None:
+        """Add the articulated tree of an SDF file with one model; see `add_model` for the other keywords.
+
+        Parameters
+        ----------
+        name : str
+        path : path
+            Its base is fixed if a joint to the world holds it or the model is static, else free.
+        package_dirs : sequence of paths
+            Where ``model://`` meshes are looked up, besides the file's own folder.
+        """
+        description = robot_files.read_sdf(name, Path(path), [Path(d) for d in package_dirs])
+        self._add_articulation(name, description, keywords)
+
     def add_loop(
         self,
         articulation: str,

@@ -1,53 +1,11 @@
 """Articulated trees in a scene: what is read from robot files and models, and their matrices against Pinocchio."""
 
-import struct
-
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import nsdyn as nd
 from nsdyn import shapes
-
-INERTIAL = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>'
-
-ROBOT = f"""<robot name="r">
-<link name="base">{INERTIAL}<collision><geometry><box size="0.4 0.2 0.1"/></geometry></collision></link>
-<link name="a">{INERTIAL}<visual><geometry><sphere radius="1"/></geometry></visual>
-  <collision name="c"><origin xyz="0 0 0.5" rpy="0 0.3 0"/>
-    <geometry><capsule radius="0.1" length="0.3"/></geometry></collision>
-  <collision name="c"><geometry><sphere radius="0.1"/></geometry></collision></link>
-<link name="b">{INERTIAL}<collision><geometry><cylinder radius="0.1" length="0.2"/></geometry></collision></link>
-<link name="c">{INERTIAL}<collision>
-    <geometry><mesh filename="package://thing/box.stl" scale="1 -2 1"/></geometry></collision></link>
-<link name="tip"><collision><origin xyz="0 0 2"/><geometry><sphere radius="0.1"/></geometry></collision></link>
-<joint name="ja" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
-  <limit lower="-1" upper="2" effort="9" velocity="3"/><dynamics damping="0.5" friction="0.7"/></joint>
-<joint name="jb" type="continuous"><parent link="a"/><child link="b"/><origin xyz="0 0 1"/><axis xyz="1 0 0"/></joint>
-<joint name="jc" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/>
-  <limit lower="0" upper="0.4" effort="9" velocity="3"/><mimic joint="ja"/></joint>
-<joint name="jt" type="fixed"><parent link="c"/><child link="tip"/></joint>
-<transmission name="t"/>
-</robot>"""
-
-
-def write_stl(path, size):
-    """Binary STL of a box with full edges `size`, one corner at the origin."""
-    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * size
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
-    data = b"".join(struct.pack("<12fH", 0, 0, 0, *corners[list(t)].ravel(), 0) for t in triangles)
-    path.write_bytes(bytes(80) + struct.pack("<I", len(triangles)) + data)
-
-
-@pytest.fixture
-def robot(tmp_path):
-    """A robot with a bit of everything, and the folder that holds its package."""
-    (tmp_path / "share" / "thing").mkdir(parents=True)
-    write_stl(tmp_path / "share" / "thing" / "box.stl", (0.1, 0.2, 0.3))
-    path = tmp_path / "robot.urdf"
-    path.write_text(ROBOT)
-    return path, [tmp_path / "share"]
 
 
 def loaded(robot, **keywords):
@@ -56,33 +14,6 @@ def loaded(robot, **keywords):
     with pytest.warns(UserWarning, match=r"'r' leaves out: joint 'jc': <mimic> of 'ja'"):
         scene.add_urdf("r", path, package_dirs=package_dirs, **keywords)
     return scene, scene.articulations["r"]
-
-
-def test_urdf(robot):
-    _, a = loaded(robot)
-    assert a.model.nv == 3 and a.model.nq == 4
-    np.testing.assert_array_equal(a.damping, (0.5, 0, 0))
-    np.testing.assert_array_equal(a.friction, (0.7, 0, 0))
-    np.testing.assert_array_equal(a.armature, np.zeros(3))
-    # The continuous joint's (cos, sin) has none.
-    np.testing.assert_array_equal(a.model.lowerPositionLimit, (-1, -np.inf, -np.inf, 0))
-    np.testing.assert_array_equal(a.model.upperPositionLimit, (2, np.inf, np.inf, 0.4))
-    assert [link.name for link in a.links] == ["base_0", "a_0", "a_1", "b_0", "c_0", "tip_0"]
-    assert [link.joint for link in a.links] == [0, 1, 1, 2, 3, 3]
-    kinds = [shapes.POLYTOPE, shapes.CAPSULE, shapes.SPHERE, shapes.CYLINDER, shapes.POLYTOPE, shapes.SPHERE]
-    assert [link.shape.kind for link in a.links] == kinds
-    capsule, mesh, tip = a.links[1], a.links[4], a.links[5]
-    np.testing.assert_allclose(capsule.shape.size, (0.1, 0.15, 0))
-    np.testing.assert_allclose(capsule.placement.translation, (0, 0, 0.5))
-    np.testing.assert_allclose(capsule.placement.rotation, pin.rpy.rpyToMatrix(0, 0.3, 0), atol=1e-15)
-    # Scaled and mirrored in y; the origin of a shape is its centroid. The file holds float32.
-    np.testing.assert_allclose(np.ptp(mesh.shape.vertices, axis=0), (0.1, 0.4, 0.3), rtol=1e-6)
-    np.testing.assert_allclose(mesh.placement.translation, (0.05, -0.2, 0.15), rtol=1e-6)
-    np.testing.assert_allclose(tip.placement.translation, (0, 0, 2))
-    assert a.report == (
-        "joint 'jc': <mimic> of 'ja', it moves on its own", "joint: effort and velocity of <limit>",
-        "robot: <transmission> (1)", "link: <visual> (1)",
-    )  # fmt: skip
 
 
 def test_neighbours_are_not_tested(robot):
@@ -238,33 +169,6 @@ def test_refused(robot, change, words):
     with pytest.raises(ValueError, match=words):
         scene.add_urdf("r", path, **{"package_dirs": package_dirs} | change)
     assert not scene.articulations, "a refused robot leaves the scene as it was"
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("<robot name='r'><link", "could not be read"),
-        ("<sdf/>", "its root is <sdf>, not <robot>"),
-        ('<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro/></robot>', "xacro"),
-        ('<robot name="r"><link name="a"><collision><geometry><cone/></geometry></collision></link></robot>', "<cone>"),
-        ('<robot name="r"><link name="a"><collision/></link></robot>', "<geometry> must hold one shape"),
-        (
-            ROBOT.replace('sphere radius="0.1"', 'sphere radius="x"'),
-            "radius of <sphere> must be a number, got 'x'",
-        ),
-        (ROBOT.replace("sphere radius", "sphere diameter"), "radius of <sphere> is missing"),
-        (
-            '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
-            '<child link="b"/><axis xyz="0 0 1"/></joint></robot>',
-            "'r' has a singular mass matrix: give the bodies moved by joint 'j'",
-        ),
-    ],
-)
-def test_bad_files(tmp_path, text, words):
-    path = tmp_path / "r.urdf"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=words):
-        nd.Scene().add_urdf("r", path)
 
 
 ARTICULATED = [name for name in nd.scenes.names() if nd.scenes.load(name)().articulations]
