@@ -247,8 +247,8 @@ SDF = f"""<sdf version="1.9"><model name="m"><pose>1 2 3 0.1 0.2 0.3</pose><self
   <collision name="c"><pose>0 0 .1 0 .3 0</pose>
     <geometry><capsule><radius>.1</radius><length>.3</length></capsule></geometry></collision>
   <collision name="h"><geometry><heightmap/></geometry></collision></link>
-<link name="b"><pose relative_to="a">0 0.1 0.7 0 0 0</pose>{sdf_inertial(1.5)}
-  <collision name="c"><geometry><mesh><uri>model://thing/box.stl</uri><scale>1 2 1</scale></mesh></geometry></collision></link>
+<link name="b"><pose relative_to="a">0 0.1 0.7 0 0 0</pose>{sdf_inertial(1.5)}<collision name="c">
+  <geometry><mesh><uri>model://thing/box.stl</uri><scale>1 2 1</scale></mesh></geometry></collision></link>
 <link name="tip"><pose relative_to="b" rotation_format="quat_xyzw">0 0 0.2 0 0.6 0 0.8</pose>{sdf_inertial(0.3)}
   <collision name="c"><geometry><ellipsoid><radii>.1 .2 .3</radii></ellipsoid></geometry></collision></link>
 <link name="ball"><pose relative_to="tip">0 0 0.2 0 0 0</pose>{sdf_inertial(0.3)}</link>
@@ -396,8 +396,8 @@ def test_sdf_against_urdf(robot, tmp_path, rng):
         (SDF.replace("<mass>1.5</mass>", "<mass>heavy</mass>"), "mass of link 'b' must be a number, got 'heavy'"),
         (SDF.replace("<lower>-1</", "<lower>3</"), "limits of 'm': joint 'ja' has lower 3 above upper 2"),
         (
-            "<sdf><model><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent>a</parent><child>b</child>"
-            "</joint><joint name='k' type='fixed'><parent>b</parent><child>a</child></joint></model></sdf>",
+            "<sdf><model><link name='a'/><link name='b'/>"
+            "<joint name='j' type='fixed'><parent>a</parent><child>b</child></joint><joint name='k' type='fixed'><parent>b</parent><child>a</child></joint></model></sdf>",
             "hang on each other in a circle",
         ),
     ],
