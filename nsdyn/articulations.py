@@ -77,8 +77,8 @@ class Articulation:
     links : tuple of Link
     q, v : ndarray, shapes (nq,), (nv,)
         Initial configuration and velocity, Pinocchio's convention.
-    material : Material
-        Of all links.
+    materials : tuple of Material
+        Of the links.
     limits : bool
         Whether position limits of the model are enforced.
     restitution : float
@@ -103,7 +103,7 @@ class Articulation:
     links: tuple[Link, ...]
     q: Array
     v: Array
-    material: Material
+    materials: tuple[Material, ...]
     limits: bool
     restitution: float
     friction: Array
@@ -168,7 +168,7 @@ def assemble(
     quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0),
     q: ArrayLike | None = None,
     v: ArrayLike | None = None,
-    material: Material | None = None,
+    material: Material | Mapping[str, Material] | None = None,
     collisions: bool | Mapping[str, Sequence[Any]] = True,
     srdf: str | Path | None = None,
     limits: bool = True,
@@ -221,6 +221,7 @@ def assemble(
         raise ValueError(f"limits of {name!r} must be True or False, got {limits!r}")
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
+    materials = _materials(name, material, bodies)
     _check_joints(name, model, q0, limits, in_joints["stiffness"])
     named = {
         (i, j)
@@ -230,7 +231,7 @@ def assemble(
     if dropped:
         warnings.warn(f"{name!r} leaves out: {'; '.join(dropped)}", stacklevel=4)
     return Articulation(
-        name, model, links, q0, v0, material or Material(), limits,
+        name, model, links, q0, v0, materials, limits,
         float(restitution), **in_joints, rest=rest0, loops=loops,
         excluded=_joined(links, _neighbours(model, loops)) | named, report=(*dropped, *unused),
     )  # fmt: skip
@@ -259,6 +260,20 @@ def _collisions(
             frame = known[body]
             kept.append((body, Link(f"{body}_{k}", int(frame.parentJoint), frame.placement * placement, shape)))
     return tuple(link for _, link in kept), tuple(body for body, _ in kept)
+
+
+def _materials(
+    name: str, material: Material | Mapping[str, Material] | None, bodies: Sequence[str]
+) -> tuple[Material, ...]:
+    """Material of every link, from the material of all or that of some bodies."""
+    of = material if isinstance(material, Mapping) else {}
+    rest: Any = Material() if material is None or isinstance(material, Mapping) else material
+    for body, given in [*of.items(), (None, rest)]:
+        if body is not None and body not in bodies:
+            raise ValueError(f"material of {name!r} names {body!r}; the bodies with shapes are {sorted(set(bodies))}")
+        if not isinstance(given, Material):
+            raise ValueError(f"material of {name!r} must be a nsdyn.Material, got {given!r}")
+    return tuple(of.get(body, rest) for body in bodies)
 
 
 def _place(
@@ -315,16 +330,16 @@ def _disabled_pairs(name: str, path: Path, model: Any, unused: list[str]) -> set
 def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Array) -> None:
     """Refuse joints that move no mass, configurations beyond a limit, springs where q is no angle or length.
 
-    Limits of the model become infinite where a joint has none that nsdyn knows.
+    Limits of the model become infinite where a coordinate has none: in quaternions and pairs (cos, sin).
     """
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     for joint in range(1, model.njoints):
         nq, nv = model.nqs[joint], model.nvs[joint]
         at, rows = model.idx_qs[joint], slice(model.idx_vs[joint], model.idx_vs[joint] + nv)
-        if nq != nv:  # quaternions and pairs (cos, sin)
+        if nq != nv:
             lower[at : at + nq], upper[at : at + nq] = -np.inf, np.inf
-            if stiffness[rows].any():
-                raise ValueError(f"stiffness of {name!r} must be 0 in joint {model.names[joint]!r}: its q is no angle")
+            if nv > 1 and stiffness[rows].any():
+                raise ValueError(f"stiffness of {name!r} must be 0 in joint {model.names[joint]!r}: it has no angle")
     # Pinocchio writes "no limit" as the largest float.
     lower[lower < -1e300], upper[upper > 1e300] = -np.inf, np.inf
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper

@@ -306,8 +306,8 @@ class Scene:
             Where the model's world lies in the scene: the pose of a fixed base, the initial one of a free base.
         q, v : sequences, shapes (nq,), (nv,)
             Initial configuration and velocity, Pinocchio's convention; those of a free base may be left out.
-        material : Material
-            Of all links.
+        material : Material or mapping
+            Of all links, or {body: Material}.
         collisions : bool or mapping
             False for none, or {body: shapes in place of the file's}, each a Shape or (Shape, SE3 in the body's frame).
         srdf : path, optional
@@ -408,7 +408,6 @@ class Scene:
 
     def _add_articulation(self, name: str, description: Description, keywords: dict[str, Any]) -> None:
         self._check_name(name)
-        self._material(keywords.get("material"), name)
         known = [
             p.name for p in inspect.signature(articulations.assemble).parameters.values() if p.kind == p.KEYWORD_ONLY
         ]
@@ -481,10 +480,10 @@ class Scene:
                 R, t = np.eye(3), np.zeros(3)
             out.append(Geom(b.name, b.name, b.shape, free.get(b.name, -1), R, t, b.material, b.colour))
         for a in self.articulations.values():
-            for name, joint, placement, shape in a.links:
+            for (name, joint, placement, shape), material in zip(a.links, a.materials, strict=True):
                 frame = frame_of.get((a.name, joint), -1)
                 R, t = np.array(placement.rotation), np.array(placement.translation)
-                out.append(Geom(f"{a.name}/{name}", a.name, shape, frame, R, t, a.material))
+                out.append(Geom(f"{a.name}/{name}", a.name, shape, frame, R, t, material))
         return out
 
     def excluded(self, geoms: Sequence[Geom]) -> set[tuple[int, int]]:

@@ -52,6 +52,13 @@ def test_collision_shapes_are_the_users(robot):
     np.testing.assert_allclose(a.links[4].placement.translation, (0, 0, 1))
 
 
+def test_material_of_a_body(robot):
+    scene, _ = loaded(robot, material={"a": nd.Material(mu=0.9), "tip": nd.Material(restitution=0.3)})
+    materials = {g.name: g.material for g in scene.geoms()}
+    assert materials["r/a_0"].mu == materials["r/a_1"].mu == 0.9
+    assert materials["r/tip_0"].restitution == 0.3 and materials["r/b_0"] == nd.Material()
+
+
 POSE = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.9), np.array([1.0, -2.0, 0.5]))
 
 
@@ -150,9 +157,12 @@ def test_loop():
         ({"base": "loose"}, "base of 'r' must be 'fixed' or 'free'"),
         ({"position": (0, 0)}, "position of 'r'"),
         ({"quaternion": (1, 0, 0, 1)}, "quaternion of 'r'"),
-        ({"material": 0.4}, "material of 'r'"),
+        ({"material": 0.4}, "material of 'r' must be a nsdyn.Material, got 0.4"),
+        ({"material": {"z": nd.Material()}}, "material of 'r' names 'z'"),
+        ({"material": {"a": 0.4}}, "material of 'r' must be a nsdyn.Material, got 0.4"),
         ({"friction": (-1, 0, 0)}, "friction of 'r' must not be negative"),
-        ({"stiffness": (0, 1, 0)}, "stiffness of 'r' must be 0 in joint 'jb'"),
+        ({"stiffness": (0, -1, 0)}, "stiffness of 'r' must not be negative"),
+        ({"base": "free", "stiffness": np.ones(9)}, "stiffness of 'r' must be 0 in joint 'root_joint'"),
         ({"restitution": 2.0}, r"restitution must lie in \[0, 1\]"),
         ({"limits": 1}, "limits of 'r' must be True or False"),
         ({"collisions": {"z": []}}, "collisions of 'r' names 'z'"),

@@ -397,7 +397,8 @@ def test_sdf_against_urdf(robot, tmp_path, rng):
         (SDF.replace("<lower>-1</", "<lower>3</"), "limits of 'm': joint 'ja' has lower 3 above upper 2"),
         (
             "<sdf><model><link name='a'/><link name='b'/>"
-            "<joint name='j' type='fixed'><parent>a</parent><child>b</child></joint><joint name='k' type='fixed'><parent>b</parent><child>a</child></joint></model></sdf>",
+            "<joint name='j' type='fixed'><parent>a</parent><child>b</child></joint>"
+            "<joint name='k' type='fixed'><parent>b</parent><child>a</child></joint></model></sdf>",
             "hang on each other in a circle",
         ),
     ],
