@@ -31,6 +31,9 @@ FREE = "JointModelFreeFlyer"
 NORMALISED = 1e-6
 """Error of norm of a quaternion or of a pair (cos, sin) in q that a user's rounding may leave."""
 
+SHOWN = 4
+"""Most notes of what is left out that a warning shows."""
+
 
 class Link(NamedTuple):
     """A collision shape on a link: its name, its joint (0 for the world), its SE3 in the joint's frame, its shape."""
@@ -170,6 +173,7 @@ def assemble(
     v: ArrayLike | None = None,
     material: Material | Mapping[str, Material] | None = None,
     collisions: bool | Mapping[str, Sequence[Any]] = True,
+    self_collisions: bool = True,
     srdf: str | Path | None = None,
     limits: bool = True,
     restitution: float = 0.0,
@@ -217,8 +221,9 @@ def assemble(
         if (values < 0.0).any():
             raise ValueError(f"{what} of {name!r} must not be negative, got {values.tolist()}")
     model.armature = in_joints["armature"]
-    if not isinstance(limits, bool):
-        raise ValueError(f"limits of {name!r} must be True or False, got {limits!r}")
+    for what, flag in (("limits", limits), ("self_collisions", self_collisions)):
+        if not isinstance(flag, bool):
+            raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
     materials = _materials(name, material, bodies)
@@ -226,10 +231,13 @@ def assemble(
     named = {
         (i, j)
         for i, j in combinations(range(len(links)), 2)
-        if {bodies[i], bodies[j]} in excluded or {links[i].name, links[j].name} in description.filtered
+        if not self_collisions
+        or {bodies[i], bodies[j]} in excluded
+        or {links[i].name, links[j].name} in description.filtered
     }
     if dropped:
-        warnings.warn(f"{name!r} leaves out: {'; '.join(dropped)}", stacklevel=4)
+        more = [f"{len(dropped) - SHOWN} more, in its report"] if len(dropped) > SHOWN else []
+        warnings.warn(f"{name!r} leaves out: {'; '.join(dropped[:SHOWN] + more)}", stacklevel=4)
     return Articulation(
         name, model, links, q0, v0, materials, limits,
         float(restitution), **in_joints, rest=rest0, loops=loops,

@@ -310,8 +310,10 @@ class Scene:
             Of all links, or {body: Material}.
         collisions : bool or mapping
             False for none, or {body: shapes in place of the file's}, each a Shape or (Shape, SE3 in the body's frame).
+        self_collisions : bool
+            Whether its links may touch each other, save those that a joint or a loop joins.
         srdf : path, optional
-            Its ``disable_collisions`` are obeyed. Links that a joint or a loop joins are never tested.
+            Its ``disable_collisions`` are obeyed.
         limits : bool
             Whether position limits of the model are enforced.
         restitution : float

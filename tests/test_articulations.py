@@ -27,6 +27,11 @@ def test_neighbours_are_not_tested(robot):
     assert {frozenset((geoms[i].name[2:], geoms[j].name[2:])) for i, j in scene.excluded(geoms)} == pairs
 
 
+def test_no_self_collisions(robot):
+    _, a = loaded(robot, self_collisions=False)
+    assert len(a.excluded) == 6 * 5 / 2
+
+
 def test_srdf(robot, tmp_path):
     srdf = tmp_path / "r.srdf"
     srdf.write_text(
@@ -165,6 +170,7 @@ def test_loop():
         ({"base": "free", "stiffness": np.ones(9)}, "stiffness of 'r' must be 0 in joint 'root_joint'"),
         ({"restitution": 2.0}, r"restitution must lie in \[0, 1\]"),
         ({"limits": 1}, "limits of 'r' must be True or False"),
+        ({"self_collisions": 0}, "self_collisions of 'r' must be True or False"),
         ({"collisions": {"z": []}}, "collisions of 'r' names 'z'"),
         ({"collisions": {"a": [1.0]}}, r"collisions of 'r' must be shapes or \(Shape, SE3\)"),
         ({"collisions": "visual"}, "collisions of 'r' must be True, False or"),
