@@ -121,7 +121,11 @@ class Dynamics:
         self.frames = self.free + len(frames)
         self.mass = np.array([b.mass for b in bodies])
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
-        self.radius = np.array([b.shape.bounding_radius for b in bodies])
+        self.radius = np.zeros(self.frames)  # of everything that hangs on the frame, about its origin
+        for geom in scene.geoms():
+            if geom.frame >= 0:
+                size = float(np.linalg.norm(geom.placement_t)) + geom.shape.bounding_radius
+                self.radius[geom.frame] = max(self.radius[geom.frame], size)
         self.inscribed = np.array([b.shape.inscribed_radius for b in bodies])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self.trees: list[_Tree] = []
@@ -273,11 +277,12 @@ class Dynamics:
     def reach(self, v: Array, h: float) -> Array:
         """How far any point of each frame's shapes may move in a step of h, m, shape (frames,)."""
         out = np.empty(self.frames)
-        _motion.reach(v, self.gravity, h, self.radius, out)
+        _motion.reach(v, self.gravity, h, self.radius[: self.free], out)
         fall = h * h * float(np.linalg.norm(self.gravity))
         for t, jacobians in zip(self.trees, self.jacobians, strict=True):
-            twist = np.abs(jacobians @ v[t.coordinates])
-            out[t.frames] = h * (twist[:, :3].sum(axis=1) + twist[:, 3:].sum(axis=1)) + fall
+            twist = jacobians @ v[t.coordinates]
+            speed, spin = np.linalg.norm(twist[:, :3], axis=1), np.linalg.norm(twist[:, 3:], axis=1)
+            out[t.frames] = h * (speed + spin * self.radius[t.frames]) + fall
         return out
 
     def energies(self, position: Position, v: Array) -> tuple[float, float]:
