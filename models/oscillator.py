@@ -1,4 +1,4 @@
-"""Block on a spring and dry friction: pass ``external_force=spring(...)`` to `nsdyn.simulate`.
+"""Block on a spring and dry friction: give `nsdyn.simulate` this file's `external_force`, or another `spring`.
 
 On ground at rest its amplitude falls by 2 mu m g/k every half period, until it stays where the spring is weaker than
 friction, |x| <= mu m g/k. On a belt that runs at `belt` it is carried along to x = mu m g/k, where the spring wins,
@@ -21,6 +21,9 @@ def spring(
     Belt and ground are one thing in two frames: in the belt's own frame, where it rests, the anchor moves backwards.
     """
     return lambda t, q, v: {"block": (-stiffness * (q[0] - rest + belt * t), 0.0, 0.0)}
+
+
+external_force = spring()
 
 
 def scene(start: float = 0.35, speed: float = 0.0, mu: float = 0.3, size: float = 0.2, mass: float = 1.0) -> Scene:
