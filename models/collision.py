@@ -6,13 +6,17 @@ DURATION, DT = 0.4, 1e-3
 
 
 def scene(
-    mu: float = 0.3, restitution: float = 0.6, speed: float = 3.0, spin: tuple[float, float, float] = (0.0, 5.0, 0.0),
-    offset: tuple[float, float] = (0.0, 0.05), radii: tuple[float, float] = (0.1, 0.15),
-    masses: tuple[float, float] = (1.0, 2.5),
+    mu: float = 0.3, restitution: float = 0.6, speed: float = 3.0, spin_x: float = 0.0, spin_y: float = 5.0,
+    spin_z: float = 0.0, offset_y: float = 0.0, offset_z: float = 0.05, radius: float = 0.1, mass: float = 1.0,
 ) -> Scene:  # fmt: skip
-    """Ball a comes along x at `speed` [m/s] with `spin` [rad/s]; ball b waits `offset` [m] aside in y and z."""
+    """Ball a of `radius` [m] and `mass` [kg] comes along x at `speed` [m/s] with `spin` [rad/s].
+
+    Ball b, 1.5 times as large and 2.5 times as heavy, waits 5 radii ahead and `offset` [m] aside.
+    """
     out = Scene(gravity=(0, 0, 0), name="collision")
     material = Material(mu=mu, restitution=restitution)
-    out.add_sphere("a", radii[0], masses[0], linear_velocity=(speed, 0, 0), angular_velocity=spin, material=material)
-    out.add_sphere("b", radii[1], masses[1], position=(0.5, *offset), material=material)
+    out.add_sphere(
+        "a", radius, mass, linear_velocity=(speed, 0, 0), angular_velocity=(spin_x, spin_y, spin_z), material=material
+    )
+    out.add_sphere("b", 1.5 * radius, 2.5 * mass, position=(5 * radius, offset_y, offset_z), material=material)
     return out

@@ -168,10 +168,12 @@ def test_bowling(mu, spin):
     assert abs(ball.angular_velocity[-1, 1] - v / r) <= 1e-11
     kinetic = trajectory.energy.kinetic
     assert abs(kinetic[0] - kinetic[-1] - (v0 - r * spin) ** 2 / 7) <= 1e-12
-    # It grips in the step in which 2 |v0 - r w0|/(7 mu g) falls, exact friction until then.
+    # It grips in the step in which 2 |v0 - r w0|/(7 mu g) falls; that step costs a path of O(h²).
     onset = 2 * abs(v0 - r * spin) / (7 * mu * g)
     slip = np.abs(ball.linear_velocity[:, 0] - r * ball.angular_velocity[:, 1])
-    assert abs(np.flatnonzero(slip > 1e-12)[-1] - math.floor(onset / 1e-2)) == 0
+    assert np.flatnonzero(slip > 1e-12)[-1] == math.floor(onset / 1e-2)
+    x = 0.5 * (v0 + v) * onset + v * (3.0 - onset)
+    assert abs(ball.position[-1, 0] - x) <= mu * g * 1e-2**2 / 4
 
 
 def swing(t, x0, mu, stiffness):
@@ -215,6 +217,14 @@ def test_coulomb_oscillator():
     # 2 mu g h, which the turning points do not feel and the phase does, first order.
     fine = oscillation(2.5e-4)
     assert np.abs(x - exact).max() <= 1e-3 and np.abs(fine[0] - fine[1]).max() <= 2.5e-4
+
+
+@pytest.mark.case(21)
+@pytest.mark.slow
+def test_coulomb_oscillator_all_the_way():
+    """Case 21: at h = 1e-4 the exact piecewise motion to 1e-4 m at every time."""
+    x, exact, _ = oscillation(1e-4)
+    assert np.abs(x - exact).max() <= 1e-4
 
 
 @pytest.mark.case(22)

@@ -127,7 +127,7 @@ def momenta(trajectory, masses=(1.0, 2.5), radii=(0.1, 0.15)):
 
 @pytest.mark.case(17)
 @pytest.mark.parametrize("mu", [0.05, 0.3, 2.0])
-@pytest.mark.parametrize("parameters", [{"spin": (0.0, 5.0, 0.0)}, {"spin": (0.0, 0.0, 0.0), "offset": (0.1, 0.05)}])
+@pytest.mark.parametrize("parameters", [{"spin_y": 5.0}, {"spin_y": 0.0, "offset_y": 0.1}])
 def test_oblique_collision(mu, parameters):
     """Case 17: both momenta to round-off, in a plane with spin and in space without."""
     trajectory = nd.simulate(nd.scenes.load("collision")(mu=mu, **parameters), 0.3, dt=1e-3)
@@ -140,7 +140,7 @@ def test_oblique_collision(mu, parameters):
 @pytest.mark.case(17)
 def test_oblique_collision_in_space_with_spin():
     """Case 17: momentum to round-off; angular momentum to the O(h²) by which a spinning ball turns in the impact."""
-    scene = nd.scenes.load("collision")(spin=(2.0, 5.0, -3.0), offset=(0.1, 0.05))
+    scene = nd.scenes.load("collision")(spin_x=2.0, spin_y=5.0, spin_z=-3.0, offset_y=0.1)
     errors = []
     for dt in (1e-3, 5e-4):
         p, L = momenta(nd.simulate(scene, 0.3, dt=dt))
