@@ -11,7 +11,7 @@ import nsdyn as nd
 
 g = 9.81
 
-EXACT = nd.solvers.Auto(tol=1e-13)
+EXACT = nd.solvers.Auto(tol=1e-14)
 """For thresholds at 1e-9 and forces at 1e-11: the default, 1e-8 m/s a step, is more than what they are about."""
 
 
@@ -55,8 +55,8 @@ def test_threshold_of_sliding_from_both_sides(angle, excess, slides):
     trajectory = nd.simulate(nd.scenes.load("incline")(angle=angle, mu=mu), 1.0, dt=1e-2, solver=EXACT)
     v = trajectory.body("box").linear_velocity[-1] @ downhill(angle)
     expected = 1e-9 * g * math.sin(math.radians(angle)) if slides else 0.0
-    # Round-off, 1e-16 of g dt per step, is a thousandth of what the deficit of friction adds.
-    assert abs(v - expected) <= 1e-12
+    # A hundred steps at the solver's tolerance, on redundant contacts; what the deficit adds is 8.5e-10 and more.
+    assert abs(v - expected) <= 2e-11
 
 
 @pytest.mark.case(3)
@@ -84,7 +84,7 @@ def test_threshold_is_the_same_in_every_direction():
             scene = nd.scenes.load("incline")(angle=25.0, mu=mu, heading=heading)
             trajectory = nd.simulate(scene, 0.5, dt=1e-2, solver=EXACT)
             v = trajectory.body("box").linear_velocity[-1]
-            assert np.abs(v - 0.5 * expected * downhill(25.0, heading)).max() <= 1e-12
+            assert np.abs(v - 0.5 * expected * downhill(25.0, heading)).max() <= 2e-11  # as above
 
 
 @pytest.mark.case(4)
@@ -152,7 +152,8 @@ def test_threshold_of_rolling(shape, excess, slips):
     slip = body.linear_velocity[-1] @ downhill(30.0) - 0.1 * body.angular_velocity[-1, 1]
     # Friction short by 1e-9 mu m g cos: v grows by that over m, r w falls short by it over k m.
     expected = 1e-9 * mu * g * math.cos(angle) * (1 + 1 / k) if slips else 0.0
-    assert abs(slip - expected) <= 1e-12
+    # As for sliding; the deficit adds 4.9e-9 and more.
+    assert abs(slip - expected) <= 2e-11
 
 
 @pytest.mark.case(12)
@@ -198,7 +199,8 @@ def oscillation(dt, x0=0.35, mu=0.3, stiffness=100.0):
     trajectory = nd.simulate(model.scene(start=x0, mu=mu), model.DURATION, dt=dt, external_force=spring)
     x = trajectory.body("block").position[:, 0]
     v = trajectory.body("block").linear_velocity[:, 0]
-    turns = np.flatnonzero(v[1:-1] * v[2:] < 0) + 1
+    v = np.where(np.abs(v) > 1e-9, v, 0.0)  # what the solver leaves of rest
+    turns = np.flatnonzero((v[1:-1] != 0.0) & (v[1:-1] * v[2:] <= 0.0)) + 1
     exact = np.array([swing(t, x0, mu, stiffness) for t in trajectory.t])
     return x, exact, x[turns]
 
