@@ -122,6 +122,16 @@ def _parser() -> _Parser:
     p.add_argument("--plot", type=Path, metavar="F.png", help="picture of the profiles (png, pdf or svg)")
     _add_json(p)
 
+    p = command("bench", _bench, "Speed against error: scenes with known answers, in nsdyn and in other engines.")
+    p.add_argument("case", metavar="CASE", nargs="*", help="cases by name (default: all)")
+    p.add_argument("--peer", action="append", default=[], metavar="NAME", help="mujoco; may be repeated")
+    p.add_argument(
+        "--limit", type=float, default=10.0, metavar="SECONDS", help="time limit of each run (default: %(default)s)"
+    )
+    p.add_argument("--csv", type=Path, metavar="F.csv", help="all runs, one a line")
+    p.add_argument("--plot", type=Path, metavar="F.png", help="picture of time against error (png, pdf or svg)")
+    _add_json(p)
+
     p = command("energy", _energy, "Print, plot or export the energy ledger of a recording.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
     p.add_argument("--plot", type=Path, metavar="E.png", help="picture of energies and works (png, pdf or svg)")
@@ -284,7 +294,7 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-# -- solve and profile ---------------------------------------------------------------------------------
+# -- solve, profile and bench ---------------------------------------------------------------------------------
 
 
 def _solve(arguments: argparse.Namespace) -> int:
@@ -342,16 +352,39 @@ def _profile(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _bench(arguments: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from nsdyn import bench
+
+    _check_outputs(arguments.csv, arguments.plot)
+    found = bench.measure(arguments.case, arguments.peer, arguments.limit, progress=True)
+    if arguments.csv:
+        found.write_csv(arguments.csv)
+    if arguments.plot:
+        _picture(arguments.plot, found.plot, (13, 9.5), 80)
+    if arguments.json:
+        _print_json({"summary": found.summary(), "runs": [asdict(run) for run in found.runs]})
+    else:
+        print(found.table())
+    return 0
+
+
 def _plot(path: Path, draw: Callable[[Any], Any]) -> None:
     """Picture of what `draw` draws on matplotlib axes."""
+    _picture(path, lambda figure: draw(figure.subplots()), (8, 5), 150)
+
+
+def _picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int) -> None:
+    """Picture of what `draw` draws on a matplotlib figure of `size` in inches."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
 
     from nsdyn.trajectory import replacing
 
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    draw(figure.subplots())
+    figure = Figure(figsize=size, layout="constrained")
+    draw(figure)
     with replacing(path) as part:
-        figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=150)
+        figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=dpi)
 
 
 # -- energy and view -----------------------------------------------------------------------------------

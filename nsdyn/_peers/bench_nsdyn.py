@@ -1,0 +1,51 @@
+"""Worker of our own stepper, run as a script; a variant is a tolerance of the default solver."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from typing import Any
+
+from stepping import serve  # type: ignore[import-not-found]  # beside this script
+
+import nsdyn as nd
+from nsdyn.problem import Array
+
+TOLERANCES = "1e-4", "1e-8"
+
+
+class Simulation:
+    """A stepper, stepped."""
+
+    def __init__(self, scene: nd.Scene, dt: float, tol: float) -> None:
+        self.stepper = nd.Stepper(scene, dt=dt, solver=nd.solvers.Auto(tol=tol))
+
+    def advance(self, steps: int) -> None:
+        """Whole steps, each with its ledger and its certificate."""
+        for _ in range(steps):
+            self.stepper.step()
+
+    def poses(self) -> Array:
+        """Of the free bodies."""
+        return self.stepper.start().q.reshape(-1, 7)
+
+
+def variants(scene: dict[str, Any]) -> list[str]:
+    """Tolerances, for any scene."""
+    return [f"tol {tol}" for tol in TOLERANCES]
+
+
+@lru_cache(maxsize=1)
+def load(model: str, parameters: str) -> nd.Scene:
+    """The named scene, simulated once, so that nothing is compiled later."""
+    scene, module = nd.scenes.load(model)(**json.loads(parameters)), nd.scenes.module(model)
+    Simulation(scene, module.DT, 1e-8).advance(round(module.DURATION / module.DT))
+    return scene
+
+
+def build(scene: dict[str, Any], variant: str, dt: float) -> Simulation:
+    """Scenes of ours come by name."""
+    return Simulation(load(scene["model"], json.dumps(scene["parameters"])), dt, float(variant.removeprefix("tol ")))
+
+
+serve(variants, build)
