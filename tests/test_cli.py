@@ -41,7 +41,7 @@ def recording(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["scenes"], ["doctor"], ["run"], ["solve"], ["profile"], ["bench"], ["energy"], ["view"]]
+    "command", [[], ["scenes"], ["doctor"], ["run"], ["solve"], ["profile"], ["bench"], ["sweep"], ["energy"], ["view"]]
 )
 def test_help(run, command):
     code, out, err = run(*command, "--help")
