@@ -7,6 +7,7 @@ import time
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 from stepping import serve  # type: ignore[import-not-found]  # beside this script
 
 import nsdyn as nd
@@ -38,9 +39,10 @@ def variants(scene: dict[str, Any]) -> list[str]:
 
 
 @lru_cache(maxsize=1)
-def load(model: str, parameters: str) -> nd.Scene:
+def load(model: str, parameters: str, gravity: tuple[float, float, float]) -> nd.Scene:
     """The named scene, simulated for a while, so that nothing is compiled later."""
     scene, module = nd.scenes.load(model)(**json.loads(parameters)), nd.scenes.module(model)
+    scene.gravity = np.array(gravity)
     simulation, end = Simulation(scene, module.DT, 1e-8), time.monotonic() + WARMING
     while simulation.stepper.t < module.DURATION and time.monotonic() < end:
         simulation.advance(1)
@@ -49,7 +51,8 @@ def load(model: str, parameters: str) -> nd.Scene:
 
 def build(scene: dict[str, Any], variant: str, dt: float) -> Simulation:
     """Scenes of ours come by name."""
-    return Simulation(load(scene["model"], json.dumps(scene["parameters"])), dt, float(variant.removeprefix("tol ")))
+    loaded = load(scene["model"], json.dumps(scene["parameters"]), tuple(scene["gravity"]))
+    return Simulation(loaded, dt, float(variant.removeprefix("tol ")))
 
 
 serve(variants, build)
