@@ -424,20 +424,20 @@ class _Engine:
     script: str
     module: str
     install: str
-    python: str = sys.executable
+    python: tuple[str, ...] = (sys.executable,)
 
     @property
     def command(self) -> list[str]:
         """Command of the worker."""
-        return [self.python, str(_SCRIPTS / self.script)]
+        return [*self.python, str(_SCRIPTS / self.script)]
 
     @property
     def installed(self) -> bool:
         """Whether its Python has its module."""
-        if self.python == sys.executable:
+        if self.python == (sys.executable,):
             return importlib.util.find_spec(self.module) is not None
         try:
-            return subprocess.run([self.python, "-c", f"import {self.module}"], capture_output=True).returncode == 0
+            return subprocess.run([*self.python, "-c", f"import {self.module}"], capture_output=True).returncode == 0
         except OSError:
             return False
 
@@ -447,6 +447,13 @@ _OWN = _Engine("bench_nsdyn.py", "nsdyn", "")
 PEERS = {
     "mujoco": _Engine("bench_mujoco.py", "mujoco", "pip install 'nsdyn[peers]'"),
     "drake": _Engine("bench_drake.py", "pydrake", "pip install 'nsdyn[peers]'"),
+    "siconos": _Engine(
+        # Debian's packages serve Debian's Python only, and paths meant for ours would spoil it.
+        "bench_siconos.py",
+        "siconos.mechanics.collision.bullet",
+        "apt-get install python3-siconos python3-scipy",
+        ("/usr/bin/python3", "-E"),
+    ),
 }
 """Other engines by name."""
 
