@@ -3,6 +3,7 @@
 All engines get the same scene: shapes, masses, inertias, velocities, gravity, friction, restitution. Each runs in a
 process of its own with one thread. The poses that a run passes through are compared with the answer here, by the same
 code for all. Timed is stepping alone, in the fastest way an engine has; building, compiling and reading poses are not.
+Times are processor times of the one thread: wall times on an idle machine.
 
 A run counts for an error only if the runs of the same engine and settings at every smaller dt meet it too: what is
 right by cancellation is not what one can rely on.
@@ -294,7 +295,7 @@ class Run:
     error : float
         inf if the run failed, nan if it was stopped at the limit.
     seconds : float
-        Wall time per simulated second, nan without an answer.
+        Time per simulated second, nan without an answer.
     note : str
         Why there is no answer.
     """
@@ -345,7 +346,7 @@ class Bench:
     def summary(self) -> list[dict[str, Any]]:
         """For every case and bound of `ERRORS`: the run by which each engine reaches it, and ours over the best peer's.
 
-        The ratio of wall times is inf where only a peer reaches the bound, None where no peer does.
+        The ratio of times is inf where only a peer reaches the bound, None where no peer does.
         """
         out = []
         for case in self.cases:
@@ -364,9 +365,9 @@ class Bench:
         return out
 
     def table(self) -> str:
-        """Wall time in ms per simulated second to reach an error, and ours over that of the best peer."""
+        """Time in ms per simulated second to reach an error, and ours over that of the best peer."""
         width = max(len(engine) for engine in [*self.engines, "ours/best peer"])
-        lines = ["wall time in ms per simulated second to reach an error of"]
+        lines = ["processor time in ms per simulated second to reach an error of"]
         lines.append(" " * (10 + width) + "".join(f"{error:9.0e}" for error in ERRORS))
         summary = self.summary()
         for case in self.cases:
@@ -389,7 +390,7 @@ class Bench:
                 sink.writerow([x if not isinstance(x, float) or math.isfinite(x) else "" for x in astuple(run)])
 
     def plot(self, figure: Any) -> None:
-        """Draw wall time per simulated second against error on a matplotlib figure, a panel for each case."""
+        """Draw time per simulated second against error on a matplotlib figure, a panel for each case."""
         columns = min(4, len(self.cases))
         panels = figure.subplots(math.ceil(len(self.cases) / columns), columns, squeeze=False).ravel()
         colours = {engine: f"C{k}" for k, engine in enumerate(self.engines)}
@@ -447,6 +448,8 @@ _OWN = _Engine("bench_nsdyn.py", "nsdyn", "")
 PEERS = {
     "mujoco": _Engine("bench_mujoco.py", "mujoco", "pip install 'nsdyn[peers]'"),
     "drake": _Engine("bench_drake.py", "pydrake", "pip install 'nsdyn[peers]'"),
+    "dart": _Engine("bench_dart.py", "dartpy", "pip install dartpy"),
+    "bullet": _Engine("bench_bullet.py", "pybullet", "pip install pybullet"),
     "siconos": _Engine(
         # Debian's packages serve Debian's Python only, and paths meant for ours would spoil it.
         "bench_siconos.py",

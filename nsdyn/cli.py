@@ -140,7 +140,11 @@ def _parser() -> _Parser:
     p = command("bench", _bench, "Speed against error: scenes with known answers, in nsdyn and in other engines.")
     p.add_argument("case", metavar="CASE", nargs="*", help="cases by name (default: all)")
     p.add_argument(
-        "--peer", action="append", default=[], metavar="NAME", help="mujoco, drake or siconos; may be repeated"
+        "--peer",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="mujoco, drake, dart, bullet or siconos; may be repeated",
     )
     p.add_argument(
         "--limit", type=float, default=30.0, metavar="SECONDS", help="time limit of each run (default: %(default)s)"

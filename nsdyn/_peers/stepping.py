@@ -40,8 +40,9 @@ def serve(variants: Callable[[dict[str, Any]], list[str]], build: Callable[..., 
 
     Notes
     -----
-    A request with a `variant` is run from the start several times; the reply is the median of the wall times, and the
-    poses at every sample are saved. One without is answered by the variants.
+    A request with a `variant` is run from the start several times; the reply is the median of their times, and the poses
+    at every sample are saved. One without is answered by the variants. With one thread the processor time that is
+    measured is the wall time on an idle machine, and on a busy one it stays so.
     """
     replies = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # engines that print must not garble the replies
@@ -52,9 +53,9 @@ def serve(variants: Callable[[dict[str, Any]], list[str]], build: Callable[..., 
     def run(simulation: Simulation, steps: int, samples: int) -> tuple[float, list[Any]]:
         seconds, poses = 0.0, []
         for _ in range(samples):
-            begin = time.perf_counter()
+            begin = time.process_time()
             simulation.advance(steps)
-            seconds += time.perf_counter() - begin
+            seconds += time.process_time() - begin
             poses.append(np.array(simulation.poses(), dtype=float))
         return seconds, poses
 
