@@ -52,7 +52,8 @@ def sweep(
     Parameters
     ----------
     scene : str or callable
-        Name of a scene, or a function ``scene(**parameters) -> Scene``, which must be one that the executor can send.
+        Name of a scene, which is run with its own controller if it has one, or a function ``scene(**parameters) ->
+        Scene``, which must be one that the executor can send.
     parameters : mapping of str to sequence
         Values of each parameter; the last one varies fastest in the result.
     duration : float
@@ -113,9 +114,13 @@ def _run(
     options: dict[str, Any],
 ) -> Member:
     """One simulation, wherever it runs."""
-    function = scenes.load(scene) if isinstance(scene, str) else scene
+    if isinstance(scene, str):
+        built = scenes.load(scene)(**parameters)
+        options = {"controller": scenes.controller(scene, built)} | options
+    else:
+        built = scene(**parameters)
     try:
-        trajectory = simulate(function(**parameters), duration, **options)
+        trajectory = simulate(built, duration, **options)
     except NotConverged as failure:
         return Member(parameters, None, str(failure))
     return Member(parameters, trajectory if keep is None else keep(trajectory), "")

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from nsdyn.scene import Scene
 
-__all__ = ["folder", "load", "module", "name_of", "names"]
+__all__ = ["controller", "folder", "load", "module", "name_of", "names"]
 
 _PREFIX = "nsdyn_models_"
 
@@ -29,7 +30,10 @@ def names() -> list[str]:
 
 @cache
 def module(name: str) -> ModuleType:
-    """Module of a named scene, with its `scene` function, DURATION [s] and DT [s]; ValueError naming the known ones."""
+    """Module of a named scene: its function `scene`, DURATION [s], DT [s], perhaps a `controller`.
+
+    ValueError naming the known ones.
+    """
     if name not in names():
         raise ValueError(f"scene must be one of {', '.join(names())}; got {name!r}")
     spec = importlib.util.spec_from_file_location(_PREFIX + name, folder() / f"{name}.py")
@@ -49,3 +53,9 @@ def name_of(function: Callable[..., Scene]) -> str | None:
     """Name of the scene whose function this is, None for any other."""
     name = getattr(function, "__module__", "").removeprefix(_PREFIX)
     return name if name in names() and function is load(name) else None
+
+
+def controller(name: str, scene: Scene) -> Callable[..., Any] | None:
+    """What drives the articulations of a named scene, ``controller(t, q, v)``; None for a scene without."""
+    make = getattr(module(name), "controller", None)
+    return None if make is None else make(scene)

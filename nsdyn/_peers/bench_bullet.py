@@ -1,7 +1,8 @@
 """Worker of Bullet, run as a script; it runs in the Python that nsdyn runs in.
 
-Variants: ``default``, the world as it comes, damping included; ``cone``, sequential impulses with cones, 1000 iterations
-(200 from five bodies on), no slop and no damping; ``dantzig``, its pivoting solver, maximal coordinates, no damping.
+Variants: ``default``, the world as it comes, damping included; ``cone``, sequential impulses with cones, 1000
+iterations (200 from five bodies on), no slop and no damping; ``dantzig``, its pivoting solver, maximal coordinates, no
+damping.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Worker of DART, run as a script; it runs in the Python that nsdyn runs in.
 
-Variants: ``default``, a world as it comes, where bodies at rest fall asleep; without sleep and with DART's own collision
-detector ``dantzig``, the same pivoting solver with friction in boxes, and ``nsgs``, its Gauss–Seidel solver with
-Coulomb's cones.
+Variants: ``default``, a world as it comes, where bodies at rest fall asleep; without sleep and with DART's own
+collision detector ``dantzig``, the same pivoting solver with friction in boxes, and ``nsgs``, its Gauss–Seidel solver
+with Coulomb's cones.
 """
 
 from __future__ import annotations

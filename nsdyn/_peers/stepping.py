@@ -40,8 +40,8 @@ def serve(variants: Callable[[dict[str, Any]], list[str]], build: Callable[..., 
 
     Notes
     -----
-    A request with a `variant` is run from the start several times; the reply is the median of their times, and the poses
-    at every sample are saved. One without is answered by the variants. With one thread the processor time that is
+    A request with a `variant` is run from the start several times; the reply is the median of their times, and the
+    poses at every sample are saved. One without is answered by the variants. With one thread the processor time that is
     measured is the wall time on an idle machine, and on a busy one it stays so.
     """
     replies = os.dup(1)
