@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nsdyn import fclib, scenes, solvers
+    from nsdyn.ensemble import sweep
     from nsdyn.problem import FC3D, NotConverged, Solution, Status
     from nsdyn.scene import Material, Scene
     from nsdyn.solvers import solve
@@ -33,9 +34,11 @@ __all__ = [
     "simulate",
     "solve",
     "solvers",
+    "sweep",
 ]
 
 _HOME = {
+    "ensemble": ("sweep",),
     "problem": ("FC3D", "NotConverged", "Solution", "Status"),
     "scene": ("Material", "Scene"),
     "solvers": ("solve",),
