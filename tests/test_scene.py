@@ -147,7 +147,7 @@ def test_centre_of_mass_elsewhere_than_the_centroid():
     J = 0.4 * 0.1**2 * np.eye(3)
     tilt = np.array([np.sin(0.2), 0, 0, np.cos(0.2)])  # 0.4 rad about x
     low = np.array([0, 0.02 * np.sin(0.4), -0.02 * np.cos(0.4)])
-    scene.add_sphere("b", 0.1, 1.0, com=(0, 0, -0.02), inertia=J, position=low + (0, 0, 0.1), quaternion=tilt)
+    scene.add_sphere("b", 0.1, 1.0, com=(0, 0, -0.02), inertia=J, position=low + np.array([0, 0, 0.1]), quaternion=tilt)
     stepper = nd.Stepper(scene)
     step = stepper.step()
     np.testing.assert_allclose(step.contacts.point[0], (0, 0, 0), atol=1e-9)
