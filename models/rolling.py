@@ -1,4 +1,4 @@
-"""Box pushed over the ground with 25 balls rolling on it, the force at 60 degrees to the axes: SimBenchmark's rolling."""
+"""Box pushed over the ground, 60 degrees from the axes, with 25 balls rolling on it: SimBenchmark's rolling."""
 
 import numpy as np
 

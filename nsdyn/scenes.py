@@ -27,7 +27,10 @@ def names() -> list[str]:
 
 @cache
 def module(name: str) -> ModuleType:
-    """Module of a named scene, with its `scene` function, DURATION [s] and DT [s]; ValueError naming the known ones."""
+    """Module of a named scene, with its `scene` function, DURATION [s] and DT [s]; ValueError naming the known ones.
+
+    A scene that is driven also has `external_force`, the callback of `Stepper`.
+    """
     if name not in names():
         raise ValueError(f"scene must be one of {', '.join(names())}; got {name!r}")
     spec = importlib.util.spec_from_file_location(f"nsdyn_models_{name}", folder() / f"{name}.py")
