@@ -394,8 +394,8 @@ class Stepper:
         """Positions without penetration, the closest in the kinetic metric, and their gaps.
 
         min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0: a frictionless contact problem in positions, on the gaps g at the end of the
-        step, linear in the motion. Contacts that are `leaving` are not pushed. Where nothing penetrates `moved` itself
-        is returned.
+        step, linear in the motion. Contacts that are `leaving` are not pushed. Where nothing penetrates, or nothing
+        helps, `moved` itself is returned.
         """
         held = np.where(leaving, np.maximum(gap, 0.0), gap)
         if held.min(initial=0.0) >= -CLOSED:
@@ -403,8 +403,11 @@ class Stepper:
         g = np.zeros(3 * gap.size)
         g[0::3] = held
         shift = self._projection(FC3D.from_blocks(blocks, g, np.zeros(gap.size)))
-        end = self.dynamics.advance(moved, blocks.velocity_change(shift.r), 1.0)
-        return end, gap + (shift.u - g)[0::3]
+        lifted = gap + (shift.u - g)[0::3]
+        # A body squeezed between others has no position without overlap: an answer that does not help may be anything.
+        if not shift.converged and np.where(leaving, 0.0, lifted).min() < 0.5 * held.min():
+            return moved, gap
+        return self.dynamics.advance(moved, blocks.velocity_change(shift.r), 1.0), lifted
 
     def _check_overlap(self, geoms: list[Geom], position: Position) -> None:
         """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
