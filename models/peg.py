@@ -1,11 +1,11 @@
-"""Peg squeezed between two walls that are too close by a micrometre: no position is right, and nothing may explode."""
+"""Peg squeezed between two walls that are a little too close: no position is right, and nothing may explode."""
 
 from nsdyn import Material, Scene
 
 DURATION, DT = 1.0, 1e-3
 
 
-def scene(squeeze: float = 1e-6, mu: float = 0.5, size: float = 0.1, mass: float = 1.0) -> Scene:
+def scene(squeeze: float = 4e-8, mu: float = 0.5, size: float = 0.1, mass: float = 1.0) -> Scene:
     """Cube of edge `size` [m] and `mass` [kg] that overlaps a wall on either side by `squeeze` [m].
 
     A gap of either sign between -`squeeze` and `squeeze` is possible, none without overlap. Impulses that hold the cube
