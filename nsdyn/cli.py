@@ -291,6 +291,7 @@ def _run(arguments: argparse.Namespace) -> int:
             theta=arguments.theta,
             solver=solver,
             controller=nsdyn.scenes.controller(name, scene),
+            external_force=getattr(module, "external_force", None),
             record=arguments.output,
             progress=True,
             dump_on_fail=arguments.dump_on_fail,

@@ -30,9 +30,10 @@ def names() -> list[str]:
 
 @cache
 def module(name: str) -> ModuleType:
-    """Module of a named scene: its function `scene`, DURATION [s], DT [s], perhaps a `controller`.
+    """Module of a named scene: its function `scene`, DURATION [s], DT [s].
 
-    ValueError naming the known ones.
+    A driven scene also has a `controller`, see below, or `external_force`, the callback of `Stepper`. ValueError
+    naming the known ones.
     """
     if name not in names():
         raise ValueError(f"scene must be one of {', '.join(names())}; got {name!r}")

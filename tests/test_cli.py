@@ -135,6 +135,13 @@ def test_run_gives_its_figures_as_json(run, tmp_path):
     assert trajectory.meta["solver"].startswith("Newton(tol=1e-07")
 
 
+def test_run_of_a_driven_scene(run, tmp_path):
+    """The module's external_force is applied: the push does work."""
+    code, _, _ = run("run", "rolling", "--time", "0.05", "--dt", "0.01", "--set", "balls=2", "-o", "run.h5")
+    assert code == 0
+    assert Trajectory.load(tmp_path / "run.h5").energy.external.sum() > 0.1
+
+
 def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
     # No solver reaches 1e-300 once something moves.
     code, out, err = run("run", "slide", *SHORT, "--solver", "pgs", "--tol", "1e-300", "-o", "run.h5")
