@@ -12,6 +12,7 @@ import importlib.metadata
 import importlib.util
 import inspect
 import json
+import logging
 import math
 import os
 import sys
@@ -34,6 +35,7 @@ __all__ = ["main"]
 def main(argv: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
     arguments = _parser().parse_args(argv)
+    logging.basicConfig(level=logging.INFO, format="nsdyn: %(message)s", stream=sys.stderr)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         try:
