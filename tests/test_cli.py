@@ -215,6 +215,15 @@ def test_solve_that_does_not_converge(run, problem):
     assert code == 1 and "the iteration limit was reached" in out and err == ""
 
 
+def test_solve_without_a_slater_point(run, tmp_path):
+    """A point squeezed between two walls: no solution exists, and the one line says why."""
+    H = np.hstack((np.eye(3), -np.eye(3)))
+    squeezed = nd.FC3D(H.T @ H, np.array([-1.0, 0, 0, -1.0, 0, 0]), np.full(2, 0.5))
+    nd.fclib.write(tmp_path / "squeezed.hdf5", squeezed)
+    code, out, _ = run("solve", "squeezed.hdf5")
+    assert code == 1 and "no velocity opens every contact" in out and out.count("\n") == 1
+
+
 def test_failing_run_dumps_a_problem_that_solve_reads(run):
     code, _, err = run("run", "slide", *SHORT, "--solver", "pgs", "--tol", "1e-300", "--dump-on-fail", "dumps")
     assert code == 1 and "its problem is in dumps/step-000001.hdf5" in err
