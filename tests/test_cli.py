@@ -232,15 +232,21 @@ def test_failing_run_dumps_a_problem_that_solve_reads(run):
 
 
 def test_profile(run, problem, tmp_path):
-    code, out, err = run("profile", ".", "--solver", "pgs", "--csv", "p.csv", "--plot", "p.png")
+    tolerances = ("--tol", "1e-4", "--tol", "1e-8")
+    code, out, err = run("profile", ".", "--solver", "pgs", *tolerances, "--csv", "p.csv", "--plot", "p.png")
     assert code == 0 and err == ""
-    assert out.splitlines()[1].split() == ["pgs", "1/1", "1.00", "1.00", "1.00", "1.00", "1"]
+    lines = out.splitlines()
+    assert lines[0] == "tol 0.0001" and lines[4] == "tol 1e-08"
+    assert lines[2].split() == lines[6].split() == ["pgs", "1/1", "1.00", "1.00", "1.00", "1.00", "1"]
     rows = list(csv.DictReader((tmp_path / "p.csv").read_text().splitlines()))
-    assert rows[0]["problem"] == "p" and rows[0]["solved"] == "True"
+    assert [row["tol"] for row in rows] == ["0.0001", "1e-08"]
+    assert rows[1]["problem"] == "p" and rows[1]["solved"] == "True"
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
-    figures = json.loads(run("profile", ".", "--solver", "pgs", "--tol", "1e-30", "--json")[1])
+    (figures,) = json.loads(run("profile", ".", "--solver", "pgs", "--tol", "1e-30", "--json")[1])
     assert figures["summary"][0]["solved"] == 0 and figures["summary"][0]["mean_ratio"] is None
     assert figures["runs"][0]["error"] > 1e-30
+    code, _, err = run("profile", ".", "--min-contacts", "20")
+    assert code == 2 and "no problem in . has 20 contacts" in err
 
 
 @pytest.mark.parametrize(
