@@ -7,10 +7,11 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from nsdyn.scene import Scene
 
-__all__ = ["folder", "load", "module", "names"]
+__all__ = ["controller", "folder", "load", "module", "names"]
 
 
 def folder() -> Path:
@@ -27,9 +28,9 @@ def names() -> list[str]:
 
 @cache
 def module(name: str) -> ModuleType:
-    """Module of a named scene, with its `scene` function, DURATION [s] and DT [s]; ValueError naming the known ones.
+    """Module of a named scene: its function `scene`, DURATION [s], DT [s], perhaps `controller`, `external_force`.
 
-    A scene that is driven also has `external_force`, the callback of `Stepper`.
+    ValueError naming the known ones.
     """
     if name not in names():
         raise ValueError(f"scene must be one of {', '.join(names())}; got {name!r}")
@@ -44,3 +45,15 @@ def load(name: str) -> Callable[..., Scene]:
     """Return the function ``scene(**parameters) -> Scene`` of a named scene."""
     function: Callable[..., Scene] = module(name).scene
     return function
+
+
+def controller(name: str, scene: Scene) -> Callable[..., Any] | None:
+    """What drives the articulations of a named scene, ``controller(t, q, v)``; None for a scene without."""
+    make = getattr(module(name), "controller", None)
+    return None if make is None else make(scene)
+
+
+def external_force(name: str, scene: Scene) -> Callable[..., Any] | None:
+    """What pushes the bodies of a named scene, ``external_force(t, q, v)``; None for a scene without."""
+    make = getattr(module(name), "external_force", None)
+    return None if make is None else make(scene)
