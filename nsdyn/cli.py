@@ -296,7 +296,7 @@ def _run(arguments: argparse.Namespace) -> int:
             theta=arguments.theta,
             solver=solver,
             controller=nsdyn.scenes.controller(name, scene),
-            external_force=getattr(module, "external_force", None),
+            external_force=nsdyn.scenes.external_force(name, scene),
             record=arguments.output,
             progress=True,
             dump_on_fail=arguments.dump_on_fail,
