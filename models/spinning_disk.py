@@ -12,12 +12,11 @@ Z. Farkas, G. Bartels, T. Unger, D. E. Wolf, Frictional coupling between sliding
 
 import math
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from nsdyn import Material, Scene
-from nsdyn.scene import Articulation
-from nsdyn.shapes import sphere
 
 DURATION, DT = 0.3, 1e-3
 
@@ -55,15 +54,13 @@ def scene(
     model.appendBodyToJoint(
         parent, pin.Inertia(0.0, np.zeros(3), np.diag((0.0, 0.0, J + flywheel))), pin.SE3.Identity()
     )
-    links = []
-    shape = sphere(pad_radius)
+    geometry, ball = pin.GeometryModel(), coal.Sphere(pad_radius)
     for k, (x, y) in enumerate(places):
         at = pin.SE3(np.eye(3), np.array((x, y, pad_radius)))
         joint = model.addJoint(parent, pin.JointModelPZ(), at, f"pad{k}")
         model.appendBodyToJoint(joint, pin.Inertia(pad_mass, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-        links.append((f"pad{k}", joint, pin.SE3.Identity(), shape))
-    q, v = pin.neutral(model), np.zeros(model.nv)
+        geometry.addGeometryObject(pin.GeometryObject(f"pad{k}", joint, pin.SE3.Identity(), ball))
+    v = np.zeros(model.nv)
     v[0], v[2] = speed, spin
-    model.gravity = pin.Motion(out.gravity, np.zeros(3))
-    out.articulations["disk"] = Articulation("disk", model, tuple(links), q, v, material)
+    out.add_model("disk", model, geometry, v=v, material=material, self_collisions=False)
     return out

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import linprog
 
 from nsdyn import cones
 from nsdyn.problem import FC3D, Array
@@ -312,6 +311,8 @@ def has_slater_point(problem: FC3D, facets: int = 16) -> bool:
     V. Acary, F. Cadoux, C. Lemaréchal, J. Malick, A formulation of the linear discrete Coulomb friction problem via
     convex optimization, ZAMM 91, 2011. A. Klarbring, J.-S. Pang, SIAM J. Optim. 8, 1998.
     """
+    from scipy.optimize import linprog  # a tenth of a second that few need
+
     if problem.nc == 0:
         return True
     angle = 2.0 * np.pi * np.arange(facets) / facets

@@ -58,15 +58,12 @@ def test_ball_comes_to_rest():
     assert ball.position[-1, 2] == pytest.approx(0.1, abs=1e-9)
 
 
+@pytest.mark.case(46)
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 @pytest.mark.parametrize("shift", [0.0, 0.13, 0.37, 0.71])
 def test_no_tunnelling(restitution, shift):
     """100 m/s at a wall of 10 mm with steps in which the ball flies a metre."""
-    scene = nd.Scene(gravity=(0, 0, 0))
-    material = nd.Material(0.0, restitution)
-    scene.add_box("wall", (0.01, 2, 2), fixed=True, position=(5 + shift, 0, 0), material=material)
-    scene.add_sphere("ball", 0.02, 1.0, linear_velocity=(100, 0, 0), material=material)
-    trajectory = nd.simulate(scene, 0.2, dt=1e-2)
+    trajectory = nd.simulate(nd.scenes.load("bullet")(shift=shift, restitution=restitution), 0.2, dt=1e-2)
     ball = trajectory.body("ball")
     assert ball.position[:, 0].max() <= 5 + shift - 0.005 - 0.02 + 1e-9
     assert ball.linear_velocity[-1, 0] == pytest.approx(-100 * restitution, abs=1e-9)
