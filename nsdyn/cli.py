@@ -248,6 +248,7 @@ def _run(arguments: argparse.Namespace) -> int:
             dt=module.DT if arguments.dt is None else arguments.dt,
             theta=arguments.theta,
             solver=solver,
+            controller=nsdyn.scenes.controller(name, scene),
             record=arguments.output,
             progress=True,
             dump_on_fail=arguments.dump_on_fail,

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels import trees as _trees
+from nsdyn.articulations import Articulation
 from nsdyn.problem import Blocks
-from nsdyn.scene import Articulation
 from nsdyn.trees import Tree
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from nsdyn.scene import Loop
+from nsdyn.articulations import Loop
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from nsdyn.scene import Scene
 
-__all__ = ["folder", "load", "module", "names"]
+__all__ = ["controller", "folder", "load", "module", "names"]
 
 
 def folder() -> Path:
@@ -27,7 +28,10 @@ def names() -> list[str]:
 
 @cache
 def module(name: str) -> ModuleType:
-    """Module of a named scene, with its `scene` function, DURATION [s] and DT [s]; ValueError naming the known ones."""
+    """Module of a named scene: its function `scene`, DURATION [s], DT [s], perhaps a `controller`.
+
+    ValueError naming the known ones.
+    """
     if name not in names():
         raise ValueError(f"scene must be one of {', '.join(names())}; got {name!r}")
     spec = importlib.util.spec_from_file_location(f"nsdyn_models_{name}", folder() / f"{name}.py")
@@ -41,3 +45,9 @@ def load(name: str) -> Callable[..., Scene]:
     """Return the function ``scene(**parameters) -> Scene`` of a named scene."""
     function: Callable[..., Scene] = module(name).scene
     return function
+
+
+def controller(name: str, scene: Scene) -> Callable[..., Any] | None:
+    """What drives the articulations of a named scene, ``controller(t, q, v)``; None for a scene without."""
+    make = getattr(module(name), "controller", None)
+    return None if make is None else make(scene)

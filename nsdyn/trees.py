@@ -10,10 +10,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from nsdyn._kernels import trees as _trees
+from nsdyn.articulations import Articulation
 from nsdyn.contacts import pose_views
 from nsdyn.loops import Closures, admissible, supports
 from nsdyn.motions import Motion
-from nsdyn.scene import Articulation
 
 Array = NDArray[np.float64]
 

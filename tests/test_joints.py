@@ -19,7 +19,7 @@ def closes(trajectory):
 
 def run(model, duration, dt=1e-3, gravity=(0, 0, -G), q=None, v=None, controller=None, **joints):
     scene = nd.Scene(gravity=gravity)
-    add(scene, "a", model, q, v, **joints)
+    add(scene, "a", model, q=q, v=v, **joints)
     trajectory = nd.simulate(scene, duration, dt, solver=nd.solvers.Auto(tol=1e-12), controller=controller)
     assert closes(trajectory) < 1e-12  # the bar of the ledger
     return trajectory
@@ -134,7 +134,7 @@ def test_joint_friction_holds_below_its_threshold(links):
     trajectory = run(pendulum(links), 10.0, 1e-2, q=q, friction=np.abs(tau) / 0.99)
     assert np.abs(trajectory.q - q).max() <= 1e-12
     scene = nd.Scene()
-    add(scene, "a", pendulum(links), q, friction=np.abs(tau) / 0.99)
+    add(scene, "a", pendulum(links), q=q, friction=np.abs(tau) / 0.99)
     # What holds is the torque of statics, not the threshold; the bias is taken on the free motion, h² g²/4 off.
     np.testing.assert_allclose(nd.Stepper(scene, 1e-2).step().joint_impulse / 1e-2, tau, atol=2.4e-3)
 
@@ -210,8 +210,8 @@ def test_limits_push_on_what_they_carry():
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
     model.appendBodyToJoint(joint, pin.Inertia(3.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
     scene = nd.Scene()
-    table = ("table", 1, at((0, 0, -0.05)), shapes.box((1, 1, 0.1)))
-    add(scene, "lift", limit(model, 0.0, 0.5), q=[0.1], links=[table])
+    table = shapes.box((1, 1, 0.1)), at((0, 0, -0.05))
+    add(scene, "lift", limit(model, 0.0, 0.5), q=[0.1], collisions={"lift": [table]})
     scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.2))
     trajectory = nd.simulate(scene, 1.0)
     assert closes(trajectory) < 1e-12

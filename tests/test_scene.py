@@ -67,7 +67,7 @@ def test_bad_scene():
         scene.set_pair("b", "c", mu=0.1)
     with pytest.raises(ValueError, match="mu must not be negative"):
         scene.set_pair("b", "b", mu=-0.1)
-    with pytest.raises(ValueError, match="must be a URDF file"):
+    with pytest.raises(ValueError, match="must be a file in URDF"):
         scene.add_urdf("arm", "nowhere.urdf")
 
 
