@@ -8,7 +8,7 @@ import nsdyn
 ROOT = Path(nsdyn.__file__).parent
 ORDER = [
     ["_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
-    ["checks", "motions"], ["materials", "shapes"], ["articulations"], ["robot_files"], ["scene"],
+    ["checks", "motions", "control"], ["materials", "shapes"], ["articulations"], ["robot_files"], ["scene"],
     ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["gauss", "energy", "profile", "_peers"], ["trajectory"], ["viewer", "stepper"], ["cli"],
 ]  # fmt: skip
