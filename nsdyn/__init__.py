@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nsdyn import fclib, scenes, solvers
     from nsdyn.control import PD
+    from nsdyn.ensemble import sweep
     from nsdyn.problem import FC3D, NotConverged, Solution, Status
     from nsdyn.scene import Material, Scene
     from nsdyn.solvers import solve
@@ -33,10 +34,12 @@ __all__ = [
     "simulate",
     "solve",
     "solvers",
+    "sweep",
 ]
 
 _HOME = {
     "control": ("PD",),
+    "ensemble": ("sweep",),
     "problem": ("FC3D", "NotConverged", "Solution", "Status"),
     "scene": ("Material", "Scene"),
     "solvers": ("solve",),

@@ -88,7 +88,7 @@ class Dynamics:
         self.frames = self.free + len(frames) + len(driven)
         self.mass = np.array([b.mass for b in bodies])
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
-        self.radius = np.array([b.shape.bounding_radius for b in bodies])
+        self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
         self.inscribed = np.array([b.shape.inscribed_radius for b in bodies])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self.trees: list[Tree] = []
