@@ -12,11 +12,13 @@ if TYPE_CHECKING:
     from nsdyn.solvers import solve
     from nsdyn.stepper import State, Step, Stepper, simulate
     from nsdyn.trajectory import Trajectory
+    from nsdyn.trees import PD
 
 __version__ = "0.1.0"
 
 __all__ = [
     "FC3D",
+    "PD",
     "Material",
     "NotConverged",
     "Scene",
@@ -39,6 +41,7 @@ _HOME = {
     "solvers": ("solve",),
     "stepper": ("State", "Step", "Stepper", "simulate"),
     "trajectory": ("Trajectory",),
+    "trees": ("PD",),
 }
 
 

@@ -8,8 +8,8 @@ import nsdyn
 ROOT = Path(nsdyn.__file__).parent
 ORDER = [
     ["_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
-    ["checks"], ["materials", "shapes"], ["articulations"], ["robot_files"], ["scene"],
-    ["contacts", "scenes"], ["dynamics"],
+    ["checks", "motions"], ["materials", "shapes"], ["articulations"], ["robot_files"], ["scene"],
+    ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["gauss", "energy", "profile", "_peers"], ["trajectory"], ["viewer", "stepper"], ["cli"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
