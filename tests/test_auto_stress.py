@@ -147,8 +147,9 @@ def test_other_kinds(kind, mu, form):
 
 @pytest.mark.parametrize(
     ("kind", "mu"),
-    # At random W of low rank and μ = 10 no solver of ours is reliable.
-    [(rank_deficient, mu) for mu in (0.0, 0.1, 1.0)] + [(unsymmetric, mu) for mu in (0.0, 0.1, 1.0, 10.0)],
+    [(rank_deficient, mu) for mu in (0.0, 0.1, 1.0)]
+    + [pytest.param(rank_deficient, 10.0, marks=pytest.mark.xfail(reason="auto misses four of the five problems"))]
+    + [(unsymmetric, mu) for mu in (0.0, 0.1, 1.0, 10.0)],
 )
 def test_other_matrices(kind, mu):
     for seed in range(5):
