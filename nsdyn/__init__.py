@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nsdyn import fclib, scenes, solvers
+    from nsdyn.control import PD
     from nsdyn.ensemble import sweep
     from nsdyn.problem import FC3D, NotConverged, Solution, Status
     from nsdyn.scene import Material, Scene
@@ -18,6 +19,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "FC3D",
+    "PD",
     "Material",
     "NotConverged",
     "Scene",
@@ -36,6 +38,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "control": ("PD",),
     "ensemble": ("sweep",),
     "problem": ("FC3D", "NotConverged", "Solution", "Status"),
     "scene": ("Material", "Scene"),

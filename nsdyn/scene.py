@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from nsdyn import articulations, checks, robot_files, shapes
 from nsdyn.articulations import Articulation, Description
 from nsdyn.materials import COMBINATION_RULES, Material
+from nsdyn.motions import Motion, Velocity
 from nsdyn.shapes import Shape
 
 Array = NDArray[np.float64]
@@ -45,6 +46,8 @@ class Body:
     material : Material
     colour : tuple of 4 floats, optional
         RGBA in [0, 1] for the viewer.
+    com : ndarray, shape (3,)
+        Centre of mass in the frame of the shape, m.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Body:
     angular_velocity: Array
     material: Material
     colour: tuple[float, float, float, float] | None
+    com: Array
 
     @property
     def fixed(self) -> bool:
@@ -118,6 +122,7 @@ class Scene:
     bodies: dict[str, Body] = field(default_factory=dict, init=False)
     articulations: dict[str, Articulation] = field(default_factory=dict, init=False)
     pairs: dict[frozenset[str], tuple[float | None, float | None]] = field(default_factory=dict, init=False)
+    motions: dict[str, Motion] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self.gravity = checks.vector(self.gravity, 3, "gravity")
@@ -138,7 +143,8 @@ class Scene:
     ) -> None:
         """Add the fixed solid {x : normal·x ≤ offset}; `normal` points out of it, `offset` is in m along it."""
         shape = shapes.halfspace(normal, offset)
-        self._add(name, shape, None, (0, 0, 0), (0, 0, 0, 1), (0, 0, 0), (0, 0, 0), material, True, colour, None)
+        keywords = self._keywords({"material": material, "fixed": True, "colour": colour})
+        self._add(name, shape, None, **keywords)
 
     def add_box(self, name: str, size: ArrayLike, mass: float | None = None, **keywords: Any) -> None:
         """Add a box with full edge lengths `size` [m]; see `add_convex` for the other keywords."""
@@ -189,6 +195,8 @@ class Scene:
         colour : sequence of 3 or 4 floats in [0, 1]
         inertia : array, shape (3, 3)
             About the centre of mass in body axes, kg m²; by default that of the homogeneous shape.
+        com : sequence of 3 floats
+            Centre of mass from the centroid of the shape, body axes, m; 0 by default. One elsewhere needs `inertia`.
         """
         shape, centroid = shapes.convex(vertices)
         self._add_hull(name, shape, centroid, mass, position, keywords)
@@ -219,7 +227,8 @@ class Scene:
         keywords: dict[str, Any],
     ) -> None:
         quaternion = checks.quaternion(keywords.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
-        keywords["position"] = checks.rotation(quaternion) @ centroid if position is None else position
+        com = checks.vector(keywords.get("com", (0, 0, 0)), 3, f"com of {name!r}")
+        keywords["position"] = checks.rotation(quaternion) @ (centroid + com) if position is None else position
         self._add(name, shape, mass, **self._keywords(keywords))
 
     @staticmethod
@@ -227,6 +236,7 @@ class Scene:
         known: dict[str, Any] = {
             "position": (0, 0, 0), "quaternion": (0, 0, 0, 1), "linear_velocity": (0, 0, 0),
             "angular_velocity": (0, 0, 0), "material": None, "fixed": False, "colour": None, "inertia": None,
+            "com": (0, 0, 0),
         }  # fmt: skip
         unknown = sorted(set(given) - set(known))
         if unknown:
@@ -246,8 +256,10 @@ class Scene:
         fixed: bool,
         colour: ArrayLike | None,
         inertia: ArrayLike | None,
+        com: ArrayLike,
     ) -> None:
         self._check_name(name)
+        centre = checks.vector(com, 3, f"com of {name!r}")
         v = checks.vector(linear_velocity, 3, f"linear_velocity of {name!r}")
         w = checks.vector(angular_velocity, 3, f"angular_velocity of {name!r}")
         if fixed:
@@ -255,16 +267,22 @@ class Scene:
                 raise ValueError(f"{name!r} is fixed, so its velocity must be zero, got {v.tolist()}, {w.tolist()}")
             if mass is not None:
                 checks.mass(mass, f"mass of {name!r}")
+            if centre.any():
+                raise ValueError(f"{name!r} is fixed, so its com has no meaning, got {centre.tolist()}")
             m, J = 0.0, np.zeros((3, 3))
         else:
             if mass is None:
                 raise ValueError(f"mass of {name!r} is needed, unless fixed=True")
             m = checks.mass(mass, f"mass of {name!r}")
+            if inertia is None and centre.any():
+                raise ValueError(
+                    f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous"
+                )
             J = checks.inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
         self.bodies[name] = Body(
             name, shape, m, J, checks.vector(position, 3, f"position of {name!r}"),
             checks.quaternion(quaternion, f"quaternion of {name!r}"), v, w, self._material(material, name),
-            self._colour(colour, name),
+            self._colour(colour, name), centre,
         )  # fmt: skip
 
     def _check_name(self, name: str) -> None:
@@ -420,6 +438,53 @@ class Scene:
         articulation.model.gravity = pin.Motion(self.gravity, np.zeros(3))
         self.articulations[name] = articulation
 
+    # -- prescribed motion -------------------------------------------------------------------------------------
+
+    def set_motion(self, name: str, velocity: Velocity | None = None, surface_velocity: Velocity | None = None) -> None:
+        """Prescribe the motion of a fixed body, of its surface, or of a joint; its work is in the ledger.
+
+        Parameters
+        ----------
+        name : str
+            A fixed body, or "articulation/joint" for a joint with one coordinate.
+        velocity : array or callable
+            Constant, or a function of the time in s. Of a body: linear (3,) [m/s] of its centre, or (linear, angular
+            [rad/s]), world axes; the body moves with it and pushes what it meets. Of a joint: rad/s or m/s.
+        surface_velocity : array or callable
+            The same for a surface that slides in itself while the body stays: a conveyor, a turning drum.
+
+        Raises
+        ------
+        ValueError
+            If nothing of that name can be driven, or a value does not fit.
+        """
+        if (velocity is None) == (surface_velocity is None):
+            raise ValueError(f"motion of {name!r} needs either velocity or surface_velocity")
+        owner, _, joint = name.partition("/")
+        if joint and owner in self.articulations:
+            a = self.articulations[owner]
+            if joint not in list(a.model.names)[1:]:
+                raise ValueError(f"{owner!r} has no joint {joint!r}; it has {list(a.model.names)[1:]}")
+            if a.model.joints[a.model.getJointId(joint)].nv != 1:
+                raise ValueError(f"joint {name!r} must have one coordinate to be driven")
+            if velocity is None:
+                raise ValueError(f"joint {name!r} has a velocity, but no surface_velocity")
+            motion = Motion(name, velocity, "joint")
+            motion.rate(0.0)
+        else:
+            body = self.bodies.get(name)
+            if body is None or not body.fixed:
+                known = [b.name for b in self.bodies.values() if b.fixed]
+                raise ValueError(f"motion needs a fixed body or 'articulation/joint', got {name!r}; fixed are {known}")
+            if velocity is not None and body.shape.kind == shapes.HALFSPACE:
+                raise ValueError(f"halfspace {name!r} cannot move: give it a surface_velocity, or take a box")
+            if surface_velocity is not None:
+                motion = Motion(name, surface_velocity, "surface")
+            elif velocity is not None:
+                motion = Motion(name, velocity, "body")
+            motion.twist(0.0)
+        self.motions[name] = motion
+
     # -- materials ---------------------------------------------------------------------------------------------
 
     def set_pair(self, a: str, b: str, mu: float | None = None, restitution: float | None = None) -> None:
@@ -463,6 +528,11 @@ class Scene:
         """Bodies that move, in the order they were added."""
         return [b for b in self.bodies.values() if not b.fixed]
 
+    @property
+    def driven_bodies(self) -> list[Body]:
+        """Fixed bodies that move as prescribed; their frames are the last."""
+        return [b for b in self.bodies.values() if b.name in self.motions and self.motions[b.name].kind == "body"]
+
     def link_frames(self) -> list[tuple[str, int]]:
         """(articulation name, joint) of every moving frame that carries geometry, in frame order."""
         frames = []
@@ -472,15 +542,16 @@ class Scene:
 
     def geoms(self) -> list[Geom]:
         """All collision shapes: bodies in the order they were added, then links."""
-        free = {b.name: k for k, b in enumerate(self.free_bodies)}
-        frame_of = {key: len(free) + k for k, key in enumerate(self.link_frames())}
+        frame_of: dict[Any, int] = {b.name: k for k, b in enumerate(self.free_bodies)}
+        for key in [*self.link_frames(), *(b.name for b in self.driven_bodies)]:
+            frame_of[key] = len(frame_of)
         out = []
         for b in self.bodies.values():
-            if b.fixed:
-                R, t = checks.rotation(b.quaternion), b.position
+            if b.name in frame_of:
+                R, t = np.eye(3), -b.com
             else:
-                R, t = np.eye(3), np.zeros(3)
-            out.append(Geom(b.name, b.name, b.shape, free.get(b.name, -1), R, t, b.material, b.colour))
+                R, t = checks.rotation(b.quaternion), b.position
+            out.append(Geom(b.name, b.name, b.shape, frame_of.get(b.name, -1), R, t, b.material, b.colour))
         for a in self.articulations.values():
             for (name, joint, placement, shape), material in zip(a.links, a.materials, strict=True):
                 frame = frame_of.get((a.name, joint), -1)
@@ -489,12 +560,25 @@ class Scene:
         return out
 
     def excluded(self, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
-        """Pairs of geoms never tested: those that articulations exclude among their links."""
+        """Pairs of geoms never tested: those that articulations exclude among their links, and held ones."""
         out = set()
+        held = self._held_frames()
+        stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or g.frame in held] if held else []
+        out |= {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}
         for name, a in self.articulations.items():
             own = [k for k, g in enumerate(geoms) if g.body == name]
             out |= {(own[i], own[j]) for i, j in a.excluded}
         return out
+
+    def _held_frames(self) -> set[int]:
+        """Frames that nothing but prescribed motion moves: driven bodies, and links that hang on driven joints only."""
+        links, first = self.link_frames(), len(self.free_bodies)
+        held = set(range(first + len(links), first + len(links) + len(self.driven_bodies)))
+        for k, (name, joint) in enumerate(links, start=first):
+            model = self.articulations[name].model
+            if all(f"{name}/{model.names[j]}" in self.motions for j in model.supports[joint] if j):
+                held.add(k)
+        return held
 
     def describe(self) -> dict[str, Any]:
         """Everything needed to replay a recording, as nested lists (see `nsdyn.trajectory`)."""
@@ -521,7 +605,8 @@ class Scene:
             "restitution_rule": self.restitution_rule,
             "geoms": geoms,
             "frames": [b.name for b in self.free_bodies]
-            + [f"{a}/{self.articulations[a].model.names[j]}" for a, j in self.link_frames()],
+            + [f"{a}/{self.articulations[a].model.names[j]}" for a, j in self.link_frames()]
+            + [b.name for b in self.driven_bodies],
             "free": len(self.free_bodies),
             "masses": [b.mass for b in self.free_bodies],
             "inertias": [b.inertia.tolist() for b in self.free_bodies],
