@@ -7,16 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nsdyn import fclib, scenes, solvers
+    from nsdyn.ensemble import sweep
     from nsdyn.problem import FC3D, NotConverged, Solution, Status
     from nsdyn.scene import Material, Scene
     from nsdyn.solvers import solve
     from nsdyn.stepper import State, Step, Stepper, simulate
     from nsdyn.trajectory import Trajectory
+    from nsdyn.trees import PD
 
 __version__ = "0.1.0"
 
 __all__ = [
     "FC3D",
+    "PD",
     "Material",
     "NotConverged",
     "Scene",
@@ -31,14 +34,17 @@ __all__ = [
     "simulate",
     "solve",
     "solvers",
+    "sweep",
 ]
 
 _HOME = {
+    "ensemble": ("sweep",),
     "problem": ("FC3D", "NotConverged", "Solution", "Status"),
     "scene": ("Material", "Scene"),
     "solvers": ("solve",),
     "stepper": ("State", "Step", "Stepper", "simulate"),
     "trajectory": ("Trajectory",),
+    "trees": ("PD",),
 }
 
 

@@ -18,11 +18,14 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from nsdyn.trajectory import Trajectory
 
 __all__ = ["main"]
@@ -93,14 +96,26 @@ def _parser() -> _Parser:
         default=[],
         help="parameter of the scene; may be repeated",
     )
-    p.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
-    p.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
-    p.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
-    p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
-    p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
+    _add_simulation(p)
     p.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
     p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
+    _add_json(p)
+
+    p = command("sweep", _sweep, "Simulate a named scene for every combination of parameters and print a table.")
+    p.add_argument("scene", metavar="SCENE", help="a name that 'nsdyn scenes' lists")
+    p.add_argument(
+        "--set",
+        metavar="NAME=VALUE,...",
+        action="append",
+        default=[],
+        help="values of a parameter of the scene, with commas between; may be repeated",
+    )
+    _add_simulation(p)
+    where = p.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: this one)")
+    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster whose workers have nsdyn")
+    p.add_argument("--csv", type=Path, metavar="F.csv", help="the table")
     _add_json(p)
 
     p = command("solve", _solve, "Solve a frictional contact problem in an FCLIB file.")
@@ -122,6 +137,22 @@ def _parser() -> _Parser:
     p.add_argument("--plot", type=Path, metavar="F.png", help="picture of the profiles (png, pdf or svg)")
     _add_json(p)
 
+    p = command("bench", _bench, "Speed against error: scenes with known answers, in nsdyn and in other engines.")
+    p.add_argument("case", metavar="CASE", nargs="*", help="cases by name (default: all)")
+    p.add_argument(
+        "--peer",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="mujoco, drake, dart, bullet or siconos; may be repeated",
+    )
+    p.add_argument(
+        "--limit", type=float, default=30.0, metavar="SECONDS", help="time limit of each run (default: %(default)s)"
+    )
+    p.add_argument("--csv", type=Path, metavar="F.csv", help="all runs, one a line")
+    p.add_argument("--plot", type=Path, metavar="F.png", help="picture of time against error (png, pdf or svg)")
+    _add_json(p)
+
     p = command("energy", _energy, "Print, plot or export the energy ledger of a recording.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
     p.add_argument("--plot", type=Path, metavar="E.png", help="picture of energies and works (png, pdf or svg)")
@@ -136,6 +167,14 @@ def _parser() -> _Parser:
     p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
     return parser
+
+
+def _add_simulation(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
+    parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
+    parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
+    parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
+    parser.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
 
 
 def _add_json(parser: argparse.ArgumentParser) -> None:
@@ -204,16 +243,19 @@ def _text(value: Any) -> str:
 
 def _settings(name: str, assignments: list[str]) -> dict[str, Any]:
     """Parse ``name=value`` settings by the type of the default; ValueError naming what is wrong."""
+    return {key: _parse(text, default, key) for key, text, default in _assignments(name, assignments)}
+
+
+def _assignments(name: str, assignments: list[str]) -> Iterator[tuple[str, str, Any]]:
+    """(name, text, default) of every setting of a scene."""
     known = _parameters(name)
-    out = {}
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals:
             raise ValueError(f"--set expects NAME=VALUE, got {assignment!r}")
         if key not in known:
             raise ValueError(f"scene {name} has no parameter {key!r}; it has {', '.join(known) or 'none'}")
-        out[key] = _parse(text, known[key], key)
-    return out
+        yield key, text, known[key]
 
 
 def _parse(text: str, default: Any, name: str) -> Any:
@@ -249,7 +291,7 @@ def _run(arguments: argparse.Namespace) -> int:
             theta=arguments.theta,
             solver=solver,
             controller=nsdyn.scenes.controller(name, scene),
-            external_force=nsdyn.scenes.external_force(name, scene),
+            external_force=getattr(module, "external_force", None),
             record=arguments.output,
             progress=True,
             dump_on_fail=arguments.dump_on_fail,
@@ -286,7 +328,87 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-# -- solve and profile ---------------------------------------------------------------------------------
+# -- sweep ---------------------------------------------------------------------------------------------
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    import nsdyn
+    from nsdyn import ensemble
+
+    name = arguments.scene
+    module = nsdyn.scenes.module(name)
+    settings = {
+        key: [_parse(value, default, key) for value in text.split(",")]
+        for key, text, default in _assignments(name, arguments.set)
+    }
+    solver = nsdyn.solvers.by_name(arguments.solver, arguments.tol)
+    _check_outputs(arguments.csv)
+    with _executor(arguments) as executor:
+        members = ensemble.sweep(
+            name,
+            settings,
+            module.DURATION if arguments.time is None else arguments.time,
+            executor=executor,
+            keep=ensemble.figures,
+            progress=True,
+            dt=module.DT if arguments.dt is None else arguments.dt,
+            theta=arguments.theta,
+            solver=solver,
+        )
+    rows = [{**m.parameters, "failure": m.failure, **(m.result or {})} for m in members]
+    columns = list(dict.fromkeys(column for row in rows for column in row))  # a failed run has no figures
+    if arguments.csv:
+        import csv
+
+        from nsdyn.trajectory import replacing
+
+        with replacing(arguments.csv) as part, open(part, "w", newline="") as file:
+            sink = csv.DictWriter(file, columns)
+            sink.writeheader()
+            sink.writerows(rows)
+    if arguments.json:
+        _print_json({"scene": name, "runs": rows})
+    else:
+        print(_columns(rows, [column for column in columns if column != "failure"]))
+    for m in members:
+        if m.failure:
+            print(f"nsdyn: not converged: {m.parameters}: {_one_line(m.failure)}", file=sys.stderr)
+    return 1 if any(m.failure for m in members) else 0
+
+
+def _executor(arguments: argparse.Namespace) -> AbstractContextManager[Executor | None]:
+    """What runs the simulations, to be used in a with statement."""
+    if arguments.workers is not None:
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        if arguments.workers < 1:
+            raise ValueError(f"--workers must be at least 1, got {arguments.workers}")
+        return ProcessPoolExecutor(arguments.workers, get_context("spawn"))
+    if arguments.dask is not None:
+        if importlib.util.find_spec("distributed") is None:
+            raise ValueError("--dask needs the extra `cluster`: pip install 'nsdyn[cluster]'")
+        from distributed import Client
+
+        executor: AbstractContextManager[Executor] = Client(arguments.dask).get_executor()
+        return executor
+    return nullcontext()
+
+
+def _columns(rows: list[dict[str, Any]], names: list[str]) -> str:
+    """Text table of some columns; what a row lacks is a dash."""
+    cells = [[_cell(row.get(name)) for name in names] for row in rows]
+    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
+    return "\n".join("  ".join(map(str.rjust, line, widths)) for line in [names, *cells])
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.6g}" if isinstance(value, float) else _text(value)
+
+
+# -- solve, profile and bench ---------------------------------------------------------------------------------
 
 
 def _solve(arguments: argparse.Namespace) -> int:
@@ -344,16 +466,39 @@ def _profile(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _bench(arguments: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from nsdyn import bench
+
+    _check_outputs(arguments.csv, arguments.plot)
+    found = bench.measure(arguments.case, arguments.peer, arguments.limit, progress=True)
+    if arguments.csv:
+        found.write_csv(arguments.csv)
+    if arguments.plot:
+        _picture(arguments.plot, found.plot, (13, 9.5), 80)
+    if arguments.json:
+        _print_json({"summary": found.summary(), "runs": [asdict(run) for run in found.runs]})
+    else:
+        print(found.table())
+    return 0
+
+
 def _plot(path: Path, draw: Callable[[Any], Any]) -> None:
     """Picture of what `draw` draws on matplotlib axes."""
+    _picture(path, lambda figure: draw(figure.subplots()), (8, 5), 150)
+
+
+def _picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int) -> None:
+    """Picture of what `draw` draws on a matplotlib figure of `size` in inches."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
 
     from nsdyn.trajectory import replacing
 
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    draw(figure.subplots())
+    figure = Figure(figsize=size, layout="constrained")
+    draw(figure)
     with replacing(path) as part:
-        figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=150)
+        figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=dpi)
 
 
 # -- energy and view -----------------------------------------------------------------------------------

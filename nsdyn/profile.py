@@ -15,12 +15,9 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
-import select
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property
@@ -32,6 +29,7 @@ import numpy as np
 from nsdyn import fclib
 from nsdyn.problem import FC3D, Array
 from nsdyn.solvers import by_name
+from nsdyn.workers import Worker
 
 __all__ = ["PEERS", "Profile", "Run", "measure"]
 
@@ -39,7 +37,6 @@ FACTORS = (1.0, 2.0, 5.0, 47.0)
 """Ratios to the best time at which a table shows the profile."""
 
 _SCRIPTS = Path(__file__).with_name("_peers")
-_LOADING = 120.0  # s for whatever is not a solve: imports, reading, building
 _COMPILING = 120.0  # s that a solver of ours may spend on compilation in all its first calls
 _DENSE = 100  # contacts up to which a dense W is tried too, where a peer takes both
 
@@ -200,73 +197,6 @@ def _geometric_mean(x: Array) -> float:
     return math.exp(float(np.log(x).mean())) if x.size else math.nan
 
 
-class _Worker:
-    """Process of a script of ours, started when something is asked and again after it had to be ended.
-
-    Parameters
-    ----------
-    command : list of str
-    grace : float
-        s by which first calls may exceed their limit in total, for compilation.
-    """
-
-    def __init__(self, command: list[str], grace: float) -> None:
-        self._command, self._grace = command, grace
-        self._process: subprocess.Popen[bytes] | None = None
-        self._buffer = b""
-
-    def ask(self, request: dict[str, Any], limit: float) -> dict[str, Any]:
-        """Reply to a request, or the reason why there is none."""
-        if self._process is None:
-            threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-            pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-            self._process, self._buffer = subprocess.Popen(self._command, env=os.environ | threads, **pipes), b""
-        process = self._process
-        assert process.stdin is not None
-        try:
-            process.stdin.write(json.dumps(request).encode() + b"\n")
-            process.stdin.flush()
-            allowed, event = _LOADING, ""
-            while True:
-                begin = time.monotonic()
-                reply = self._line(begin + allowed)
-                if event == "warm":
-                    self._grace -= max(0.0, time.monotonic() - begin - limit)
-                if reply is None:
-                    self.close()
-                    return {"failure": f"no answer within {allowed:g} s"}
-                event = reply.get("event", "")
-                if not event:
-                    return reply
-                allowed = {"warm": limit + max(0.0, self._grace), "start": limit, "end": _LOADING}[event]
-        except (BrokenPipeError, EOFError):
-            code = process.wait()
-            self.close()
-            return {"failure": f"the process died with exit code {code}"}
-
-    def _line(self, deadline: float) -> dict[str, Any] | None:
-        """Next line of the process, None after the deadline; EOFError when it is gone."""
-        assert self._process is not None and self._process.stdout is not None
-        pipe = self._process.stdout.fileno()
-        while b"\n" not in self._buffer:
-            if not select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))[0]:
-                return None
-            got = os.read(pipe, 4096)
-            if not got:
-                raise EOFError
-            self._buffer += got
-        line, _, self._buffer = self._buffer.partition(b"\n")
-        out: dict[str, Any] = json.loads(line)
-        return out
-
-    def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
-
-
 @dataclass(frozen=True)
 class _Player:
     """A solver and how to ask it.
@@ -294,7 +224,7 @@ class _Player:
     tightening: tuple[float, ...] = (1.0, 0.1, 0.01)
     dense: bool = False
 
-    def play(self, worker: _Worker, file: Path, problem: FC3D, tol: float, limit: float, scratch: Path) -> Run:
+    def play(self, worker: Worker, file: Path, problem: FC3D, tol: float, limit: float, scratch: Path) -> Run:
         """Run of the solver on one problem: the fastest that the judge accepts, else the closest."""
         runs = []
         for storage in ("", "/dense") if self.dense and problem.nc <= _DENSE else ("",):
@@ -406,7 +336,7 @@ def measure(
         tqdm(total=len(files) * len(players), unit="solve", disable=None if progress else True) as bar,
     ):
         for player in players:
-            worker = _Worker(list(player.script), _COMPILING if player.own else 0.0)
+            worker = Worker(list(player.script), _COMPILING if player.own else 0.0)
             try:
                 for file, problem in problems:
                     runs.append(player.play(worker, file, problem, tol, limit, Path(scratch)))

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from nsdyn import articulations, checks, robot_files, shapes
 from nsdyn.articulations import Articulation, Description
 from nsdyn.materials import COMBINATION_RULES, Material
+from nsdyn.motions import Motion, Velocity
 from nsdyn.shapes import Shape
 
 Array = NDArray[np.float64]
@@ -121,6 +122,7 @@ class Scene:
     bodies: dict[str, Body] = field(default_factory=dict, init=False)
     articulations: dict[str, Articulation] = field(default_factory=dict, init=False)
     pairs: dict[frozenset[str], tuple[float | None, float | None]] = field(default_factory=dict, init=False)
+    motions: dict[str, Motion] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self.gravity = checks.vector(self.gravity, 3, "gravity")
@@ -436,6 +438,53 @@ class Scene:
         articulation.model.gravity = pin.Motion(self.gravity, np.zeros(3))
         self.articulations[name] = articulation
 
+    # -- prescribed motion -------------------------------------------------------------------------------------
+
+    def set_motion(self, name: str, velocity: Velocity | None = None, surface_velocity: Velocity | None = None) -> None:
+        """Prescribe the motion of a fixed body, of its surface, or of a joint; its work is in the ledger.
+
+        Parameters
+        ----------
+        name : str
+            A fixed body, or "articulation/joint" for a joint with one coordinate.
+        velocity : array or callable
+            Constant, or a function of the time in s. Of a body: linear (3,) [m/s] of its centre, or (linear, angular
+            [rad/s]), world axes; the body moves with it and pushes what it meets. Of a joint: rad/s or m/s.
+        surface_velocity : array or callable
+            The same for a surface that slides in itself while the body stays: a conveyor, a turning drum.
+
+        Raises
+        ------
+        ValueError
+            If nothing of that name can be driven, or a value does not fit.
+        """
+        if (velocity is None) == (surface_velocity is None):
+            raise ValueError(f"motion of {name!r} needs either velocity or surface_velocity")
+        owner, _, joint = name.partition("/")
+        if joint and owner in self.articulations:
+            a = self.articulations[owner]
+            if joint not in list(a.model.names)[1:]:
+                raise ValueError(f"{owner!r} has no joint {joint!r}; it has {list(a.model.names)[1:]}")
+            if a.model.joints[a.model.getJointId(joint)].nv != 1:
+                raise ValueError(f"joint {name!r} must have one coordinate to be driven")
+            if velocity is None:
+                raise ValueError(f"joint {name!r} has a velocity, but no surface_velocity")
+            motion = Motion(name, velocity, "joint")
+            motion.rate(0.0)
+        else:
+            body = self.bodies.get(name)
+            if body is None or not body.fixed:
+                known = [b.name for b in self.bodies.values() if b.fixed]
+                raise ValueError(f"motion needs a fixed body or 'articulation/joint', got {name!r}; fixed are {known}")
+            if velocity is not None and body.shape.kind == shapes.HALFSPACE:
+                raise ValueError(f"halfspace {name!r} cannot move: give it a surface_velocity, or take a box")
+            if surface_velocity is not None:
+                motion = Motion(name, surface_velocity, "surface")
+            elif velocity is not None:
+                motion = Motion(name, velocity, "body")
+            motion.twist(0.0)
+        self.motions[name] = motion
+
     # -- materials ---------------------------------------------------------------------------------------------
 
     def set_pair(self, a: str, b: str, mu: float | None = None, restitution: float | None = None) -> None:
@@ -479,6 +528,11 @@ class Scene:
         """Bodies that move, in the order they were added."""
         return [b for b in self.bodies.values() if not b.fixed]
 
+    @property
+    def driven_bodies(self) -> list[Body]:
+        """Fixed bodies that move as prescribed; their frames are the last."""
+        return [b for b in self.bodies.values() if b.name in self.motions and self.motions[b.name].kind == "body"]
+
     def link_frames(self) -> list[tuple[str, int]]:
         """(articulation name, joint) of every moving frame that carries geometry, in frame order."""
         frames = []
@@ -488,15 +542,16 @@ class Scene:
 
     def geoms(self) -> list[Geom]:
         """All collision shapes: bodies in the order they were added, then links."""
-        free = {b.name: k for k, b in enumerate(self.free_bodies)}
-        frame_of = {key: len(free) + k for k, key in enumerate(self.link_frames())}
+        frame_of: dict[Any, int] = {b.name: k for k, b in enumerate(self.free_bodies)}
+        for key in [*self.link_frames(), *(b.name for b in self.driven_bodies)]:
+            frame_of[key] = len(frame_of)
         out = []
         for b in self.bodies.values():
-            if b.fixed:
-                R, t = checks.rotation(b.quaternion), b.position
-            else:
+            if b.name in frame_of:
                 R, t = np.eye(3), -b.com
-            out.append(Geom(b.name, b.name, b.shape, free.get(b.name, -1), R, t, b.material, b.colour))
+            else:
+                R, t = checks.rotation(b.quaternion), b.position
+            out.append(Geom(b.name, b.name, b.shape, frame_of.get(b.name, -1), R, t, b.material, b.colour))
         for a in self.articulations.values():
             for (name, joint, placement, shape), material in zip(a.links, a.materials, strict=True):
                 frame = frame_of.get((a.name, joint), -1)
@@ -505,8 +560,10 @@ class Scene:
         return out
 
     def excluded(self, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
-        """Pairs of geoms never tested: those that articulations exclude among their links."""
-        out = set()
+        """Pairs of geoms never tested: links as their articulation says, driven bodies and fixed ones."""
+        driven = {b.name for b in self.driven_bodies}
+        held = [k for k, g in enumerate(geoms) if g.frame < 0 or g.body in driven] if driven else []
+        out = {(i, j) for i in held for j in held if i < j and (geoms[i].body in driven or geoms[j].body in driven)}
         for name, a in self.articulations.items():
             own = [k for k, g in enumerate(geoms) if g.body == name]
             out |= {(own[i], own[j]) for i, j in a.excluded}
@@ -537,7 +594,8 @@ class Scene:
             "restitution_rule": self.restitution_rule,
             "geoms": geoms,
             "frames": [b.name for b in self.free_bodies]
-            + [f"{a}/{self.articulations[a].model.names[j]}" for a, j in self.link_frames()],
+            + [f"{a}/{self.articulations[a].model.names[j]}" for a, j in self.link_frames()]
+            + [b.name for b in self.driven_bodies],
             "free": len(self.free_bodies),
             "masses": [b.mass for b in self.free_bodies],
             "inertias": [b.inertia.tolist() for b in self.free_bodies],

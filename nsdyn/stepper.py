@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from nsdyn import energy, fclib, gauss
 from nsdyn._kernels import motion as _motion
+from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.problem import FC3D, Array, Blocks, Index, NotConverged, Solution
+from nsdyn.joints import JointRows, Rows
+from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
 from nsdyn.trajectory import Recorder, Trajectory
@@ -49,6 +51,8 @@ class State:
         World impulses of the last step's contacts, N·s: the warm start.
     memory : ContactMemory
         The last step's contacts and their keys.
+    joint_impulse : ndarray, shape (slots, 3)
+        Impulses of joint limits and joint friction, by the slots of `nsdyn.joints.JointLaws`.
     """
 
     origin: float
@@ -59,11 +63,17 @@ class State:
     impulse: Array
     key: Index
     memory: ContactMemory
+    joint_impulse: Array
 
     @property
     def t(self) -> float:
         """Time in s."""
         return self.origin + self.count * self.dt
+
+    @property
+    def next_t(self) -> float:
+        """Time at the end of the next step in s."""
+        return self.origin + (self.count + 1) * self.dt
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +98,8 @@ class Step:
         0 open, 1 stick, 2 slip.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
+    joint_impulse : ndarray, shape (n,)
+        Of joint limits and dry joint friction on each coordinate, N m s or N s.
     energy : dict
         The terms of `nsdyn.energy.Ledger`, J.
     gauss : Certificate
@@ -110,6 +122,7 @@ class Step:
     contact_status: NDArray[np.int8]
     work_normal: Array
     work_friction: Array
+    joint_impulse: Array
     energy: dict[str, float]
     gauss: gauss.Certificate
     problem: FC3D
@@ -156,8 +169,8 @@ class Stepper:
     solver : Solver
         Default ``Auto(tol=1e-8)``.
     controller : callable, optional
-        ``controller(t, q, v)`` returns {articulation: joint forces}; called with the time and configuration of the
-        midpoint and the velocity at the beginning, Pinocchio's layout.
+        ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}; called with the time and
+        configuration of the midpoint and the velocity at the beginning, Pinocchio's layout.
     external_force : callable, optional
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m. Nothing persists to the next step.
@@ -213,7 +226,10 @@ class Stepper:
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position)
-        self._state = State(0.0, self.dt, 0, position, v, np.empty((0, 3)), np.empty(0, np.int64), self.detector.memory)
+        self._state = State(
+            0.0, self.dt, 0, position, v, np.empty((0, 3)), np.empty(0, np.int64), self.detector.memory,
+            np.zeros((self.dynamics.joints.size, 3)),
+        )  # fmt: skip
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -235,7 +251,7 @@ class Stepper:
         if state.dt != self.dt:
             state = State(
                 state.t, self.dt, 0, state.position, state.v, state.impulse * (self.dt / state.dt), state.key,
-                state.memory,
+                state.memory, state.joint_impulse * (self.dt / state.dt),
             )  # fmt: skip
         self.detector.memory = state.memory
         self._state = state
@@ -244,8 +260,8 @@ class Stepper:
         """The present state as row 0 of a recording."""
         s, d = self._state, self.dynamics
         kinetic, potential = d.energies(s.position, s.v)
-        x, quaternion = d.link_poses(s.position) if d.trees else (None, None)
         q, v = d.pinocchio_state(s.position, s.v)
+        x, quaternion = d.poses(s.position)
         return Start(s.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
 
     # -- one step ----------------------------------------------------------------------------------------------
@@ -257,77 +273,102 @@ class Stepper:
         t_start = clock()
 
         # Free motion, with the coefficients of the midpoint.
-        middle = d.advance(s.position, s.v, (1.0 - theta) * h)
+        begun, ended = d.surfaces.twists(s.t), d.surfaces.twists(s.next_t)
+        middle = d.advance(s.position, s.v, (1.0 - theta) * h, begun)
         d.evaluate(middle)
-        v_free, loads = d.free_velocity(middle, s.v, h, *self._callbacks(middle))
+        v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, *self._callbacks(middle))
 
-        # Contacts and their impact law.
-        reach = d.reach(s.v, h)
+        # Contacts, joint limits and joint friction, and their impact law.
+        reach = d.reach(s.v, h, begun)
         fast = self._outruns_contacts(reach)
         if fast:
-            d.evaluate(s.position)
+            d.place(s.position)
         self.detector.candidates(d.x, d.R, reach)
         t_broad = clock()
         self.detector.narrow()
         t_narrow = clock()
         contacts = self.detector.manifold()
         blocks, frame = d.blocks(contacts)
-        u_before = blocks.relative_velocity(s.v)
-        gap = contacts.gap + (1.0 - theta) * h * u_before[0::3] if fast else contacts.gap
-        w = np.zeros_like(u_before)
-        _motion.impact_law(u_before, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w[0::3])
-        problem = FC3D.from_blocks(blocks, blocks.relative_velocity(v_free) + w, contacts.mu)
-        guess = self._warm_start(contacts, frame)
+        joints = d.joint_rows(middle, s.v, v_free, h)
+        rows = d.rows(blocks, joints)
+        where = contacts, frame, middle.driven_x, rows.full.nc
+        drag, drag_after = d.surfaces.drag(*where, begun), d.surfaces.drag(*where, ended)
+        u_before = rows.full.relative_velocity(s.v) + drag
+        u_free = rows.full.relative_velocity(v_free) + drag_after
+        gap, mu, w = self._impact_law(contacts, joints, u_before, u_free, fast)
+        problem = FC3D.from_blocks(rows.blocks, u_free + rows.press + w, mu)
+        guess = self._warm_start(contacts, frame, joints)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = self.solver(problem, guess)
-        postponed = self._postpone(blocks, problem, solution, contacts.restitution, u_before, w)
+        postponed = self._postpone(problem, solution, contacts.restitution, u_before, w)
         if postponed.any():
-            problem = FC3D.from_blocks(blocks, blocks.relative_velocity(v_free) + w, contacts.mu)
+            problem = FC3D.from_blocks(rows.blocks, u_free + rows.press + w, mu)
             solution = self.solver(problem, guess)
         t_solve = clock()
         if not solution.converged:
-            self._fail(problem, solution, v_free, guess)
-        v = v_free + blocks.velocity_change(solution.r)
+            self._fail(problem, solution, v_free if rows.blocks is rows.full else None, guess)
+        v = v_free + rows.velocity_change(solution.r)
 
         # Positions, and what penetration is left in them.
         v_theta = theta * v + (1.0 - theta) * s.v
-        moved = d.advance(s.position, v_theta, h)
+        moved = d.advance(s.position, v_theta, h, theta * ended + (1.0 - theta) * begun)
         u = solution.u - w
+        nc = contacts.gap.size
         # What rebounds leaves on its own, unless it is so fast that it would do so on the other side.
         leaving = ((w[0::3] < 0.0) | postponed) & (not fast)
-        end, gap = self._project(moved, blocks, gap + theta * h * u[0::3], leaving)
+        leaving[nc:] = False  # a joint that rebounds half a step late is behind its limit
+        end, gap = self._project(moved, rows, gap + theta * h * u[0::3], leaving)
 
         # Certificate, ledger, record.
-        works = energy.contact_works(u_before, u, solution.r)
-        if fast:
-            d.evaluate(middle)
+        normal, friction = energy.contact_works(u_before, u, solution.r)
         step_energy = energy.ledger(
             d,
             h,
+            theta,
             loads,
             (s.position, moved, end),
             (s.v, v, v_theta),
-            float(works[0].sum()),
-            float(works[1].sum()),
+            rows.full.momentum(solution.r),
+            float(normal.sum()),
+            float(friction.sum()),
+            -0.5 * float(((drag + drag_after) * solution.r).sum()),
         )
         r = solution.r.reshape(-1, 3)
-        impulse = np.empty_like(r)
+        impulse = np.empty((nc, 3))
         _motion.to_world(frame, r, impulse)
-        self._state = State(s.origin, s.dt, s.count + 1, end, v, impulse, contacts.key, self.detector.memory)
-        status = np.empty(contacts.mu.size, np.int8)
+        slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
+        memory = impulse, contacts.key, self.detector.memory, slots
+        self._state = State(s.origin, s.dt, s.count + 1, end, v, *memory)
+        status = np.empty(nc, np.int8)
         _motion.contact_status(solution.u, solution.r, contacts.mu, status)
         q, v_out = d.pinocchio_state(end, v)
-        x, quaternion = d.link_poses(end) if d.trees else (None, None)
+        x, quaternion = d.poses(end)
         certificate = gauss.certify(problem, solution.r, solution.u)
         times = (
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q, v_out, x, quaternion, contacts, gap, frame, u.reshape(-1, 3), r, status,
-            works[0], works[1], step_energy._asdict(), certificate, problem, solution, times,
+            self._state.t, q, v_out, x, quaternion, contacts, gap[:nc], frame, u.reshape(-1, 3)[:nc], r[:nc], status,
+            normal[:nc], friction[:nc], joint_impulse, step_energy._asdict(), certificate, problem, solution, times,
         )  # fmt: skip
+
+    def _impact_law(
+        self, contacts: ContactSet, joints: JointRows | None, u_before: Array, u_free: Array, fast: bool
+    ) -> tuple[Array, Array, Array]:
+        """(gap, mu, w) of contacts, then joint rows: the gaps at the midpoint and the offsets of the impact law."""
+        h, theta, nc = self.dt, self.theta, contacts.gap.size
+        gap, mu, w = contacts.gap, contacts.mu, np.zeros_like(u_before)
+        if fast:
+            gap = gap + (1.0 - theta) * h * u_before[0 : 3 * nc : 3]
+        w_N = w[0::3]
+        _motion.impact_law(u_before, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w_N[:nc])
+        if joints is not None:
+            u, free = u_before[3 * nc :], u_free[3 * nc :]
+            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, CLOSED, w_N[nc:])
+            gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
+        return gap, mu, w
 
     def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
         """(wrenches, joint forces) of the user's callbacks at the midpoint."""
@@ -348,30 +389,33 @@ class Stepper:
         return bool((reach[: self.dynamics.free] > self.dynamics.inscribed).any())
 
     def _postpone(
-        self, blocks: Blocks, problem: FC3D, solution: Solution, restitution: Array, u_before: Array, w: Array
+        self, problem: FC3D, solution: Solution, restitution: Array, u_before: Array, w: Array
     ) -> NDArray[np.bool_]:
-        """Leave impacts that others of this step provoke to the next one, in `w`; tells which, shape (nc,).
+        """Leave impacts that others of this step provoke to the next one, in `w`; tells which of the rows.
 
         A contact with e > 0 that is open or opening gets no impact law, and what closes it within the step would make
         it perfectly plastic. Where without it the bodies would meet faster than those that rest, w lets them pass.
         """
         opening = (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_before[0::3] > self.resting_speed))
-        late: NDArray[np.bool_] = (restitution > 0.0) & opening & (solution.r[0::3] > 0.0)
+        late: NDArray[np.bool_] = opening & (solution.r[0::3] > 0.0)
+        late[restitution.size :] = False  # joint limits have a law of their own
+        late[: restitution.size] &= restitution > 0.0
         if late.any():
             away = np.zeros_like(w)
             away[0::3][late] = 2.0 * np.abs(problem.q).max()
-            free = self.solver(FC3D.from_blocks(blocks, problem.q + away, problem.mu), solution.r)
+            assert problem.blocks is not None
+            free = self.solver(FC3D.from_blocks(problem.blocks, problem.q + away, problem.mu), solution.r)
             late &= (free.u - away - w)[0::3] < -self.resting_speed
             w[0::3][late] += away[0::3][late]
         return late
 
-    def _warm_start(self, contacts: ContactSet, frame: Array) -> Array:
-        """Last step's world impulses of the contacts that are still there, in the frames of now."""
+    def _warm_start(self, contacts: ContactSet, frame: Array, joints: JointRows | None) -> Array:
+        """Last step's world impulses of the contacts that are still there, in the frames of now, and of the joints."""
         r = np.empty(3 * contacts.key.size)
         _motion.warm_start(self._state.key, self._state.impulse, contacts.key, frame, r)
-        return r
+        return r if joints is None else np.concatenate((r, self._state.joint_impulse[joints.slot].ravel()))
 
-    def _fail(self, problem: FC3D, solution: Solution, v_free: Array, guess: Array) -> None:
+    def _fail(self, problem: FC3D, solution: Solution, v_free: Array | None, guess: Array) -> None:
         message = (
             f"step from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
             f"{solution.residual:.2e} m/s, tolerance {self.solver.tol:.1e} ({solution.status.message})"
@@ -388,9 +432,7 @@ class Stepper:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
         self._failures += 1
 
-    def _project(
-        self, moved: Position, blocks: Blocks, gap: Array, leaving: NDArray[np.bool_]
-    ) -> tuple[Position, Array]:
+    def _project(self, moved: Position, rows: Rows, gap: Array, leaving: NDArray[np.bool_]) -> tuple[Position, Array]:
         """Positions without penetration, the closest in the kinetic metric, and their gaps.
 
         min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0: a frictionless contact problem in positions, on the gaps g at the end of the
@@ -402,17 +444,17 @@ class Stepper:
             return moved, gap
         g = np.zeros(3 * gap.size)
         g[0::3] = held
-        shift = self._projection(FC3D.from_blocks(blocks, g, np.zeros(gap.size)))
+        shift = self._projection(FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size)))
         lifted = gap + (shift.u - g)[0::3]
         # A body squeezed between others has no position without overlap: an answer that does not help may be anything.
         if not shift.converged and np.where(leaving, 0.0, lifted).min() < 0.5 * held.min():
             return moved, gap
-        return self.dynamics.advance(moved, blocks.velocity_change(shift.r), 1.0), lifted
+        return self.dynamics.advance(moved, rows.velocity_change(shift.r), 1.0), lifted
 
     def _check_overlap(self, geoms: list[Geom], position: Position) -> None:
         """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
         d = self.dynamics
-        d.evaluate(position)
+        d.place(position)
         contacts = self.detector.detect(d.x, d.R, np.zeros(d.frames))
         if not contacts.gap.size:
             return

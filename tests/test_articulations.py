@@ -206,7 +206,7 @@ def test_step_against_dense_pinocchio(name):
     M_pin, H_pin = M.copy(), np.zeros_like(H)
     M_pin[6 * d.free :, 6 * d.free :] = 0.0
     d.evaluate(middle)
-    v_free, _ = d.free_velocity(middle, before.v, h, None, None)
+    v_free, _ = d.free_velocity(before.position, middle, before.v, before.t, h, stepper.theta, None, None)
     c = step.contacts
     for k, sign in [(k, s) for k in range(c.gap.size) for s in (-1, 1)]:
         frame = c.frame1[k] if sign < 0 else c.frame2[k]

@@ -40,7 +40,9 @@ def recording(run, tmp_path):
     return tmp_path / "run.h5"
 
 
-@pytest.mark.parametrize("command", [[], ["scenes"], ["doctor"], ["run"], ["solve"], ["profile"], ["energy"], ["view"]])
+@pytest.mark.parametrize(
+    "command", [[], ["scenes"], ["doctor"], ["run"], ["solve"], ["profile"], ["bench"], ["sweep"], ["energy"], ["view"]]
+)
 def test_help(run, command):
     code, out, err = run(*command, "--help")
     assert code == 0 and out.startswith("usage: nsdyn") and err == ""
@@ -175,6 +177,8 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["solve", "text.h5", "-o", "missing/s.hdf5"], "cannot write missing/s.hdf5: there is no folder"),
         (["solve", "text.h5", "-o", "text.h5"], "cannot write text.h5: it exists"),
         (["profile", "."], "no *.hdf5 files in ."),
+        (["bench", "sleigh"], "case must be one of slide"),
+        (["bench", "--peer", "ode"], "peer must be one of"),
         (["profile", ".", "--plot", "missing/p.png"], "cannot write missing/p.png: there is no folder"),
         (["energy", "missing.h5"], "no such recording: missing.h5"),
         (["energy", "text.h5", "--csv", "e.csv"], "text.h5 is not a recording of nsdyn"),
@@ -239,6 +243,17 @@ def test_profile(run, problem, tmp_path):
     figures = json.loads(run("profile", ".", "--solver", "pgs", "--tol", "1e-30", "--json")[1])
     assert figures["summary"][0]["solved"] == 0 and figures["summary"][0]["mean_ratio"] is None
     assert figures["runs"][0]["error"] > 1e-30
+
+
+def test_bench(run, monkeypatch):
+    from nsdyn import bench
+
+    monkeypatch.setattr(bench, "STEPS", (0.5, 0.2))
+    code, out, _ = run("bench", "slip", "--csv", "b.csv", "--plot", "b.png")
+    assert code == 0 and out.splitlines()[2].split()[:2] == ["slip", "nsdyn"]
+    assert Path("b.csv").read_text().count("\n") == 1 + 2 * 2 and Path("b.png").stat().st_size > 5_000
+    figures = json.loads(run("bench", "slip", "--json")[1])
+    assert figures["summary"][0]["reached"]["nsdyn"]["error"] < 1e-10 and figures["summary"][0]["ratio"] is None
 
 
 @pytest.mark.parametrize(

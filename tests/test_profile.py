@@ -13,6 +13,7 @@ from test_problem import corner_box
 
 import nsdyn as nd
 from nsdyn import profile
+from nsdyn.workers import Worker
 
 HANGS = """
 import sys, time, json
@@ -87,7 +88,7 @@ def test_solvers_are_judged_by_the_problem(folder):
 
 
 def test_hanging_solver_is_ended():
-    worker = profile._Worker([sys.executable, "-c", HANGS], 0.0)
+    worker = Worker([sys.executable, "-c", HANGS], 0.0)
     begin = time.monotonic()
     assert worker.ask({}, 0.3) == {"failure": "no answer within 0.3 s"}
     assert worker._process is None
@@ -95,7 +96,7 @@ def test_hanging_solver_is_ended():
 
 
 def test_crash_is_a_result_and_the_next_request_gets_a_new_process():
-    worker = profile._Worker([sys.executable, "-c", DIES], 0.0)
+    worker = Worker([sys.executable, "-c", DIES], 0.0)
     for _ in range(2):
         assert worker.ask({}, 10.0)["failure"] == "the process died with exit code -6"
 
@@ -103,7 +104,7 @@ def test_crash_is_a_result_and_the_next_request_gets_a_new_process():
 def test_first_calls_may_compile_for_a_while():
     """The grace is spent once: a solver that hangs in every first call costs it once."""
     script = HANGS.replace('"start"', '"warm"')
-    worker = profile._Worker([sys.executable, "-c", script], 0.5)
+    worker = Worker([sys.executable, "-c", script], 0.5)
     assert worker.ask({}, 0.1)["failure"] == "no answer within 0.6 s"
     assert worker.ask({}, 0.1)["failure"] == "no answer within 0.1 s"
 
@@ -150,7 +151,7 @@ def test_peers_solve_the_same_problem(folder, tmp_path, label):
     """Order of contacts and of components, and the signs, are right if the answer solves our problem."""
     player = peer(label)
     problem = nd.fclib.read(folder / "slip.hdf5")
-    worker = profile._Worker(list(player.script), 0.0)
+    worker = Worker(list(player.script), 0.0)
     try:
         found = player.play(worker, folder / "slip.hdf5", problem, 1e-6, 60.0, tmp_path)
     finally:
