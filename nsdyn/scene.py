@@ -560,14 +560,25 @@ class Scene:
         return out
 
     def excluded(self, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
-        """Pairs of geoms never tested: links as their articulation says, driven bodies and fixed ones."""
-        driven = {b.name for b in self.driven_bodies}
-        held = [k for k, g in enumerate(geoms) if g.frame < 0 or g.body in driven] if driven else []
-        out = {(i, j) for i in held for j in held if i < j and (geoms[i].body in driven or geoms[j].body in driven)}
+        """Pairs of geoms never tested: those that articulations exclude among their links, and held ones."""
+        out = set()
+        held = self._held_frames()
+        stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or g.frame in held] if held else []
+        out |= {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}
         for name, a in self.articulations.items():
             own = [k for k, g in enumerate(geoms) if g.body == name]
             out |= {(own[i], own[j]) for i, j in a.excluded}
         return out
+
+    def _held_frames(self) -> set[int]:
+        """Frames that nothing but prescribed motion moves: driven bodies, and links that hang on driven joints only."""
+        links, first = self.link_frames(), len(self.free_bodies)
+        held = set(range(first + len(links), first + len(links) + len(self.driven_bodies)))
+        for k, (name, joint) in enumerate(links, start=first):
+            model = self.articulations[name].model
+            if all(f"{name}/{model.names[j]}" in self.motions for j in model.supports[joint] if j):
+                held.add(k)
+        return held
 
     def describe(self) -> dict[str, Any]:
         """Everything needed to replay a recording, as nested lists (see `nsdyn.trajectory`)."""

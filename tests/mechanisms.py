@@ -1,23 +1,20 @@
 """Mechanisms built by hand, for the tests of joints and loops."""
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 
-import nsdyn as nd
-from nsdyn.articulations import Articulation, Loop
-
-JOINT_ARRAYS = ("friction", "damping", "armature", "stiffness", "rest")
+from nsdyn.articulations import Loop
 
 
-def add(scene, name, model, q=None, v=None, links=(), limits=True, restitution=0.0, loops=(), **joints):
-    """Put a Pinocchio model into a scene; joint values are one number or (nv,)."""
-    arrays = [np.broadcast_to(np.asarray(joints.pop(k, 0.0), float), (model.nv,)).copy() for k in JOINT_ARRAYS]
-    assert not joints
-    q = pin.neutral(model) if q is None else np.array(q, dtype=float)
-    v = np.zeros(model.nv) if v is None else np.array(v, dtype=float)
-    scene.articulations[name] = Articulation(
-        name, model, tuple(links), q, v, len(links) * (nd.Material(),), limits, restitution, *arrays, tuple(loops)
-    )
+def add(scene, name, model, loops=(), **keywords):
+    """`Scene.add_model`; joint values may be one number, loops are given by joints."""
+    for k in ("friction", "damping", "armature", "stiffness", "rest"):
+        if k in keywords:
+            keywords[k] = np.broadcast_to(np.asarray(keywords[k], float), (model.nv,))
+    scene.add_model(name, model, **keywords)
+    scene.articulations[name] = replace(scene.articulations[name], loops=tuple(loops))
 
 
 def at(point):
@@ -32,8 +29,10 @@ def rod(end, mass=1.0):
 
 
 def limit(model, lower=-np.inf, upper=np.inf):
-    """The model, its coordinates limited so."""
+    """The model, its coordinates limited so and its joints as frames that shapes can hang on."""
     model.lowerPositionLimit, model.upperPositionLimit = np.full(model.nq, lower), np.full(model.nq, upper)
+    for joint in range(1, model.njoints):
+        model.addJointFrame(joint)
     return model
 
 

@@ -8,7 +8,7 @@ import nsdyn
 ROOT = Path(nsdyn.__file__).parent
 ORDER = [
     ["workers", "_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
-    ["checks"], ["materials", "shapes", "motions"], ["articulations"], ["robot_files"], ["scene"],
+    ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
     ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["gauss", "energy", "profile", "_peers", "bench"], ["trajectory"], ["viewer", "stepper"], ["ensemble"], ["cli"],
 ]  # fmt: skip
