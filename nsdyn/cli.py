@@ -296,11 +296,7 @@ def _run(arguments: argparse.Namespace) -> int:
             theta=arguments.theta,
             solver=solver,
             controller=nsdyn.scenes.controller(name, scene),
-<<<<<<< HEAD
-            external_force=getattr(module, "external_force", None),
-=======
             external_force=nsdyn.scenes.external_force(name, scene),
->>>>>>> main
             record=arguments.output,
             progress=True,
             dump_on_fail=arguments.dump_on_fail,
