@@ -396,10 +396,12 @@ class Stepper:
         A contact with e > 0 that is open or opening gets no impact law, and what closes it within the step would make
         it perfectly plastic. Where without it the bodies would meet faster than those that rest, w lets them pass.
         """
-        opening = (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_before[0::3] > self.resting_speed))
-        late: NDArray[np.bool_] = opening & (solution.r[0::3] > 0.0)
-        late[restitution.size :] = False  # joint limits have a law of their own
-        late[: restitution.size] &= restitution > 0.0
+        late = np.zeros(w.size // 3, np.bool_)
+        late[: restitution.size] = restitution > 0.0  # joint limits have a law of their own
+        if not late.any():
+            return late
+        late &= (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_before[0::3] > self.resting_speed))
+        late &= solution.r[0::3] > 0.0
         if late.any():
             away = np.zeros_like(w)
             away[0::3][late] = 2.0 * np.abs(problem.q).max()
