@@ -260,15 +260,19 @@ class Dynamics:
         pressed = np.flatnonzero(joints.press)
         return Rows(self.joints.append(joints, contacts), bases, contacts.nc + pressed, joints.press[pressed])
 
-    def reach(self, v: Array, h: float, twist: Array) -> Array:
-        """How far any point of each frame's shapes may move in a step of h, m, shape (frames,)."""
+    def reach(self, v: Array, h: float, begun: Array, ended: Array) -> Array:
+        """How far any point of each frame's shapes may move in a step of h, m, shape (frames,).
+
+        Driven bodies have the velocities `begun` and `ended` (surfaces, 2, 3) at its beginning and its end.
+        """
         out = np.zeros(self.frames)
         _motion.reach(v, self.gravity, h, self.radius, out)
         fall = h * h * float(np.linalg.norm(self.gravity)) if self.trees else 0.0
         for t in self.trees:
             part = self.x[t.frames], t.support, t.J, v[t.coordinates], h, t.radius, fall, out[t.frames]
             _trees.link_reach(*part)
-        self.surfaces.reach(h * twist, out)
+        if self.surfaces.count:
+            self.surfaces.reach(h * np.maximum(np.abs(begun), np.abs(ended)), out)
         return out
 
     def energies(self, position: Position, v: Array) -> tuple[float, float]:
