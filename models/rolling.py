@@ -1,5 +1,7 @@
 """Box pushed over the ground, 60 degrees from the axes, with 25 balls rolling on it: SimBenchmark's rolling."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from nsdyn import Material, Scene
@@ -33,7 +35,8 @@ def scene(balls: int = 5, box_mass: float = 10.0, ball_mass: float = 1.0) -> Sce
     return out
 
 
-def external_force(t: float, q: np.ndarray, v: np.ndarray) -> dict[str, tuple[float, float, float]]:
+def external_force(scene: Scene) -> Callable[[float, np.ndarray, np.ndarray], dict[str, tuple[float, float, float]]]:
     """The push on the box, N."""
     heading = np.radians(HEADING)
-    return {"box": (FORCE * np.cos(heading), FORCE * np.sin(heading), 0.0)}
+    push = (FORCE * np.cos(heading), FORCE * np.sin(heading), 0.0)
+    return lambda t, q, v: {"box": push}

@@ -12,6 +12,7 @@ import importlib.metadata
 import importlib.util
 import inspect
 import json
+import logging
 import math
 import os
 import sys
@@ -34,6 +35,7 @@ __all__ = ["main"]
 def main(argv: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
     arguments = _parser().parse_args(argv)
+    logging.basicConfig(level=logging.INFO, format="nsdyn: %(message)s", stream=sys.stderr)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         try:
@@ -127,8 +129,11 @@ def _parser() -> _Parser:
 
     p = command("profile", _profile, "Compare solvers on a folder of FCLIB files: Dolan-Moré performance profiles.")
     p.add_argument("folder", type=Path, metavar="DIR")
-    p.add_argument("--solver", action="append", metavar="S", help="solver by name; may be repeated (default: auto)")
-    p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="on the error measure (default: %(default)s)")
+    p.add_argument("--solver", action="append", metavar="S", help="name, or all; may be repeated (default: auto)")
+    p.add_argument(
+        "--tol", type=float, action="append", metavar="E", help="on the error measure; may be repeated (default: 1e-8)"
+    )
+    p.add_argument("--min-contacts", type=int, default=0, metavar="N", help="leave out smaller problems")
     p.add_argument(
         "--limit", type=float, default=10.0, metavar="SECONDS", help="time limit of each solve (default: %(default)s)"
     )
@@ -291,7 +296,7 @@ def _run(arguments: argparse.Namespace) -> int:
             theta=arguments.theta,
             solver=solver,
             controller=nsdyn.scenes.controller(name, scene),
-            external_force=getattr(module, "external_force", None),
+            external_force=nsdyn.scenes.external_force(name, scene),
             record=arguments.output,
             progress=True,
             dump_on_fail=arguments.dump_on_fail,
@@ -447,22 +452,27 @@ def _solve(arguments: argparse.Namespace) -> int:
 
 def _profile(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
+    from functools import partial
 
     from nsdyn import profile
 
     _check_outputs(arguments.csv, arguments.plot)
-    found = profile.measure(
-        arguments.folder, arguments.solver or ["auto"], arguments.tol, arguments.limit, arguments.peer, progress=True
-    )
+    solvers, smallest = arguments.solver or ["auto"], arguments.min_contacts
+    found = [
+        profile.measure(arguments.folder, solvers, tol, arguments.limit, arguments.peer, smallest, progress=True)
+        for tol in arguments.tol or [1e-8]
+    ]
     if arguments.csv:
-        found.write_csv(arguments.csv)
+        profile.write_csv(arguments.csv, found)
     if arguments.plot:
-        _plot(arguments.plot, found.plot)
+        _plot(arguments.plot, *(partial(one.plot, legend=one is found[-1]) for one in found))
     if arguments.json:
-        runs = [asdict(run) for run in found.runs]
-        _print_json({"tol": found.tol, "limit": found.limit, "summary": found.summary(), "runs": runs})
+        _print_json([
+            {"tol": p.tol, "limit": p.limit, "summary": p.summary(), "runs": [asdict(run) for run in p.runs]}
+            for p in found
+        ])  # fmt: skip
     else:
-        print(found.table())
+        print("\n\n".join(f"tol {one.tol:g}\n{one.table()}" for one in found))
     return 0
 
 
@@ -484,9 +494,14 @@ def _bench(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _plot(path: Path, draw: Callable[[Any], Any]) -> None:
-    """Picture of what `draw` draws on matplotlib axes."""
-    _picture(path, lambda figure: draw(figure.subplots()), (8, 5), 150)
+def _plot(path: Path, *draw: Callable[[Any], Any]) -> None:
+    """Picture of what each `draw` draws on matplotlib axes, side by side."""
+
+    def panels(figure: Any) -> None:
+        for axes, panel in zip(figure.subplots(1, len(draw), squeeze=False)[0], draw, strict=True):
+            panel(axes)
+
+    _picture(path, panels, (3 + 5 * len(draw), 5), 150)
 
 
 def _picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int) -> None:

@@ -28,10 +28,10 @@ import numpy as np
 
 from nsdyn import fclib
 from nsdyn.problem import FC3D, Array
-from nsdyn.solvers import by_name
+from nsdyn.solvers import SOLVERS, by_name
 from nsdyn.workers import Worker
 
-__all__ = ["PEERS", "Profile", "Run", "measure"]
+__all__ = ["PEERS", "Profile", "Run", "measure", "write_csv"]
 
 FACTORS = (1.0, 2.0, 5.0, 47.0)
 """Ratios to the best time at which a table shows the profile."""
@@ -168,15 +168,7 @@ class Profile:
                     )
         return "\n".join(lines + notes)
 
-    def write_csv(self, path: str | Path) -> None:
-        """All runs, one a line; seconds are empty where there is no answer."""
-        with open(path, "w", newline="") as file:
-            sink = csv.writer(file)
-            sink.writerow([field.name for field in fields(Run)])
-            for run in self.runs:
-                sink.writerow([x if not isinstance(x, float) or math.isfinite(x) else "" for x in astuple(run)])
-
-    def plot(self, axes: Any) -> Any:
+    def plot(self, axes: Any, legend: bool = True) -> Any:
         """Draw ρ(τ) of every solver on matplotlib axes and return them."""
         end = 1.1 * float(self.ratios[np.isfinite(self.ratios)].max(initial=10.0))
         for k, name in enumerate(self.solvers):
@@ -187,8 +179,20 @@ class Profile:
             axes.step(np.r_[1.0, x, end], np.r_[y, y[-1]], where="post", label=name, **look)
         axes.set(xscale="log", xlim=(1.0, end), ylim=(0.0, 1.02), title=f"tol {self.tol:g}")
         axes.set(xlabel="τ: time over the best time", ylabel="ρ(τ): fraction of the problems")
-        axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        if legend:
+            axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return axes
+
+
+def write_csv(path: str | Path, profiles: Sequence[Profile]) -> None:
+    """All runs of some profiles, one a line with its tolerance first; seconds are empty where there is no answer."""
+    with open(path, "w", newline="") as file:
+        sink = csv.writer(file)
+        sink.writerow(["tol", *(field.name for field in fields(Run))])
+        for profile in profiles:
+            for run in profile.runs:
+                values = (x if not isinstance(x, float) or math.isfinite(x) else "" for x in astuple(run))
+                sink.writerow([profile.tol, *values])
 
 
 def _geometric_mean(x: Array) -> float:
@@ -293,6 +297,7 @@ def measure(
     tol: float = 1e-8,
     limit: float = 10.0,
     peers: Sequence[str] = (),
+    min_contacts: int = 0,
     progress: bool = False,
 ) -> Profile:
     """Run solvers on all FCLIB problems (``*.hdf5``) of a folder.
@@ -301,20 +306,22 @@ def measure(
     ----------
     folder : path
     solvers : sequence of str
-        Names of `nsdyn.solvers.SOLVERS`.
+        Names of `nsdyn.solvers.SOLVERS`, or "all" for every one of them.
     tol : float
         On `FC3D.error`. A peer whose answer misses it is asked again for a tenth and a hundredth of it.
     limit : float
         s per solve.
     peers : sequence of str
         Names of `PEERS`; all solvers of each are run.
+    min_contacts : int
+        Smaller problems are left out.
     progress : bool
         Show a progress bar on stderr when it is a terminal.
 
     Raises
     ------
     ValueError
-        For a folder without problems, a file that cannot be read, unknown names, a limit or tolerance that is not
+        For a folder without such problems, a file that cannot be read, unknown names, a limit or tolerance that is not
         positive, or a peer that is not installed.
     """
     from tqdm import tqdm
@@ -324,16 +331,19 @@ def measure(
         raise ValueError(f"no *.hdf5 files in {folder}")
     if not (math.isfinite(limit) and limit > 0.0):
         raise ValueError(f"limit must be a positive number of seconds, got {limit}")
-    players = [_own(name, tol) for name in solvers]
+    names = [name for given in solvers for name in (SOLVERS if given == "all" else (given,))]
+    players = [_own(name, tol) for name in dict.fromkeys(names)]
     for peer in peers:
         if peer not in PEERS:
             raise ValueError(f"peer must be one of {sorted(PEERS)}, got {peer!r}")
         players += PEERS[peer]()
-    problems = [(file, fclib.read(file)) for file in files]
+    problems = [(file, problem) for file in files if (problem := fclib.read(file)).nc >= min_contacts]
+    if not problems:
+        raise ValueError(f"no problem in {folder} has {min_contacts} contacts")
     runs = []
     with (
         tempfile.TemporaryDirectory(prefix="nsdyn-") as scratch,
-        tqdm(total=len(files) * len(players), unit="solve", disable=None if progress else True) as bar,
+        tqdm(total=len(problems) * len(players), unit="solve", disable=None if progress else True) as bar,
     ):
         for player in players:
             worker = Worker(list(player.script), _COMPILING if player.own else 0.0)

@@ -30,10 +30,9 @@ def names() -> list[str]:
 
 @cache
 def module(name: str) -> ModuleType:
-    """Module of a named scene: its function `scene`, DURATION [s], DT [s].
+    """Module of a named scene: its function `scene`, DURATION [s], DT [s], perhaps `controller`, `external_force`.
 
-    A driven scene also has a `controller`, see below, or `external_force`, the callback of `Stepper`. ValueError
-    naming the known ones.
+    ValueError naming the known ones.
     """
     if name not in names():
         raise ValueError(f"scene must be one of {', '.join(names())}; got {name!r}")
@@ -59,4 +58,10 @@ def name_of(function: Callable[..., Scene]) -> str | None:
 def controller(name: str, scene: Scene) -> Callable[..., Any] | None:
     """What drives the articulations of a named scene, ``controller(t, q, v)``; None for a scene without."""
     make = getattr(module(name), "controller", None)
+    return None if make is None else make(scene)
+
+
+def external_force(name: str, scene: Scene) -> Callable[..., Any] | None:
+    """What pushes the bodies of a named scene, ``external_force(t, q, v)``; None for a scene without."""
+    make = getattr(module(name), "external_force", None)
     return None if make is None else make(scene)

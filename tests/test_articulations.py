@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.linalg import null_space
 
 import nsdyn as nd
 from nsdyn import shapes
@@ -190,60 +191,94 @@ def test_refused(robot, change, words):
 ARTICULATED = [name for name in nd.scenes.names() if nd.scenes.load(name)().articulations]
 
 
+def dense(dynamics, position):
+    """(M, H rows of every contact as a function, basis of what the loops leave) of all trees, from Pinocchio alone."""
+    d = dynamics
+    M, leave = np.zeros((d.n, d.n)), np.eye(d.n)
+    jacobians = {}
+    for k in range(d.free):
+        M[6 * k : 6 * k + 3, 6 * k : 6 * k + 3] = d.mass[k] * np.eye(3)
+        M[6 * k + 3 : 6 * k + 6, 6 * k + 3 : 6 * k + 6] = d.J[k]
+        J = np.zeros((6, d.n))
+        J[:3, 6 * k : 6 * k + 3], J[3:, 6 * k + 3 : 6 * k + 6] = np.eye(3), d.R[k]
+        jacobians[k] = J, position.x[k]
+    for t, q in zip(d.trees, position.trees, strict=True):
+        model, data, rows = t.model, t.model.createData(), t.coordinates
+        upper = np.triu(pin.crba(model, data, q))
+        M[rows, rows] = upper + np.triu(upper, 1).T
+        pin.computeJointJacobians(model, data, q)
+        for k, joint in enumerate(t.joints, start=t.frames.start):
+            J = np.zeros((6, d.n))
+            J[:, rows] = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
+            jacobians[k] = J, data.oMi[joint].translation.copy()
+    return M, jacobians, leave
+
+
 @pytest.mark.parametrize("name", ARTICULATED)
 def test_step_against_dense_pinocchio(name):
-    """M, H, W and the free acceleration of a step with contacts (if any in 0.5 s) against Pinocchio's dense ones."""
-    stepper = nd.Stepper(nd.scenes.load(name)(), dt=nd.scenes.module(name).DT)
-    d, h = stepper.dynamics, stepper.dt
-    while True:
+    """M, H, W and the free acceleration of a step with contacts (if any in 0.3 s) against Pinocchio's dense ones."""
+    scene = nd.scenes.load(name)()
+    stepper = nd.Stepper(scene, dt=nd.scenes.module(name).DT, controller=nd.scenes.controller(name, scene))
+    d, h = stepper.dynamics, 1e-5
+    for _ in range(200):
         before = stepper.get_state()
         step = stepper.step()
-        links = (step.contacts.frame1 >= d.free) | (step.contacts.frame2 >= d.free)
-        if links.any() or stepper.t > 0.5:
+        if (np.maximum(step.contacts.frame1, step.contacts.frame2) >= d.free).any():
             break
-    middle = d.advance(before.position, before.v, 0.5 * h)
-    d.evaluate(middle)
-    v_free, loads = d.free_velocity(before.position, middle, before.v, before.next_t, h, 0.5, None, None)
-    M, H = d.blocks(step.contacts)[0].dense()
-    M_pin, H_pin = M.copy(), np.zeros_like(H)
-    M_pin[6 * d.free :, 6 * d.free :] = 0.0
+    # One short step without control, whose gains are in the mass matrix, implicit (θ = 1) and so without the term that
+    # conserves energy: its free motion is M Δv = h (τ - bias) with damping and springs at its end.
+    q, v = before.position, before.v
+    M, jacobians, N = dense(d, q)
+    d.evaluate(q)
+    v_free, _ = d.free_velocity(q, q, v, 0.0, h, 1.0, None, None)
+    blocks, frame = d.blocks(step.contacts)
+    _, H = blocks.dense()
     c = step.contacts
-    for k, sign in [(k, s) for k in range(c.gap.size) for s in (-1, 1)]:
-        frame = c.frame1[k] if sign < 0 else c.frame2[k]
-        if 0 <= frame < d.free:
-            at_point = np.hstack((np.eye(3), -pin.skew(c.point[k] - d.x[frame]) @ d.R[frame]))
-            H_pin[6 * frame : 6 * frame + 6, 3 * k : 3 * k + 3] += sign * (step.frame[k] @ at_point).T
-    for t, q in zip(d.trees, middle.trees, strict=True):
-        model, data, rows = t.model, t.model.createData(), t.coordinates
-        M_pin[rows, rows] = pin.crba(model, data, q)
-        M_pin[rows, rows] = np.triu(M_pin[rows, rows]) + np.triu(M_pin[rows, rows], 1).T
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        for k, sign in [(k, s) for k in range(c.gap.size) for s in (-1, 1)]:
-            frame = c.frame1[k] if sign < 0 else c.frame2[k]
-            if t.frames.start <= frame < t.frames.stop:
-                joint = t.joints[frame - t.frames.start]
-                J = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
-                at_point = J[:3] - pin.skew(c.point[k] - data.oMi[joint].translation) @ J[3:]
-                H_pin[rows, 3 * k : 3 * k + 3] += sign * (step.frame[k] @ at_point).T
-        v0, v1, load = before.v[rows], v_free[rows], loads.trees[d.trees.index(t)]
-        mean = 0.5 * (v0 + v1)
-        # Springs, and the part of the bias that makes it conserve energy; loops take their share of the rest.
-        tau = (
-            sum(t.forces(load, v1, mean, h, 0.5)) + pin.nonLinearEffects(model, model.createData(), q, mean) - load.bias
-        )
-        a = pin.aba(model, data, q, mean, tau)
-        rest = t.Z.T @ M_pin[rows, rows] @ ((v1 - v0) / h - a)
-        np.testing.assert_allclose(rest, 0.0, atol=1e-10 * max(1.0, np.abs(a).max()))
-        M_pin[rows, rows] += np.diag(0.5 * h * t.damping + 0.25 * h * h * t.stiffness)
-    N = np.linalg.inv(M_pin)
-    for t in d.trees:
-        B = np.zeros((len(t.B), d.n))
-        B[:, t.coordinates] = t.B
-        N -= N @ B.T @ np.linalg.pinv(B @ N @ B.T, rcond=1e-10) @ B @ N
-    W = H_pin.T @ N @ H_pin
-    # The bar of all four, relative to the largest entry.
-    np.testing.assert_allclose(M, M_pin, atol=1e-10 * np.abs(M_pin).max())
-    np.testing.assert_allclose(H, H_pin, atol=1e-10 * np.abs(H_pin).max(initial=1.0))
-    nc = 3 * c.gap.size  # joint limits and joint friction follow
-    np.testing.assert_allclose(step.problem.W.toarray()[:nc, :nc], W, atol=1e-10 * np.abs(W).max(initial=1.0))
+    expected = np.zeros_like(H)
+    for k in range(c.gap.size):
+        for body, sign in ((c.frame1[k], -1.0), (c.frame2[k], 1.0)):
+            if body >= 0:
+                J, origin = jacobians[body]
+                at_point = J[:3] - pin.skew(c.point[k] - origin) @ J[3:]
+                expected[:, 3 * k : 3 * k + 3] += sign * (frame[k] @ at_point).T
+    ours, minv = np.zeros((2, d.n, d.n))
+    for k, (at, size) in enumerate(zip(d.m_start, np.diff(d.offset), strict=True)):
+        rows = slice(d.offset[k], d.offset[k + 1])
+        ours[rows, rows] = d.m[at : at + size**2].reshape(size, size)
+        minv[rows, rows] = d.minv[at : at + size**2].reshape(size, size)
+    acceleration, bias = (v_free - v) / h, np.zeros(d.n)
+    bias[: 6 * d.free] = -M[: 6 * d.free, : 6 * d.free] @ acceleration[: 6 * d.free]  # tested with the free bodies
+    implicit = np.zeros(d.n)
+    for t, a, x in zip(d.trees, scene.articulations.values(), q.trees, strict=True):
+        model, rows, after = t.model, t.coordinates, v_free[t.coordinates]
+        mean = 0.5 * (v[rows] + after)
+        tau = -a.damping * after - a.stiffness * (t.angle(x) + h * after - a.rest)
+        bias[rows] = pin.rnea(model, model.createData(), x, mean, np.zeros(model.nv)) - tau
+        implicit[rows] = h * a.damping + h**2 * a.stiffness
+        if a.loops:
+            N = np.delete(N, np.s_[rows], axis=1)
+            N = np.hstack((N, np.eye(d.n)[:, rows] @ null_space(loop_jacobian(a, x), rcond=1e-9)))
+    M_implicit = M + np.diag(implicit)
+    W = expected.T @ N @ np.linalg.solve(N.T @ M_implicit @ N, N.T @ expected)
+    # The bar of all four, relative to the largest entry; accelerations lose the digits of v in a step of h.
+    np.testing.assert_allclose(ours, M_implicit, atol=1e-10 * np.abs(M).max())
+    np.testing.assert_allclose(H, expected, atol=1e-10 * max(1.0, np.abs(expected).max(initial=0.0)))
+    np.testing.assert_allclose(H.T @ minv @ H, W, atol=1e-10 * max(1.0, np.abs(W).max(initial=0.0)))
+    rest = N.T @ (M @ acceleration + bias)
+    np.testing.assert_allclose(rest, 0.0, atol=1e-10 * max(np.abs(bias).max(), np.abs(M @ v).max() / h))
+
+
+def loop_jacobian(articulation, q):
+    """Rows of all loops: the relative velocity of their frames, in the axes of the first."""
+    model, rows = articulation.model, []
+    data = model.createData()
+    pin.computeJointJacobians(model, data, q)
+    for loop in articulation.loops:
+        J = []
+        for joint, placement in ((loop.joint1, loop.placement1), (loop.joint2, loop.placement2)):
+            pose = data.oMi[joint] * placement
+            own = np.zeros((6, model.nv)) if joint == 0 else pin.getJointJacobian(model, data, joint, pin.WORLD)
+            turn = pin.SE3(np.eye(3), pose.translation).toActionMatrixInverse()
+            J.append(turn @ own)
+        rows.append((J[1] - J[0])[: 3 if loop.kind == "point" else 6])
+    return np.vstack(rows)

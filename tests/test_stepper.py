@@ -9,7 +9,8 @@ import nsdyn as nd
 @pytest.mark.parametrize("name", nd.scenes.names())
 def test_ledger_closes_on_every_named_scene(name):
     module = nd.scenes.module(name)
-    trajectory = nd.simulate(module.scene(), 60 * module.DT, dt=module.DT)
+    scene = module.scene()
+    trajectory = nd.simulate(scene, 60 * module.DT, dt=module.DT, controller=nd.scenes.controller(name, scene))
     energy = trajectory.energy
     largest = max(np.abs(getattr(energy, term)).max() for term in energy.names if term != "defect")
     assert np.abs(energy.defect).max() <= 1e-12 * largest
