@@ -117,6 +117,7 @@ class Dynamics:
         tail = np.zeros(sum(s * s for s in sizes[self.free :]))
         self.m, self.minv = np.append(m.ravel(), tail), np.append(minv.ravel(), tail)
         self.x, self.R = np.zeros((self.frames, 3)), np.zeros((self.frames, 3, 3))
+        self.constrained = any(t.constrained for t in self.trees)
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
         self.surfaces = Surfaces(scene)
         starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]

@@ -331,7 +331,7 @@ class Stepper:
             loads,
             (s.position, moved, end),
             (s.v, v, v_theta),
-            rows.full.momentum(solution.r),
+            rows.full.momentum(solution.r) if d.constrained else None,
             float(normal.sum()),
             float(friction.sum()),
             driving,
