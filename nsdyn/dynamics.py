@@ -118,6 +118,10 @@ class Dynamics:
         self.m, self.minv = np.append(m.ravel(), tail), np.append(minv.ravel(), tail)
         self.x, self.R = np.zeros((self.frames, 3)), np.zeros((self.frames, 3, 3))
         self.constrained = any(t.constrained for t in self.trees)
+        # Links of trees with a fixed base; index -1 is the world's.
+        self._held = np.zeros(self.frames + 1, dtype=bool)
+        for t in self.trees:
+            self._held[t.frames] = "JointModelFreeFlyer" not in [joint.shortname() for joint in t.model.joints]
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
         self.surfaces = Surfaces(scene)
         starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]
@@ -252,6 +256,12 @@ class Dynamics:
         for t in self.trees:
             _trees.link_rows(*where[:-1], t.frames.start, t.support, t.J, start, h)
         return Blocks(self.offset, block, start, h, self.m_start, self.m, self.minv), frame
+
+    def held(self, contacts: ContactSet) -> NDArray[np.bool_]:
+        """Which contacts are between the world and a link of a tree that hangs on it, shape (nc,)."""
+        one, two = contacts.frame1, contacts.frame2
+        out: NDArray[np.bool_] = (self._held[one] & (two < 0)) | (self._held[two] & (one < 0))
+        return out
 
     def rows(self, contacts: Blocks, joints: JointRows | None) -> Rows:
         """Contacts and joint rows, in v and in the coordinates that loops, driven joints and joint friction leave."""

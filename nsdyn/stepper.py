@@ -316,9 +316,12 @@ class Stepper:
         moved = d.advance(s.position, v_theta, h, theta * ended + (1.0 - theta) * begun)
         u = rows.full.relative_velocity(v) + drag_after
         nc = contacts.gap.size
-        # What rebounds leaves on its own, unless it is so fast that it would do so on the other side.
+        # What rebounds leaves on its own, unless it is so fast that it would do so on the other side. A joint that
+        # rebounds half a step late is behind its limit, a link of a mechanism in its guide.
         leaving = ((w[0::3] < 0.0) | postponed) & (not fast)
-        leaving[nc:] = False  # a joint that rebounds half a step late is behind its limit
+        leaving[nc:] = False
+        if d.trees:
+            leaving[:nc] &= ~d.held(contacts)
         end, gap = self._project(moved, rows, gap + theta * h * u[0::3], leaving)
 
         # Certificate, ledger, record.
