@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nsdyn import fclib, scenes, solvers
+    from nsdyn.control import PD
+    from nsdyn.ensemble import sweep
     from nsdyn.problem import FC3D, NotConverged, Solution, Status
     from nsdyn.scene import Material, Scene
     from nsdyn.solvers import solve
     from nsdyn.stepper import State, Step, Stepper, simulate
     from nsdyn.trajectory import Trajectory
-    from nsdyn.trees import PD
 
 __version__ = "0.1.0"
 
@@ -33,15 +34,17 @@ __all__ = [
     "simulate",
     "solve",
     "solvers",
+    "sweep",
 ]
 
 _HOME = {
+    "control": ("PD",),
+    "ensemble": ("sweep",),
     "problem": ("FC3D", "NotConverged", "Solution", "Status"),
     "scene": ("Material", "Scene"),
     "solvers": ("solve",),
     "stepper": ("State", "Step", "Stepper", "simulate"),
     "trajectory": ("Trajectory",),
-    "trees": ("PD",),
 }
 
 

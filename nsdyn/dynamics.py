@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 __all__ = ["Dynamics", "Loads", "Position"]
 
+NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
+
 
 @dataclass(frozen=True, eq=False)
 class Position:
@@ -86,7 +88,7 @@ class Dynamics:
         self.frames = self.free + len(frames) + len(driven)
         self.mass = np.array([b.mass for b in bodies])
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
-        self.radius = np.array([b.shape.bounding_radius for b in bodies])
+        self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
         self.inscribed = np.array([b.shape.inscribed_radius for b in bodies])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self.trees: list[Tree] = []
@@ -224,14 +226,15 @@ class Dynamics:
         _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, out, gyroscopic)
         loads = []
         for k, tree in enumerate(self.trees):
-            at = slice(self.m_start[self.free + k], self.m_start[self.free + k] + tree.model.nv**2)
-            q, control = (begin.trees[k], middle.trees[k]), given.get(tree.name)
-            out[tree.coordinates], load = tree.free_motion(*q, v, h, theta, t, control, self.m[at], self.minv[at])
+            nv, at = tree.model.nv, self.m_start[self.free + k]
+            m, minv = (a[at : at + nv * nv].reshape(nv, nv) for a in (self.m, self.minv))
+            where, control = (begin.trees[k], middle.trees[k]), given.get(tree.name)
+            out[tree.coordinates], load = tree.free_motion(*where, v, h, theta, t, control, m, minv)
             loads.append(load)
         return out, Loads(force, torque, gyroscopic, tuple(loads))
 
     def joint_rows(self, middle: Position, v: Array, v_free: Array, h: float) -> JointRows | None:
-        """Rows of joint limits and joint friction of a step; None in a scene without any."""
+        """Rows of joint limits and joint friction of a step; None when there are none."""
         if not self.joints.size:
             return None
         angle = np.zeros(self.n)
@@ -263,7 +266,7 @@ class Dynamics:
         """Contacts and joint rows, in v and in the coordinates that loops, driven joints and joint friction leave."""
         bases = {self.free + k: t.Z for k, t in enumerate(self.trees) if t.constrained}
         if joints is None:
-            return Rows(contacts, bases, np.empty(0, np.int64), np.empty(0))
+            return Rows(contacts, bases, *NOT_PRESSED)
         pressed = np.flatnonzero(joints.press)
         return Rows(self.joints.append(joints, contacts), bases, contacts.nc + pressed, joints.press[pressed])
 

@@ -67,7 +67,7 @@ def ledger(
     loads: Loads,
     positions: tuple[Position, Position, Position],
     velocities: tuple[Array, Array, Array],
-    impulse: Array | None,
+    impulse: Array,
     normal: float,
     friction: float,
     driving: float,
@@ -85,8 +85,8 @@ def ledger(
         Before the step, after it, after the position projection.
     velocities : (begin, end, theta)
         v_k, v_{k+1} and v_{k+θ}.
-    impulse : ndarray, shape (n,), optional
-        H r; needed where loops or driven joints restrict a tree.
+    impulse : ndarray, shape (n,)
+        H r of contacts and joint rows.
     normal, friction : float
         Sums of the works of contacts and joint rows, J.
     driving : float
@@ -104,14 +104,12 @@ def ledger(
     if end is not moved:
         projection = -float(d.mass @ ((end.x - moved.x) @ d.gravity))
         d_potential += projection
-    free = kinetic, potential, d_kinetic, d_potential, external, 0.0, driving, gyroscopic, slip, 0.0, projection
-    sums = np.array(free)
+    sums = kinetic, potential, d_kinetic, d_potential, external, 0.0, driving, gyroscopic, slip, 0.0, projection
     for k, t in enumerate(d.trees):
         configurations = begin.trees[k], moved.trees[k], end.trees[k]
-        sums += _tree_works(t, h, theta, loads.trees[k], configurations, velocities, impulse)
-    kinetic, potential, d_kinetic, d_potential, external, damping, constraint, gyroscopic, slip, mass, projection = (
-        float(w) for w in sums
-    )
+        own = _tree_works(t, h, theta, loads.trees[k], configurations, velocities, impulse)
+        sums = tuple(a + b for a, b in zip(sums, own, strict=True))
+    kinetic, potential, d_kinetic, d_potential, external, damping, constraint, gyroscopic, slip, mass, projection = sums
     total = external + normal + friction + damping + constraint + gyroscopic + slip + mass + projection
     return Ledger(
         kinetic, potential, external, normal, friction, damping, constraint, gyroscopic, slip, mass, projection,
@@ -126,31 +124,24 @@ def _tree_works(
     load: TreeLoads,
     configurations: tuple[Array, Array, Array],
     velocities: tuple[Array, Array, Array],
-    impulse: Array | None,
+    impulse: Array,
 ) -> tuple[float, ...]:
     """(T, V, ΔT, ΔV, external, damping, constraint, gyroscopic, theta, mass, projection) of one tree, J."""
     begin, moved, end = configurations
     v0, v1, v_theta = (v[t.coordinates] for v in velocities)
-    mean, change = 0.5 * (v0 + v1), v1 - v0
-    momentum = t.M @ change
-    actuation, damper, spring = t.forces(load, v1, v_theta, h, theta)
+    step = load, v0, v1, v_theta, h, theta
+    kinetic, actuation, damping, springs, bias = (float(w) for w in t.works(*step))
     T0, V0 = load.energies
     T1, V1 = t.energies(end, velocities[1])
     V_moved = V1 if end is moved else t.energies(moved, velocities[1])[1]
     S0, S1 = t.spring_energy(begin), t.spring_energy(end)
     S_moved = S1 if end is moved else t.spring_energy(moved)
-    slip = 0.0
+    gyroscopic, slip = V_moved - V0 - bias, 0.0
     if theta != 0.5:
-        slip = -h * float((mean - v_theta) @ load.weight)
-    gyroscopic = -h * float(mean @ load.bias) + (V_moved - V0) - slip
-    if theta != 0.5:
-        slip += h * float(mean @ spring) + (S_moved - S0)
-    constraint = 0.0
-    if t.constrained:
-        assert impulse is not None
-        reaction = t.reactions(momentum - h * (actuation + damper + spring - load.bias) - impulse[t.coordinates])
-        constraint = float(mean @ (t.B.T @ reaction))
+        drop = -h * float((0.5 * (v0 + v1) - v_theta) @ load.weight)
+        gyroscopic, slip = gyroscopic - drop, drop + springs + S_moved - S0
+    constraint = t.constraint_work(*step, impulse[t.coordinates]) if t.constrained else 0.0
     return (
-        T1, V1 + S1, T1 - T0, V1 - V0 + S1 - S0, h * float(mean @ actuation), h * float(mean @ damper), constraint,
-        gyroscopic, slip, (T1 - T0) - float(mean @ momentum), V1 - V_moved + S1 - S_moved,
+        T1, V1 + S1, T1 - T0, V1 - V0 + S1 - S0, actuation, damping, constraint, gyroscopic, slip,
+        T1 - T0 - kinetic, V1 - V_moved + S1 - S_moved,
     )  # fmt: skip

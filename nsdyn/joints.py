@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels import trees as _trees
+from nsdyn.articulations import Articulation
 from nsdyn.problem import Blocks
-from nsdyn.scene import Articulation
 from nsdyn.trees import Tree
 
 Array = NDArray[np.float64]
@@ -77,8 +77,8 @@ class JointLaws:
         self.sign, self.bound, self.near, self.restitution = (np.ascontiguousarray(c) for c in columns[2:])
         self.size = len(table)
 
-    def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows:
-        """Rows of a step: all friction, and the limits the joints may reach.
+    def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows | None:
+        """Rows of a step: all friction, and the limits the joints may reach; None when there are none.
 
         Parameters
         ----------
@@ -89,6 +89,8 @@ class JointLaws:
         h : float
         """
         slot = _trees.active_rows(self.coordinate, self.sign, self.bound, self.near, angle, v, v_free, h)
+        if not slot.size:
+            return None
         sign, bound = self.sign[slot], self.bound[slot]
         friction = sign == 0.0
         gap = sign * (angle[self.coordinate[slot]] - bound)
@@ -148,21 +150,24 @@ class Rows:
         self.press[3 * pressed] = -press * mobility
         self._z_start = np.full(nb, -1, np.int64)
         self._z = np.concatenate([np.empty(0), *(Z.ravel() for Z in bases.values())])
-        m, minv, at = full.m, full.minv, 0
-        if bases:
-            parts = [slice(a, a + n * n) for a, n in zip(full.m_start, sizes, strict=True)]
-            all_m, all_minv = [m[p] for p in parts], [minv[p] for p in parts]
-            for k, Z in bases.items():
-                self._z_start[k], at, sizes[k] = at, at + Z.size, Z.shape[1]
-                all_m[k] = all_minv[k] = np.eye(Z.shape[1]).ravel()
-            m, minv = np.concatenate(all_m), np.concatenate(all_minv)
+        m: list[Array] = []
+        minv: list[Array] = []
+        at = done = 0
+        for k, Z in bases.items():
+            self._z_start[k], at = at, at + Z.size
+            kept, one = slice(done, full.m_start[k]), np.eye(Z.shape[1]).ravel()
+            m, minv = [*m, full.m[kept], one], [*minv, full.minv[kept], one]
+            done, sizes[k] = kept.stop + sizes[k] ** 2, Z.shape[1]
         sizes = np.append(sizes, np.ones(pressed.size, np.int64))
         offset, m_start = np.append(0, np.cumsum(sizes)), np.append(0, np.cumsum(sizes * sizes))[:-1]
         block, start = np.empty_like(full.block), np.empty_like(full.start)
         h = _trees.reduce_rows(
             full.offset, full.block, full.start, full.h, self._z_start, self._z, own, offset, block, start
         )
-        self.blocks = Blocks(offset, block, start, h, m_start, np.append(m, 1.0 / mobility), np.append(minv, mobility))
+        masses = np.concatenate((*m, full.m[done:], 1.0 / mobility))
+        self.blocks = Blocks(
+            offset, block, start, h, m_start, masses, np.concatenate((*minv, full.minv[done:], mobility))
+        )
 
     def velocity_change(self, r: Array) -> Array:
         """Change of v by the impulses r, shape (n,)."""

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from nsdyn.scene import Loop
+from nsdyn.articulations import Loop
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -90,11 +90,11 @@ class Closures:
                 row += 3
         return phi, G
 
-    def close(self, q: Array, F: Array, driven: Array) -> Array:
-        """Configuration near q where φ = 0, the closest in the metric M⁻¹ = Fᵀ F; q itself if it is one.
+    def close(self, q: Array, driven: Array) -> Array:
+        """Configuration near q where φ = 0, the closest in the kinetic metric; q itself if it is one.
 
-        Newton's steps -N Gᵀ (G N Gᵀ)⁻¹ φ, with N the inverse of M where coordinates with a row of `driven` (k, nv) do
-        not move. Levenberg's term, |φ| of the diagonal, keeps them finite at redundant loops and near singular
+        Newton's steps -N Gᵀ (G N Gᵀ)⁻¹ φ, with N the inverse of M(q) where coordinates with a row of `driven` (k, nv)
+        do not move. Levenberg's term, |φ| of the diagonal, keeps them finite at redundant loops and near singular
         configurations.
 
         Raises
@@ -113,6 +113,7 @@ class Closures:
             if gap <= CLOSED:
                 return q
             if N is None:
+                F = np.linalg.inv(np.linalg.cholesky(pin.crba(self._model, self._data, q)))
                 Z = admissible(driven, F)[0] if len(driven) else F.T
                 N = Z @ Z.T
             S = G @ N @ G.T

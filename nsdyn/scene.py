@@ -16,7 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from nsdyn import articulations, checks, robot_files, shapes
-from nsdyn.articulations import Articulation, Description, Loop
+from nsdyn.articulations import Articulation, Description
 from nsdyn.materials import COMBINATION_RULES, Material
 from nsdyn.motions import Motion, Velocity
 from nsdyn.shapes import Shape
@@ -24,7 +24,7 @@ from nsdyn.shapes import Shape
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-__all__ = ["COMBINATION_RULES", "Articulation", "Body", "Geom", "Loop", "Material", "Scene"]
+__all__ = ["COMBINATION_RULES", "Articulation", "Body", "Geom", "Material", "Scene"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +46,8 @@ class Body:
     material : Material
     colour : tuple of 4 floats, optional
         RGBA in [0, 1] for the viewer.
+    com : ndarray, shape (3,)
+        Centre of mass in the frame of the shape, m.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Body:
     angular_velocity: Array
     material: Material
     colour: tuple[float, float, float, float] | None
+    com: Array
 
     @property
     def fixed(self) -> bool:
@@ -140,7 +143,8 @@ class Scene:
     ) -> None:
         """Add the fixed solid {x : normal·x ≤ offset}; `normal` points out of it, `offset` is in m along it."""
         shape = shapes.halfspace(normal, offset)
-        self._add(name, shape, None, (0, 0, 0), (0, 0, 0, 1), (0, 0, 0), (0, 0, 0), material, True, colour, None)
+        keywords = self._keywords({"material": material, "fixed": True, "colour": colour})
+        self._add(name, shape, None, **keywords)
 
     def add_box(self, name: str, size: ArrayLike, mass: float | None = None, **keywords: Any) -> None:
         """Add a box with full edge lengths `size` [m]; see `add_convex` for the other keywords."""
@@ -191,6 +195,8 @@ class Scene:
         colour : sequence of 3 or 4 floats in [0, 1]
         inertia : array, shape (3, 3)
             About the centre of mass in body axes, kg m²; by default that of the homogeneous shape.
+        com : sequence of 3 floats
+            Centre of mass from the centroid of the shape, body axes, m; 0 by default. One elsewhere needs `inertia`.
         """
         shape, centroid = shapes.convex(vertices)
         self._add_hull(name, shape, centroid, mass, position, keywords)
@@ -221,7 +227,8 @@ class Scene:
         keywords: dict[str, Any],
     ) -> None:
         quaternion = checks.quaternion(keywords.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
-        keywords["position"] = checks.rotation(quaternion) @ centroid if position is None else position
+        com = checks.vector(keywords.get("com", (0, 0, 0)), 3, f"com of {name!r}")
+        keywords["position"] = checks.rotation(quaternion) @ (centroid + com) if position is None else position
         self._add(name, shape, mass, **self._keywords(keywords))
 
     @staticmethod
@@ -229,6 +236,7 @@ class Scene:
         known: dict[str, Any] = {
             "position": (0, 0, 0), "quaternion": (0, 0, 0, 1), "linear_velocity": (0, 0, 0),
             "angular_velocity": (0, 0, 0), "material": None, "fixed": False, "colour": None, "inertia": None,
+            "com": (0, 0, 0),
         }  # fmt: skip
         unknown = sorted(set(given) - set(known))
         if unknown:
@@ -248,8 +256,10 @@ class Scene:
         fixed: bool,
         colour: ArrayLike | None,
         inertia: ArrayLike | None,
+        com: ArrayLike,
     ) -> None:
         self._check_name(name)
+        centre = checks.vector(com, 3, f"com of {name!r}")
         v = checks.vector(linear_velocity, 3, f"linear_velocity of {name!r}")
         w = checks.vector(angular_velocity, 3, f"angular_velocity of {name!r}")
         if fixed:
@@ -257,16 +267,22 @@ class Scene:
                 raise ValueError(f"{name!r} is fixed, so its velocity must be zero, got {v.tolist()}, {w.tolist()}")
             if mass is not None:
                 checks.mass(mass, f"mass of {name!r}")
+            if centre.any():
+                raise ValueError(f"{name!r} is fixed, so its com has no meaning, got {centre.tolist()}")
             m, J = 0.0, np.zeros((3, 3))
         else:
             if mass is None:
                 raise ValueError(f"mass of {name!r} is needed, unless fixed=True")
             m = checks.mass(mass, f"mass of {name!r}")
+            if inertia is None and centre.any():
+                raise ValueError(
+                    f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous"
+                )
             J = checks.inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
         self.bodies[name] = Body(
             name, shape, m, J, checks.vector(position, 3, f"position of {name!r}"),
             checks.quaternion(quaternion, f"quaternion of {name!r}"), v, w, self._material(material, name),
-            self._colour(colour, name),
+            self._colour(colour, name), centre,
         )  # fmt: skip
 
     def _check_name(self, name: str) -> None:
@@ -421,7 +437,6 @@ class Scene:
         articulation = articulations.assemble(name, description, **keywords)
         articulation.model.gravity = pin.Motion(self.gravity, np.zeros(3))
         self.articulations[name] = articulation
-        self.articulations[name] = articulation
 
     # -- prescribed motion -------------------------------------------------------------------------------------
 
@@ -533,7 +548,7 @@ class Scene:
         out = []
         for b in self.bodies.values():
             if b.name in frame_of:
-                R, t = np.eye(3), np.zeros(3)
+                R, t = np.eye(3), -b.com
             else:
                 R, t = checks.rotation(b.quaternion), b.position
             out.append(Geom(b.name, b.name, b.shape, frame_of.get(b.name, -1), R, t, b.material, b.colour))
@@ -545,15 +560,25 @@ class Scene:
         return out
 
     def excluded(self, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
-        """Pairs of geoms never tested: those that articulations exclude among their links, driven and fixed bodies."""
+        """Pairs of geoms never tested: those that articulations exclude among their links, and held ones."""
         out = set()
-        driven = {b.name for b in self.driven_bodies}
-        held = [k for k, g in enumerate(geoms) if g.frame < 0 or g.body in driven] if driven else []
-        out |= {(i, j) for i in held for j in held if i < j and (geoms[i].body in driven or geoms[j].body in driven)}
+        held = self._held_frames()
+        stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or g.frame in held] if held else []
+        out |= {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}
         for name, a in self.articulations.items():
             own = [k for k, g in enumerate(geoms) if g.body == name]
             out |= {(own[i], own[j]) for i, j in a.excluded}
         return out
+
+    def _held_frames(self) -> set[int]:
+        """Frames that nothing but prescribed motion moves: driven bodies, and links that hang on driven joints only."""
+        links, first = self.link_frames(), len(self.free_bodies)
+        held = set(range(first + len(links), first + len(links) + len(self.driven_bodies)))
+        for k, (name, joint) in enumerate(links, start=first):
+            model = self.articulations[name].model
+            if all(f"{name}/{model.names[j]}" in self.motions for j in model.supports[joint] if j):
+                held.add(k)
+        return held
 
     def describe(self) -> dict[str, Any]:
         """Everything needed to replay a recording, as nested lists (see `nsdyn.trajectory`)."""

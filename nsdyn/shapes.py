@@ -16,7 +16,6 @@ from typing import Any
 import coal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -237,6 +236,8 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
     centroid : ndarray, shape (3,)
         In the frame of the points.
     """
+    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that boxes and spheres do not need
+
     try:
         points = np.array(vertices, dtype=float)
     except (TypeError, ValueError):
@@ -276,7 +277,7 @@ def _area_vector(loop: Array) -> Array:
     return out
 
 
-def _faces(hull: ConvexHull) -> list[Index]:
+def _faces(hull: Any) -> list[Index]:
     """Faces of a hull as loops of point indices: facets merged where they are coplanar."""
     points, simplices, planes = hull.points, hull.simplices, hull.equations
     tol = COPLANAR * np.linalg.norm(np.ptp(points, axis=0))

@@ -5,19 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.scene import Loop
-
-JOINT_ARRAYS = ("friction", "damping", "armature", "stiffness", "rest")
+from nsdyn.articulations import Loop
 
 
-def add(scene, name, model, q=None, v=None, links=(), loops=(), **keywords):
-    """Put a Pinocchio model into a scene; joint values are one number or (nv,)."""
-    for key in {*JOINT_ARRAYS} & {*keywords}:
-        keywords[key] = np.broadcast_to(np.asarray(keywords[key], float), (model.nv,))
-    geometry = pin.GeometryModel()
-    for label, joint, placement, shape in links:
-        geometry.addGeometryObject(pin.GeometryObject(label, joint, placement, shape.geometry))
-    scene.add_model(name, model, geometry, q=q, v=v, **keywords)
+def add(scene, name, model, loops=(), **keywords):
+    """`Scene.add_model`; joint values may be one number, loops are given by joints."""
+    for k in ("friction", "damping", "armature", "stiffness", "rest"):
+        if k in keywords:
+            keywords[k] = np.broadcast_to(np.asarray(keywords[k], float), (model.nv,))
+    scene.add_model(name, model, **keywords)
     scene.articulations[name] = replace(scene.articulations[name], loops=tuple(loops))
 
 
@@ -33,8 +29,10 @@ def rod(end, mass=1.0):
 
 
 def limit(model, lower=-np.inf, upper=np.inf):
-    """The model, its coordinates limited so."""
+    """The model, its coordinates limited so and its joints as frames that shapes can hang on."""
     model.lowerPositionLimit, model.upperPositionLimit = np.full(model.nq, lower), np.full(model.nq, upper)
+    for joint in range(1, model.njoints):
+        model.addJointFrame(joint)
     return model
 
 

@@ -1,10 +1,12 @@
 """Joint forces, dry friction, limits and prescribed motion, against formulas solved on paper."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
-from mechanisms import add, pendulum, slider
+from mechanisms import add, at, limit, pendulum, slider
 
 import nsdyn as nd
+from nsdyn import shapes
 
 G = 9.81
 INERTIA = 1.0 / 3.0 + 1e-9  # of the pendulum's rod about its hinge, kg m²
@@ -19,7 +21,7 @@ def closes(trajectory):
 
 def run(model, duration, dt=1e-3, gravity=(0, 0, -G), q=None, v=None, controller=None, **joints):
     scene = nd.Scene(gravity=gravity)
-    add(scene, "a", model, q, v, **joints)
+    add(scene, "a", model, q=q, v=v, **joints)
     trajectory = nd.simulate(scene, duration, dt, solver=nd.solvers.Auto(tol=1e-12), controller=controller)
     assert closes(trajectory) < 1e-12  # the bar of the ledger
     return trajectory
@@ -106,14 +108,33 @@ def test_pd_is_the_formula():
         (np.zeros(2), "3 finite joint forces for 'a'"),
         ((1.0, np.nan, 0.0), "3 finite joint forces for 'a'"),
         ("up", "3 finite joint forces for 'a'"),
-        (nd.PD(-1.0, 0.0, 0.0), "kp of the PD control of 'a' must not be negative"),
-        (nd.PD(1.0, np.inf, 0.0), "kd of the PD control of 'a' must be one or 3 finite numbers"),
         (nd.PD(1.0, 1.0, np.zeros(2)), "target of the PD control of 'a' must be one or 3"),
     ],
 )
 def test_wrong_control_is_refused(given, message):
     with pytest.raises(ValueError, match=message):
         run(pendulum(3), 1e-3, controller=lambda t, q, v: {"a": given})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((-1.0, 0.0, 0.0), "kp of a PD control must not be negative"),
+        ((1.0, np.inf, 0.0), "kd of a PD control must be one or nv finite numbers"),
+        ((1.0, 1.0, "up"), "target of a PD control must be one or nv finite numbers, got 'up'"),
+        ((1.0, 1.0, np.zeros((2, 2))), "target of a PD control"),
+    ],
+)
+def test_wrong_gains_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        nd.PD(*arguments)
+
+
+def test_gains_on_a_free_base_are_refused():
+    scene, path = nd.Scene(), nd.scenes.folder() / "quadruped.urdf"
+    scene.add_urdf("robot", path, base="free", position=(0, 0, 1), q=4 * (0.0, 0.6, -1.2))
+    with pytest.raises(ValueError, match="kp of the PD control of 'robot' must be 0 on free and spherical joints"):
+        nd.simulate(scene, 1e-3, controller=lambda t, q, v: {"robot": nd.PD(np.ones(18), 0.0, 0.0)})
 
 
 def test_unknown_articulation_is_refused():
@@ -134,7 +155,7 @@ def test_joint_friction_holds_below_its_threshold(links):
     trajectory = run(pendulum(links), 10.0, 1e-2, q=q, friction=np.abs(tau) / 0.99)
     assert np.abs(trajectory.q - q).max() <= 1e-12
     scene = nd.Scene()
-    add(scene, "a", pendulum(links), q, friction=np.abs(tau) / 0.99)
+    add(scene, "a", pendulum(links), q=q, friction=np.abs(tau) / 0.99)
     # What holds is the torque of statics, not the threshold; the bias is taken on the free motion, h² g²/4 off.
     np.testing.assert_allclose(nd.Stepper(scene, 1e-2).step().joint_impulse / 1e-2, tau, atol=2.4e-3)
 
@@ -201,17 +222,12 @@ def test_limits_can_be_switched_off():
 
 def test_limits_push_on_what_they_carry():
     """A box on a table that a rail carries up to its stop: the contact with the box takes part in the impact."""
-    import pinocchio as pin
-    from mechanisms import at, limit
-
-    from nsdyn import shapes
-
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
     model.appendBodyToJoint(joint, pin.Inertia(3.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
     scene = nd.Scene()
-    table = ("table", 1, at((0, 0, -0.05)), shapes.box((1, 1, 0.1)))
-    add(scene, "lift", limit(model, 0.0, 0.5), q=[0.1], links=[table])
+    table = shapes.box((1, 1, 0.1)), at((0, 0, -0.05))
+    add(scene, "lift", limit(model, 0.0, 0.5), q=[0.1], collisions={"lift": [table]})
     scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.2))
     trajectory = nd.simulate(scene, 1.0)
     assert closes(trajectory) < 1e-12
@@ -310,6 +326,21 @@ def test_driven_joint_moves_as_told_and_its_work_is_booked():
     assert closes(trajectory) < 1e-12
     total = trajectory.energy.total
     assert trajectory.energy.constraint.sum() == pytest.approx(total[-1] - total[0], abs=1e-6)
+
+
+def test_bodies_and_links_that_cannot_give_way_ignore_each_other():
+    """A driven wall through the ground and a driven rod through it: no contact of theirs could be solved."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_box("wall", (0.1, 0.1, 1), position=(1, 0, 0.4), fixed=True)
+    scene.set_motion("wall", velocity=(0.5, 0, 0))
+    rod = {"j0": [(shapes.sphere(0.1), at((0, 0, -1.0)))]}
+    add(scene, "a", pendulum(2), position=(0, 0, 1.0), collisions=rod, q=(0.0, 3.0))
+    scene.set_motion("a/j0", velocity=2.0)
+    scene.add_sphere("ball", 0.1, 1.0, position=(1.16, 0, 0.1))
+    trajectory = nd.simulate(scene, 0.1)
+    touched = {frozenset((c.body1[0], c.body2[0])) for c in map(trajectory.contacts, range(1, 101)) if len(c)}
+    assert touched <= {frozenset(("ground", "ball")), frozenset(("wall", "ball"))} and touched
 
 
 def test_wrong_motions_are_refused():

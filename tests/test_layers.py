@@ -7,10 +7,10 @@ import nsdyn
 
 ROOT = Path(nsdyn.__file__).parent
 ORDER = [
-    ["_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
-    ["checks", "motions"], ["materials", "shapes"], ["articulations"], ["robot_files"], ["scene"],
+    ["workers", "_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
+    ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
     ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
-    ["gauss", "energy", "profile", "_peers"], ["trajectory"], ["viewer", "stepper"], ["cli"],
+    ["gauss", "energy", "profile", "_peers", "bench"], ["trajectory"], ["viewer", "stepper"], ["ensemble"], ["cli"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
 MATHEMATICS = {"_kernels", "cones", "problem", "formulations", "solvers", "fclib", "gauss"}

@@ -7,8 +7,8 @@ from mechanisms import add, at, bricard, four_bars, limit, pendulum, rod
 
 import nsdyn as nd
 from nsdyn import shapes
+from nsdyn.articulations import Loop
 from nsdyn.loops import Closures, admissible
-from nsdyn.scene import Loop
 
 
 def follow(scene, duration, dt):
@@ -99,9 +99,9 @@ def test_a_chain_between_two_pins_hangs_as_statics_says():
 def test_a_triangle_is_a_structure():
     """Two rods between two pins a rod apart have no motion left, and carry a ball all the same."""
     scene = nd.Scene()
-    knee = ("knee", 2, at((0, 0, 0)), shapes.sphere(0.1))
+    knee = {"j1": [shapes.sphere(0.1)]}
     pin_at = Loop("pin", 0, at((1.0, 0, 0)), 2, at((0, 0, -1)))
-    add(scene, "truss", pendulum(2), q=(-2.6, 2.1), links=[knee], loops=[pin_at])
+    add(scene, "truss", pendulum(2), q=(-2.6, 2.1), collisions=knee, loops=[pin_at])
     scene.add_sphere("ball", 0.1, 1.0, position=(0.5, 0, np.sqrt(0.75) + 0.2))
     trajectory = nd.simulate(scene, 0.2)
     np.testing.assert_allclose(trajectory.q[:, 7:], np.tile((-5 * np.pi / 6, 2 * np.pi / 3), (201, 1)), atol=1e-9)
@@ -112,8 +112,8 @@ def test_contacts_act_on_closed_loops():
     """A four-bar table, held up by a spring, carries a box: the bar stays level and the box does not slip off."""
     model, loops, _ = four_bars(1)
     scene = nd.Scene()
-    table = ("table", 2, at((0.5, 0, 0.0)), shapes.box((1.0, 0.6, 0.1)))
-    add(scene, "bars", model, loops=loops, links=[table], stiffness=(400.0, 0, 0), damping=(20.0, 0, 0))
+    table = {"h0": [(shapes.box((1.0, 0.6, 0.1)), at((0.5, 0, 0)))]}
+    add(scene, "bars", model, loops=loops, collisions=table, stiffness=(400.0, 0, 0), damping=(20.0, 0, 0))
     scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0.5, 0, 1.15))
     trajectory = nd.simulate(scene, 2.0, 2e-3)
     energy = trajectory.energy
@@ -153,6 +153,6 @@ def test_loops_that_cannot_close_are_refused():
     joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "j")
     model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
     scene = nd.Scene()
-    add(scene, "a", limit(model), loops=[Loop("pin", 0, at((3, 0, 0)), 1, at((0, 0, -1)))])
+    add(scene, "a", model, loops=[Loop("pin", 0, at((3, 0, 0)), 1, at((0, 0, -1)))])
     with pytest.raises(ValueError, match=r"loops \['pin'\] do not close: they are apart by 2"):
         nd.Stepper(scene)

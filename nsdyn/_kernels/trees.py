@@ -1,4 +1,4 @@
-"""Articulated trees: factors of mass matrices, rows of contacts on links, rows of joint limits and joint friction.
+"""Articulated trees: free motion, works, rows of contacts on links, rows of joint limits and joint friction.
 
 Joint rows follow the contacts of a step, three each like them. A limit is a frictionless contact with one normal row
 ±e_j; dry friction |tau| <= tau_c is a contact with mu = 1 whose first tangent row is e_j and whose normal row lies on
@@ -12,22 +12,28 @@ from numba import njit
 
 
 @njit(cache=True)
-def inverse_factor(M, extra, F):
-    """F = L⁻¹ for the Cholesky factor L of M + diag(extra), so that (M + diag(extra))⁻¹ = Fᵀ F, into F (n, n).
+def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, minv, force):
+    """The forces linear in the end velocity: the effective mass matrix, its factor, its inverse, and what is left.
 
-    False when the matrix is not positive definite.
+    m = M + h (theta D + h theta² K + kd + h kp) and minv = Fᵀ F, where F = L⁻¹ for its Cholesky factor L, all (n, n);
+    force = tau - (D + kd + h kp) v - K (stretch + theta h v), (n,). False when m is not positive definite.
     """
     n = M.shape[0]
     L = np.zeros((n, n))
     for j in range(n):
-        d = M[j, j] + extra[j]
+        for i in range(n):
+            m[i, j] = M[i, j]
+        m[j, j] += h * (theta * damping[j] + h * theta * theta * stiffness[j] + kd[j] + h * kp[j])
+        force[j] = tau[j] - (damping[j] + kd[j] + h * kp[j]) * v[j] - stiffness[j] * (stretch[j] + theta * h * v[j])
+    for j in range(n):
+        d = m[j, j]
         for k in range(j):
             d -= L[j, k] * L[j, k]
         if not d > 0.0:
             return False
         L[j, j] = math.sqrt(d)
         for i in range(j + 1, n):
-            x = M[i, j]
+            x = m[i, j]
             for k in range(j):
                 x -= L[i, k] * L[j, k]
             L[i, j] = x / L[j, j]
@@ -39,21 +45,65 @@ def inverse_factor(M, extra, F):
             for k in range(j, i):
                 x -= L[i, k] * F[k, j]
             F[i, j] = x / L[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            y = 0.0
+            for k in range(i, n):
+                y += F[k, i] * F[k, j]
+            minv[i, j] = minv[j, i] = y
     return True
 
 
 @njit(cache=True)
-def blocks_of(M, extra, F, m, minv):
-    """M + diag(extra) and its inverse Fᵀ F, both exactly symmetric, row by row into m and minv (n * n,)."""
-    n = M.shape[0]
+def respond(start, minv, force, bias, h, v):
+    """V = start + h minv (force - bias), into v (n,); returns its relative change."""
+    change, size = 0.0, 0.0
+    for i in range(v.size):
+        x = start[i]
+        for j in range(v.size):
+            x += h * minv[i, j] * (force[j] - bias[j])
+        change, size = max(change, abs(x - v[i])), max(size, abs(x))
+        v[i] = x
+    return change / size if size > 0.0 else 0.0
+
+
+@njit(cache=True)
+def conserve(M, minv, v0, v1, gain, h, bias):
+    """Add s M v̄ to the bias, with the s that makes h v̄·bias = gain - v̄·M Δv for the energy gained from v0 to v1.
+
+    Motions slower than gravity makes them in a step keep the bias: there s is a quotient of round-off.
+    """
+    n = bias.size
+    momentum = np.zeros(n)
+    twice, kinetic, work, scale = 0.0, 0.0, 0.0, 0.0
     for i in range(n):
-        for j in range(i + 1):
-            x = M[i, j] + (extra[i] if i == j else 0.0)
-            y = 0.0
-            for k in range(i, n):
-                y += F[k, i] * F[k, j]
-            m[i * n + j] = m[j * n + i] = x
-            minv[i * n + j] = minv[j * n + i] = y
+        response = 0.0
+        for j in range(n):
+            momentum[i] += 0.5 * M[i, j] * (v0[j] + v1[j])
+            response += minv[i, j] * bias[j]
+        mean = 0.5 * (v0[i] + v1[i])
+        twice += mean * momentum[i]
+        kinetic += momentum[i] * (v1[i] - v0[i])
+        work += h * mean * bias[i]
+        scale += bias[i] * response
+    if twice > h * h * scale:
+        s = (gain - kinetic - work) / (h * twice)
+        for i in range(n):
+            bias[i] += s * momentum[i]
+
+
+@njit(cache=True)
+def works(M, damping, stiffness, kp, kd, tau, stretch, bias, v0, v1, v_theta, h, theta, out):
+    """Works of a step on v̄ = (v0 + v1) / 2: v̄·M Δv, of actuation, damping, springs and bias, into out (5,), J."""
+    out[:] = 0.0
+    for i in range(v0.size):
+        mean = 0.5 * (v0[i] + v1[i])
+        for j in range(v0.size):
+            out[0] += mean * M[i, j] * (v1[j] - v0[j])
+        out[1] += h * mean * (tau[i] - (kd[i] + h * kp[i]) * v1[i])
+        out[2] -= h * mean * damping[i] * v_theta[i]
+        out[3] -= h * mean * stiffness[i] * (stretch[i] + theta * h * v_theta[i])
+        out[4] += h * mean * bias[i]
 
 
 @njit(cache=True)

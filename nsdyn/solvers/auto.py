@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,8 @@ class Auto:
     An island with one contact is solved in closed form. A warm start first gets a few Newton steps, since the contact
     states of the last step mostly hold. Otherwise accelerated Gauss–Seidel finds the states and Newton finishes from
     them; where it does not, the interior point method finds them and Newton finishes. A problem given by W alone is
-    solved on its impulses, so that W need not be symmetric.
+    solved on its impulses, so that W need not be symmetric. What is not solved is checked for a Slater point, without
+    which no solution is guaranteed, and its status says so.
 
     Parameters
     ----------
@@ -74,7 +75,17 @@ class Auto:
             enough, _, _, u = problem.solved(r, max(POLISH * self.tol, FLOOR))
             if not enough:
                 count = self._given_factors(problem, problem.blocks, r, u)
-        return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+        solution = Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+        return solution if solution.converged else self._explained(problem, solution)
+
+    @staticmethod
+    def _explained(problem: FC3D, solution: Solution) -> Solution:
+        """The solution with `Status.NO_SLATER_POINT` where none is guaranteed to exist."""
+        from nsdyn.formulations import has_slater_point  # rarely needed, and its imports take long
+
+        if solution.status is Status.MAX_ITERATIONS and has_slater_point(problem) is False:
+            return replace(solution, status=Status.NO_SLATER_POINT)
+        return solution
 
     def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, u: Array) -> int:
         """Solve a problem with factors from r, whose velocity is u, in place of r; iterations used."""
