@@ -37,8 +37,8 @@ def test_cart_rebounds_from_its_stops():
         assert steps[k].joint_impulse[1] == 0.0
     total = np.array([s.energy["kinetic"] + s.energy["potential"] for s in steps])
     free = np.array([abs(s.joint_impulse[0]) == 0.0 for s in steps])[1:]
-    # Between the stops nothing takes energy; 2000 steps of round-off of 10 J.
-    assert np.abs(np.diff(total)[free]).max() <= 1e-10
+    # Between the stops nothing takes energy; the free motion of a step is found to 1e-10 of its speed, of 3 J.
+    assert np.abs(np.diff(total)[free]).max() <= 1e-9
     assert (np.diff(total)[~free] <= 1e-12).all()
 
 
