@@ -50,9 +50,10 @@ class Loads:
     Attributes
     ----------
     force, torque : ndarray, shape (nf, 3)
-        On free bodies; force in world axes [N], torque about the centre of mass in body axes [N m].
+        On free bodies; force in world axes [N], torque about the centre of mass in the body axes of the beginning of
+        the step [N m].
     gyroscopic : ndarray, shape (nf, 3)
-        The torque -ω* x J ω* of the step, body axes, N m.
+        Mean gyroscopic torque of the step, J (ω_f - ω)/h - torque, body axes, N m.
     tau : tuple of ndarray
         Actuation of every tree, (nv,).
     bias : tuple of ndarray
@@ -87,7 +88,8 @@ class _Tree:
         pin.computeJointJacobians(self.model, self.data, q)
         jacobians = np.empty((len(self.joints), 6, self.model.nv))
         for k, joint in enumerate(self.joints):
-            jacobians[k] = pin.getJointJacobian(self.model, self.data, joint, pin.LOCAL_WORLD_ALIGNED)
+            jacobian = pin.getJointJacobian(self.model, self.data, joint, pin.LOCAL_WORLD_ALIGNED)
+            jacobians[k] = jacobian.reshape(6, -1)  # one joint alone comes as a vector
             x[self.frames.start + k] = self.data.oMi[joint].translation
             R[self.frames.start + k] = self.data.oMi[joint].rotation
         return M, jacobians
@@ -104,6 +106,11 @@ class _Tree:
         """(kinetic, potential) energy in J."""
         kinetic = pin.computeKineticEnergy(self.model, self.data, q, v)
         return float(kinetic), float(pin.computePotentialEnergy(self.model, self.data, q))
+
+
+def _rotation(quaternion: Array) -> Array:
+    """Rotation matrix of a unit quaternion xyzw."""
+    return np.array(pin.Quaternion(quaternion).toRotationMatrix())
 
 
 class Dynamics:
@@ -158,8 +165,7 @@ class Dynamics:
 
     @staticmethod
     def _velocity(body: Any) -> Array:
-        R = pin.Quaternion(body.quaternion).toRotationMatrix()
-        return np.concatenate((body.linear_velocity, R.T @ body.angular_velocity))
+        return np.concatenate((body.linear_velocity, _rotation(body.quaternion).T @ body.angular_velocity))
 
     def start(self) -> tuple[Position, Array]:
         """Initial position and velocity of the scene."""
@@ -189,9 +195,11 @@ class Dynamics:
 
     def free_velocity(
         self,
-        position: Position,
+        begin: Position,
+        middle: Position,
         v: Array,
         h: float,
+        push: Array,
         wrenches: Mapping[str, Any] | None,
         tau: Mapping[str, Any] | None,
     ) -> tuple[Array, Loads]:
@@ -199,12 +207,14 @@ class Dynamics:
 
         Parameters
         ----------
-        position : Position
-            The midpoint, where `evaluate` has been called.
+        begin, middle : Position
+            Beginning of the step, and its midpoint, where `evaluate` has been called.
         v : ndarray, shape (n,)
             Velocity at the beginning of the step.
         h : float
             Step, s.
+        push : ndarray, shape (n,)
+            Change of velocity expected of the contacts: gyroscopic and Coriolis terms belong to the motion with it.
         wrenches : mapping, optional
             Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes.
         tau : mapping, optional
@@ -220,19 +230,19 @@ class Dynamics:
             k = self.names[name]
             force[k] = parts if parts.ndim == 1 else parts[0]
             if parts.ndim == 2:
-                torque[k] = self.R[k].T @ parts[1]
+                torque[k] = _rotation(begin.quaternion[k]).T @ parts[1]
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
-        _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, out, gyroscopic)
+        _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
         actuation = self._actuation(tau)
         biases, weights = [], []
-        for k, (t, q) in enumerate(zip(self.trees, position.trees, strict=True)):
+        for k, (t, q) in enumerate(zip(self.trees, middle.trees, strict=True)):
             at, size = self.m_start[self.free + k], t.model.nv
             inverse = self.minv[at : at + size * size].reshape(size, size)
             before = v[t.coordinates]
             after, bias = before, t.bias(q, before)
             for _ in range(20):  # the midpoint rule by fixed point; it contracts by O(h ω) a pass
                 new = before + h * (inverse @ (actuation[k] - bias))
-                bias = t.bias(q, 0.5 * (before + new))
+                bias = t.bias(q, 0.5 * (before + new + push[t.coordinates]))
                 done = np.abs(new - after).max(initial=0.0) <= 1e-15 * np.abs(new).max(initial=0.0)
                 after = new
                 if done:

@@ -17,7 +17,8 @@ from nsdyn import energy, fclib, gauss
 from nsdyn._kernels import motion as _motion
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.problem import FC3D, Array, Blocks, Index, NotConverged, Solution
+from nsdyn.history import History
+from nsdyn.problem import FC3D, Array, Blocks, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
 from nsdyn.trajectory import Recorder, Trajectory
@@ -45,8 +46,8 @@ class State:
     position : Position
     v : ndarray, shape (n,)
         Velocity in the coordinates of `Dynamics`.
-    impulse : ndarray, shape (nc, 3)
-        World impulses of the last step's contacts, N·s: the warm start.
+    history : History
+        What the last step leaves to the next.
     memory : ContactMemory
         The last step's contacts and their keys.
     """
@@ -56,8 +57,7 @@ class State:
     count: int
     position: Position
     v: Array
-    impulse: Array
-    key: Index
+    history: History
     memory: ContactMemory
 
     @property
@@ -142,9 +142,11 @@ class Stepper:
         M̃ (v_{k+1} - v_k) = h f̃ + H r,   u = Hᵀ v_{k+1} + w,   K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K,
         q_{k+1} = q_k ⊕ h v_{k+θ},
 
-    coefficients at q̃ = q_k ⊕ (1 - θ) h v_k, so that smooth motion is second order for θ = ½; w from the gap or from
-    Newton's impact law. Penetration left by curvature or by a bad start is removed by a projection of the positions
-    that never touches v.
+    coefficients at q̃ = q_k ⊕ (1 - θ) h v_k; w from the gap or from Newton's impact law, and from the turning of the
+    rows of Hᵀ until the end of the step as far as the last steps foretell it (`History`), so that smooth motion is
+    second order for θ = ½, in contact too. A free body then keeps its energy and its angular momentum in space to
+    round-off, for θ = ½ and up to 2 rad a step. Penetration left by curvature or by a bad start is removed by a
+    projection of the positions that never touches v.
 
     Parameters
     ----------
@@ -213,7 +215,7 @@ class Stepper:
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position)
-        self._state = State(0.0, self.dt, 0, position, v, np.empty((0, 3)), np.empty(0, np.int64), self.detector.memory)
+        self._state = State(0.0, self.dt, 0, position, v, History.empty(v.size), self.detector.memory)
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -233,10 +235,8 @@ class Stepper:
         if state.v.shape != (self.dynamics.n,) or state.position.x.shape != (self.dynamics.free, 3):
             raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {state.v.shape}")
         if state.dt != self.dt:
-            state = State(
-                state.t, self.dt, 0, state.position, state.v, state.impulse * (self.dt / state.dt), state.key,
-                state.memory,
-            )  # fmt: skip
+            history = state.history.scaled(self.dt / state.dt)
+            state = State(state.t, self.dt, 0, state.position, state.v, history, state.memory)
         self.detector.memory = state.memory
         self._state = state
 
@@ -259,7 +259,7 @@ class Stepper:
         # Free motion, with the coefficients of the midpoint.
         middle = d.advance(s.position, s.v, (1.0 - theta) * h)
         d.evaluate(middle)
-        v_free, loads = d.free_velocity(middle, s.v, h, *self._callbacks(middle))
+        v_free, loads = d.free_velocity(s.position, middle, s.v, h, s.history.push, *self._callbacks(middle))
 
         # Contacts and their impact law.
         reach = d.reach(s.v, h)
@@ -274,10 +274,14 @@ class Stepper:
         blocks, frame = d.blocks(contacts)
         u_before = blocks.relative_velocity(s.v)
         gap = contacts.gap + (1.0 - theta) * h * u_before[0::3] if fast else contacts.gap
+        # The rows turn: by `bend` a step, so that velocities at its beginning and end have rows of their own.
+        bend, turn = s.history.turning(contacts, frame, u_before)
+        u_begin, gap = u_before - (1.0 - theta) * bend, gap - 0.5 * (1.0 - theta) ** 2 * h * bend[0::3]
         w = np.zeros_like(u_before)
-        _motion.impact_law(u_before, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w[0::3])
-        problem = FC3D.from_blocks(blocks, blocks.relative_velocity(v_free) + w, contacts.mu)
-        guess = self._warm_start(contacts, frame)
+        _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w[0::3])
+        q = blocks.relative_velocity(v_free) + theta * bend + w
+        problem = FC3D.from_blocks(blocks, q, contacts.mu)
+        guess = s.history.warm_start(contacts, frame)
         t_assembly = clock()
 
         # The frictional contact problem.
@@ -295,7 +299,8 @@ class Stepper:
         end, gap = self._project(moved, blocks, gap + theta * h * u[0::3], (w[0::3] < 0.0) & (not fast))
 
         # Certificate, ledger, record.
-        works = energy.contact_works(u_before, u, solution.r)
+        u_after = u - theta * bend
+        works = energy.contact_works(u_before, u_after, solution.r)
         if fast:
             d.evaluate(middle)
         step_energy = energy.ledger(
@@ -308,9 +313,8 @@ class Stepper:
             float(works[1].sum()),
         )
         r = solution.r.reshape(-1, 3)
-        impulse = np.empty_like(r)
-        _motion.to_world(frame, r, impulse)
-        self._state = State(s.origin, s.dt, s.count + 1, end, v, impulse, contacts.key, self.detector.memory)
+        history = s.history.after(contacts, frame, blocks, solution.r, u_after, turn)
+        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
         status = np.empty(contacts.mu.size, np.int8)
         _motion.contact_status(solution.u, solution.r, contacts.mu, status)
         q, v_out = d.pinocchio_state(end, v)
@@ -341,12 +345,6 @@ class Stepper:
         Then contacts are looked for where the step begins, and their gaps are extrapolated to the midpoint.
         """
         return bool((reach[: self.dynamics.free] > self.dynamics.inscribed).any())
-
-    def _warm_start(self, contacts: ContactSet, frame: Array) -> Array:
-        """Last step's world impulses of the contacts that are still there, in the frames of now."""
-        r = np.empty(3 * contacts.key.size)
-        _motion.warm_start(self._state.key, self._state.impulse, contacts.key, frame, r)
-        return r
 
     def _fail(self, problem: FC3D, solution: Solution, v_free: Array, guess: Array) -> None:
         message = (

@@ -1,0 +1,101 @@
+"""What a step leaves to the next one: a warm start, and what of the motion is smooth enough to be foreseen.
+
+A step sees its contacts at one configuration, the midpoint, so two first-order terms are missing from its equations:
+the rows of the contacts turn until the end of the step, and contacts bend the motion that the gyroscopic terms belong
+to. The last step knows both up to a first-order error, which makes the scheme second order on smooth motion. What is
+not smooth (an impact, a new corner on the ground) must not be foreseen: only what two successive steps agree on is, the
+smaller of two changes in one direction and nothing otherwise, as slope limiters do for conservation laws.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nsdyn._kernels import motion as _motion
+from nsdyn.contacts import ContactSet
+from nsdyn.problem import Array, Blocks, Index
+
+__all__ = ["History"]
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Memory of the last step; world axes.
+
+    Attributes
+    ----------
+    key : ndarray of int, shape (nc,)
+        Names of its contacts.
+    impulse : ndarray, shape (nc, 3)
+        N·s.
+    velocity : ndarray, shape (nc, 3)
+        Relative velocity Hᵀ v_{k+1} with the rows of its midpoint, m/s.
+    turn : ndarray, shape (nc, 3)
+        (H - H_last)ᵀ v_k, the change of relative velocity by the turning of the rows alone, m/s; 0 where the step
+        before had no such contact.
+    change : ndarray, shape (n,)
+        Change of v by the contacts.
+    push : ndarray, shape (n,)
+        What of it to expect again.
+    """
+
+    key: Index
+    impulse: Array
+    velocity: Array
+    turn: Array
+    change: Array
+    push: Array
+
+    @staticmethod
+    def empty(n: int) -> History:
+        """Of a scene with n coordinates, before its first step."""
+        none = np.empty((0, 3))
+        return History(np.empty(0, np.int64), none, none, none, np.zeros(n), np.zeros(n))
+
+    def scaled(self, ratio: float) -> History:
+        """For steps longer by `ratio`."""
+        return replace(
+            self, impulse=ratio * self.impulse, turn=ratio * self.turn, change=ratio * self.change,
+            push=ratio * self.push,
+        )  # fmt: skip
+
+    def warm_start(self, contacts: ContactSet, frame: Array) -> Array:
+        """Last impulses of the contacts that are still there, in the frames of now, shape (3 nc,), N·s."""
+        r = np.empty(3 * contacts.key.size)
+        _motion.warm_start(self.key, self.impulse, contacts.key, frame, r)
+        return r
+
+    def turning(self, contacts: ContactSet, frame: Array, u: Array) -> tuple[Array, Array]:
+        """h dHᵀ/dt v of the loaded contacts.
+
+        Parameters
+        ----------
+        contacts : ContactSet
+        frame : ndarray, shape (nc, 3, 3)
+        u : ndarray, shape (3 nc,)
+            Hᵀ v_k with the rows of now.
+
+        Returns
+        -------
+        foreseen : ndarray, shape (3 nc,)
+            Contact frames, m/s.
+        turn : ndarray, shape (nc, 3)
+            For the next `History`.
+        """
+        foreseen, turn = np.empty_like(u), np.empty((contacts.key.size, 3))
+        _motion.turning(
+            self.key, self.impulse, self.velocity, self.turn, contacts.key, frame, u, foreseen, turn
+        )  # fmt: skip
+        return foreseen, turn
+
+    def after(self, contacts: ContactSet, frame: Array, blocks: Blocks, r: Array, u: Array, turn: Array) -> History:
+        """History after a step with impulses r and velocities u = Hᵀ v_{k+1}, both (3 nc,)."""
+        impulse, velocity = np.empty_like(turn), np.empty_like(turn)
+        _motion.to_world(frame, r.reshape(-1, 3), impulse)
+        _motion.to_world(frame, u.reshape(-1, 3), velocity)
+        change = blocks.velocity_change(r)
+        agreed = np.minimum(np.abs(change), np.abs(self.change))
+        push = np.where(change * self.change > 0.0, np.copysign(agreed, change), 0.0)
+        return History(contacts.key, impulse, velocity, turn, change, push)
