@@ -12,10 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nsdyn._kernels import motion as _motion
 from nsdyn.contacts import ContactSet
-from nsdyn.problem import Array, Blocks, Index
+from nsdyn.problem import Array, Index
 
 __all__ = ["History"]
 
@@ -28,6 +29,8 @@ class History:
     ----------
     key : ndarray of int, shape (nc,)
         Names of its contacts.
+    status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
     impulse : ndarray, shape (nc, 3)
         N·s.
     velocity : ndarray, shape (nc, 3)
@@ -42,6 +45,7 @@ class History:
     """
 
     key: Index
+    status: NDArray[np.int8]
     impulse: Array
     velocity: Array
     turn: Array
@@ -52,7 +56,7 @@ class History:
     def empty(n: int) -> History:
         """Of a scene with n coordinates, before its first step."""
         none = np.empty((0, 3))
-        return History(np.empty(0, np.int64), none, none, none, np.zeros(n), np.zeros(n))
+        return History(np.empty(0, np.int64), np.empty(0, np.int8), none, none, none, np.zeros(n), np.zeros(n))
 
     def scaled(self, ratio: float) -> History:
         """For steps longer by `ratio`."""
@@ -67,8 +71,8 @@ class History:
         _motion.warm_start(self.key, self.impulse, contacts.key, frame, r)
         return r
 
-    def turning(self, contacts: ContactSet, frame: Array, u: Array) -> tuple[Array, Array]:
-        """h dHᵀ/dt v of the loaded contacts.
+    def turning(self, contacts: ContactSet, frame: Array, u: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """h dHᵀ/dt v of the contacts that were closed.
 
         Parameters
         ----------
@@ -83,19 +87,29 @@ class History:
             Contact frames, m/s.
         turn : ndarray, shape (nc, 3)
             For the next `History`.
+        slides : ndarray of bool, shape (nc,)
+            Which of them slid.
         """
-        foreseen, turn = np.empty_like(u), np.empty((contacts.key.size, 3))
-        _motion.turning(
-            self.key, self.impulse, self.velocity, self.turn, contacts.key, frame, u, foreseen, turn
-        )  # fmt: skip
-        return foreseen, turn
+        nc = contacts.key.size
+        foreseen, turn, slides = np.empty_like(u), np.empty((nc, 3)), np.empty(nc, np.bool_)
+        last = self.key, self.status, self.velocity, self.turn
+        _motion.turning(*last, contacts.key, frame, u, foreseen, turn, slides)
+        return foreseen, turn, slides
 
-    def after(self, contacts: ContactSet, frame: Array, blocks: Blocks, r: Array, u: Array, turn: Array) -> History:
-        """History after a step with impulses r and velocities u = Hᵀ v_{k+1}, both (3 nc,)."""
+    def after(
+        self,
+        contacts: ContactSet,
+        status: NDArray[np.int8],
+        frame: Array,
+        change: Array,
+        r: Array,
+        u: Array,
+        turn: Array,
+    ) -> History:
+        """History after a step with impulses r, their velocity change M⁻¹ H r, and u = Hᵀ v_{k+1}."""
         impulse, velocity = np.empty_like(turn), np.empty_like(turn)
         _motion.to_world(frame, r.reshape(-1, 3), impulse)
         _motion.to_world(frame, u.reshape(-1, 3), velocity)
-        change = blocks.velocity_change(r)
         agreed = np.minimum(np.abs(change), np.abs(self.change))
         push = np.where(change * self.change > 0.0, np.copysign(agreed, change), 0.0)
-        return History(contacts.key, impulse, velocity, turn, change, push)
+        return History(contacts.key, status, impulse, velocity, turn, change, push)

@@ -273,28 +273,37 @@ class Stepper:
         contacts = self.detector.manifold()
         blocks, frame = d.blocks(contacts)
         u_before = blocks.relative_velocity(s.v)
-        gap = contacts.gap + (1.0 - theta) * h * u_before[0::3] if fast else contacts.gap
-        # The rows turn: by `bend` a step, so that velocities at its beginning and end have rows of their own.
-        bend, turn = s.history.turning(contacts, frame, u_before)
-        u_begin, gap = u_before - (1.0 - theta) * bend, gap - 0.5 * (1.0 - theta) ** 2 * h * bend[0::3]
+        # The rows turn by `bend` a step: velocities at its beginning and at its end have rows of their own.
+        bend, turn, slides = s.history.turning(contacts, frame, u_before)
+        u_begin = u_before - (1.0 - theta) * bend
+        gap = contacts.gap + (1.0 - theta) * h * (u_begin if fast else -0.5 * (1.0 - theta) * bend)[0::3]
         w = np.zeros_like(u_before)
         _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w[0::3])
-        q = blocks.relative_velocity(v_free) + theta * bend + w
-        problem = FC3D.from_blocks(blocks, q, contacts.mu)
+        u_free = blocks.relative_velocity(v_free) + theta * bend
         guess = s.history.warm_start(contacts, frame)
+        curve = np.empty_like(w)
+        _motion.curve(u_begin, u_free + blocks.relative_velocity(blocks.velocity_change(guess)), slides, curve)
+        problem = FC3D.from_blocks(blocks, u_free + w + curve, contacts.mu)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = self.solver(problem, guess)
+        status = _status(problem, solution)
+        if curve.any() and curve.reshape(-1, 3)[status == 1].any():  # what was to slide on has stopped
+            curve[:] = 0.0
+            problem = FC3D.from_blocks(blocks, u_free + w, contacts.mu)
+            solution = self.solver(problem, solution.r)
+            status = _status(problem, solution)
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free, guess)
-        v = v_free + blocks.velocity_change(solution.r)
+        change = blocks.velocity_change(solution.r)
+        v = v_free + change
 
         # Positions, and what penetration is left in them.
         v_theta = theta * v + (1.0 - theta) * s.v
         moved = d.advance(s.position, v_theta, h)
-        u = solution.u - w
+        u = solution.u - w - curve
         # What rebounds leaves on its own, unless it is so fast that it would do so on the other side.
         end, gap = self._project(moved, blocks, gap + theta * h * u[0::3], (w[0::3] < 0.0) & (not fast))
 
@@ -313,10 +322,8 @@ class Stepper:
             float(works[1].sum()),
         )
         r = solution.r.reshape(-1, 3)
-        history = s.history.after(contacts, frame, blocks, solution.r, u_after, turn)
+        history = s.history.after(contacts, status, frame, change, solution.r, u_after, turn)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
-        status = np.empty(contacts.mu.size, np.int8)
-        _motion.contact_status(solution.u, solution.r, contacts.mu, status)
         q, v_out = d.pinocchio_state(end, v)
         x, quaternion = d.link_poses(end) if d.trees else (None, None)
         certificate = gauss.certify(problem, solution.r, solution.u)
@@ -397,6 +404,13 @@ class Stepper:
             raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m)")
         if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
             warnings.warn(f"{where}; the first step moves them apart", stacklevel=4)
+
+
+def _status(problem: FC3D, solution: Solution) -> NDArray[np.int8]:
+    """0 open, 1 stick, 2 slip of every contact."""
+    out = np.empty(problem.nc, np.int8)
+    _motion.contact_status(solution.u, solution.r, problem.mu, out)
+    return out
 
 
 def simulate(

@@ -202,8 +202,9 @@ SMOOTH = {
     "rolling in a plane": (lambda _: ellipsoid(Rotation.from_euler("y", 0.6), (0, 0, 0), 2.0), 0.6),
     "rolling": (lambda _: ellipsoid(Rotation.from_euler("yx", (0.6, 0.3)), (0.5, 0.5, 2.0), 2.0), 0.5),
     "sliding without friction": (lambda _: ellipsoid(Rotation.from_euler("yx", (0.6, 0.3)), (0.5, 0.5, 2), 0.0), 0.3),
+    "sliding in a curve": (lambda _: ellipsoid(Rotation.from_euler("yx", (0.6, 0.3)), (0.5, 0.5, 2), 0.15), 0.5),
     "rocking on an edge": (lambda _: rocking(), 0.12),
-    "arm with a sliding tip": (lambda folder: arm(folder, 0.0), 0.2),
+    "arm with a sliding tip": (lambda folder: arm(folder, 0.1), 0.1),
 }
 
 
@@ -271,3 +272,22 @@ def test_constant_sliding_is_exact():
         box = nd.simulate(nd.scenes.load("incline")(angle=30.0, mu=0.2), 1.0, dt=dt, solver=FINE).body("box")
         assert np.linalg.norm(box.linear_velocity[-1]) == pytest.approx(a, rel=1e-12)
         assert np.linalg.norm(box.position[-1] - box.position[0]) == pytest.approx(0.5 * a, rel=1e-12)
+
+
+def test_path_of_a_sliding_point_on_an_incline():
+    """μ = tan α and a start across the slope: the speed plus its part downhill is constant."""
+    angle = math.radians(20.0)
+    material = nd.Material(math.tan(angle))
+
+    def error(steps):
+        scene = nd.Scene(gravity=(g * math.sin(angle), 0, -g * math.cos(angle)))
+        scene.add_halfspace("slope", material=material)
+        # So much inertia that it does not roll.
+        scene.add_sphere(
+            "point", 0.1, 1.0, position=(0, 0, 0.1), inertia=1e6 * np.eye(3), linear_velocity=(0, 1, 0),
+            material=material,
+        )  # fmt: skip
+        v = nd.simulate(scene, 1.0, dt=1.0 / steps, solver=FINE).body("point").linear_velocity
+        return np.linalg.norm(v, axis=1) + v[:, 0] - 1.0
+
+    np.testing.assert_allclose(orders(error, (50, 100, 200)), 2.0, atol=0.05)

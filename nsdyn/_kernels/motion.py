@@ -282,6 +282,25 @@ def impact_law(u, gap, restitution, h_theta, resting_speed, closed, w):
 
 
 @njit(cache=True)
+def curve(u_begin, u_end, slides, w):
+    """Offset that turns the slip which friction opposes from that of the end to that of the middle, into w (3 nc,).
+
+    Half the foreseen change of u_T across its direction, of contacts that slide and will slide on: those whose slip
+    changes by less than half of itself.
+    """
+    for c in range(slides.size):
+        i = 3 * c
+        w[i] = w[i + 1] = w[i + 2] = 0.0
+        x, y = u_end[i + 1], u_end[i + 2]
+        dx, dy = x - u_begin[i + 1], y - u_begin[i + 2]
+        slip = u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2
+        if slides[c] and dx * dx + dy * dy < 0.25 * slip:
+            across = 0.5 * (x * dy - y * dx) / (x * x + y * y)
+            w[i + 1] = across * y
+            w[i + 2] = -across * x
+
+
+@njit(cache=True)
 def contact_works(u_before, u_after, r, normal, friction):
     """Work of every contact impulse, ½ (u⁻ + u⁺)·r split in normal and tangential part, in J."""
     for c in range(normal.size):
@@ -377,11 +396,12 @@ def warm_start(old_key, impulse, new_key, frame, r):
 
 
 @njit(cache=True)
-def turning(old_key, impulse, velocity, old_turn, new_key, frame, u, foreseen, turn):
-    """Change of relative velocity by the turning of the rows, in a step of the contacts that carry over an impulse.
+def turning(old_key, status, velocity, old_turn, new_key, frame, u, foreseen, turn, slides):
+    """Change of relative velocity by the turning of the rows, in a step of the contacts that were not open in the last.
 
     World axes: turn = Hᵀ v - (what it was with the rows of the last step), 0 for other contacts, into turn (nc, 3).
     In the contact frames: the shorter of it and the last one where their angle is acute, else 0, into foreseen (3 nc,).
+    Which of them slid, into slides (nc,).
     """
     order = np.argsort(old_key)
     keys = old_key[order]
@@ -391,11 +411,13 @@ def turning(old_key, impulse, velocity, old_turn, new_key, frame, u, foreseen, t
         for i in range(3):
             foreseen[3 * c + i] = 0.0
             turn[c, i] = 0.0
+        slides[c] = False
         if place[c] == order.size or keys[place[c]] != new_key[c]:
             continue
         k = order[place[c]]
-        if impulse[k, 0] == 0.0 and impulse[k, 1] == 0.0 and impulse[k, 2] == 0.0:
+        if status[k] == 0:
             continue
+        slides[c] = status[k] == 2
         along, now, before = 0.0, 0.0, 0.0
         for j in range(3):
             a[j] = (
