@@ -59,9 +59,10 @@ class Loads:
     Attributes
     ----------
     force, torque : ndarray, shape (nf, 3)
-        On free bodies; force in world axes [N], torque about the centre of mass in body axes [N m].
+        On free bodies; force in world axes [N], torque about the centre of mass in the body axes of the beginning of
+        the step [N m].
     gyroscopic : ndarray, shape (nf, 3)
-        The torque -ω* x J ω* of the step, body axes, N m.
+        Mean gyroscopic torque of the step, J (ω_f - ω)/h - torque, body axes, N m.
     trees : tuple of TreeLoads
     """
 
@@ -69,6 +70,11 @@ class Loads:
     torque: Array
     gyroscopic: Array
     trees: tuple[TreeLoads, ...]
+
+
+def _rotation(quaternion: Array) -> Array:
+    """Rotation matrix of a unit quaternion xyzw."""
+    return np.array(pin.Quaternion(quaternion).toRotationMatrix())
 
 
 class Dynamics:
@@ -131,8 +137,7 @@ class Dynamics:
 
     @staticmethod
     def _velocity(body: Any) -> Array:
-        R = pin.Quaternion(body.quaternion).toRotationMatrix()
-        return np.concatenate((body.linear_velocity, R.T @ body.angular_velocity))
+        return np.concatenate((body.linear_velocity, _rotation(body.quaternion).T @ body.angular_velocity))
 
     def start(self) -> tuple[Position, Array]:
         """Initial position and velocity of the scene."""
@@ -182,6 +187,7 @@ class Dynamics:
         t: float,
         h: float,
         theta: float,
+        push: Array,
         wrenches: Mapping[str, Any] | None,
         tau: Mapping[str, Any] | None,
     ) -> tuple[Array, Loads]:
@@ -195,6 +201,9 @@ class Dynamics:
             Velocity at the beginning of the step.
         t, h, theta : float
             Time at the end of the step, step [s], and θ.
+        push : ndarray, shape (n,)
+            Change of velocity expected of contacts and joint rows: gyroscopic and Coriolis terms belong to the motion
+            with it.
         wrenches : mapping, optional
             Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes.
         tau : mapping, optional
@@ -210,19 +219,19 @@ class Dynamics:
             k = self.names[name]
             force[k] = parts if parts.ndim == 1 else parts[0]
             if parts.ndim == 2:
-                torque[k] = self.R[k].T @ parts[1]
+                torque[k] = _rotation(begin.quaternion[k]).T @ parts[1]
         given = dict(tau or {})
         if unknown := set(given) - {tree.name for tree in self.trees}:
             raise ValueError(
                 f"controller names {min(unknown)!r}; articulations are {[tree.name for tree in self.trees]}"
             )
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
-        _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, out, gyroscopic)
+        _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
         loads = []
         for k, tree in enumerate(self.trees):
             at = slice(self.m_start[self.free + k], self.m_start[self.free + k] + tree.model.nv**2)
             q, control = (begin.trees[k], middle.trees[k]), given.get(tree.name)
-            out[tree.coordinates], load = tree.free_motion(*q, v, h, theta, t, control, self.m[at], self.minv[at])
+            out[tree.coordinates], load = tree.free_motion(*q, v, push, h, theta, t, control, self.m[at], self.minv[at])
             loads.append(load)
         return out, Loads(force, torque, gyroscopic, tuple(loads))
 

@@ -18,8 +18,9 @@ from nsdyn._kernels import motion as _motion
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
+from nsdyn.history import History, foresee_slip, forget_stopped, slip_status
 from nsdyn.joints import JointRows, Rows
-from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution
+from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
 from nsdyn.trajectory import Recorder, Trajectory
@@ -47,12 +48,10 @@ class State:
     position : Position
     v : ndarray, shape (n,)
         Velocity in the coordinates of `Dynamics`.
-    impulse : ndarray, shape (nc, 3)
-        World impulses of the last step's contacts, N·s: the warm start.
+    history : History
+        What the last step leaves to the next.
     memory : ContactMemory
         The last step's contacts and their keys.
-    joint_impulse : ndarray, shape (slots, 3)
-        Impulses of joint limits and joint friction, by the slots of `nsdyn.joints.JointLaws`.
     """
 
     origin: float
@@ -60,10 +59,8 @@ class State:
     count: int
     position: Position
     v: Array
-    impulse: Array
-    key: Index
+    history: History
     memory: ContactMemory
-    joint_impulse: Array
 
     @property
     def t(self) -> float:
@@ -155,9 +152,12 @@ class Stepper:
         M̃ (v_{k+1} - v_k) = h f̃ + H r,   u = Hᵀ v_{k+1} + w,   K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K,
         q_{k+1} = q_k ⊕ h v_{k+θ},
 
-    coefficients at q̃ = q_k ⊕ (1 - θ) h v_k, so that smooth motion is second order for θ = ½; w from the gap or from
-    Newton's impact law. An impact that another one of the same step provokes follows in the next. Penetration left by
-    curvature or by a bad start is removed by a projection of the positions that never touches v.
+    coefficients at q̃ = q_k ⊕ (1 - θ) h v_k; w from the gap or from Newton's impact law, and from the turning of the
+    rows of Hᵀ until the end of the step as far as the last steps foretell it (`History`), so that smooth motion is
+    second order for θ = ½, in contact too. A free body then keeps its energy and its angular momentum in space to
+    round-off, for θ = ½ and up to 2 rad a step. An impact that another one of the same step provokes follows in the
+    next. Penetration left by curvature or by a bad start is removed by a projection of the positions that never
+    touches v.
 
     Parameters
     ----------
@@ -226,10 +226,8 @@ class Stepper:
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position)
-        self._state = State(
-            0.0, self.dt, 0, position, v, np.empty((0, 3)), np.empty(0, np.int64), self.detector.memory,
-            np.zeros((self.dynamics.joints.size, 3)),
-        )  # fmt: skip
+        history = History.empty(v.size, self.dynamics.joints.size)
+        self._state = State(0.0, self.dt, 0, position, v, history, self.detector.memory)
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -249,10 +247,8 @@ class Stepper:
         if state.v.shape != (self.dynamics.n,) or state.position.x.shape != (self.dynamics.free, 3):
             raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {state.v.shape}")
         if state.dt != self.dt:
-            state = State(
-                state.t, self.dt, 0, state.position, state.v, state.impulse * (self.dt / state.dt), state.key,
-                state.memory, state.joint_impulse * (self.dt / state.dt),
-            )  # fmt: skip
+            history = state.history.scaled(self.dt / state.dt)
+            state = State(state.t, self.dt, 0, state.position, state.v, history, state.memory)
         self.detector.memory = state.memory
         self._state = state
 
@@ -276,7 +272,8 @@ class Stepper:
         begun, ended = d.surfaces.twists(s.t), d.surfaces.twists(s.next_t)
         middle = d.advance(s.position, s.v, (1.0 - theta) * h, begun)
         d.evaluate(middle)
-        v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, *self._callbacks(middle))
+        callbacks = self._callbacks(middle)
+        v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, s.history.push, *callbacks)
 
         # Contacts, joint limits and joint friction, and their impact law.
         reach = d.reach(s.v, h, begun)
@@ -294,35 +291,45 @@ class Stepper:
         where = contacts, frame, middle.driven_x, rows.full.nc
         drag, drag_after = d.surfaces.drag(*where, begun), d.surfaces.drag(*where, ended)
         u_before = rows.full.relative_velocity(s.v) + drag
-        u_free = rows.full.relative_velocity(v_free) + drag_after
-        gap, mu, w = self._impact_law(contacts, joints, u_before, u_free, fast)
-        problem = FC3D.from_blocks(rows.blocks, u_free + rows.press + w, mu)
-        guess = self._warm_start(contacts, frame, joints)
+        # The rows turn by `bend` a step: velocities at its beginning and at its end have rows of their own.
+        bend, turn, slides = s.history.turning(contacts, frame, u_before)
+        u_begin = u_before - (1.0 - theta) * bend
+        u_free = rows.full.relative_velocity(v_free) + drag_after + theta * bend
+        gap, mu, w = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
+        guess = s.history.warm_start(contacts, frame, joints)
+        curve = foresee_slip(rows, u_begin, u_free, slides, guess)
+        problem = FC3D.from_blocks(rows.blocks, u_free + rows.press + w + curve, mu)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = self.solver(problem, guess)
-        postponed = self._postpone(problem, solution, contacts.restitution, u_before, w)
-        if postponed.any():
-            problem = FC3D.from_blocks(rows.blocks, u_free + rows.press + w, mu)
-            solution = self.solver(problem, guess)
+        postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w)
+        if forget_stopped(solution, contacts.mu, curve) or postponed.any():
+            problem = FC3D.from_blocks(rows.blocks, u_free + rows.press + w + curve, mu)
+            solution = self.solver(problem, solution.r)
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, guess)
-        v = v_free + rows.velocity_change(solution.r)
+        change = rows.velocity_change(solution.r)
+        v = v_free + change
 
         # Positions, and what penetration is left in them.
         v_theta = theta * v + (1.0 - theta) * s.v
         moved = d.advance(s.position, v_theta, h, theta * ended + (1.0 - theta) * begun)
-        u = solution.u - w
+        u = solution.u - w - curve
         nc = contacts.gap.size
-        # What rebounds leaves on its own, unless it is so fast that it would do so on the other side.
-        leaving = ((w[0::3] < 0.0) | postponed) & (not fast)
-        leaving[nc:] = False  # a joint that rebounds half a step late is behind its limit
-        end, gap = self._project(moved, rows, gap + theta * h * u[0::3], leaving)
+        end, gap = moved, gap + theta * h * u[0::3]
+        if gap.min(initial=0.0) < -CLOSED:
+            # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
+            # would do so on the other side.
+            ahead = gap + h * (u + theta * (u_free - u_begin))[0::3]
+            leaving = (((w[0::3] < 0.0) & (ahead >= 0.0)) | postponed) & (not fast)
+            leaving[nc:] = False  # a joint that rebounds half a step late is behind its limit
+            end, gap = self._project(moved, rows, gap, leaving)
 
         # Certificate, ledger, record.
-        normal, friction = energy.contact_works(u_before, u, solution.r)
+        u_after = u - theta * bend
+        normal, friction = energy.contact_works(u_before, u_after, solution.r)
         step_energy = energy.ledger(
             d,
             h,
@@ -336,13 +343,10 @@ class Stepper:
             -0.5 * float(((drag + drag_after) * solution.r).sum()),
         )
         r = solution.r.reshape(-1, 3)
-        impulse = np.empty((nc, 3))
-        _motion.to_world(frame, r, impulse)
+        status = slip_status(solution, contacts.mu)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
-        memory = impulse, contacts.key, self.detector.memory, slots
-        self._state = State(s.origin, s.dt, s.count + 1, end, v, *memory)
-        status = np.empty(nc, np.int8)
-        _motion.contact_status(solution.u, solution.r, contacts.mu, status)
+        history = s.history.after(contacts, status, frame, change, r, u_after, turn, slots)
+        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
         q, v_out = d.pinocchio_state(end, v)
         x, quaternion = d.poses(end)
         certificate = gauss.certify(problem, solution.r, solution.u)
@@ -355,17 +359,16 @@ class Stepper:
         )  # fmt: skip
 
     def _impact_law(
-        self, contacts: ContactSet, joints: JointRows | None, u_before: Array, u_free: Array, fast: bool
+        self, contacts: ContactSet, joints: JointRows | None, u_begin: Array, u_free: Array, bend: Array, fast: bool
     ) -> tuple[Array, Array, Array]:
         """(gap, mu, w) of contacts, then joint rows: the gaps at the midpoint and the offsets of the impact law."""
         h, theta, nc = self.dt, self.theta, contacts.gap.size
-        gap, mu, w = contacts.gap, contacts.mu, np.zeros_like(u_before)
-        if fast:
-            gap = gap + (1.0 - theta) * h * u_before[0 : 3 * nc : 3]
+        moves = u_begin if fast else -0.5 * (1.0 - theta) * bend
+        gap, mu, w = contacts.gap + (1.0 - theta) * h * moves[0 : 3 * nc : 3], contacts.mu, np.zeros_like(u_begin)
         w_N = w[0::3]
-        _motion.impact_law(u_before, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w_N[:nc])
+        _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w_N[:nc])
         if joints is not None:
-            u, free = u_before[3 * nc :], u_free[3 * nc :]
+            u, free = u_begin[3 * nc :], u_free[3 * nc :]
             _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, CLOSED, w_N[nc:])
             gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
         return gap, mu, w
@@ -389,17 +392,18 @@ class Stepper:
         return bool((reach[: self.dynamics.free] > self.dynamics.inscribed).any())
 
     def _postpone(
-        self, problem: FC3D, solution: Solution, restitution: Array, u_before: Array, w: Array
+        self, problem: FC3D, solution: Solution, restitution: Array, u_begin: Array, w: Array
     ) -> NDArray[np.bool_]:
         """Leave impacts that others of this step provoke to the next one, in `w`; tells which of the rows.
 
         A contact with e > 0 that is open or opening gets no impact law, and what closes it within the step would make
         it perfectly plastic. Where without it the bodies would meet faster than those that rest, w lets them pass.
         """
-        opening = (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_before[0::3] > self.resting_speed))
-        late: NDArray[np.bool_] = opening & (solution.r[0::3] > 0.0)
-        late[restitution.size :] = False  # joint limits have a law of their own
-        late[: restitution.size] &= restitution > 0.0
+        late = np.zeros(problem.nc, np.bool_)
+        late[: restitution.size] = restitution > 0.0  # joint limits have a law of their own
+        if late.any():
+            late &= solution.r[0::3] > 0.0
+            late &= (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_begin[0::3] > self.resting_speed))
         if late.any():
             away = np.zeros_like(w)
             away[0::3][late] = 2.0 * np.abs(problem.q).max()
@@ -408,12 +412,6 @@ class Stepper:
             late &= (free.u - away - w)[0::3] < -self.resting_speed
             w[0::3][late] += away[0::3][late]
         return late
-
-    def _warm_start(self, contacts: ContactSet, frame: Array, joints: JointRows | None) -> Array:
-        """Last step's world impulses of the contacts that are still there, in the frames of now, and of the joints."""
-        r = np.empty(3 * contacts.key.size)
-        _motion.warm_start(self._state.key, self._state.impulse, contacts.key, frame, r)
-        return r if joints is None else np.concatenate((r, self._state.joint_impulse[joints.slot].ravel()))
 
     def _fail(self, problem: FC3D, solution: Solution, v_free: Array | None, guess: Array) -> None:
         message = (

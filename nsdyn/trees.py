@@ -254,6 +254,7 @@ class Tree:
         begin: Array,
         middle: Array,
         velocity: Array,
+        push: Array,
         h: float,
         theta: float,
         t: float,
@@ -265,8 +266,9 @@ class Tree:
 
         The forces linear in the end velocity v' make the effective mass matrix
         M + h θ D + h² θ² K + h kd + h² kp: damping -D v_θ and springs -K (q_k + θ h v_θ - rest) act at the θ-point,
-        PD control at the end. The bias is Pinocchio's at ½ (v + v'); for θ = ½ a multiple of M (v + v') of order h² is
-        added that makes its work on the free motion the change of kinetic and gravity energy exactly.
+        PD control at the end. The bias is Pinocchio's at ½ (v + v'), v' with the `push`; for θ = ½ a multiple of
+        M (v + v') of order h² is added that makes its work on that motion the change of kinetic and gravity energy
+        exactly.
 
         Parameters
         ----------
@@ -274,6 +276,8 @@ class Tree:
             Configurations; `evaluate` has been called at the middle.
         velocity : ndarray
             Of the scene, at the beginning.
+        push : ndarray
+            Change of it expected of contacts and joint rows.
         h, theta : float
         t : float
             Time at the end of the step, s.
@@ -310,15 +314,16 @@ class Tree:
             momentum = effective @ v
             drive = np.array([motion.rate(t) for motion in self.driven])
         bias, new, before = zero, v, v
+        kick = push[self.coordinates]
         for k in range(PASSES):
-            mean = 0.5 * (v + new)
-            bias = np.array(pin.nonLinearEffects(self.model, self.data, middle, mean))
-            if theta == 0.5 and new is not v:
-                bias = self._conserving(bias, loads.energies, begin, v, new, h, inverse)
+            end = new + kick
+            bias = np.array(pin.nonLinearEffects(self.model, self.data, middle, 0.5 * (v + end)))
+            if theta == 0.5 and k:
+                bias = self._conserving(bias, loads.energies, begin, v, end, h, inverse)
             before = new
             if self.constrained:
                 if k < 2:  # later passes would diverge where a step is longer than the way to a singular configuration
-                    fixed = self.P @ np.concatenate((self._loop_rates(begin, v, new, h, theta), drive))
+                    fixed = self.P @ np.concatenate((self._loop_rates(begin, v, end, h, theta), drive))
                 new = fixed + self.Z @ (self.Z.T @ (momentum + h * (force - bias)))
             else:
                 new = v + h * (inverse @ (force - bias))

@@ -192,7 +192,10 @@ ARTICULATED = [name for name in nd.scenes.names() if nd.scenes.load(name)().arti
 
 @pytest.mark.parametrize("name", ARTICULATED)
 def test_step_against_dense_pinocchio(name):
-    """M, H, W and the free acceleration of a step with contacts (if any in 0.5 s) against Pinocchio's dense ones."""
+    """M, H, W and the free acceleration of a step with contacts (if any in 0.5 s) against Pinocchio's dense ones.
+
+    Inverse masses of trees with closed loops or driven joints B v = b are those of the motions with B v = 0.
+    """
     stepper = nd.Stepper(nd.scenes.load(name)(), dt=nd.scenes.module(name).DT)
     d, h = stepper.dynamics, stepper.dt
     while True:
@@ -201,36 +204,66 @@ def test_step_against_dense_pinocchio(name):
         links = (step.contacts.frame1 >= d.free) | (step.contacts.frame2 >= d.free)
         if links.any() or stepper.t > 0.5:
             break
-    middle = d.advance(before.position, before.v, 0.5 * h)
-    M, H = step.problem.blocks.dense()
-    M_pin, H_pin = M.copy(), np.zeros_like(H)
-    M_pin[6 * d.free :, 6 * d.free :] = 0.0
+    middle = d.advance(before.position, before.v, 0.5 * h, d.surfaces.twists(before.t))
     d.evaluate(middle)
-    v_free, _ = d.free_velocity(before.position, middle, before.v, before.t, h, stepper.theta, None, None)
-    c = step.contacts
-    for k, sign in [(k, s) for k in range(c.gap.size) for s in (-1, 1)]:
-        frame = c.frame1[k] if sign < 0 else c.frame2[k]
+    free_motion = before.v, before.next_t, h, stepper.theta, before.history.push, None, None
+    d.free_velocity(before.position, middle, *free_motion)
+    c, nc = step.contacts, step.contacts.gap.size
+    M, H = d.blocks(c)[0].dense()
+    M_pin, H_pin, inverse = M.copy(), np.zeros_like(H), np.linalg.inv(M)
+    M_pin[6 * d.free :, 6 * d.free :] = 0.0
+    sides = [(k, s, (c.frame1 if s < 0 else c.frame2)[k]) for k in range(nc) for s in (-1, 1)]
+    for k, sign, frame in sides:
         if 0 <= frame < d.free:
             at_point = np.hstack((np.eye(3), -pin.skew(c.point[k] - d.x[frame]) @ d.R[frame]))
             H_pin[6 * frame : 6 * frame + 6, 3 * k : 3 * k + 3] += sign * (step.frame[k] @ at_point).T
     for t, q in zip(d.trees, middle.trees, strict=True):
         model, data, rows = t.model, t.model.createData(), t.coordinates
-        M_pin[rows, rows] = pin.crba(model, data, q)
-        M_pin[rows, rows] = np.triu(M_pin[rows, rows]) + np.triu(M_pin[rows, rows], 1).T
+        mass = dense_mass(model, data, q)
+        M_pin[rows, rows] = mass + 0.5 * h * np.diag(t.damping + 0.5 * h * t.stiffness)
         pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        for k, sign in [(k, s) for k in range(c.gap.size) for s in (-1, 1)]:
-            frame = c.frame1[k] if sign < 0 else c.frame2[k]
+        for k, sign, frame in sides:
             if t.frames.start <= frame < t.frames.stop:
                 joint = t.joints[frame - t.frames.start]
-                J = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
+                J = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)
                 at_point = J[:3] - pin.skew(c.point[k] - data.oMi[joint].translation) @ J[3:]
                 H_pin[rows, 3 * k : 3 * k + 3] += sign * (step.frame[k] @ at_point).T
-        v0, v1 = before.v[rows], v_free[rows]
-        a = pin.aba(model, data, q, 0.5 * (v0 + v1), np.zeros(model.nv))
-        np.testing.assert_allclose((v1 - v0) / h, a, atol=1e-10 * max(1.0, np.abs(a).max()))
-    W = H_pin.T @ np.linalg.solve(M_pin, H_pin)
-    # The bar of all four, relative to the largest entry.
+        inverse[rows, rows] = np.linalg.inv(M_pin[rows, rows])
+        if t.constrained:
+            N = inverse[rows, rows]
+            inverse[rows, rows] = N - N @ t.B.T @ np.linalg.pinv(t.B @ N @ t.B.T, rcond=1e-12) @ t.B @ N
+    W = H_pin.T @ inverse @ H_pin
+    # The bar of all three, relative to the largest entry.
     np.testing.assert_allclose(M, M_pin, atol=1e-10 * np.abs(M_pin).max())
     np.testing.assert_allclose(H, H_pin, atol=1e-10 * np.abs(H_pin).max(initial=1.0))
-    np.testing.assert_allclose(step.problem.W.toarray(), W, atol=1e-10 * np.abs(W).max(initial=1.0))
+    W_contacts = step.problem.W.toarray()[: 3 * nc, : 3 * nc]
+    np.testing.assert_allclose(W_contacts, W, atol=1e-10 * np.abs(W).max(initial=1.0))
+
+
+@pytest.mark.parametrize("name", ARTICULATED)
+def test_free_acceleration_against_pinocchio(name):
+    """M a + D v + K (q - rest) + bias(q, v) = 0 on admissible motions, at the mean velocity of a very short step."""
+    scene = nd.scenes.load(name)()
+    stepper = nd.Stepper(scene, dt=nd.scenes.module(name).DT)
+    while stepper.t < 0.1:
+        stepper.step()
+    d, state, h = stepper.dynamics, stepper.get_state(), 1e-5
+    middle = d.advance(state.position, state.v, 0.5 * h)
+    d.evaluate(middle)
+    v, _ = d.free_velocity(state.position, middle, state.v, state.t + h, h, 0.5, np.zeros(d.n), None, None)
+    a, mean = (v - state.v) / h, 0.5 * (v + state.v)
+    for t, begin, q in zip(d.trees, state.position.trees, middle.trees, strict=True):
+        rows, data = t.coordinates, t.model.createData()
+        inertial = dense_mass(t.model, data, q) @ a[rows]
+        bias = pin.nonLinearEffects(t.model, data, q, mean[rows])
+        springs = t.stiffness * (t.angle(begin) + 0.5 * h * mean[rows] - t.rest)
+        Z = t.Z if t.constrained else np.eye(t.model.nv)
+        force = Z.T @ (inertial + t.damping * mean[rows] + springs + bias)
+        scale = max(1.0, np.abs(Z.T @ inertial).max(initial=0.0), np.abs(Z.T @ bias).max(initial=0.0))
+        # The term of order h² that conserves the energy, and round-off / h.
+        assert np.abs(force).max(initial=0.0) <= ((h * np.abs(mean[rows]).max()) ** 2 + 1e-8) * scale
+
+
+def dense_mass(model, data, q):
+    M = pin.crba(model, data, q)
+    return np.triu(M) + np.triu(M, 1).T
