@@ -31,13 +31,14 @@ class History:
         Names of its contacts.
     status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip.
+    normal : ndarray, shape (nc, 3)
     impulse : ndarray, shape (nc, 3)
         N·s.
     velocity : ndarray, shape (nc, 3)
         Relative velocity Hᵀ v_{k+1} with the rows of its midpoint, m/s.
     turn : ndarray, shape (nc, 3)
         (H - H_last)ᵀ v_k, the change of relative velocity by the turning of the rows alone, m/s; 0 where the step
-        before had no such contact.
+        before had no such contact. H_last is turned by the least rotation that brings its normal to that of H.
     change : ndarray, shape (n,)
         Change of v by the contacts.
     push : ndarray, shape (n,)
@@ -46,6 +47,7 @@ class History:
 
     key: Index
     status: NDArray[np.int8]
+    normal: Array
     impulse: Array
     velocity: Array
     turn: Array
@@ -56,7 +58,7 @@ class History:
     def empty(n: int) -> History:
         """Of a scene with n coordinates, before its first step."""
         none = np.empty((0, 3))
-        return History(np.empty(0, np.int64), np.empty(0, np.int8), none, none, none, np.zeros(n), np.zeros(n))
+        return History(np.empty(0, np.int64), np.empty(0, np.int8), none, none, none, none, np.zeros(n), np.zeros(n))
 
     def scaled(self, ratio: float) -> History:
         """For steps longer by `ratio`."""
@@ -92,7 +94,7 @@ class History:
         """
         nc = contacts.key.size
         foreseen, turn, slides = np.empty_like(u), np.empty((nc, 3)), np.empty(nc, np.bool_)
-        last = self.key, self.status, self.velocity, self.turn
+        last = self.key, self.status, self.normal, self.velocity, self.turn
         _motion.turning(*last, contacts.key, frame, u, foreseen, turn, slides)
         return foreseen, turn, slides
 
@@ -112,4 +114,4 @@ class History:
         _motion.to_world(frame, u.reshape(-1, 3), velocity)
         agreed = np.minimum(np.abs(change), np.abs(self.change))
         push = np.where(change * self.change > 0.0, np.copysign(agreed, change), 0.0)
-        return History(contacts.key, status, impulse, velocity, turn, change, push)
+        return History(contacts.key, status, contacts.normal, impulse, velocity, turn, change, push)
