@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn import energy, fclib, gauss
+from nsdyn import energy, fclib, gauss, impacts
 from nsdyn._kernels import motion as _motion
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
@@ -88,11 +88,14 @@ class Step:
         0 open, 1 stick, 2 slip.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
+    created : float
+        Energy that the contacts of a step with an impact created, J: 0 but for the paradox of Newton's law (`impacts`).
     energy : dict
         The terms of `nsdyn.energy.Ledger`, J.
     gauss : Certificate
     problem : FC3D
     solution : Solution
+        Of the last problem solved: with Poisson's law r is what its expansion adds.
     times : tuple of 5 floats
         Wall time of broad phase, narrow phase (Coal), manifold and assembly, solve, and the rest, s.
     """
@@ -110,6 +113,7 @@ class Step:
     contact_status: NDArray[np.int8]
     work_normal: Array
     work_friction: Array
+    created: float
     energy: dict[str, float]
     gauss: gauss.Certificate
     problem: FC3D
@@ -169,6 +173,8 @@ class Stepper:
         Most contact points per pair of shapes.
     dump_on_fail : path, optional
         Folder for the problems of failing steps, FCLIB global files named by the step, the warm start as a guess.
+    impact : {"newton", "poisson", "fremond"}
+        Law of contacts with restitution: see `nsdyn.impacts`.
 
     Raises
     ------
@@ -193,6 +199,7 @@ class Stepper:
         on_fail: str = "raise",
         max_points: int = 8,
         dump_on_fail: str | Path | None = None,
+        impact: str = "newton",
     ) -> None:
         if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
@@ -200,6 +207,9 @@ class Stepper:
             raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
         if on_fail not in ("raise", "warn", "ignore"):
             raise ValueError(f"on_fail must be 'raise', 'warn' or 'ignore', got {on_fail!r}")
+        if impact not in impacts.LAWS:
+            raise ValueError(f"impact must be one of {impacts.LAWS}, got {impact!r}")
+        self.impact = impact
         self.dump_on_fail = None if dump_on_fail is None else Path(dump_on_fail)
         if self.dump_on_fail is not None and self.dump_on_fail.is_file():
             raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
@@ -279,25 +289,33 @@ class Stepper:
         gap = contacts.gap + (1.0 - theta) * h * (u_begin if fast else -0.5 * (1.0 - theta) * bend)[0::3]
         w = np.zeros_like(u_before)
         _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w[0::3])
-        u_free = blocks.relative_velocity(v_free) + theta * bend
+        struck = w[0::3] < 0.0
+        impacts.apply(self.impact, u_begin, struck, w)
         guess = s.history.warm_start(contacts, frame)
+        q = blocks.relative_velocity(v_free) + theta * bend + w
+        returned = np.zeros_like(w)
+        if self.impact == "poisson" and struck.any():
+            compression = self.solver(FC3D.from_blocks(blocks, 0.5 * (u_begin + w + q), contacts.mu))
+            returned = impacts.returned(compression.r, contacts.restitution)
+            q += blocks.relative_velocity(blocks.velocity_change(returned))
         curve = np.empty_like(w)
-        _motion.curve(u_begin, u_free + blocks.relative_velocity(blocks.velocity_change(guess)), slides, curve)
-        problem = FC3D.from_blocks(blocks, u_free + w + curve, contacts.mu)
+        _motion.curve(u_begin, q - w + blocks.relative_velocity(blocks.velocity_change(guess)), slides, curve)
+        problem = FC3D.from_blocks(blocks, q + curve, contacts.mu)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = self.solver(problem, guess)
-        status = _status(problem, solution)
+        status = _status(solution.u, returned + solution.r, contacts.mu)
         if curve.any() and curve.reshape(-1, 3)[status == 1].any():  # what was to slide on has stopped
             curve[:] = 0.0
-            problem = FC3D.from_blocks(blocks, u_free + w, contacts.mu)
+            problem = FC3D.from_blocks(blocks, q, contacts.mu)
             solution = self.solver(problem, solution.r)
-            status = _status(problem, solution)
+            status = _status(solution.u, returned + solution.r, contacts.mu)
+        r = returned + solution.r
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free, guess)
-        change = blocks.velocity_change(solution.r)
+        change = blocks.velocity_change(r)
         v = v_free + change
 
         # Positions, and what penetration is left in them.
@@ -305,11 +323,11 @@ class Stepper:
         moved = d.advance(s.position, v_theta, h)
         u = solution.u - w - curve
         # What rebounds leaves on its own, unless it is so fast that it would do so on the other side.
-        end, gap = self._project(moved, blocks, gap + theta * h * u[0::3], (w[0::3] < 0.0) & (not fast))
+        end, gap = self._project(moved, blocks, gap + theta * h * u[0::3], struck & (not fast))
 
         # Certificate, ledger, record.
         u_after = u - theta * bend
-        works = energy.contact_works(u_before, u_after, solution.r)
+        works = energy.contact_works(u_before, u_after, r)
         if fast:
             d.evaluate(middle)
         step_energy = energy.ledger(
@@ -321,8 +339,8 @@ class Stepper:
             float(works[0].sum()),
             float(works[1].sum()),
         )
-        r = solution.r.reshape(-1, 3)
-        history = s.history.after(contacts, status, frame, change, solution.r, u_after, turn)
+        created = max(0.0, float(works[0].sum() + works[1].sum())) if struck.any() else 0.0
+        history = s.history.after(contacts, status, frame, change, r, u_after, turn)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
         q, v_out = d.pinocchio_state(end, v)
         x, quaternion = d.link_poses(end) if d.trees else (None, None)
@@ -331,8 +349,8 @@ class Stepper:
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q, v_out, x, quaternion, contacts, gap, frame, u.reshape(-1, 3), r, status,
-            works[0], works[1], step_energy._asdict(), certificate, problem, solution, times,
+            self._state.t, q, v_out, x, quaternion, contacts, gap, frame, u.reshape(-1, 3), r.reshape(-1, 3),
+            status, works[0], works[1], created, step_energy._asdict(), certificate, problem, solution, times,
         )  # fmt: skip
 
     def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
@@ -406,10 +424,10 @@ class Stepper:
             warnings.warn(f"{where}; the first step moves them apart", stacklevel=4)
 
 
-def _status(problem: FC3D, solution: Solution) -> NDArray[np.int8]:
+def _status(u: Array, r: Array, mu: Array) -> NDArray[np.int8]:
     """0 open, 1 stick, 2 slip of every contact."""
-    out = np.empty(problem.nc, np.int8)
-    _motion.contact_status(solution.u, solution.r, problem.mu, out)
+    out = np.empty(mu.size, np.int8)
+    _motion.contact_status(u, r, mu, out)
     return out
 
 
@@ -426,6 +444,7 @@ def simulate(
     progress: bool = False,
     max_points: int = 8,
     dump_on_fail: str | Path | None = None,
+    impact: str = "newton",
 ) -> Trajectory:
     """Simulate a scene and return its trajectory.
 
@@ -434,7 +453,7 @@ def simulate(
     scene : Scene
     duration : float
         s; rounded up to whole steps.
-    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail
+    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact
         As in `Stepper`.
     record : path, optional
         HDF5 file written while the simulation runs; a killed run keeps its steps.
@@ -456,7 +475,7 @@ def simulate(
 
     if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
         raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
-    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail)
+    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact)
     steps = max(1, math.ceil(duration / stepper.dt - 1e-9))
     meta = {"dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver)}
     with Recorder(record, meta, scene.describe(), stepper.start()) as recorder:

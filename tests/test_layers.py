@@ -9,7 +9,8 @@ ROOT = Path(nsdyn.__file__).parent
 ORDER = [
     ["_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
     ["shapes"], ["scene"], ["contacts", "scenes"], ["dynamics"],
-    ["gauss", "energy", "history", "profile", "_peers"], ["trajectory"], ["viewer", "stepper"], ["acceleration", "cli"],
+    ["gauss", "impacts", "energy", "history", "profile", "_peers"], ["trajectory"], ["viewer", "stepper"],
+    ["acceleration", "cli"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
 MATHEMATICS = {"_kernels", "cones", "problem", "formulations", "solvers", "fclib", "gauss"}
