@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels import motion as _motion
 from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointRows, Rows
-from nsdyn.problem import Array, Index, Solution
+from nsdyn.problem import Array, Index
 
 __all__ = ["History", "foresee_slip", "forget_stopped", "slip_status"]
 
@@ -32,13 +32,14 @@ class History:
         Names of its contacts.
     status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip.
+    normal : ndarray, shape (nc, 3)
     impulse : ndarray, shape (nc, 3)
         N·s.
     velocity : ndarray, shape (nc, 3)
         Relative velocity Hᵀ v_{k+1} with the rows of its midpoint, m/s.
     turn : ndarray, shape (nc, 3)
         (H - H_last)ᵀ v_k, the change of relative velocity by the turning of the rows alone, m/s; 0 where the step
-        before had no such contact.
+        before had no such contact. H_last is turned by the least rotation that brings its normal to that of H.
     change : ndarray, shape (n,)
         Change of v by contacts, joint limits and joint friction.
     push : ndarray, shape (n,)
@@ -49,6 +50,7 @@ class History:
 
     key: Index
     status: NDArray[np.int8]
+    normal: Array
     impulse: Array
     velocity: Array
     turn: Array
@@ -60,7 +62,7 @@ class History:
     def empty(n: int, slots: int) -> History:
         """Of a scene with n coordinates and so many slots of joint rows, before its first step."""
         key, status, none = np.empty(0, np.int64), np.empty(0, np.int8), np.empty((0, 3))
-        return History(key, status, none, none, none, np.zeros(n), np.zeros(n), np.zeros((slots, 3)))
+        return History(key, status, none, none, none, none, np.zeros(n), np.zeros(n), np.zeros((slots, 3)))
 
     def scaled(self, ratio: float) -> History:
         """For steps longer by `ratio`."""
@@ -96,7 +98,7 @@ class History:
         """
         nc = contacts.key.size
         foreseen, turn, slides = np.zeros_like(u), np.empty((nc, 3)), np.empty(nc, np.bool_)
-        last = self.key, self.status, self.velocity, self.turn
+        last = self.key, self.status, self.normal, self.velocity, self.turn
         _motion.turning(*last, contacts.key, frame, u, foreseen, turn, slides)
         return foreseen, turn, slides
 
@@ -117,7 +119,7 @@ class History:
         _motion.to_world(frame, u.reshape(-1, 3), velocity)
         agreed = np.minimum(np.abs(change), np.abs(self.change))
         push = np.where(change * self.change > 0.0, np.copysign(agreed, change), 0.0)
-        return History(contacts.key, status, impulse, velocity, turn, change, push, joints)
+        return History(contacts.key, status, contacts.normal, impulse, velocity, turn, change, push, joints)
 
 
 def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, slides: NDArray[np.bool_], guess: Array) -> Array:
@@ -140,18 +142,18 @@ def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, slides: NDArray[np.b
     return curve
 
 
-def forget_stopped(solution: Solution, mu: Array, curve: Array) -> bool:
+def forget_stopped(u: Array, r: Array, mu: Array, curve: Array) -> bool:
     """Put `curve` to 0 if a contact that was to slide on has stopped, and tell whether one has."""
     if not curve.any():
         return False
-    stopped = bool(curve[: 3 * mu.size].reshape(-1, 3)[slip_status(solution, mu) == 1].any())
+    stopped = bool(curve[: 3 * mu.size].reshape(-1, 3)[slip_status(u, r, mu) == 1].any())
     if stopped:
         curve[:] = 0.0
     return stopped
 
 
-def slip_status(solution: Solution, mu: Array) -> NDArray[np.int8]:
+def slip_status(u: Array, r: Array, mu: Array) -> NDArray[np.int8]:
     """0 open, 1 stick, 2 slip of the contacts, those with a friction coefficient in mu (nc,)."""
     status = np.empty(mu.size, np.int8)
-    _motion.contact_status(solution.u, solution.r, mu, status)
+    _motion.contact_status(u, r, mu, status)
     return status

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn import energy, fclib, gauss
+from nsdyn import energy, fclib, gauss, impacts
 from nsdyn._kernels import motion as _motion
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
@@ -97,11 +97,14 @@ class Step:
         J.
     joint_impulse : ndarray, shape (n,)
         Of joint limits and dry joint friction on each coordinate, N m s or N s.
+    created : float
+        Energy that the contacts of a step with an impact created, J: 0 but for the paradox of Newton's law (`impacts`).
     energy : dict
         The terms of `nsdyn.energy.Ledger`, J.
     gauss : Certificate
     problem : FC3D
     solution : Solution
+        Of the last problem solved: with Poisson's law r is what its expansion adds.
     times : tuple of 5 floats
         Wall time of broad phase, narrow phase (Coal), manifold and assembly, solve, and the rest, s.
     """
@@ -120,6 +123,7 @@ class Step:
     work_normal: Array
     work_friction: Array
     joint_impulse: Array
+    created: float
     energy: dict[str, float]
     gauss: gauss.Certificate
     problem: FC3D
@@ -180,6 +184,8 @@ class Stepper:
         Most contact points per pair of shapes.
     dump_on_fail : path, optional
         Folder for the problems of failing steps, FCLIB global files named by the step, the warm start as a guess.
+    impact : {"newton", "poisson", "fremond"}
+        Law of contacts with restitution: see `nsdyn.impacts`.
 
     Raises
     ------
@@ -204,6 +210,7 @@ class Stepper:
         on_fail: str = "raise",
         max_points: int = 8,
         dump_on_fail: str | Path | None = None,
+        impact: str = "newton",
     ) -> None:
         if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
@@ -211,6 +218,9 @@ class Stepper:
             raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
         if on_fail not in ("raise", "warn", "ignore"):
             raise ValueError(f"on_fail must be 'raise', 'warn' or 'ignore', got {on_fail!r}")
+        if impact not in impacts.LAWS:
+            raise ValueError(f"impact must be one of {impacts.LAWS}, got {impact!r}")
+        self.impact = impact
         self.dump_on_fail = None if dump_on_fail is None else Path(dump_on_fail)
         if self.dump_on_fail is not None and self.dump_on_fail.is_file():
             raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
@@ -294,23 +304,25 @@ class Stepper:
         # The rows turn by `bend` a step: velocities at its beginning and at its end have rows of their own.
         bend, turn, slides = s.history.turning(contacts, frame, u_before)
         u_begin = u_before - (1.0 - theta) * bend
-        u_free = rows.full.relative_velocity(v_free) + drag_after + theta * bend
-        gap, mu, w = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
+        u_free = rows.full.relative_velocity(v_free) + rows.press + drag_after + theta * bend
+        gap, mu, w, struck = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
+        q, returned = self._expand(rows, contacts.restitution, mu, u_begin, u_free, w, struck)
         guess = s.history.warm_start(contacts, frame, joints)
-        curve = foresee_slip(rows, u_begin, u_free, slides, guess)
-        problem = FC3D.from_blocks(rows.blocks, u_free + rows.press + w + curve, mu)
+        curve = foresee_slip(rows, u_begin, q, slides, guess)
+        problem = FC3D.from_blocks(rows.blocks, q + w + curve, mu)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = self.solver(problem, guess)
         postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w)
-        if forget_stopped(solution, contacts.mu, curve) or postponed.any():
-            problem = FC3D.from_blocks(rows.blocks, u_free + rows.press + w + curve, mu)
+        if forget_stopped(solution.u, solution.r + returned, contacts.mu, curve) or postponed.any():
+            problem = FC3D.from_blocks(rows.blocks, q + w + curve, mu)
             solution = self.solver(problem, solution.r)
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, guess)
-        change = rows.velocity_change(solution.r)
+        impulse = solution.r + returned
+        change = rows.velocity_change(impulse)
         v = v_free + change
 
         # Positions, and what penetration is left in them.
@@ -323,13 +335,12 @@ class Stepper:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side.
             ahead = gap + h * (u + theta * (u_free - u_begin))[0::3]
-            leaving = (((w[0::3] < 0.0) & (ahead >= 0.0)) | postponed) & (not fast)
-            leaving[nc:] = False  # a joint that rebounds half a step late is behind its limit
+            leaving = ((struck & (ahead >= 0.0)) | postponed) & (not fast)
             end, gap = self._project(moved, rows, gap, leaving)
 
         # Certificate, ledger, record.
         u_after = u - theta * bend
-        normal, friction = energy.contact_works(u_before, u_after, solution.r)
+        normal, friction = energy.contact_works(u_before, u_after, impulse)
         step_energy = energy.ledger(
             d,
             h,
@@ -337,31 +348,36 @@ class Stepper:
             loads,
             (s.position, moved, end),
             (s.v, v, v_theta),
-            rows.full.momentum(solution.r),
+            rows.full.momentum(impulse),
             float(normal.sum()),
             float(friction.sum()),
-            -0.5 * float(((drag + drag_after) * solution.r).sum()),
+            -0.5 * float(((drag + drag_after) * impulse).sum()),
         )
-        r = solution.r.reshape(-1, 3)
-        status = slip_status(solution, contacts.mu)
+        created = max(0.0, float((normal + friction)[:nc].sum())) if struck.any() else 0.0
+        r = impulse.reshape(-1, 3)
+        status = slip_status(solution.u, impulse, contacts.mu)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
         history = s.history.after(contacts, status, frame, change, r, u_after, turn, slots)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
-        q, v_out = d.pinocchio_state(end, v)
+        q_out, v_out = d.pinocchio_state(end, v)
         x, quaternion = d.poses(end)
         certificate = gauss.certify(problem, solution.r, solution.u)
         times = (
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q, v_out, x, quaternion, contacts, gap[:nc], frame, u.reshape(-1, 3)[:nc], r[:nc], status,
-            normal[:nc], friction[:nc], joint_impulse, step_energy._asdict(), certificate, problem, solution, times,
+            self._state.t, q_out, v_out, x, quaternion, contacts, gap[:nc], frame, u.reshape(-1, 3)[:nc], r[:nc],
+            status, normal[:nc], friction[:nc], joint_impulse, created, step_energy._asdict(), certificate, problem,
+            solution, times,
         )  # fmt: skip
 
     def _impact_law(
         self, contacts: ContactSet, joints: JointRows | None, u_begin: Array, u_free: Array, bend: Array, fast: bool
-    ) -> tuple[Array, Array, Array]:
-        """(gap, mu, w) of contacts, then joint rows: the gaps at the midpoint and the offsets of the impact law."""
+    ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """(gap, mu, w, struck) of contacts, then joint rows.
+
+        Gaps at the midpoint, offsets of the impact law, and which contacts have an impact.
+        """
         h, theta, nc = self.dt, self.theta, contacts.gap.size
         moves = u_begin if fast else -0.5 * (1.0 - theta) * bend
         gap, mu, w = contacts.gap + (1.0 - theta) * h * moves[0 : 3 * nc : 3], contacts.mu, np.zeros_like(u_begin)
@@ -371,7 +387,27 @@ class Stepper:
             u, free = u_begin[3 * nc :], u_free[3 * nc :]
             _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, CLOSED, w_N[nc:])
             gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
-        return gap, mu, w
+        struck = w_N < 0.0
+        struck[nc:] = False  # a joint that rebounds half a step late is behind its limit
+        impacts.apply(self.impact, u_begin, struck, w)
+        return gap, mu, w, struck
+
+    def _expand(
+        self,
+        rows: Rows,
+        restitution: Array,
+        mu: Array,
+        u_begin: Array,
+        u_free: Array,
+        w: Array,
+        struck: NDArray[np.bool_],
+    ) -> tuple[Array, Array | float]:
+        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, 0) without."""
+        if self.impact != "poisson" or not struck.any():
+            return u_free, 0.0
+        compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (u_begin + u_free) + w, mu))
+        r = impacts.returned(compression.r, np.append(restitution, np.zeros(mu.size - restitution.size)))
+        return u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r
 
     def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
         """(wrenches, joint forces) of the user's callbacks at the midpoint."""
@@ -400,7 +436,8 @@ class Stepper:
         it perfectly plastic. Where without it the bodies would meet faster than those that rest, w lets them pass.
         """
         late = np.zeros(problem.nc, np.bool_)
-        late[: restitution.size] = restitution > 0.0  # joint limits have a law of their own
+        if self.impact != "poisson":  # whose expansion serves them too
+            late[: restitution.size] = restitution > 0.0  # joint limits have a law of their own
         if late.any():
             late &= solution.r[0::3] > 0.0
             late &= (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_begin[0::3] > self.resting_speed))
@@ -480,6 +517,7 @@ def simulate(
     progress: bool = False,
     max_points: int = 8,
     dump_on_fail: str | Path | None = None,
+    impact: str = "newton",
 ) -> Trajectory:
     """Simulate a scene and return its trajectory.
 
@@ -488,7 +526,7 @@ def simulate(
     scene : Scene
     duration : float
         s; rounded up to whole steps.
-    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail
+    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact
         As in `Stepper`.
     record : path, optional
         HDF5 file written while the simulation runs; a killed run keeps its steps.
@@ -510,7 +548,7 @@ def simulate(
 
     if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
         raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
-    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail)
+    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact)
     steps = max(1, math.ceil(duration / stepper.dt - 1e-9))
     meta = {"dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver)}
     with Recorder(record, meta, scene.describe(), stepper.start()) as recorder:

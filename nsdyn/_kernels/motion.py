@@ -368,12 +368,12 @@ def warm_start(old_key, impulse, new_key, frame, r):
 
 
 @njit(cache=True)
-def turning(old_key, status, velocity, old_turn, new_key, frame, u, foreseen, turn, slides):
+def turning(old_key, status, old_normal, velocity, old_turn, new_key, frame, u, foreseen, turn, slides):
     """Change of relative velocity by the turning of the rows, in a step of the contacts that were not open in the last.
 
-    World axes: turn = Hᵀ v - (what it was with the rows of the last step), 0 for other contacts, into turn (nc, 3).
-    In the contact frames: the shorter of it and the last one where their angle is acute, else 0, into foreseen (3 nc,).
-    Which of them slid, into slides (nc,).
+    World axes: turn = Hᵀ v - (what it was with the rows of the last step, turned with the normal by the least
+    rotation), 0 for other contacts, into turn (nc, 3). In the contact frames: the shorter of it and the last one where
+    their angle is acute, else 0, into foreseen (3 nc,). Which of them slid, into slides (nc,).
     """
     order = np.argsort(old_key)
     keys = old_key[order]
@@ -390,11 +390,16 @@ def turning(old_key, status, velocity, old_turn, new_key, frame, u, foreseen, tu
         if status[k] == 0:
             continue
         slides[c] = status[k] == 2
+        n, m, x = frame[c, 0], old_normal[k], velocity[k]
+        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+        if cosine <= 0.0:
+            continue
+        normal = m[0] * x[0] + m[1] * x[1] + m[2] * x[2]
+        half = (normal + n[0] * x[0] + n[1] * x[1] + n[2] * x[2]) / (1.0 + cosine)
         along, now, before = 0.0, 0.0, 0.0
         for j in range(3):
-            a[j] = (
-                frame[c, 0, j] * u[3 * c] + frame[c, 1, j] * u[3 * c + 1] + frame[c, 2, j] * u[3 * c + 2]
-            ) - velocity[k, j]
+            a[j] = frame[c, 0, j] * u[3 * c] + frame[c, 1, j] * u[3 * c + 1] + frame[c, 2, j] * u[3 * c + 2]
+            a[j] -= x[j] - half * (n[j] + m[j]) + 2.0 * normal * n[j]
             turn[c, j] = a[j]
             along += a[j] * old_turn[k, j]
             now += a[j] * a[j]
