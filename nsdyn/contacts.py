@@ -37,7 +37,8 @@ SKIN = 0.05
 AHEAD = 4.0
 
 TOLERANCE = 0.05
-"""A contact keeps its key while it moves less than this fraction of the smaller bounding radius, on either geom."""
+"""A contact keeps its key while it moves less than this fraction of the smaller bounding radius, on either geom, beyond
+what the geoms themselves may move in the step."""
 
 SHRINK = 1e-3
 """Coal sees the shapes smaller by this fraction of their inscribed radius. At gap 0 its normals are wrong by anything
@@ -248,8 +249,8 @@ class Detector:
         point, old = self._point[:count].copy(), self._memory
         key, local1, local2 = np.empty(count, dtype=np.int64), np.empty((count, 3)), np.empty((count, 3))
         next_key = manifold.match(
-            self._geometry, self._R, self._t, first, second, point, TOLERANCE, old.geom1, old.geom2, old.key,
-            old.local1, old.local2, old.next_key, key, local1, local2,
+            self._geometry, self._R, self._t, first, second, point, TOLERANCE, self._reach, old.geom1, old.geom2,
+            old.key, old.local1, old.local2, old.next_key, key, local1, local2,
         )  # fmt: skip
         self._memory = ContactMemory(first, second, key, local1, local2, next_key)
         return ContactSet(

@@ -61,9 +61,10 @@ class Loads:
     Attributes
     ----------
     force, torque : ndarray, shape (nf, 3)
-        On free bodies; force in world axes [N], torque about the centre of mass in body axes [N m].
+        On free bodies; force in world axes [N], torque about the centre of mass in the body axes of the beginning of
+        the step [N m].
     gyroscopic : ndarray, shape (nf, 3)
-        The torque -ω* x J ω* of the step, body axes, N m.
+        Mean gyroscopic torque of the step, J (ω_f - ω)/h - torque, body axes, N m.
     trees : tuple of TreeLoads
     """
 
@@ -71,6 +72,11 @@ class Loads:
     torque: Array
     gyroscopic: Array
     trees: tuple[TreeLoads, ...]
+
+
+def _rotation(quaternion: Array) -> Array:
+    """Rotation matrix of a unit quaternion xyzw."""
+    return np.array(pin.Quaternion(quaternion).toRotationMatrix())
 
 
 class Dynamics:
@@ -138,8 +144,7 @@ class Dynamics:
 
     @staticmethod
     def _velocity(body: Any) -> Array:
-        R = pin.Quaternion(body.quaternion).toRotationMatrix()
-        return np.concatenate((body.linear_velocity, R.T @ body.angular_velocity))
+        return np.concatenate((body.linear_velocity, _rotation(body.quaternion).T @ body.angular_velocity))
 
     def start(self) -> tuple[Position, Array]:
         """Initial position and velocity of the scene."""
@@ -189,6 +194,7 @@ class Dynamics:
         t: float,
         h: float,
         theta: float,
+        push: Array,
         wrenches: Mapping[str, Any] | None,
         tau: Mapping[str, Any] | None,
     ) -> tuple[Array, Loads]:
@@ -202,6 +208,9 @@ class Dynamics:
             Velocity at the beginning of the step.
         t, h, theta : float
             Time at the end of the step, step [s], and θ.
+        push : ndarray, shape (n,)
+            Change of velocity expected of contacts and joint rows: gyroscopic and Coriolis terms belong to the motion
+            with it.
         wrenches : mapping, optional
             Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes.
         tau : mapping, optional
@@ -217,20 +226,20 @@ class Dynamics:
             k = self.names[name]
             force[k] = parts if parts.ndim == 1 else parts[0]
             if parts.ndim == 2:
-                torque[k] = self.R[k].T @ parts[1]
+                torque[k] = _rotation(begin.quaternion[k]).T @ parts[1]
         given = dict(tau or {})
         if unknown := set(given) - {tree.name for tree in self.trees}:
             raise ValueError(
                 f"controller names {min(unknown)!r}; articulations are {[tree.name for tree in self.trees]}"
             )
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
-        _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, out, gyroscopic)
+        _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
         loads = []
         for k, tree in enumerate(self.trees):
             nv, at = tree.model.nv, self.m_start[self.free + k]
             m, minv = (a[at : at + nv * nv].reshape(nv, nv) for a in (self.m, self.minv))
             where, control = (begin.trees[k], middle.trees[k]), given.get(tree.name)
-            out[tree.coordinates], load = tree.free_motion(*where, v, h, theta, t, control, m, minv)
+            out[tree.coordinates], load = tree.free_motion(*where, v, push, h, theta, t, control, m, minv)
             loads.append(load)
         return out, Loads(force, torque, gyroscopic, tuple(loads))
 

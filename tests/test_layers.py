@@ -10,7 +10,8 @@ ORDER = [
     ["workers", "_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
     ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
     ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
-    ["gauss", "energy", "profile", "_peers", "bench"], ["trajectory"], ["viewer", "stepper"], ["ensemble"], ["cli"],
+    ["gauss", "impacts", "energy", "history", "profile", "_peers", "bench"], ["trajectory"], ["viewer", "stepper"],
+    ["acceleration", "ensemble"], ["cli"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
 MATHEMATICS = {"_kernels", "cones", "problem", "formulations", "solvers", "fclib", "gauss"}

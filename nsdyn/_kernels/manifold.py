@@ -887,13 +887,14 @@ def manifolds(
 
 @njit(cache=True)
 def match(
-    geometry, R, t, first, second, point, tolerance, old1, old2, old_key, old_local1, old_local2, next_key, key,
-    local1, local2,
+    geometry, R, t, first, second, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key,
+    key, local1, local2,
 ):  # fmt: skip
     """Give contacts the keys of those they continue; new ones count up from next_key, which is returned.
 
     Both lists are sorted by pair. Within a pair the closest old and new points are matched first, by the smaller of
-    the distances seen from geom 1 and from geom 2, up to `tolerance` times the radius of the smaller geom.
+    the distances seen from geom 1 and from geom 2, up to `tolerance` times the radius of the smaller geom and the
+    `slack` (ngeoms,) of both, by which they may have moved; the only contact of a pair continues the only one before.
     """
     count = first.size
     used = np.zeros(old1.size, dtype=np.bool_)
@@ -912,7 +913,9 @@ def match(
         q = o
         while q < old1.size and old1[q] == i and old2[q] == j:
             q += 1
-        reach = tolerance * min(geometry.radius[i], geometry.radius[j])
+        reach = tolerance * min(geometry.radius[i], geometry.radius[j]) + slack[i] + slack[j]
+        if b - a == 1 and q - o == 1:
+            reach = np.inf
         for _ in range(min(b - a, q - o)):
             best, new, old = reach * reach, -1, -1
             for c in range(a, b):

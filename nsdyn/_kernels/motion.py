@@ -62,62 +62,115 @@ def _solve3(A, b, x):
     ) / det
 
 
+RESOLVED = 2.0
+"""Radians per step up to which the gyroscopic term belongs to the rotation vector that turns the body. Beyond, tan of
+half the angle no longer says how far the body turns."""
+
+PARTS = 1024
+"""Most parts in which a step may be cut for a rotation that Newton cannot follow at once."""
+
+
 @njit(cache=True)
-def free_velocity(J, inverse_mass, gravity, force, torque, h, v, v_free, gyroscopic):
+def _lengthening(half):
+    """Factor κ = tan(y)/y that makes a Cayley map turn by its vector's length, y half of it, and dκ/dy."""
+    if half < 1e-3:
+        return 1.0 + half * half / 3.0, 2.0 * half / 3.0
+    if half > 0.5 * RESOLVED:
+        return math.tan(0.5 * RESOLVED) / (0.5 * RESOLVED), 0.0
+    t = math.tan(half)
+    return t / half, ((1.0 + t * t) * half - t) / (half * half)
+
+
+@njit(cache=True)
+def _turn(I, w, h, torque, kick, new, gyroscopic):
+    """Spin at the end of a step with the change `kick` by contacts, into new; adds the gyroscopic torque of the step.
+
+        J (w' - w) = J kick + h (torque + γ),   γ = -κ w* x (J w* + h torque/2),   w* = (w + w')/2.
+
+    Without kick this is J w' = exp(-[h w*]x) (J w + h torque) where exp is written as a Cayley map, so that with
+    R' = R exp([h w*]x) the change of R J w is h R torque exactly, and that of the energy h w*·torque. Newton from new.
+    Returns whether it converged; `gyroscopic` is left alone if not.
+    """
+    A, mid, z, rhs, dw, g = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    last = np.inf
+    for _ in range(50):
+        for i in range(3):
+            mid[i] = 0.5 * (w[i] + new[i])
+        rate = math.sqrt(mid[0] * mid[0] + mid[1] * mid[1] + mid[2] * mid[2])
+        kappa, slope = _lengthening(0.5 * h * rate)
+        for i in range(3):
+            z[i] = I[i, 0] * mid[0] + I[i, 1] * mid[1] + I[i, 2] * mid[2] + 0.5 * h * torque[i]
+        g[0] = -(mid[1] * z[2] - mid[2] * z[1])
+        g[1] = -(mid[2] * z[0] - mid[0] * z[2])
+        g[2] = -(mid[0] * z[1] - mid[1] * z[0])
+        k = 0.5 * h * kappa
+        stretch = 0.25 * h * h * slope / rate if rate > 0.0 else 0.0
+        for i in range(3):
+            rhs[i] = h * (torque[i] + kappa * g[i])
+            for j in range(3):
+                rhs[i] -= I[i, j] * (new[j] - w[j] - kick[j])
+                # d(mid x z)/d new = ([mid]x J - [z]x) / 2, and what κ changes
+                A[i, j] = I[i, j] - stretch * g[i] * mid[j]
+        for j in range(3):
+            A[0, j] += k * (mid[1] * I[2, j] - mid[2] * I[1, j])
+            A[1, j] += k * (mid[2] * I[0, j] - mid[0] * I[2, j])
+            A[2, j] += k * (mid[0] * I[1, j] - mid[1] * I[0, j])
+        A[0, 1] += k * z[2]
+        A[0, 2] -= k * z[1]
+        A[1, 0] -= k * z[2]
+        A[1, 2] += k * z[0]
+        A[2, 0] += k * z[1]
+        A[2, 1] -= k * z[0]
+        _solve3(A, rhs, dw)
+        change = max(abs(dw[0]), abs(dw[1]), abs(dw[2]))
+        for i in range(3):
+            new[i] += dw[i]
+        # Newton has converged when round-off stops the correction from shrinking.
+        if change == 0.0 or (change >= last and change <= 1e-12 * (abs(new[0]) + abs(new[1]) + abs(new[2]))):
+            for i in range(3):
+                gyroscopic[i] += kappa * g[i]
+            return True
+        last = change
+    return False
+
+
+@njit(cache=True)
+def free_velocity(J, inverse_mass, gravity, force, torque, h, v, kick, v_free, gyroscopic):
     """Velocity of free bodies after a step without contact, into v_free; their gyroscopic torque into gyroscopic.
 
-    Linear: v + h (g + f/m). Angular, in body axes: J (w' - w) = h (tau - w* x J w*) with w* = (w + w')/2, the
-    implicit midpoint, whose work on the free motion is exactly 0; Newton from w' = w.
+    Linear: v + h (g + f/m). Angular, in body axes: J (w' - w) = h (torque + γ), with the γ of `_turn` for a motion on
+    which contacts change the velocity by `kick`. A step too long for Newton is cut in parts, each of which keeps the
+    energy.
     """
-    A, w, mid, rhs, dw, Jm = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    w, new, part, g = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for b in range(J.shape[0]):
+        first = 6 * b + 3
+        spin = 0.0
         for i in range(3):
             v_free[6 * b + i] = v[6 * b + i] + h * (gravity[i] + inverse_mass[b] * force[b, i])
-            w[i] = v[6 * b + 3 + i]
-        I = J[b]
-        spin = abs(w[0]) + abs(w[1]) + abs(w[2]) + abs(torque[b, 0]) + abs(torque[b, 1]) + abs(torque[b, 2])
+            spin += abs(v[first + i]) + abs(torque[b, i]) + abs(kick[first + i])
+            gyroscopic[b, i] = 0.0
         if spin == 0.0:
-            for i in range(3):
-                v_free[6 * b + 3 + i] = 0.0
-                gyroscopic[b, i] = 0.0
+            v_free[first], v_free[first + 1], v_free[first + 2] = 0.0, 0.0, 0.0
             continue
-        new = w.copy()
-        last = np.inf
-        for _ in range(50):
+        parts = 1
+        while True:
             for i in range(3):
-                mid[i] = 0.5 * (w[i] + new[i])
-            for i in range(3):
-                Jm[i] = I[i, 0] * mid[0] + I[i, 1] * mid[1] + I[i, 2] * mid[2]
-            gyroscopic[b, 0] = -(mid[1] * Jm[2] - mid[2] * Jm[1])
-            gyroscopic[b, 1] = -(mid[2] * Jm[0] - mid[0] * Jm[2])
-            gyroscopic[b, 2] = -(mid[0] * Jm[1] - mid[1] * Jm[0])
-            for i in range(3):
-                rhs[i] = h * (torque[b, i] + gyroscopic[b, i])
-                for j in range(3):
-                    rhs[i] -= I[i, j] * (new[j] - w[j])
-                    # d(mid x J mid)/d new = ([mid]x J - [J mid]x) / 2
-                    A[i, j] = I[i, j]
-            k = 0.5 * h
-            for j in range(3):
-                A[0, j] += k * (mid[1] * I[2, j] - mid[2] * I[1, j])
-                A[1, j] += k * (mid[2] * I[0, j] - mid[0] * I[2, j])
-                A[2, j] += k * (mid[0] * I[1, j] - mid[1] * I[0, j])
-            A[0, 1] += k * Jm[2]
-            A[0, 2] -= k * Jm[1]
-            A[1, 0] -= k * Jm[2]
-            A[1, 2] += k * Jm[0]
-            A[2, 0] += k * Jm[1]
-            A[2, 1] -= k * Jm[0]
-            _solve3(A, rhs, dw)
-            change = max(abs(dw[0]), abs(dw[1]), abs(dw[2]))
-            for i in range(3):
-                new[i] += dw[i]
-            # Newton has converged when round-off stops the correction from shrinking.
-            if change == 0.0 or (change >= last and change <= 1e-12 * (abs(new[0]) + abs(new[1]) + abs(new[2]))):
+                w[i] = new[i] = v[first + i]
+                part[i] = kick[first + i] / parts
+                g[i] = 0.0
+            good = True
+            for _ in range(parts):
+                good = _turn(J[b], w, h / parts, torque[b], part, new, g)
+                if not good:
+                    break
+                w[:] = new
+            if good or parts == PARTS:
                 break
-            last = change
+            parts *= 2
         for i in range(3):
-            v_free[6 * b + 3 + i] = new[i]
+            v_free[first + i] = new[i] - kick[first + i]
+            gyroscopic[b, i] = g[i] / parts
 
 
 @njit(cache=True)
@@ -198,6 +251,25 @@ def impact_law(u, gap, restitution, h_theta, resting_speed, closed, w):
             w[c] = restitution[c] * approach
         else:
             w[c] = gap[c] / h_theta if gap[c] > closed else 0.0
+
+
+@njit(cache=True)
+def curve(u_begin, u_end, slides, w):
+    """Offset that turns the slip which friction opposes from that of the end to that of the middle, into w (3 nc,).
+
+    Half the foreseen change of u_T across its direction, of contacts that slide and will slide on: those whose slip
+    changes by less than half of itself.
+    """
+    for c in range(slides.size):
+        i = 3 * c
+        w[i] = w[i + 1] = w[i + 2] = 0.0
+        x, y = u_end[i + 1], u_end[i + 2]
+        dx, dy = x - u_begin[i + 1], y - u_begin[i + 2]
+        slip = u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2
+        if slides[c] and dx * dx + dy * dy < 0.25 * slip:
+            across = 0.5 * (x * dy - y * dx) / (x * x + y * y)
+            w[i + 1] = across * y
+            w[i + 2] = -across * x
 
 
 @njit(cache=True)
@@ -293,3 +365,48 @@ def warm_start(old_key, impulse, new_key, frame, r):
             if known:
                 p = impulse[order[place[c]]]
                 r[3 * c + i] = frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2]
+
+
+@njit(cache=True)
+def turning(old_key, status, old_normal, velocity, old_turn, new_key, frame, u, foreseen, turn, slides):
+    """Change of relative velocity by the turning of the rows, in a step of the contacts that were not open in the last.
+
+    World axes: turn = Hᵀ v - (what it was with the rows of the last step, turned with the normal by the least
+    rotation), 0 for other contacts, into turn (nc, 3). In the contact frames: the shorter of it and the last one where
+    their angle is acute, else 0, into foreseen (3 nc,). Which of them slid, into slides (nc,).
+    """
+    order = np.argsort(old_key)
+    keys = old_key[order]
+    place = np.searchsorted(keys, new_key)
+    a = np.empty(3)
+    for c in range(new_key.size):
+        for i in range(3):
+            foreseen[3 * c + i] = 0.0
+            turn[c, i] = 0.0
+        slides[c] = False
+        if place[c] == order.size or keys[place[c]] != new_key[c]:
+            continue
+        k = order[place[c]]
+        if status[k] == 0:
+            continue
+        slides[c] = status[k] == 2
+        n, m, x = frame[c, 0], old_normal[k], velocity[k]
+        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+        if cosine <= 0.0:
+            continue
+        normal = m[0] * x[0] + m[1] * x[1] + m[2] * x[2]
+        half = (normal + n[0] * x[0] + n[1] * x[1] + n[2] * x[2]) / (1.0 + cosine)
+        along, now, before = 0.0, 0.0, 0.0
+        for j in range(3):
+            a[j] = frame[c, 0, j] * u[3 * c] + frame[c, 1, j] * u[3 * c + 1] + frame[c, 2, j] * u[3 * c + 2]
+            a[j] -= x[j] - half * (n[j] + m[j]) + 2.0 * normal * n[j]
+            turn[c, j] = a[j]
+            along += a[j] * old_turn[k, j]
+            now += a[j] * a[j]
+            before += old_turn[k, j] * old_turn[k, j]
+        if along <= 0.0:
+            continue
+        if before < now:
+            a[:] = old_turn[k]
+        for i in range(3):
+            foreseen[3 * c + i] = frame[c, i, 0] * a[0] + frame[c, i, 1] * a[1] + frame[c, i, 2] * a[2]
