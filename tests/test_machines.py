@@ -1,6 +1,7 @@
 """Mechanisms and robots of `models`: what the literature and mechanics say of them."""
 
 import importlib.metadata
+import time
 
 import numpy as np
 import pinocchio as pin
@@ -200,3 +201,21 @@ def test_robot_of_the_extra():
 def test_unknown_robot_is_named():
     with pytest.raises(ValueError, match=r"robot must be one of \['quadruped', 'solo12'\], got 'cat'"):
         nd.scenes.load("quadruped")(robot="cat")
+
+
+@pytest.mark.slow
+def test_cost_is_linear_in_the_robots():
+    """Twice the robots take twice the processor time of a step at most, but for what the clock scatters."""
+
+    def seconds(count):
+        module = nd.scenes.module("quadruped")
+        scene = module.scene(count=count)
+        stepper = nd.Stepper(scene, dt=5e-3, controller=module.controller(scene, walk=False))
+        times = []
+        for _ in range(220):
+            start = time.process_time()
+            stepper.step()
+            times.append(time.process_time() - start)
+        return np.median(times[20:])
+
+    assert seconds(20) <= 2.5 * seconds(10)

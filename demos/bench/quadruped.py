@@ -1,99 +1,101 @@
-"""A standing quadruped, twelve joints under PD control: time per step and slip of its feet, and MuJoCo's, in one run.
+"""Quadruped that stands for 10 s: time of a step and slip of its feet, for 1 to 20 robots and beside MuJoCo.
 
-    python demos/bench/quadruped.py [--dt 5e-3] [--time 10] [--count 20]
+    python demos/bench/quadruped.py
 
-MuJoCo (extra `peers`) gets the same URDF, gains and feedforward torques, elliptic cones and its implicit integrator.
-Times are processor times, medians over the second half of the run; slip is the largest way of a foot in it. The last
-line is our time for `count` robots in one scene.
+Slip is the path of the points of contact on the ground, the largest of the feet. Time is processor time of a step,
+the median. MuJoCo (extra `peers`) runs the same URDF in the same run, at its defaults and with elliptic cones and
+impratio 10, at the same step and at a fifth of it.
 """
 
-import argparse
 import time
+from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 
 import nsdyn as nd
 
+DURATION, DT = 10.0, 5e-3
+MODULE = nd.scenes.module("quadruped")
+STANCE, (KP, KD) = np.array(MODULE.STANCE["quadruped"]), MODULE.GAINS["quadruped"]
 
-def ours(dt: float, duration: float, count: int = 1) -> tuple[float, float]:
-    """(median seconds of a step, slip of a foot in m) of `count` robots."""
-    module = nd.scenes.module("quadruped")
-    scene = module.scene(count=count)
-    stepper = nd.Stepper(scene, dt, controller=module.controller(scene, walk=False))
-    times, start, slip = [], None, 0.0
-    for k in range(round(duration / dt)):
-        t = time.process_time()
-        step = stepper.step()
-        if 2 * k >= duration / dt:
-            times.append(time.process_time() - t)
-            start = step.contacts.point if start is None else start
-            slip = max(slip, float(np.abs(step.contacts.point - start)[:, :2].max()))
+
+def measure(step: Callable[[], float], dt: float) -> tuple[float, float]:
+    """(median processor time of a step in s, slip in m) of `step`, which returns the fastest slip in m/s."""
+    times, slip = [], 0.0
+    for _ in range(round(DURATION / dt)):
+        start = time.process_time()
+        speed = step()
+        times.append(time.process_time() - start)
+        slip += dt * speed
     return float(np.median(times)), slip
 
 
-def mujoco_model(dt: float) -> tuple[object, object]:
-    """(model, data) of the same robot with its control, standing as ours does at the start."""
-    import mujoco
+def ours(count: int) -> tuple[float, float]:
+    """`measure` of nsdyn with so many robots."""
+    scene = MODULE.scene(count=count)
+    stepper = nd.Stepper(scene, dt=DT, controller=MODULE.controller(scene, walk=False))
 
-    module = nd.scenes.module("quadruped")
-    scene = module.scene()
-    (robot,) = scene.articulations.values()
-    control = module.controller(scene, walk=False)(0.0, robot.q, robot.v)[robot.name]
-    spec = mujoco.MjSpec.from_file(str(nd.scenes.folder() / "quadruped.urdf"))
-    spec.compiler.fusestatic = False
-    spec.option.timestep = dt
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    joints = list(spec.joints)
-    spec.body("trunk").add_freejoint()
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], friction=[0.8, 0, 0])
-    for joint, kp, kd in zip(joints, control.kp[6:], control.kd[6:], strict=True):
-        motor = spec.add_actuator(target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        motor.gaintype, motor.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-        motor.gainprm[0], motor.biasprm[1], motor.biasprm[2] = kp, -kp, -kd
+    def step() -> float:
+        u = stepper.step().u
+        return float(np.hypot(u[:, 1], u[:, 2]).max(initial=0.0))
+
+    stepper.step()  # compiles
+    return measure(step, DT)
+
+
+def mujoco(stiff: bool, dt: float) -> tuple[float, float]:
+    """`measure` of MuJoCo with the same robot, stance and gains."""
+    import mujoco as mj
+
+    # Without this its reader of URDF makes the trunk a part of the world.
+    keep = '<robot name="quadruped"><mujoco><compiler fusestatic="false"/></mujoco>'
+    text = (nd.scenes.folder() / "quadruped.urdf").read_text().replace('<robot name="quadruped">', keep)
+    spec = mj.MjSpec.from_string(text)
+    spec.worldbody.first_body().add_freejoint()
+    spec.worldbody.add_geom(type=mj.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1])
+    spec.option.timestep, spec.option.integrator = dt, mj.mjtIntegrator.mjINT_IMPLICITFAST
+    if stiff:
+        spec.option.cone, spec.option.impratio = mj.mjtCone.mjCONE_ELLIPTIC, 10.0
+    for geom in spec.geoms:
+        geom.friction[0], geom.condim = 0.8, 3
+    for joint in [j for j in spec.joints if j.type == mj.mjtJoint.mjJNT_HINGE]:
+        servo = spec.add_actuator(target=joint.name, trntype=mj.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(KP, kv=KD)
     model = spec.compile()
-    data = mujoco.MjData(model)
-    # MuJoCo's quaternions begin with w.
-    data.qpos[:] = np.concatenate((robot.q[:3], robot.q[[6, 3, 4, 5]], robot.q[7:]))
-    data.ctrl[:], data.qfrc_applied[6:] = control.target[6:], control.feedforward[6:]
-    return model, data
+    data = mj.MjData(model)
+    height = nd.scenes.load("quadruped")().articulations["quadruped"].q[2]
+    data.qpos[:], data.ctrl[:] = np.r_[0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0, STANCE], STANCE
+    velocity = np.zeros(6)
 
+    def slipping() -> float:
+        fastest = 0.0
+        for k in range(data.ncon):
+            contact = data.contact[k]
+            foot = max(contact.geom)
+            mj.mj_objectVelocity(model, data, mj.mjtObj.mjOBJ_GEOM, foot, velocity, 0)
+            at_point = velocity[3:] + np.cross(velocity[:3], contact.pos - data.geom_xpos[foot])
+            fastest = max(fastest, float(np.hypot(*at_point[:2])))
+        return fastest
 
-def peer(dt: float, duration: float) -> tuple[float, float]:
-    """(median seconds of MuJoCo's step, slip of a foot in m)."""
-    import mujoco
-
-    model, data = mujoco_model(dt)
-    feet = [k for k in range(model.nbody) if model.body(k).name.endswith("foot")]
-    times, start, slip = [], None, 0.0
-    for k in range(round(duration / dt)):
-        t = time.process_time()
-        mujoco.mj_step(model, data)
-        if 2 * k >= duration / dt:
-            times.append(time.process_time() - t)
-            start = data.xpos[feet].copy() if start is None else start
-            slip = max(slip, float(np.abs(data.xpos[feet] - start)[:, :2].max()))
-    return float(np.median(times)), slip
+    seconds, _ = measure(lambda: mj.mj_step(model, data) or 0.0, dt)
+    mj.mj_resetData(model, data)
+    data.qpos[:], data.ctrl[:] = np.r_[0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0, STANCE], STANCE
+    return seconds, measure(lambda: mj.mj_step(model, data) or slipping(), dt)[1]
 
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--dt", type=float, default=5e-3)
-    parser.add_argument("--time", type=float, default=10.0)
-    parser.add_argument("--count", type=int, default=20)
-    arguments = parser.parse_args()
-    seconds, slip = ours(arguments.dt, arguments.time)
-    print(f"nsdyn:  {1e6 * seconds:6.0f} us per step   slip {slip:.1e} m")
+    print(f"{'engine':>18} {'dt [s]':>7} {'robots':>7} {'µs per step':>12} {'slip in 10 s [m]':>17}")
+    for count in (1, 5, 20):
+        seconds, slip = ours(count)
+        print(f"{'nsdyn':>18} {DT:7} {count:7} {1e6 * seconds:12.0f} {slip:17.1e}")
     try:
-        import mujoco
+        for name, dt in product(("MuJoCo", "MuJoCo elliptic"), (DT, DT / 5)):
+            seconds, slip = mujoco(name != "MuJoCo", dt)
+            print(f"{name:>18} {dt:7} {1:7} {1e6 * seconds:12.0f} {slip:17.1e}")
     except ImportError:
         print("MuJoCo is not installed: pip install 'nsdyn[peers]'")
-    else:
-        theirs, far = peer(arguments.dt, arguments.time)
-        print(f"MuJoCo {mujoco.__version__}: {1e6 * theirs:6.0f} us per step   slip {far:.1e} m")
-    many, slip = ours(arguments.dt, min(arguments.time, 100 * arguments.dt), arguments.count)
-    print(f"nsdyn, {arguments.count} robots: {1e6 * many:6.0f} us per step, {1e6 * many / arguments.count:.0f} us each")
 
 
 if __name__ == "__main__":
