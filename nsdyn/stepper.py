@@ -279,7 +279,7 @@ class Stepper:
         v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, *self._callbacks(middle))
 
         # Contacts, joint limits and joint friction, and their impact law.
-        reach = d.reach(s.v, h, begun)
+        reach = d.reach(s.v, h, begun, ended)
         fast = self._outruns_contacts(reach)
         if fast:
             d.place(s.position)
@@ -314,15 +314,19 @@ class Stepper:
         # Positions, and what penetration is left in them.
         v_theta = theta * v + (1.0 - theta) * s.v
         moved = d.advance(s.position, v_theta, h, theta * ended + (1.0 - theta) * begun)
-        u = solution.u - w
+        u = rows.full.relative_velocity(v) + drag_after
         nc = contacts.gap.size
-        # What rebounds leaves on its own, unless it is so fast that it would do so on the other side.
+        # What rebounds leaves on its own, unless it is so fast that it would do so on the other side. A joint that
+        # rebounds half a step late is behind its limit, a link of a mechanism in its guide.
         leaving = ((w[0::3] < 0.0) | postponed) & (not fast)
-        leaving[nc:] = False  # a joint that rebounds half a step late is behind its limit
+        leaving[nc:] = False
+        if d.trees:
+            leaving[:nc] &= ~d.held(contacts)
         end, gap = self._project(moved, rows, gap + theta * h * u[0::3], leaving)
 
         # Certificate, ledger, record.
         normal, friction = energy.contact_works(u_before, u, solution.r)
+        driving = -0.5 * float((drag + drag_after) @ solution.r) if d.surfaces.count else 0.0
         step_energy = energy.ledger(
             d,
             h,
@@ -330,10 +334,10 @@ class Stepper:
             loads,
             (s.position, moved, end),
             (s.v, v, v_theta),
-            rows.full.momentum(solution.r),
+            rows.full.momentum(solution.r) if d.constrained else None,
             float(normal.sum()),
             float(friction.sum()),
-            -0.5 * float(((drag + drag_after) * solution.r).sum()),
+            driving,
         )
         r = solution.r.reshape(-1, 3)
         impulse = np.empty((nc, 3))
@@ -396,10 +400,12 @@ class Stepper:
         A contact with e > 0 that is open or opening gets no impact law, and what closes it within the step would make
         it perfectly plastic. Where without it the bodies would meet faster than those that rest, w lets them pass.
         """
-        opening = (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_before[0::3] > self.resting_speed))
-        late: NDArray[np.bool_] = opening & (solution.r[0::3] > 0.0)
-        late[restitution.size :] = False  # joint limits have a law of their own
-        late[: restitution.size] &= restitution > 0.0
+        late = np.zeros(w.size // 3, np.bool_)
+        late[: restitution.size] = restitution > 0.0  # joint limits have a law of their own
+        if not late.any():
+            return late
+        late &= (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_before[0::3] > self.resting_speed))
+        late &= solution.r[0::3] > 0.0
         if late.any():
             away = np.zeros_like(w)
             away[0::3][late] = 2.0 * np.abs(problem.q).max()

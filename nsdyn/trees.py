@@ -23,7 +23,7 @@ __all__ = ["Tree", "TreeLoads"]
 PASSES = 20
 """Most passes of the fixed point for the free motion; it contracts by O(h ω) a pass."""
 
-SETTLED = 1e-10
+SETTLED = 1e-12
 """Relative change of the velocity by the next pass, extrapolated from the last two, at which it stops."""
 
 
