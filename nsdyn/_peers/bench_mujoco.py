@@ -96,4 +96,5 @@ def solref(restitution: float, dt: float) -> str:
 if __name__ == "__main__":
     from stepping import serve  # type: ignore[import-not-found]  # beside this script
 
+    mujoco.set_mju_user_warning(lambda message: None)  # else it writes a log where the user is
     serve(variants, Simulation)
