@@ -13,8 +13,8 @@ def scene(
 ) -> Scene:  # fmt: skip
     """`voussoirs` equal wedges between `radius` ± `thickness`/2 [m], `width` [m] deep.
 
-    It stands if thickness/radius exceeds the limit of Milankovitch's problem for that number of voussoirs
-    (0.10491 for 11, 0.1075 for a continuous arch) and friction holds the joints.
+    It stands if thickness/radius exceeds the limit of Milankovitch's problem for that number of voussoirs with flat
+    faces (0.10459 for 11, 0.1075 for a continuous arch) and friction holds the joints (mu above 0.4 or so).
     """
     out = Scene(name="arch")
     material = Material(mu=mu)

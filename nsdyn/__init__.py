@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nsdyn import fclib, scenes, solvers
+    from nsdyn.control import PD
+    from nsdyn.ensemble import sweep
     from nsdyn.problem import FC3D, NotConverged, Solution, Status
     from nsdyn.scene import Material, Scene
     from nsdyn.solvers import solve
@@ -17,6 +19,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "FC3D",
+    "PD",
     "Material",
     "NotConverged",
     "Scene",
@@ -31,9 +34,12 @@ __all__ = [
     "simulate",
     "solve",
     "solvers",
+    "sweep",
 ]
 
 _HOME = {
+    "control": ("PD",),
+    "ensemble": ("sweep",),
     "problem": ("FC3D", "NotConverged", "Solution", "Status"),
     "scene": ("Material", "Scene"),
     "solvers": ("solve",),

@@ -12,17 +12,21 @@ import importlib.metadata
 import importlib.util
 import inspect
 import json
+import logging
 import math
 import os
 import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from nsdyn.trajectory import Trajectory
 
 __all__ = ["main"]
@@ -31,6 +35,7 @@ __all__ = ["main"]
 def main(argv: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
     arguments = _parser().parse_args(argv)
+    logging.basicConfig(level=logging.INFO, format="nsdyn: %(message)s", stream=sys.stderr)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         try:
@@ -93,14 +98,26 @@ def _parser() -> _Parser:
         default=[],
         help="parameter of the scene; may be repeated",
     )
-    p.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
-    p.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
-    p.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
-    p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
-    p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
+    _add_simulation(p)
     p.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
     p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
+    _add_json(p)
+
+    p = command("sweep", _sweep, "Simulate a named scene for every combination of parameters and print a table.")
+    p.add_argument("scene", metavar="SCENE", help="a name that 'nsdyn scenes' lists")
+    p.add_argument(
+        "--set",
+        metavar="NAME=VALUE,...",
+        action="append",
+        default=[],
+        help="values of a parameter of the scene, with commas between; may be repeated",
+    )
+    _add_simulation(p)
+    where = p.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: this one)")
+    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster whose workers have nsdyn")
+    p.add_argument("--csv", type=Path, metavar="F.csv", help="the table")
     _add_json(p)
 
     p = command("solve", _solve, "Solve a frictional contact problem in an FCLIB file.")
@@ -112,14 +129,33 @@ def _parser() -> _Parser:
 
     p = command("profile", _profile, "Compare solvers on a folder of FCLIB files: Dolan-Moré performance profiles.")
     p.add_argument("folder", type=Path, metavar="DIR")
-    p.add_argument("--solver", action="append", metavar="S", help="solver by name; may be repeated (default: auto)")
-    p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="on the error measure (default: %(default)s)")
+    p.add_argument("--solver", action="append", metavar="S", help="name, or all; may be repeated (default: auto)")
+    p.add_argument(
+        "--tol", type=float, action="append", metavar="E", help="on the error measure; may be repeated (default: 1e-8)"
+    )
+    p.add_argument("--min-contacts", type=int, default=0, metavar="N", help="leave out smaller problems")
     p.add_argument(
         "--limit", type=float, default=10.0, metavar="SECONDS", help="time limit of each solve (default: %(default)s)"
     )
     p.add_argument("--peer", action="append", default=[], metavar="NAME", help="siconos or pinocchio: all its solvers")
     p.add_argument("--csv", type=Path, metavar="F.csv", help="all runs, one a line")
     p.add_argument("--plot", type=Path, metavar="F.png", help="picture of the profiles (png, pdf or svg)")
+    _add_json(p)
+
+    p = command("bench", _bench, "Speed against error: scenes with known answers, in nsdyn and in other engines.")
+    p.add_argument("case", metavar="CASE", nargs="*", help="cases by name (default: all)")
+    p.add_argument(
+        "--peer",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="mujoco, drake, dart, bullet or siconos; may be repeated",
+    )
+    p.add_argument(
+        "--limit", type=float, default=30.0, metavar="SECONDS", help="time limit of each run (default: %(default)s)"
+    )
+    p.add_argument("--csv", type=Path, metavar="F.csv", help="all runs, one a line")
+    p.add_argument("--plot", type=Path, metavar="F.png", help="picture of time against error (png, pdf or svg)")
     _add_json(p)
 
     p = command("energy", _energy, "Print, plot or export the energy ledger of a recording.")
@@ -136,6 +172,14 @@ def _parser() -> _Parser:
     p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
     return parser
+
+
+def _add_simulation(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
+    parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
+    parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
+    parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
+    parser.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
 
 
 def _add_json(parser: argparse.ArgumentParser) -> None:
@@ -204,16 +248,19 @@ def _text(value: Any) -> str:
 
 def _settings(name: str, assignments: list[str]) -> dict[str, Any]:
     """Parse ``name=value`` settings by the type of the default; ValueError naming what is wrong."""
+    return {key: _parse(text, default, key) for key, text, default in _assignments(name, assignments)}
+
+
+def _assignments(name: str, assignments: list[str]) -> Iterator[tuple[str, str, Any]]:
+    """(name, text, default) of every setting of a scene."""
     known = _parameters(name)
-    out = {}
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals:
             raise ValueError(f"--set expects NAME=VALUE, got {assignment!r}")
         if key not in known:
             raise ValueError(f"scene {name} has no parameter {key!r}; it has {', '.join(known) or 'none'}")
-        out[key] = _parse(text, known[key], key)
-    return out
+        yield key, text, known[key]
 
 
 def _parse(text: str, default: Any, name: str) -> Any:
@@ -248,6 +295,8 @@ def _run(arguments: argparse.Namespace) -> int:
             dt=module.DT if arguments.dt is None else arguments.dt,
             theta=arguments.theta,
             solver=solver,
+            controller=nsdyn.scenes.controller(name, scene),
+            external_force=nsdyn.scenes.external_force(name, scene),
             record=arguments.output,
             progress=True,
             dump_on_fail=arguments.dump_on_fail,
@@ -284,7 +333,87 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-# -- solve and profile ---------------------------------------------------------------------------------
+# -- sweep ---------------------------------------------------------------------------------------------
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    import nsdyn
+    from nsdyn import ensemble
+
+    name = arguments.scene
+    module = nsdyn.scenes.module(name)
+    settings = {
+        key: [_parse(value, default, key) for value in text.split(",")]
+        for key, text, default in _assignments(name, arguments.set)
+    }
+    solver = nsdyn.solvers.by_name(arguments.solver, arguments.tol)
+    _check_outputs(arguments.csv)
+    with _executor(arguments) as executor:
+        members = ensemble.sweep(
+            name,
+            settings,
+            module.DURATION if arguments.time is None else arguments.time,
+            executor=executor,
+            keep=ensemble.figures,
+            progress=True,
+            dt=module.DT if arguments.dt is None else arguments.dt,
+            theta=arguments.theta,
+            solver=solver,
+        )
+    rows = [{**m.parameters, "failure": m.failure, **(m.result or {})} for m in members]
+    columns = list(dict.fromkeys(column for row in rows for column in row))  # a failed run has no figures
+    if arguments.csv:
+        import csv
+
+        from nsdyn.trajectory import replacing
+
+        with replacing(arguments.csv) as part, open(part, "w", newline="") as file:
+            sink = csv.DictWriter(file, columns)
+            sink.writeheader()
+            sink.writerows(rows)
+    if arguments.json:
+        _print_json({"scene": name, "runs": rows})
+    else:
+        print(_columns(rows, [column for column in columns if column != "failure"]))
+    for m in members:
+        if m.failure:
+            print(f"nsdyn: not converged: {m.parameters}: {_one_line(m.failure)}", file=sys.stderr)
+    return 1 if any(m.failure for m in members) else 0
+
+
+def _executor(arguments: argparse.Namespace) -> AbstractContextManager[Executor | None]:
+    """What runs the simulations, to be used in a with statement."""
+    if arguments.workers is not None:
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        if arguments.workers < 1:
+            raise ValueError(f"--workers must be at least 1, got {arguments.workers}")
+        return ProcessPoolExecutor(arguments.workers, get_context("spawn"))
+    if arguments.dask is not None:
+        if importlib.util.find_spec("distributed") is None:
+            raise ValueError("--dask needs the extra `cluster`: pip install 'nsdyn[cluster]'")
+        from distributed import Client
+
+        executor: AbstractContextManager[Executor] = Client(arguments.dask).get_executor()
+        return executor
+    return nullcontext()
+
+
+def _columns(rows: list[dict[str, Any]], names: list[str]) -> str:
+    """Text table of some columns; what a row lacks is a dash."""
+    cells = [[_cell(row.get(name)) for name in names] for row in rows]
+    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
+    return "\n".join("  ".join(map(str.rjust, line, widths)) for line in [names, *cells])
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.6g}" if isinstance(value, float) else _text(value)
+
+
+# -- solve, profile and bench ---------------------------------------------------------------------------------
 
 
 def _solve(arguments: argparse.Namespace) -> int:
@@ -323,35 +452,68 @@ def _solve(arguments: argparse.Namespace) -> int:
 
 def _profile(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
+    from functools import partial
 
     from nsdyn import profile
 
     _check_outputs(arguments.csv, arguments.plot)
-    found = profile.measure(
-        arguments.folder, arguments.solver or ["auto"], arguments.tol, arguments.limit, arguments.peer, progress=True
-    )
+    solvers, smallest = arguments.solver or ["auto"], arguments.min_contacts
+    found = [
+        profile.measure(arguments.folder, solvers, tol, arguments.limit, arguments.peer, smallest, progress=True)
+        for tol in arguments.tol or [1e-8]
+    ]
+    if arguments.csv:
+        profile.write_csv(arguments.csv, found)
+    if arguments.plot:
+        _plot(arguments.plot, *(partial(one.plot, legend=one is found[-1]) for one in found))
+    if arguments.json:
+        _print_json([
+            {"tol": p.tol, "limit": p.limit, "summary": p.summary(), "runs": [asdict(run) for run in p.runs]}
+            for p in found
+        ])  # fmt: skip
+    else:
+        print("\n\n".join(f"tol {one.tol:g}\n{one.table()}" for one in found))
+    return 0
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from nsdyn import bench
+
+    _check_outputs(arguments.csv, arguments.plot)
+    found = bench.measure(arguments.case, arguments.peer, arguments.limit, progress=True)
     if arguments.csv:
         found.write_csv(arguments.csv)
     if arguments.plot:
-        _plot(arguments.plot, found.plot)
+        _picture(arguments.plot, found.plot, (13, 9.5), 80)
     if arguments.json:
-        runs = [asdict(run) for run in found.runs]
-        _print_json({"tol": found.tol, "limit": found.limit, "summary": found.summary(), "runs": runs})
+        _print_json({"summary": found.summary(), "runs": [asdict(run) for run in found.runs]})
     else:
         print(found.table())
     return 0
 
 
-def _plot(path: Path, draw: Callable[[Any], Any]) -> None:
-    """Picture of what `draw` draws on matplotlib axes."""
+def _plot(path: Path, *draw: Callable[[Any], Any]) -> None:
+    """Picture of what each `draw` draws on matplotlib axes, side by side."""
+
+    def panels(figure: Any) -> None:
+        for axes, panel in zip(figure.subplots(1, len(draw), squeeze=False)[0], draw, strict=True):
+            panel(axes)
+
+    _picture(path, panels, (3 + 5 * len(draw), 5), 150)
+
+
+def _picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int) -> None:
+    """Picture of what `draw` draws on a matplotlib figure of `size` in inches."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
 
     from nsdyn.trajectory import replacing
 
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    draw(figure.subplots())
+    figure = Figure(figsize=size, layout="constrained")
+    draw(figure)
     with replacing(path) as part:
-        figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=150)
+        figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=dpi)
 
 
 # -- energy and view -----------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from nsdyn.shapes import CAPSULE, HALFSPACE, SPHERE, Shape
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-__all__ = ["ContactMemory", "ContactSet", "Detector"]
+__all__ = ["ContactMemory", "ContactSet", "Detector", "pose_views"]
 
 MARGIN = 1e-3
 """Contacts start at a gap of this fraction of the smaller bounding radius, plus what the bodies may move in a step."""
@@ -365,12 +365,17 @@ def _memory(address: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> A
 
 def _views(data: pin.GeometryData, geoms: int, pairs: int) -> tuple[Array, Array, Array]:
     """Rotations (n, 3, 3) and translations (n, 3) of the geoms, results (m, 10) of the pairs, as live arrays."""
-    pose, result, shift = _strides()
-    origin = data.oMg[0].rotation.ctypes.data
-    rotation = _memory(origin, (geoms, 3, 3), (pose, 8, 24))
-    translation = _memory(origin + shift, (geoms, 3), (pose, 8))
+    result = _strides()[1]
+    rotation, translation = pose_views(data.oMg, geoms)
     results = _memory(data.distanceResults[0].normal.ctypes.data - 8, (pairs, 10), (result, 8))
     return rotation, translation, results
+
+
+def pose_views(poses: Any, count: int) -> tuple[Array, Array]:
+    """Rotations (n, 3, 3) and translations (n, 3) of the first poses of a vector of Pinocchio's, as live arrays."""
+    pose, _, shift = _strides()
+    origin = poses[0].rotation.ctypes.data
+    return _memory(origin, (count, 3, 3), (pose, 8, 24)), _memory(origin + shift, (count, 3), (pose, 8))
 
 
 @cache

@@ -3,7 +3,7 @@
 With one mass matrix M̃ over the step, any r and v̄ = (v_k + v_{k+1})/2, the kinetic change is v̄·(h f̃ + H r) exactly,
 so the works below add up to the change of kinetic plus potential energy, whatever the accuracy of the solve:
 
-    ΔT + ΔV = external + normal + friction + gyroscopic + theta + mass + projection + defect.
+    ΔT + ΔV = external + normal + friction + damping + constraint + gyroscopic + theta + mass + projection + defect.
 
 The defect is round-off. A ledger that does not close is a bug.
 """
@@ -17,6 +17,7 @@ import numpy as np
 from nsdyn._kernels import motion as _motion
 from nsdyn.dynamics import Dynamics, Loads, Position
 from nsdyn.problem import Array
+from nsdyn.trees import Tree, TreeLoads
 
 __all__ = ["Ledger", "contact_works", "ledger"]
 
@@ -27,15 +28,20 @@ class Ledger(NamedTuple):
     kinetic: float
     """½ vᵀ M v."""
     potential: float
-    """Of gravity, 0 at the world's origin."""
+    """Of gravity, 0 at the world's origin, and of joint springs."""
     external: float
     """Of external forces and joint actuation."""
     normal: float
-    """Of normal contact impulses, Σ ½(u_N⁺ + u_N⁻) r_N."""
+    """Of normal contact impulses, Σ ½(u_N⁺ + u_N⁻) r_N, and of joint limits."""
     friction: float
-    """Of tangential contact impulses, Σ ½(u_T⁺ + u_T⁻)·r_T."""
+    """Of tangential contact impulses, Σ ½(u_T⁺ + u_T⁻)·r_T, and of dry joint friction."""
+    damping: float
+    """Of viscous joint damping."""
+    constraint: float
+    """Of bilateral constraints: of what drives bodies, surfaces and joints, and of closed loops, O(h²) of a motion."""
     gyroscopic: float
-    """Of gyroscopic and Coriolis terms: 0 on a free motion, the contacts' share elsewhere."""
+    """Of gyroscopic and Coriolis terms and, for trees, of gravity beyond its potential: with the term `mass` 0 on a
+    free motion, the contacts' share elsewhere."""
     theta: float
     """Of the difference between the velocity that moved the system and the mean one; 0 for θ = ½ in uniform gravity."""
     mass: float
@@ -57,11 +63,14 @@ def contact_works(u_before: Array, u_after: Array, r: Array) -> tuple[Array, Arr
 def ledger(
     dynamics: Dynamics,
     h: float,
+    theta: float,
     loads: Loads,
     positions: tuple[Position, Position, Position],
     velocities: tuple[Array, Array, Array],
+    impulse: Array,
     normal: float,
     friction: float,
+    driving: float,
 ) -> Ledger:
     """Ledger of a step.
 
@@ -69,15 +78,19 @@ def ledger(
     ----------
     dynamics : Dynamics
         Evaluated at the midpoint.
-    h : float
-        Step, s.
+    h, theta : float
+        Step [s] and θ.
     loads : Loads
     positions : (begin, moved, end)
         Before the step, after it, after the position projection.
     velocities : (begin, end, theta)
         v_k, v_{k+1} and v_{k+θ}.
+    impulse : ndarray, shape (n,)
+        H r of contacts and joint rows.
     normal, friction : float
-        Sums of the contact works, J.
+        Sums of the works of contacts and joint rows, J.
+    driving : float
+        Work of prescribed surfaces, J.
     """
     begin, moved, end = positions
     v0, v1, v_theta = velocities
@@ -85,29 +98,50 @@ def ledger(
     d = dynamics
     body = d.mass, d.J, d.gravity, loads.force, loads.torque
     _motion.free_works(*body, loads.gyroscopic, h, v0, v1, v_theta, begin.x, moved.x, works)
-    d_kinetic, d_potential, external, gyroscopic, theta = (float(w) for w in works)
+    d_kinetic, d_potential, external, gyroscopic, slip = (float(w) for w in works)
     kinetic, potential = _motion.free_energies(d.mass, d.J, d.gravity, end.x, v1)
     projection = 0.0
     if end is not moved:
         projection = -float(d.mass @ ((end.x - moved.x) @ d.gravity))
         d_potential += projection
-    mass = 0.0
+    sums = kinetic, potential, d_kinetic, d_potential, external, 0.0, driving, gyroscopic, slip, 0.0, projection
     for k, t in enumerate(d.trees):
-        c = t.coordinates
-        mean, change = 0.5 * (v0[c] + v1[c]), v1[c] - v0[c]
-        at = d.m_start[d.free + k]
-        M = d.m[at : at + change.size**2].reshape(change.size, -1)
-        T0, V0 = t.energies(begin.trees[k], v0[c])
-        V_moved = t.energies(moved.trees[k], v1[c])[1]
-        T1, V1 = t.energies(end.trees[k], v1[c])
-        gravity_work = -h * float(mean @ loads.weight[k])
-        kinetic, potential = kinetic + T1, potential + V1
-        d_kinetic, d_potential = d_kinetic + T1 - T0, d_potential + V1 - V0
-        external += h * float(mean @ loads.tau[k])
-        gyroscopic += -h * float(mean @ loads.bias[k]) - gravity_work
-        theta += gravity_work + V_moved - V0
-        mass += (T1 - T0) - float(mean @ (M @ change))
-        projection += V1 - V_moved
-    total = external + normal + friction + gyroscopic + theta + mass + projection
-    defect = d_kinetic + d_potential - total
-    return Ledger(kinetic, potential, external, normal, friction, gyroscopic, theta, mass, projection, defect)
+        configurations = begin.trees[k], moved.trees[k], end.trees[k]
+        own = _tree_works(t, h, theta, loads.trees[k], configurations, velocities, impulse)
+        sums = tuple(a + b for a, b in zip(sums, own, strict=True))
+    kinetic, potential, d_kinetic, d_potential, external, damping, constraint, gyroscopic, slip, mass, projection = sums
+    total = external + normal + friction + damping + constraint + gyroscopic + slip + mass + projection
+    return Ledger(
+        kinetic, potential, external, normal, friction, damping, constraint, gyroscopic, slip, mass, projection,
+        d_kinetic + d_potential - total,
+    )  # fmt: skip
+
+
+def _tree_works(
+    t: Tree,
+    h: float,
+    theta: float,
+    load: TreeLoads,
+    configurations: tuple[Array, Array, Array],
+    velocities: tuple[Array, Array, Array],
+    impulse: Array,
+) -> tuple[float, ...]:
+    """(T, V, ΔT, ΔV, external, damping, constraint, gyroscopic, theta, mass, projection) of one tree, J."""
+    begin, moved, end = configurations
+    v0, v1, v_theta = (v[t.coordinates] for v in velocities)
+    step = load, v0, v1, v_theta, h, theta
+    kinetic, actuation, damping, springs, bias = (float(w) for w in t.works(*step))
+    T0, V0 = load.energies
+    T1, V1 = t.energies(end, velocities[1])
+    V_moved = V1 if end is moved else t.energies(moved, velocities[1])[1]
+    S0, S1 = t.spring_energy(begin), t.spring_energy(end)
+    S_moved = S1 if end is moved else t.spring_energy(moved)
+    gyroscopic, slip = V_moved - V0 - bias, 0.0
+    if theta != 0.5:
+        drop = -h * float((0.5 * (v0 + v1) - v_theta) @ load.weight)
+        gyroscopic, slip = gyroscopic - drop, drop + springs + S_moved - S0
+    constraint = t.constraint_work(*step, impulse[t.coordinates]) if t.constrained else 0.0
+    return (
+        T1, V1 + S1, T1 - T0, V1 - V0 + S1 - S0, actuation, damping, constraint, gyroscopic, slip,
+        T1 - T0 - kinetic, V1 - V_moved + S1 - S_moved,
+    )  # fmt: skip

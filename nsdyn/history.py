@@ -80,20 +80,20 @@ class History:
         ----------
         contacts : ContactSet
         frame : ndarray, shape (nc, 3, 3)
-        u : ndarray, shape (3 nc,)
-            Hᵀ v_k with the rows of now.
+        u : ndarray, shape (3 m,)
+            Relative velocities at the beginning of the step with the rows of now; those of the contacts come first.
 
         Returns
         -------
-        foreseen : ndarray, shape (3 nc,)
-            Contact frames, m/s.
+        foreseen : ndarray, shape (3 m,)
+            Contact frames, m/s; 0 beyond the contacts.
         turn : ndarray, shape (nc, 3)
             For the next `History`.
         slides : ndarray of bool, shape (nc,)
             Which of them slid.
         """
         nc = contacts.key.size
-        foreseen, turn, slides = np.empty_like(u), np.empty((nc, 3)), np.empty(nc, np.bool_)
+        foreseen, turn, slides = np.zeros_like(u), np.empty((nc, 3)), np.empty(nc, np.bool_)
         last = self.key, self.status, self.normal, self.velocity, self.turn
         _motion.turning(*last, contacts.key, frame, u, foreseen, turn, slides)
         return foreseen, turn, slides

@@ -32,26 +32,30 @@ LAWS = ("newton", "poisson", "fremond")
 
 
 def apply(law: str, u: Array, struck: NDArray[np.bool_], w: Array) -> None:
-    """Change Newton's offsets w (3 nc,) at the contacts that are struck into those of the law.
+    """Change Newton's offsets w at the contacts that are struck into those of the law.
 
     Parameters
     ----------
     law : str
         One of `LAWS`.
-    u : ndarray, shape (3 nc,)
-        Relative velocity before, m/s.
+    u : ndarray, shape (3 m,)
+        Relative velocity before, m/s; the contacts come first.
     struck : ndarray of bool, shape (nc,)
-    w : ndarray, shape (3 nc,)
+    w : ndarray, shape (3 m,)
         So that u⁺ + w obeys the contact law, m/s; written.
     """
     if law == "poisson":
-        w[0::3][struck] = 0.0
+        w[0 : 3 * struck.size : 3][struck] = 0.0
     elif law == "fremond":
         for i in (1, 2):
-            w[i::3][struck] = u[i::3][struck]
+            w[i : 3 * struck.size : 3][struck] = u[i : 3 * struck.size : 3][struck]
 
 
 def returned(r: Array, restitution: Array) -> Array:
-    """Impulses r_c + e r_c of compression and expansion in Poisson's law, from those of compression, (3 nc,)."""
-    out: Array = r * (1.0 + np.repeat(restitution, 3))
+    """Impulses r_c + e r_c of compression and expansion in Poisson's law, from those of compression.
+
+    Rows beyond those of the contacts give nothing back.
+    """
+    out = r.copy()
+    out[: 3 * restitution.size] *= 1.0 + np.repeat(restitution, 3)
     return out

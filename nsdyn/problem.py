@@ -33,6 +33,7 @@ class Status(IntEnum):
     MAX_ITERATIONS = 1
     STALLED = 2
     NOT_FINITE = 3
+    NO_SLATER_POINT = 4
 
     @property
     def message(self) -> str:
@@ -42,6 +43,8 @@ class Status(IntEnum):
             Status.MAX_ITERATIONS: "the iteration limit was reached; allow more or use solver='auto'",
             Status.STALLED: "the residual no longer falls; loosen tol or use another solver",
             Status.NOT_FINITE: "the iterates are not finite; check W, q and mu",
+            Status.NO_SLATER_POINT: "no velocity opens every contact, so that a solution need not exist; "
+            "look for walls or prescribed motions that contradict each other",
         }[self]
 
 
@@ -111,18 +114,24 @@ class Blocks:
         out: Array = _blocks.delassus_scales(self.offset, self.block, self.start, self.h, self.m_start, self.minv)
         return out
 
+    def jacobian(self) -> sp.csr_array:
+        """Hᵀ, shape (3 nc, n), u = Hᵀ v."""
+        c, side = np.nonzero(self.block >= 0)
+        k, start = self.block[c, side], self.start[c, side]
+        n = np.diff(self.offset)[k]
+        pair = np.repeat(np.arange(k.size), 3 * n)
+        inside = np.arange(pair.size) - np.repeat(3 * (np.cumsum(n) - n), 3 * n)
+        row, column = np.divmod(inside, n[pair])
+        places = 3 * c[pair] + row, self.offset[k][pair] + column
+        return sp.csr_array((self.h[start[pair] + inside], places), shape=(3 * self.nc, self.n))
+
     def dense(self) -> tuple[Array, Array]:
         """(M, H) as dense arrays of shapes (n, n) and (n, 3 nc), for checks on small problems."""
-        M, H = np.zeros((self.n, self.n)), np.zeros((self.n, 3 * self.nc))
+        M = np.zeros((self.n, self.n))
         for k, o in enumerate(self.offset[:-1]):
             n = self.offset[k + 1] - o
             M[o : o + n, o : o + n] = self.m[self.m_start[k] : self.m_start[k] + n * n].reshape(n, n)
-        for c in range(self.nc):
-            for k, s in zip(self.block[c], self.start[c], strict=True):
-                if k >= 0:
-                    o, n = self.offset[k], self.offset[k + 1] - self.offset[k]
-                    H[o : o + n, 3 * c : 3 * c + 3] += self.h[s : s + 3 * n].reshape(3, n).T
-        return M, H
+        return M, self.jacobian().toarray().T
 
     @staticmethod
     def from_delassus(W: Any) -> Blocks:

@@ -15,12 +15,9 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
-import select
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property
@@ -31,15 +28,15 @@ import numpy as np
 
 from nsdyn import fclib
 from nsdyn.problem import FC3D, Array
-from nsdyn.solvers import by_name
+from nsdyn.solvers import SOLVERS, by_name
+from nsdyn.workers import Worker
 
-__all__ = ["PEERS", "Profile", "Run", "measure"]
+__all__ = ["PEERS", "Profile", "Run", "measure", "write_csv"]
 
 FACTORS = (1.0, 2.0, 5.0, 47.0)
 """Ratios to the best time at which a table shows the profile."""
 
 _SCRIPTS = Path(__file__).with_name("_peers")
-_LOADING = 120.0  # s for whatever is not a solve: imports, reading, building
 _COMPILING = 120.0  # s that a solver of ours may spend on compilation in all its first calls
 _DENSE = 100  # contacts up to which a dense W is tried too, where a peer takes both
 
@@ -171,15 +168,7 @@ class Profile:
                     )
         return "\n".join(lines + notes)
 
-    def write_csv(self, path: str | Path) -> None:
-        """All runs, one a line; seconds are empty where there is no answer."""
-        with open(path, "w", newline="") as file:
-            sink = csv.writer(file)
-            sink.writerow([field.name for field in fields(Run)])
-            for run in self.runs:
-                sink.writerow([x if not isinstance(x, float) or math.isfinite(x) else "" for x in astuple(run)])
-
-    def plot(self, axes: Any) -> Any:
+    def plot(self, axes: Any, legend: bool = True) -> Any:
         """Draw ρ(τ) of every solver on matplotlib axes and return them."""
         end = 1.1 * float(self.ratios[np.isfinite(self.ratios)].max(initial=10.0))
         for k, name in enumerate(self.solvers):
@@ -190,81 +179,26 @@ class Profile:
             axes.step(np.r_[1.0, x, end], np.r_[y, y[-1]], where="post", label=name, **look)
         axes.set(xscale="log", xlim=(1.0, end), ylim=(0.0, 1.02), title=f"tol {self.tol:g}")
         axes.set(xlabel="τ: time over the best time", ylabel="ρ(τ): fraction of the problems")
-        axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        if legend:
+            axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return axes
+
+
+def write_csv(path: str | Path, profiles: Sequence[Profile]) -> None:
+    """All runs of some profiles, one a line with its tolerance first; seconds are empty where there is no answer."""
+    with open(path, "w", newline="") as file:
+        sink = csv.writer(file)
+        sink.writerow(["tol", *(field.name for field in fields(Run))])
+        for profile in profiles:
+            for run in profile.runs:
+                values = (x if not isinstance(x, float) or math.isfinite(x) else "" for x in astuple(run))
+                sink.writerow([profile.tol, *values])
 
 
 def _geometric_mean(x: Array) -> float:
     """Geometric mean of the finite entries, nan if there are none."""
     x = x[np.isfinite(x)]
     return math.exp(float(np.log(x).mean())) if x.size else math.nan
-
-
-class _Worker:
-    """Process of a script of ours, started when something is asked and again after it had to be ended.
-
-    Parameters
-    ----------
-    command : list of str
-    grace : float
-        s by which first calls may exceed their limit in total, for compilation.
-    """
-
-    def __init__(self, command: list[str], grace: float) -> None:
-        self._command, self._grace = command, grace
-        self._process: subprocess.Popen[bytes] | None = None
-        self._buffer = b""
-
-    def ask(self, request: dict[str, Any], limit: float) -> dict[str, Any]:
-        """Reply to a request, or the reason why there is none."""
-        if self._process is None:
-            threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-            pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-            self._process, self._buffer = subprocess.Popen(self._command, env=os.environ | threads, **pipes), b""
-        process = self._process
-        assert process.stdin is not None
-        try:
-            process.stdin.write(json.dumps(request).encode() + b"\n")
-            process.stdin.flush()
-            allowed, event = _LOADING, ""
-            while True:
-                begin = time.monotonic()
-                reply = self._line(begin + allowed)
-                if event == "warm":
-                    self._grace -= max(0.0, time.monotonic() - begin - limit)
-                if reply is None:
-                    self.close()
-                    return {"failure": f"no answer within {allowed:g} s"}
-                event = reply.get("event", "")
-                if not event:
-                    return reply
-                allowed = {"warm": limit + max(0.0, self._grace), "start": limit, "end": _LOADING}[event]
-        except (BrokenPipeError, EOFError):
-            code = process.wait()
-            self.close()
-            return {"failure": f"the process died with exit code {code}"}
-
-    def _line(self, deadline: float) -> dict[str, Any] | None:
-        """Next line of the process, None after the deadline; EOFError when it is gone."""
-        assert self._process is not None and self._process.stdout is not None
-        pipe = self._process.stdout.fileno()
-        while b"\n" not in self._buffer:
-            if not select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))[0]:
-                return None
-            got = os.read(pipe, 4096)
-            if not got:
-                raise EOFError
-            self._buffer += got
-        line, _, self._buffer = self._buffer.partition(b"\n")
-        out: dict[str, Any] = json.loads(line)
-        return out
-
-    def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
 
 
 @dataclass(frozen=True)
@@ -294,7 +228,7 @@ class _Player:
     tightening: tuple[float, ...] = (1.0, 0.1, 0.01)
     dense: bool = False
 
-    def play(self, worker: _Worker, file: Path, problem: FC3D, tol: float, limit: float, scratch: Path) -> Run:
+    def play(self, worker: Worker, file: Path, problem: FC3D, tol: float, limit: float, scratch: Path) -> Run:
         """Run of the solver on one problem: the fastest that the judge accepts, else the closest."""
         runs = []
         for storage in ("", "/dense") if self.dense and problem.nc <= _DENSE else ("",):
@@ -363,6 +297,7 @@ def measure(
     tol: float = 1e-8,
     limit: float = 10.0,
     peers: Sequence[str] = (),
+    min_contacts: int = 0,
     progress: bool = False,
 ) -> Profile:
     """Run solvers on all FCLIB problems (``*.hdf5``) of a folder.
@@ -371,20 +306,22 @@ def measure(
     ----------
     folder : path
     solvers : sequence of str
-        Names of `nsdyn.solvers.SOLVERS`.
+        Names of `nsdyn.solvers.SOLVERS`, or "all" for every one of them.
     tol : float
         On `FC3D.error`. A peer whose answer misses it is asked again for a tenth and a hundredth of it.
     limit : float
         s per solve.
     peers : sequence of str
         Names of `PEERS`; all solvers of each are run.
+    min_contacts : int
+        Smaller problems are left out.
     progress : bool
         Show a progress bar on stderr when it is a terminal.
 
     Raises
     ------
     ValueError
-        For a folder without problems, a file that cannot be read, unknown names, a limit or tolerance that is not
+        For a folder without such problems, a file that cannot be read, unknown names, a limit or tolerance that is not
         positive, or a peer that is not installed.
     """
     from tqdm import tqdm
@@ -394,19 +331,22 @@ def measure(
         raise ValueError(f"no *.hdf5 files in {folder}")
     if not (math.isfinite(limit) and limit > 0.0):
         raise ValueError(f"limit must be a positive number of seconds, got {limit}")
-    players = [_own(name, tol) for name in solvers]
+    names = [name for given in solvers for name in (SOLVERS if given == "all" else (given,))]
+    players = [_own(name, tol) for name in dict.fromkeys(names)]
     for peer in peers:
         if peer not in PEERS:
             raise ValueError(f"peer must be one of {sorted(PEERS)}, got {peer!r}")
         players += PEERS[peer]()
-    problems = [(file, fclib.read(file)) for file in files]
+    problems = [(file, problem) for file in files if (problem := fclib.read(file)).nc >= min_contacts]
+    if not problems:
+        raise ValueError(f"no problem in {folder} has {min_contacts} contacts")
     runs = []
     with (
         tempfile.TemporaryDirectory(prefix="nsdyn-") as scratch,
-        tqdm(total=len(files) * len(players), unit="solve", disable=None if progress else True) as bar,
+        tqdm(total=len(problems) * len(players), unit="solve", disable=None if progress else True) as bar,
     ):
         for player in players:
-            worker = _Worker(list(player.script), _COMPILING if player.own else 0.0)
+            worker = Worker(list(player.script), _COMPILING if player.own else 0.0)
             try:
                 for file, problem in problems:
                     runs.append(player.play(worker, file, problem, tol, limit, Path(scratch)))

@@ -5,6 +5,7 @@ A scene only collects and checks; nothing is simulated here. SI units, world fra
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,100 +15,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from nsdyn import shapes
+from nsdyn import articulations, checks, robot_files, shapes
+from nsdyn.articulations import Articulation, Description
+from nsdyn.materials import COMBINATION_RULES, Material
+from nsdyn.motions import Motion, Velocity
 from nsdyn.shapes import Shape
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 __all__ = ["COMBINATION_RULES", "Articulation", "Body", "Geom", "Material", "Scene"]
-
-COMBINATION_RULES: dict[str, Callable[[Array, Array], Array]] = {
-    "average": lambda a, b: 0.5 * (a + b),
-    "geometric_mean": lambda a, b: np.asarray(np.sqrt(a * b)),
-    "harmonic_mean": lambda a, b: 2.0 * a * b / np.where(a + b > 0.0, a + b, 1.0),
-    "max": np.maximum,
-    "min": np.minimum,
-    "multiply": np.multiply,
-}
-"""How two materials make one coefficient, by name."""
-
-
-def _number(value: Any, what: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{what} must be a number, got {value!r}") from None
-    if not np.isfinite(number):
-        raise ValueError(f"{what} must be finite, got {number}")
-    return number
-
-
-def _vector(value: ArrayLike, size: int, what: str) -> Array:
-    try:
-        vector = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{what} must be {size} numbers, got {value!r}") from None
-    if vector.shape != (size,):
-        raise ValueError(f"{what} must be {size} numbers, got shape {vector.shape}")
-    if not np.isfinite(vector).all():
-        raise ValueError(f"{what} must be finite, got {vector.tolist()}")
-    return vector
-
-
-def _quaternion(value: ArrayLike, what: str) -> Array:
-    quaternion = _vector(value, 4, what)
-    norm = float(np.linalg.norm(quaternion))
-    if abs(norm - 1.0) > 1e-6:  # what a user's own rounding may leave; more is a mistake (wxyz order, degrees)
-        raise ValueError(f"{what} must be a unit quaternion x y z w, got norm {norm:.9g}")
-    return quaternion / norm
-
-
-def _mass(value: Any, what: str) -> float:
-    mass = _number(value, what)
-    if mass <= 0.0:
-        raise ValueError(f"{what} must be positive, got {mass:g}")
-    return mass
-
-
-def _inertia(value: ArrayLike, what: str) -> Array:
-    """A physical inertia: symmetric, positive, and no principal moment larger than the sum of the others."""
-    inertia = np.array(value, dtype=float)
-    if inertia.shape != (3, 3) or not np.isfinite(inertia).all():
-        raise ValueError(f"{what} must be a finite 3 x 3 matrix, got {value!r}")
-    if not np.allclose(inertia, inertia.T, rtol=1e-9, atol=0.0):
-        raise ValueError(f"{what} must be symmetric, got {inertia.tolist()}")
-    moments = np.linalg.eigvalsh(inertia)
-    if moments[0] <= 0.0:
-        raise ValueError(f"{what} must be positive definite, got principal moments {moments.tolist()}")
-    if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
-        raise ValueError(
-            f"{what} is not that of a body: its principal moments {moments.tolist()} break the triangle inequality"
-        )
-    out: Array = 0.5 * (inertia + inertia.T)
-    return out
-
-
-@dataclass(frozen=True)
-class Material:
-    """What two surfaces are made of, before a combination rule makes one value per pair.
-
-    Parameters
-    ----------
-    mu : float
-        Coulomb's coefficient of friction, ≥ 0.
-    restitution : float
-        Newton's coefficient e in [0, 1]; u_N⁺ = -e u_N⁻ at an impact.
-    """
-
-    mu: float = 0.5
-    restitution: float = 0.0
-
-    def __post_init__(self) -> None:
-        if _number(self.mu, "mu") < 0.0:
-            raise ValueError(f"mu must not be negative, got {self.mu:g}")
-        if not 0.0 <= _number(self.restitution, "restitution") <= 1.0:
-            raise ValueError(f"restitution must lie in [0, 1], got {self.restitution:g}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +46,8 @@ class Body:
     material : Material
     colour : tuple of 4 floats, optional
         RGBA in [0, 1] for the viewer.
+    com : ndarray, shape (3,)
+        Centre of mass in the frame of the shape, m.
     """
 
     name: str
@@ -141,33 +60,12 @@ class Body:
     angular_velocity: Array
     material: Material
     colour: tuple[float, float, float, float] | None
+    com: Array
 
     @property
     def fixed(self) -> bool:
         """Whether the body never moves."""
         return self.mass == 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Articulation:
-    """An articulated tree: one Pinocchio model with its collision shapes.
-
-    Attributes
-    ----------
-    name : str
-    model : pinocchio.Model
-    links : tuple of (name, joint index, placement in the joint frame as SE3, Shape)
-    q, v : ndarray, shapes (nq,), (nv,)
-        Initial configuration and velocity, Pinocchio's convention.
-    material : Material
-    """
-
-    name: str
-    model: Any
-    links: tuple[tuple[str, int, Any, Shape], ...]
-    q: Array
-    v: Array
-    material: Material
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,11 +96,6 @@ class Geom:
     colour: tuple[float, float, float, float] | None = None
 
 
-def _rotation(quaternion: Array) -> Array:
-    out: Array = np.array(pin.Quaternion(quaternion).toRotationMatrix())
-    return out
-
-
 @dataclass(eq=False)
 class Scene:
     """Bodies, articulations and materials under gravity.
@@ -229,9 +122,10 @@ class Scene:
     bodies: dict[str, Body] = field(default_factory=dict, init=False)
     articulations: dict[str, Articulation] = field(default_factory=dict, init=False)
     pairs: dict[frozenset[str], tuple[float | None, float | None]] = field(default_factory=dict, init=False)
+    motions: dict[str, Motion] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        self.gravity = _vector(self.gravity, 3, "gravity")
+        self.gravity = checks.vector(self.gravity, 3, "gravity")
         for argument in ("friction_rule", "restitution_rule"):
             rule = getattr(self, argument)
             if rule not in COMBINATION_RULES:
@@ -249,7 +143,8 @@ class Scene:
     ) -> None:
         """Add the fixed solid {x : normal·x ≤ offset}; `normal` points out of it, `offset` is in m along it."""
         shape = shapes.halfspace(normal, offset)
-        self._add(name, shape, None, (0, 0, 0), (0, 0, 0, 1), (0, 0, 0), (0, 0, 0), material, True, colour, None)
+        keywords = self._keywords({"material": material, "fixed": True, "colour": colour})
+        self._add(name, shape, None, **keywords)
 
     def add_box(self, name: str, size: ArrayLike, mass: float | None = None, **keywords: Any) -> None:
         """Add a box with full edge lengths `size` [m]; see `add_convex` for the other keywords."""
@@ -300,6 +195,8 @@ class Scene:
         colour : sequence of 3 or 4 floats in [0, 1]
         inertia : array, shape (3, 3)
             About the centre of mass in body axes, kg m²; by default that of the homogeneous shape.
+        com : sequence of 3 floats
+            Centre of mass from the centroid of the shape, body axes, m; 0 by default. One elsewhere needs `inertia`.
         """
         shape, centroid = shapes.convex(vertices)
         self._add_hull(name, shape, centroid, mass, position, keywords)
@@ -329,8 +226,9 @@ class Scene:
         position: Any,
         keywords: dict[str, Any],
     ) -> None:
-        quaternion = _quaternion(keywords.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
-        keywords["position"] = _rotation(quaternion) @ centroid if position is None else position
+        quaternion = checks.quaternion(keywords.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
+        com = checks.vector(keywords.get("com", (0, 0, 0)), 3, f"com of {name!r}")
+        keywords["position"] = checks.rotation(quaternion) @ (centroid + com) if position is None else position
         self._add(name, shape, mass, **self._keywords(keywords))
 
     @staticmethod
@@ -338,6 +236,7 @@ class Scene:
         known: dict[str, Any] = {
             "position": (0, 0, 0), "quaternion": (0, 0, 0, 1), "linear_velocity": (0, 0, 0),
             "angular_velocity": (0, 0, 0), "material": None, "fixed": False, "colour": None, "inertia": None,
+            "com": (0, 0, 0),
         }  # fmt: skip
         unknown = sorted(set(given) - set(known))
         if unknown:
@@ -357,25 +256,33 @@ class Scene:
         fixed: bool,
         colour: ArrayLike | None,
         inertia: ArrayLike | None,
+        com: ArrayLike,
     ) -> None:
         self._check_name(name)
-        v = _vector(linear_velocity, 3, f"linear_velocity of {name!r}")
-        w = _vector(angular_velocity, 3, f"angular_velocity of {name!r}")
+        centre = checks.vector(com, 3, f"com of {name!r}")
+        v = checks.vector(linear_velocity, 3, f"linear_velocity of {name!r}")
+        w = checks.vector(angular_velocity, 3, f"angular_velocity of {name!r}")
         if fixed:
             if v.any() or w.any():
                 raise ValueError(f"{name!r} is fixed, so its velocity must be zero, got {v.tolist()}, {w.tolist()}")
             if mass is not None:
-                _mass(mass, f"mass of {name!r}")
+                checks.mass(mass, f"mass of {name!r}")
+            if centre.any():
+                raise ValueError(f"{name!r} is fixed, so its com has no meaning, got {centre.tolist()}")
             m, J = 0.0, np.zeros((3, 3))
         else:
             if mass is None:
                 raise ValueError(f"mass of {name!r} is needed, unless fixed=True")
-            m = _mass(mass, f"mass of {name!r}")
-            J = _inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
+            m = checks.mass(mass, f"mass of {name!r}")
+            if inertia is None and centre.any():
+                raise ValueError(
+                    f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous"
+                )
+            J = checks.inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
         self.bodies[name] = Body(
-            name, shape, m, J, _vector(position, 3, f"position of {name!r}"),
-            _quaternion(quaternion, f"quaternion of {name!r}"), v, w, self._material(material, name),
-            self._colour(colour, name),
+            name, shape, m, J, checks.vector(position, 3, f"position of {name!r}"),
+            checks.quaternion(quaternion, f"quaternion of {name!r}"), v, w, self._material(material, name),
+            self._colour(colour, name), centre,
         )  # fmt: skip
 
     def _check_name(self, name: str) -> None:
@@ -402,19 +309,55 @@ class Scene:
 
     # -- articulations -----------------------------------------------------------------------------------------
 
+    def add_model(self, name: str, model: Any, geometry_model: Any | None = None, **keywords: Any) -> None:
+        """Add an articulated tree: one Pinocchio model, its collision shapes on its links.
+
+        Parameters
+        ----------
+        name : str
+            Unique in the scene.
+        model : pinocchio.Model
+            Copied, so that several articulations may share it.
+        geometry_model : pinocchio.GeometryModel, optional
+            Its collision shapes.
+        position, quaternion : sequences
+            Where the model's world lies in the scene: the pose of a fixed base, the initial one of a free base.
+        q, v : sequences, shapes (nq,), (nv,)
+            Initial configuration and velocity, Pinocchio's convention; those of a free base may be left out.
+        material : Material or mapping
+            Of all links, or {body: Material}.
+        collisions : bool or mapping
+            False for none, or {body: shapes in place of the file's}, each a Shape or (Shape, SE3 in the body's frame).
+        self_collisions : bool
+            Whether its links may touch each other, save those that a joint or a loop joins.
+        srdf : path, optional
+            Its ``disable_collisions`` are obeyed.
+        limits : bool
+            Whether position limits of the model are enforced.
+        restitution : float
+            Newton's coefficient of the limits.
+        friction, damping, armature : sequences, shape (nv,)
+            Dry friction, viscous damping and inertia of the joints, in place of those in the model.
+        stiffness, rest : sequences, shape (nv,)
+            Springs τ = -stiffness (q - rest) in revolute and prismatic joints.
+
+        Warns
+        -----
+        UserWarning
+            Once, of what the file contains that changes the motion and is not used. Everything that is not used is in
+            ``scene.articulations[name].report``.
+        """
+        self._add_articulation(name, robot_files.read_model(name, model, geometry_model), keywords)
+
     def add_urdf(
         self,
         name: str,
         path: str | Path,
         base: str = "fixed",
-        position: ArrayLike = (0.0, 0.0, 0.0),
-        quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        q: ArrayLike | None = None,
-        v: ArrayLike | None = None,
-        material: Material | None = None,
         package_dirs: Sequence[str | Path] = (),
+        **keywords: Any,
     ) -> None:
-        """Add an articulated tree from a URDF file: one Pinocchio model, its collision shapes on its links.
+        """Add an articulated tree from a URDF file; see `add_model` for the other keywords.
 
         Parameters
         ----------
@@ -422,64 +365,125 @@ class Scene:
         path : path
         base : {"fixed", "free"}
             A free base adds Pinocchio's free-flyer as first joint.
-        position, quaternion : sequences
-            Pose of the base in the world; for a free base its initial pose.
-        q, v : sequences, optional
-            Initial joint configuration and velocity without the base; zero (neutral) by default.
-        material : Material
-            Of all links.
         package_dirs : sequence of paths
             Where ``package://`` meshes are looked up, besides the file's own folder.
+        """
+        description = robot_files.read_urdf(name, Path(path), base, [Path(d) for d in package_dirs])
+        self._add_articulation(name, description, keywords)
+
+    def add_mjcf(self, name: str, path: str | Path, keyframe: str | None = None, **keywords: Any) -> None:
+        """Add the articulated trees of an MJCF file; see `add_model` for the other keywords.
+
+        Parameters
+        ----------
+        name : str
+        path : path
+            Its bases are fixed or free as it says; geoms of its world are fixed.
+        keyframe : str, optional
+            Name of the one to start from.
+        """
+        self._add_articulation(name, robot_files.read_mjcf(name, Path(path), keyframe), keywords)
+
+    def add_sdf(self, name: str, path: str | Path, package_dirs: Sequence[str | Path] = (), **keywords: Any) -> None:
+        """Add the articulated tree of an SDF file with one model; see `add_model` for the other keywords.
+
+        Parameters
+        ----------
+        name : str
+        path : path
+            Its base is fixed if a joint to the world holds it or the model is static, else free.
+        package_dirs : sequence of paths
+            Where ``model://`` meshes are looked up, besides the file's own folder.
+        """
+        description = robot_files.read_sdf(name, Path(path), [Path(d) for d in package_dirs])
+        self._add_articulation(name, description, keywords)
+
+    def add_loop(
+        self,
+        articulation: str,
+        name: str,
+        frame1: str,
+        frame2: str = "universe",
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        kind: str = "point",
+    ) -> None:
+        """Close a loop between two frames of an articulation.
+
+        Parameters
+        ----------
+        articulation, name : str
+        frame1, frame2 : str
+            Frames of its Pinocchio model, for instance bodies; "universe" is the world.
+        position, quaternion : sequences
+            Of the closure in `frame1`; in `frame2` it is where it lies in the initial configuration.
+        kind : {"point", "frame"}
+            Hold the points together, or points and axes.
+        """
+        if articulation not in self.articulations:
+            raise ValueError(f"articulation must be one of {list(self.articulations)}, got {articulation!r}")
+        self.articulations[articulation] = articulations.close_loop(
+            self.articulations[articulation], name, frame1, frame2, position, quaternion, kind
+        )
+
+    def _add_articulation(self, name: str, description: Description, keywords: dict[str, Any]) -> None:
+        self._check_name(name)
+        known = [
+            p.name for p in inspect.signature(articulations.assemble).parameters.values() if p.kind == p.KEYWORD_ONLY
+        ]
+        unknown = sorted(set(keywords) - set(known))
+        if unknown:
+            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}")
+        articulation = articulations.assemble(name, description, **keywords)
+        articulation.model.gravity = pin.Motion(self.gravity, np.zeros(3))
+        self.articulations[name] = articulation
+
+    # -- prescribed motion -------------------------------------------------------------------------------------
+
+    def set_motion(self, name: str, velocity: Velocity | None = None, surface_velocity: Velocity | None = None) -> None:
+        """Prescribe the motion of a fixed body, of its surface, or of a joint; its work is in the ledger.
+
+        Parameters
+        ----------
+        name : str
+            A fixed body, or "articulation/joint" for a joint with one coordinate.
+        velocity : array or callable
+            Constant, or a function of the time in s. Of a body: linear (3,) [m/s] of its centre, or (linear, angular
+            [rad/s]), world axes; the body moves with it and pushes what it meets. Of a joint: rad/s or m/s.
+        surface_velocity : array or callable
+            The same for a surface that slides in itself while the body stays: a conveyor, a turning drum.
 
         Raises
         ------
         ValueError
-            If the file cannot be read or a value does not fit.
-
-        Notes
-        -----
-        Friction, damping, limits and transmissions written in the file are not used: give materials here.
+            If nothing of that name can be driven, or a value does not fit.
         """
-        self._check_name(name)
-        if base not in ("fixed", "free"):
-            raise ValueError(f"base of {name!r} must be 'fixed' or 'free', got {base!r}")
-        path = Path(path)
-        if not path.is_file():
-            raise ValueError(f"path of {name!r} must be a URDF file, got {str(path)!r}")
-        dirs = [str(d) for d in (path.parent, *package_dirs)]
-        try:
-            if base == "free":
-                model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
-            else:
-                model = pin.buildModelFromUrdf(str(path))
-            geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, package_dirs=dirs)
-        except (ValueError, RuntimeError) as failure:
-            raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
-        at = pin.SE3(
-            _rotation(_quaternion(quaternion, f"quaternion of {name!r}")),
-            _vector(position, 3, f"position of {name!r}"),
-        )
-        q0, v0 = pin.neutral(model), np.zeros(model.nv)
-        lead_q, lead_v = (7, 6) if base == "free" else (0, 0)
-        if base == "free":
-            q0[:7] = pin.SE3ToXYZQUAT(at)
+        if (velocity is None) == (surface_velocity is None):
+            raise ValueError(f"motion of {name!r} needs either velocity or surface_velocity")
+        owner, _, joint = name.partition("/")
+        if joint and owner in self.articulations:
+            a = self.articulations[owner]
+            if joint not in list(a.model.names)[1:]:
+                raise ValueError(f"{owner!r} has no joint {joint!r}; it has {list(a.model.names)[1:]}")
+            if a.model.joints[a.model.getJointId(joint)].nv != 1:
+                raise ValueError(f"joint {name!r} must have one coordinate to be driven")
+            if velocity is None:
+                raise ValueError(f"joint {name!r} has a velocity, but no surface_velocity")
+            motion = Motion(name, velocity, "joint")
+            motion.rate(0.0)
         else:
-            for joint in range(1, model.njoints):
-                if model.parents[joint] == 0:
-                    model.jointPlacements[joint] = at * model.jointPlacements[joint]
-        if q is not None:
-            q0[lead_q:] = _vector(q, model.nq - lead_q, f"q of {name!r}")
-        if v is not None:
-            v0[lead_v:] = _vector(v, model.nv - lead_v, f"v of {name!r}")
-        links = []
-        for g in geometry.geometryObjects:
-            shape, shift = shapes.from_coal(g.geometry)
-            placement = g.placement * pin.SE3(np.eye(3), shift)
-            if g.parentJoint == 0 and base == "fixed":
-                placement = at * placement
-            links.append((g.name, int(g.parentJoint), placement, shape))
-        model.gravity = pin.Motion(self.gravity, np.zeros(3))
-        self.articulations[name] = Articulation(name, model, tuple(links), q0, v0, self._material(material, name))
+            body = self.bodies.get(name)
+            if body is None or not body.fixed:
+                known = [b.name for b in self.bodies.values() if b.fixed]
+                raise ValueError(f"motion needs a fixed body or 'articulation/joint', got {name!r}; fixed are {known}")
+            if velocity is not None and body.shape.kind == shapes.HALFSPACE:
+                raise ValueError(f"halfspace {name!r} cannot move: give it a surface_velocity, or take a box")
+            if surface_velocity is not None:
+                motion = Motion(name, surface_velocity, "surface")
+            elif velocity is not None:
+                motion = Motion(name, velocity, "body")
+            motion.twist(0.0)
+        self.motions[name] = motion
 
     # -- materials ---------------------------------------------------------------------------------------------
 
@@ -524,6 +528,11 @@ class Scene:
         """Bodies that move, in the order they were added."""
         return [b for b in self.bodies.values() if not b.fixed]
 
+    @property
+    def driven_bodies(self) -> list[Body]:
+        """Fixed bodies that move as prescribed; their frames are the last."""
+        return [b for b in self.bodies.values() if b.name in self.motions and self.motions[b.name].kind == "body"]
+
     def link_frames(self) -> list[tuple[str, int]]:
         """(articulation name, joint) of every moving frame that carries geometry, in frame order."""
         frames = []
@@ -533,36 +542,43 @@ class Scene:
 
     def geoms(self) -> list[Geom]:
         """All collision shapes: bodies in the order they were added, then links."""
-        free = {b.name: k for k, b in enumerate(self.free_bodies)}
-        frame_of = {key: len(free) + k for k, key in enumerate(self.link_frames())}
+        frame_of: dict[Any, int] = {b.name: k for k, b in enumerate(self.free_bodies)}
+        for key in [*self.link_frames(), *(b.name for b in self.driven_bodies)]:
+            frame_of[key] = len(frame_of)
         out = []
         for b in self.bodies.values():
-            if b.fixed:
-                R, t = _rotation(b.quaternion), b.position
+            if b.name in frame_of:
+                R, t = np.eye(3), -b.com
             else:
-                R, t = np.eye(3), np.zeros(3)
-            out.append(Geom(b.name, b.name, b.shape, free.get(b.name, -1), R, t, b.material, b.colour))
+                R, t = checks.rotation(b.quaternion), b.position
+            out.append(Geom(b.name, b.name, b.shape, frame_of.get(b.name, -1), R, t, b.material, b.colour))
         for a in self.articulations.values():
-            for name, joint, placement, shape in a.links:
+            for (name, joint, placement, shape), material in zip(a.links, a.materials, strict=True):
                 frame = frame_of.get((a.name, joint), -1)
                 R, t = np.array(placement.rotation), np.array(placement.translation)
-                out.append(Geom(f"{a.name}/{name}", a.name, shape, frame, R, t, a.material))
+                out.append(Geom(f"{a.name}/{name}", a.name, shape, frame, R, t, material))
         return out
 
     def excluded(self, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
-        """Pairs of geoms never tested: links of one articulation that share a joint or are joined by one."""
+        """Pairs of geoms never tested: those that articulations exclude among their links, and held ones."""
         out = set()
-        frames = self.link_frames()
-        free = len(self.free_bodies)
+        held = self._held_frames()
+        stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or g.frame in held] if held else []
+        out |= {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}
         for name, a in self.articulations.items():
             own = [k for k, g in enumerate(geoms) if g.body == name]
-            joint = {k: frames[geoms[k].frame - free][1] if geoms[k].frame >= 0 else 0 for k in own}
-            for i in own:
-                for j in own:
-                    p, c = sorted((joint[i], joint[j]))
-                    if i < j and (p == c or int(a.model.parents[c]) == p):
-                        out.add((i, j))
+            out |= {(own[i], own[j]) for i, j in a.excluded}
         return out
+
+    def _held_frames(self) -> set[int]:
+        """Frames that nothing but prescribed motion moves: driven bodies, and links that hang on driven joints only."""
+        links, first = self.link_frames(), len(self.free_bodies)
+        held = set(range(first + len(links), first + len(links) + len(self.driven_bodies)))
+        for k, (name, joint) in enumerate(links, start=first):
+            model = self.articulations[name].model
+            if all(f"{name}/{model.names[j]}" in self.motions for j in model.supports[joint] if j):
+                held.add(k)
+        return held
 
     def describe(self) -> dict[str, Any]:
         """Everything needed to replay a recording, as nested lists (see `nsdyn.trajectory`)."""
@@ -589,7 +605,8 @@ class Scene:
             "restitution_rule": self.restitution_rule,
             "geoms": geoms,
             "frames": [b.name for b in self.free_bodies]
-            + [f"{a}/{self.articulations[a].model.names[j]}" for a, j in self.link_frames()],
+            + [f"{a}/{self.articulations[a].model.names[j]}" for a, j in self.link_frames()]
+            + [b.name for b in self.driven_bodies],
             "free": len(self.free_bodies),
             "masses": [b.mass for b in self.free_bodies],
             "inertias": [b.inertia.tolist() for b in self.free_bodies],

@@ -7,10 +7,13 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from nsdyn.scene import Scene
 
-__all__ = ["folder", "load", "module", "names"]
+__all__ = ["controller", "folder", "load", "module", "name_of", "names"]
+
+_PREFIX = "nsdyn_models_"
 
 
 def folder() -> Path:
@@ -27,10 +30,13 @@ def names() -> list[str]:
 
 @cache
 def module(name: str) -> ModuleType:
-    """Module of a named scene, with its `scene` function, DURATION [s] and DT [s]; ValueError naming the known ones."""
+    """Module of a named scene: its function `scene`, DURATION [s], DT [s], perhaps `controller`, `external_force`.
+
+    ValueError naming the known ones.
+    """
     if name not in names():
         raise ValueError(f"scene must be one of {', '.join(names())}; got {name!r}")
-    spec = importlib.util.spec_from_file_location(f"nsdyn_models_{name}", folder() / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(_PREFIX + name, folder() / f"{name}.py")
     assert spec is not None and spec.loader is not None
     out = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(out)
@@ -41,3 +47,21 @@ def load(name: str) -> Callable[..., Scene]:
     """Return the function ``scene(**parameters) -> Scene`` of a named scene."""
     function: Callable[..., Scene] = module(name).scene
     return function
+
+
+def name_of(function: Callable[..., Scene]) -> str | None:
+    """Name of the scene whose function this is, None for any other."""
+    name = getattr(function, "__module__", "").removeprefix(_PREFIX)
+    return name if name in names() and function is load(name) else None
+
+
+def controller(name: str, scene: Scene) -> Callable[..., Any] | None:
+    """What drives the articulations of a named scene, ``controller(t, q, v)``; None for a scene without."""
+    make = getattr(module(name), "controller", None)
+    return None if make is None else make(scene)
+
+
+def external_force(name: str, scene: Scene) -> Callable[..., Any] | None:
+    """What pushes the bodies of a named scene, ``external_force(t, q, v)``; None for a scene without."""
+    make = getattr(module(name), "external_force", None)
+    return None if make is None else make(scene)

@@ -16,7 +16,6 @@ from typing import Any
 import coal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -117,7 +116,7 @@ class Shape:
         return out
 
 
-def _positive(value: float, name: str) -> float:
+def _positive(value: Any, name: str) -> float:
     """The value as a float if it is positive and finite."""
     try:
         out = float(value)
@@ -237,6 +236,8 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
     centroid : ndarray, shape (3,)
         In the frame of the points.
     """
+    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that boxes and spheres do not need
+
     try:
         points = np.array(vertices, dtype=float)
     except (TypeError, ValueError):
@@ -276,7 +277,7 @@ def _area_vector(loop: Array) -> Array:
     return out
 
 
-def _faces(hull: ConvexHull) -> list[Index]:
+def _faces(hull: Any) -> list[Index]:
     """Faces of a hull as loops of point indices: facets merged where they are coplanar."""
     points, simplices, planes = hull.points, hull.simplices, hull.equations
     tol = COPLANAR * np.linalg.norm(np.ptp(points, axis=0))
@@ -329,14 +330,14 @@ def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:
     return coal.Convex(points, triangles)
 
 
-def mesh(path: str | Path, scale: float = 1.0) -> tuple[Shape, Array]:
+def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
     """Convex hull of a mesh file (whatever Assimp reads: STL, OBJ, DAE, PLY).
 
     Parameters
     ----------
     path : str or Path
-    scale : float
-        Multiplies the file's lengths to give m.
+    scale : float, or 3 floats
+        Multiplies the file's lengths to give m; one per axis, where a negative one mirrors.
 
     Returns
     -------
@@ -349,11 +350,13 @@ def mesh(path: str | Path, scale: float = 1.0) -> tuple[Shape, Array]:
         When the hull has more than 1.02 times the volume of the mesh: its hollows are filled.
     """
     file = Path(path)
-    factor = _positive(scale, "scale")
+    factor = np.full(3, _positive(scale, "scale")) if np.ndim(scale) == 0 else np.array(scale, dtype=float)
+    if factor.shape != (3,) or not (np.isfinite(factor).all() and factor.all()):
+        raise ValueError(f"scale must be a number or 3 numbers other than 0, got {scale!r}")
     if not file.is_file():
         raise ValueError(f"path must be a mesh file, got {str(path)!r}")
     try:
-        surface = coal.MeshLoader().load(str(file), np.full(3, factor))
+        surface = coal.MeshLoader().load(str(file), factor)
     except (RuntimeError, ValueError) as failure:
         raise ValueError(f"path: {file} could not be read as a mesh: {failure}") from None
     return _hull_of_surface(surface, str(file))

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from nsdyn import energy, fclib, gauss, impacts
 from nsdyn._kernels import motion as _motion
+from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.history import History
-from nsdyn.problem import FC3D, Array, Blocks, NotConverged, Solution
+from nsdyn.joints import JointRows, Rows
+from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
 from nsdyn.trajectory import Recorder, Trajectory
@@ -50,6 +52,8 @@ class State:
         What the last step leaves to the next.
     memory : ContactMemory
         The last step's contacts and their keys.
+    joint_impulse : ndarray, shape (slots, 3)
+        Impulses of joint limits and joint friction, by the slots of `nsdyn.joints.JointLaws`.
     """
 
     origin: float
@@ -59,11 +63,17 @@ class State:
     v: Array
     history: History
     memory: ContactMemory
+    joint_impulse: Array
 
     @property
     def t(self) -> float:
         """Time in s."""
         return self.origin + self.count * self.dt
+
+    @property
+    def next_t(self) -> float:
+        """Time at the end of the next step in s."""
+        return self.origin + (self.count + 1) * self.dt
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +100,8 @@ class Step:
         J.
     created : float
         Energy that the contacts of a step with an impact created, J: 0 but for the paradox of Newton's law (`impacts`).
+    joint_impulse : ndarray, shape (n,)
+        Of joint limits and dry joint friction on each coordinate, N m s or N s.
     energy : dict
         The terms of `nsdyn.energy.Ledger`, J.
     gauss : Certificate
@@ -114,6 +126,7 @@ class Step:
     work_normal: Array
     work_friction: Array
     created: float
+    joint_impulse: Array
     energy: dict[str, float]
     gauss: gauss.Certificate
     problem: FC3D
@@ -149,8 +162,9 @@ class Stepper:
     coefficients at q̃ = q_k ⊕ (1 - θ) h v_k; w from the gap or from Newton's impact law, and from the turning of the
     rows of Hᵀ until the end of the step as far as the last steps foretell it (`History`), so that smooth motion is
     second order for θ = ½, in contact too. A free body then keeps its energy and its angular momentum in space to
-    round-off, for θ = ½ and up to 2 rad a step. Penetration left by curvature or by a bad start is removed by a
-    projection of the positions that never touches v.
+    round-off, for θ = ½ and up to 2 rad a step. An impact that another one of the same step provokes follows in the
+    next. Penetration left by curvature or by a bad start is removed by a projection of the positions that never touches
+    v.
 
     Parameters
     ----------
@@ -162,8 +176,8 @@ class Stepper:
     solver : Solver
         Default ``Auto(tol=1e-8)``.
     controller : callable, optional
-        ``controller(t, q, v)`` returns {articulation: joint forces}; called with the time and configuration of the
-        midpoint and the velocity at the beginning, Pinocchio's layout.
+        ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}; called with the time and
+        configuration of the midpoint and the velocity at the beginning, Pinocchio's layout.
     external_force : callable, optional
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m. Nothing persists to the next step.
@@ -225,7 +239,10 @@ class Stepper:
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position)
-        self._state = State(0.0, self.dt, 0, position, v, History.empty(v.size), self.detector.memory)
+        self._state = State(
+            0.0, self.dt, 0, position, v, History.empty(v.size), self.detector.memory,
+            np.zeros((self.dynamics.joints.size, 3)),
+        )  # fmt: skip
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -245,8 +262,11 @@ class Stepper:
         if state.v.shape != (self.dynamics.n,) or state.position.x.shape != (self.dynamics.free, 3):
             raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {state.v.shape}")
         if state.dt != self.dt:
-            history = state.history.scaled(self.dt / state.dt)
-            state = State(state.t, self.dt, 0, state.position, state.v, history, state.memory)
+            ratio = self.dt / state.dt
+            state = State(
+                state.t, self.dt, 0, state.position, state.v, state.history.scaled(ratio), state.memory,
+                ratio * state.joint_impulse,
+            )  # fmt: skip
         self.detector.memory = state.memory
         self._state = state
 
@@ -254,8 +274,8 @@ class Stepper:
         """The present state as row 0 of a recording."""
         s, d = self._state, self.dynamics
         kinetic, potential = d.energies(s.position, s.v)
-        x, quaternion = d.link_poses(s.position) if d.trees else (None, None)
         q, v = d.pinocchio_state(s.position, s.v)
+        x, quaternion = d.poses(s.position)
         return Start(s.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
 
     # -- one step ----------------------------------------------------------------------------------------------
@@ -267,91 +287,124 @@ class Stepper:
         t_start = clock()
 
         # Free motion, with the coefficients of the midpoint.
-        middle = d.advance(s.position, s.v, (1.0 - theta) * h)
+        begun, ended = d.surfaces.twists(s.t), d.surfaces.twists(s.next_t)
+        middle = d.advance(s.position, s.v, (1.0 - theta) * h, begun)
         d.evaluate(middle)
-        v_free, loads = d.free_velocity(s.position, middle, s.v, h, s.history.push, *self._callbacks(middle))
+        forces = self._callbacks(middle)
+        v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, s.history.push, *forces)
 
-        # Contacts and their impact law.
-        reach = d.reach(s.v, h)
+        # Contacts, joint limits and joint friction, and their impact law.
+        reach = d.reach(s.v, h, begun)
         fast = self._outruns_contacts(reach)
         if fast:
-            d.evaluate(s.position)
+            d.place(s.position)
         self.detector.candidates(d.x, d.R, reach)
         t_broad = clock()
         self.detector.narrow()
         t_narrow = clock()
         contacts = self.detector.manifold()
         blocks, frame = d.blocks(contacts)
-        u_before = blocks.relative_velocity(s.v)
-        # The rows turn by `bend` a step: velocities at its beginning and at its end have rows of their own.
+        joints = d.joint_rows(middle, s.v, v_free, h)
+        rows = d.rows(blocks, joints)
+        where = contacts, frame, middle.driven_x, rows.full.nc
+        drag, drag_after = d.surfaces.drag(*where, begun), d.surfaces.drag(*where, ended)
+        u_before = rows.full.relative_velocity(s.v) + drag
+        # The rows turn: velocities at the beginning and at the end of the step have rows of their own.
+        nc = contacts.gap.size
         bend, turn, slides = s.history.turning(contacts, frame, u_before)
         u_begin = u_before - (1.0 - theta) * bend
-        gap = contacts.gap + (1.0 - theta) * h * (u_begin if fast else -0.5 * (1.0 - theta) * bend)[0::3]
-        w = np.zeros_like(u_before)
-        _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w[0::3])
+        u_free = rows.full.relative_velocity(v_free) + drag_after + theta * bend
+        gap, mu, w = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
         struck = w[0::3] < 0.0
-        impacts.apply(self.impact, u_begin, struck, w)
-        guess = s.history.warm_start(contacts, frame)
-        q = blocks.relative_velocity(v_free) + theta * bend + w
+        impacts.apply(self.impact, u_begin, struck[:nc], w)
+        q = u_free + rows.press + w
         returned = np.zeros_like(w)
-        if self.impact == "poisson" and struck.any():
-            compression = self.solver(FC3D.from_blocks(blocks, 0.5 * (u_begin + w + q), contacts.mu))
+        if self.impact == "poisson" and struck[:nc].any():
+            compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (u_begin + w + q), mu))
             returned = impacts.returned(compression.r, contacts.restitution)
-            q += blocks.relative_velocity(blocks.velocity_change(returned))
-        curve = np.empty_like(w)
-        _motion.curve(u_begin, q - w + blocks.relative_velocity(blocks.velocity_change(guess)), slides, curve)
-        problem = FC3D.from_blocks(blocks, q + curve, contacts.mu)
+            q += rows.velocity(returned)
+        guess = self._warm_start(contacts, frame, joints)
+        curve = np.zeros_like(w)
+        if slides.any():
+            _motion.curve(u_begin, q - w + rows.velocity(guess), slides, curve)
+        problem = FC3D.from_blocks(rows.blocks, q + curve, mu)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = self.solver(problem, guess)
-        status = _status(solution.u, returned + solution.r, contacts.mu)
-        if curve.any() and curve.reshape(-1, 3)[status == 1].any():  # what was to slide on has stopped
-            curve[:] = 0.0
-            problem = FC3D.from_blocks(blocks, q, contacts.mu)
-            solution = self.solver(problem, solution.r)
-            status = _status(solution.u, returned + solution.r, contacts.mu)
+        before = w.copy()
+        postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w)
+        status = _status(solution.u, returned + solution.r, mu)
+        stopped = bool(curve.reshape(-1, 3)[status == 1].any())
+        if postponed.any() or stopped:
+            if stopped:  # what was to slide on
+                curve[:] = 0.0
+            problem = FC3D.from_blocks(rows.blocks, q + (w - before) + curve, mu)
+            solution = self.solver(problem, guess)
+            status = _status(solution.u, returned + solution.r, mu)
         r = returned + solution.r
         t_solve = clock()
         if not solution.converged:
-            self._fail(problem, solution, v_free, guess)
-        change = blocks.velocity_change(r)
+            self._fail(problem, solution, v_free if rows.blocks is rows.full else None, guess)
+        change = rows.velocity_change(r)
         v = v_free + change
 
         # Positions, and what penetration is left in them.
         v_theta = theta * v + (1.0 - theta) * s.v
-        moved = d.advance(s.position, v_theta, h)
+        moved = d.advance(s.position, v_theta, h, theta * ended + (1.0 - theta) * begun)
         u = solution.u - w - curve
         # What rebounds leaves on its own, unless it is so fast that it would do so on the other side.
-        end, gap = self._project(moved, blocks, gap + theta * h * u[0::3], struck & (not fast))
+        leaving = (struck | postponed) & (not fast)
+        leaving[nc:] = False  # a joint that rebounds half a step late is behind its limit
+        end, gap = self._project(moved, rows, gap + theta * h * u[0::3], leaving)
 
         # Certificate, ledger, record.
         u_after = u - theta * bend
-        works = energy.contact_works(u_before, u_after, r)
-        if fast:
-            d.evaluate(middle)
+        normal, friction = energy.contact_works(u_before, u_after, r)
         step_energy = energy.ledger(
             d,
             h,
+            theta,
             loads,
             (s.position, moved, end),
             (s.v, v, v_theta),
-            float(works[0].sum()),
-            float(works[1].sum()),
+            rows.full.momentum(r),
+            float(normal.sum()),
+            float(friction.sum()),
+            -0.5 * float(((drag + drag_after) * r).sum()),
         )
-        created = max(0.0, float(works[0].sum() + works[1].sum())) if struck.any() else 0.0
-        history = s.history.after(contacts, status, frame, change, r, u_after, turn)
-        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
+        created = max(0.0, float((normal + friction)[:nc].sum())) if struck[:nc].any() else 0.0
+        history = s.history.after(contacts, status[:nc], frame, change, r[: 3 * nc], u_after[: 3 * nc], turn)
+        r = r.reshape(-1, 3)
+        slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
+        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory, slots)
         q, v_out = d.pinocchio_state(end, v)
-        x, quaternion = d.link_poses(end) if d.trees else (None, None)
+        x, quaternion = d.poses(end)
         certificate = gauss.certify(problem, solution.r, solution.u)
         times = (
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q, v_out, x, quaternion, contacts, gap, frame, u.reshape(-1, 3), r.reshape(-1, 3),
-            status, works[0], works[1], created, step_energy._asdict(), certificate, problem, solution, times,
+            self._state.t, q, v_out, x, quaternion, contacts, gap[:nc], frame, u.reshape(-1, 3)[:nc], r[:nc],
+            status[:nc], normal[:nc], friction[:nc], created, joint_impulse, step_energy._asdict(), certificate,
+            problem, solution, times,
         )  # fmt: skip
+
+    def _impact_law(
+        self, contacts: ContactSet, joints: JointRows | None, u_begin: Array, u_free: Array, bend: Array, fast: bool
+    ) -> tuple[Array, Array, Array]:
+        """(gap, mu, w) of contacts, then joint rows: the gaps at the midpoint and the offsets of the impact law."""
+        h, theta, nc = self.dt, self.theta, contacts.gap.size
+        mu, w = contacts.mu, np.zeros_like(u_begin)
+        # The midpoint was reached with the velocity of the beginning, beside the way of a contact that lasts.
+        gap = contacts.gap + (1.0 - theta) * h * (u_begin if fast else -0.5 * (1.0 - theta) * bend)[0 : 3 * nc : 3]
+        w_N = w[0::3]
+        _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w_N[:nc])
+        if joints is not None:
+            u, free = u_begin[3 * nc :], u_free[3 * nc :]
+            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, CLOSED, w_N[nc:])
+            gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
+        return gap, mu, w
 
     def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
         """(wrenches, joint forces) of the user's callbacks at the midpoint."""
@@ -371,7 +424,33 @@ class Stepper:
         """
         return bool((reach[: self.dynamics.free] > self.dynamics.inscribed).any())
 
-    def _fail(self, problem: FC3D, solution: Solution, v_free: Array, guess: Array) -> None:
+    def _postpone(
+        self, problem: FC3D, solution: Solution, restitution: Array, u_before: Array, w: Array
+    ) -> NDArray[np.bool_]:
+        """Leave impacts that others of this step provoke to the next one, in `w`; tells which of the rows.
+
+        A contact with e > 0 that is open or opening gets no impact law, and what closes it within the step would make
+        it perfectly plastic. Where without it the bodies would meet faster than those that rest, w lets them pass.
+        """
+        opening = (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_before[0::3] > self.resting_speed))
+        late: NDArray[np.bool_] = opening & (solution.r[0::3] > 0.0)
+        late[restitution.size :] = False  # joint limits have a law of their own
+        late[: restitution.size] &= restitution > 0.0
+        if late.any():
+            away = np.zeros_like(w)
+            away[0::3][late] = 2.0 * np.abs(problem.q).max()
+            assert problem.blocks is not None
+            free = self.solver(FC3D.from_blocks(problem.blocks, problem.q + away, problem.mu), solution.r)
+            late &= (free.u - away - w)[0::3] < -self.resting_speed
+            w[0::3][late] += away[0::3][late]
+        return late
+
+    def _warm_start(self, contacts: ContactSet, frame: Array, joints: JointRows | None) -> Array:
+        """Last step's world impulses of the contacts that are still there, in the frames of now, and of the joints."""
+        r = self._state.history.warm_start(contacts, frame)
+        return r if joints is None else np.concatenate((r, self._state.joint_impulse[joints.slot].ravel()))
+
+    def _fail(self, problem: FC3D, solution: Solution, v_free: Array | None, guess: Array) -> None:
         message = (
             f"step from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
             f"{solution.residual:.2e} m/s, tolerance {self.solver.tol:.1e} ({solution.status.message})"
@@ -388,28 +467,29 @@ class Stepper:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
         self._failures += 1
 
-    def _project(
-        self, moved: Position, blocks: Blocks, gap: Array, leaving: NDArray[np.bool_]
-    ) -> tuple[Position, Array]:
+    def _project(self, moved: Position, rows: Rows, gap: Array, leaving: NDArray[np.bool_]) -> tuple[Position, Array]:
         """Positions without penetration, the closest in the kinetic metric, and their gaps.
 
         min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0: a frictionless contact problem in positions, on the gaps g at the end of the
-        step, linear in the motion. Contacts that are `leaving` are not pushed. Where nothing penetrates `moved` itself
-        is returned.
+        step, linear in the motion. Contacts that are `leaving` are not pushed. Where nothing penetrates, or nothing
+        helps, `moved` itself is returned.
         """
         held = np.where(leaving, np.maximum(gap, 0.0), gap)
         if held.min(initial=0.0) >= -CLOSED:
             return moved, gap
         g = np.zeros(3 * gap.size)
         g[0::3] = held
-        shift = self._projection(FC3D.from_blocks(blocks, g, np.zeros(gap.size)))
-        end = self.dynamics.advance(moved, blocks.velocity_change(shift.r), 1.0)
-        return end, gap + (shift.u - g)[0::3]
+        shift = self._projection(FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size)))
+        lifted = gap + (shift.u - g)[0::3]
+        # A body squeezed between others has no position without overlap: an answer that does not help may be anything.
+        if not shift.converged and np.where(leaving, 0.0, lifted).min() < 0.5 * held.min():
+            return moved, gap
+        return self.dynamics.advance(moved, rows.velocity_change(shift.r), 1.0), lifted
 
     def _check_overlap(self, geoms: list[Geom], position: Position) -> None:
         """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
         d = self.dynamics
-        d.evaluate(position)
+        d.place(position)
         contacts = self.detector.detect(d.x, d.R, np.zeros(d.frames))
         if not contacts.gap.size:
             return

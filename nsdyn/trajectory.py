@@ -9,9 +9,10 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /q, /v           (n+1, nq), (n+1, nv)  Pinocchio's free-flyer of every free body (x y z qx qy qz qw;
                      linear then angular velocity in the body frame), then the articulations
     /frames/x, quat  (n+1, nframes, 3), (n+1, nframes, 4)  world poses; only in scenes with articulations
+                                                   or driven bodies
     /energy/kinetic, potential                     (n+1,)  J
-    /energy/external, normal, friction, gyroscopic, theta, mass, projection, defect
-                                                   (n,)  work of the step, J
+    /energy/external, normal, friction, damping, constraint, gyroscopic, theta, mass, projection, defect
+                                                   (n,)  work of the step, J; damping and constraint since version 2
     /gauss/gap, shift, bound                       (n,)  J, m/s, sqrt(J)
     /solver/residual, iterations, status, time     (n,)  m/s, -, `nsdyn.problem.Status`, s
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
@@ -53,7 +54,7 @@ Columns = dict[str, NDArray[Any]]
 
 __all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "Recorder", "SolverLog", "Trajectory"]
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 CONTACT_STATES = ("open", "stick", "slip")
 
 _FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %
@@ -68,9 +69,10 @@ class Energy:
     ----------
     kinetic, potential : ndarray, shape (n + 1,)
         At the times t.
-    external, normal, friction, gyroscopic, theta, mass, projection : ndarray, shape (n,)
-        Work done on the system in each step: by applied forces, by the normal and the tangential contact
-        impulses, by the gyroscopic term, by numerical dissipation of θ > ½, by changes of the mass matrix, by
+    external, normal, friction, damping, constraint, gyroscopic, theta, mass, projection : ndarray, shape (n,)
+        Work done on the system in each step: by applied forces and joint actuation, by the normal and the
+        tangential impulses of contacts and joints, by viscous joint damping, by prescribed motion and closed
+        loops, by the gyroscopic term, by numerical dissipation of θ > ½, by changes of the mass matrix, by
         position projection.
     defect : ndarray, shape (n,)
         What the ledger of each step fails to explain; round-off when all is well.
@@ -81,6 +83,8 @@ class Energy:
     external: Array
     normal: Array
     friction: Array
+    damping: Array
+    constraint: Array
     gyroscopic: Array
     theta: Array
     mass: Array
@@ -172,6 +176,7 @@ _STATES = ["t", "q", "v", *(f"energy/{name}" for name in _ENERGIES), "contacts/o
 _LINKS = ["frames/x", "frames/quat"]
 _STEPS = [f"energy/{name}" for name in _WORKS]
 _STEPS += [f"gauss/{name}" for name in _GAUSS] + [f"solver/{name}" for name in _SOLVER]
+_ADDED = ("energy/damping", "energy/constraint")  # in version 2; before it these works were always 0
 _CONTACTS = [f"contacts/{name}" for name in _CONTACT]
 
 
@@ -601,18 +606,21 @@ class Trajectory:
             raise ValueError(
                 f"{path} has format_version {meta['format_version']}, this nsdyn reads up to {FORMAT_VERSION}"
             )
-        missing = [name for name in ["meta/scene", *_STATES, *_STEPS, *_CONTACTS] if name not in file]
+        added = _ADDED if meta["format_version"] < 2 else ()
+        steps = [name for name in _STEPS if name not in added]
+        missing = [name for name in ["meta/scene", *_STATES, *steps, *_CONTACTS] if name not in file]
         if missing:
             raise ValueError(f"{path} is not a recording of nsdyn: /{missing[0]} is missing")
         scene = json.loads(file["meta/scene"][()])
         states = len(file["t"])
         offset = file["contacts/offset"][:states]
-        names = _STATES + (_LINKS if "frames" in file else []) + _STEPS + _CONTACTS
+        names = _STATES + (_LINKS if "frames" in file else []) + steps + _CONTACTS
         rows = _rows(names, states, int(offset[-1]) if len(offset) else 0)
         for name, size in rows.items():
             if len(file[name]) < size or not states:
                 raise ValueError(f"{path} is damaged: /{name} has {len(file[name])} rows, {size} expected")
-        return cls(meta, scene, {name: file[name][:size] for name, size in rows.items()})
+        columns = {name: file[name][:size] for name, size in rows.items()}
+        return cls(meta, scene, columns | {name: np.zeros(states - 1) for name in added})
 
     def to_html(self, path: str | Path, **options: Any) -> None:
         """Write a self-contained animated page; options as in `nsdyn.viewer.write_html`."""

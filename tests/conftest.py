@@ -1,5 +1,7 @@
 """Shared fixtures: seeded randomness, the solvers, a step of a small mixed scene."""
 
+import struct
+
 import numpy as np
 import pytest
 
@@ -28,3 +30,44 @@ def drift(trajectory: nd.Trajectory) -> float:
 def penetration(trajectory: nd.Trajectory) -> float:
     """Deepest gap in m over all contacts of all steps."""
     return float(-min(trajectory.contacts(k).gap.min(initial=0.0) for k in range(1, len(trajectory.t))))
+
+
+INERTIAL = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+ROBOT = f"""<robot name="r">
+<link name="base">{INERTIAL}<collision><geometry><box size="0.4 0.2 0.1"/></geometry></collision></link>
+<link name="a">{INERTIAL}<visual><geometry><sphere radius="1"/></geometry></visual>
+  <collision name="c"><origin xyz="0 0 0.5" rpy="0 0.3 0"/>
+    <geometry><capsule radius="0.1" length="0.3"/></geometry></collision>
+  <collision name="c"><geometry><sphere radius="0.1"/></geometry></collision></link>
+<link name="b">{INERTIAL}<collision><geometry><cylinder radius="0.1" length="0.2"/></geometry></collision></link>
+<link name="c">{INERTIAL}<collision>
+    <geometry><mesh filename="package://thing/box.stl" scale="1 -2 1"/></geometry></collision></link>
+<link name="tip"><collision><origin xyz="0 0 2"/><geometry><sphere radius="0.1"/></geometry></collision></link>
+<joint name="ja" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="2" effort="9" velocity="3"/><dynamics damping="0.5" friction="0.7"/></joint>
+<joint name="jb" type="continuous"><parent link="a"/><child link="b"/><origin xyz="0 0 1"/><axis xyz="1 0 0"/></joint>
+<joint name="jc" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/>
+  <limit lower="0" upper="0.4" effort="9" velocity="3"/><mimic joint="ja"/></joint>
+<joint name="jt" type="fixed"><parent link="c"/><child link="tip"/></joint>
+<transmission name="t"/>
+</robot>"""
+
+
+def write_stl(path, size):
+    """Binary STL of a box with full edges `size`, one corner at the origin."""
+    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * size
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    data = b"".join(struct.pack("<12fH", 0, 0, 0, *corners[list(t)].ravel(), 0) for t in triangles)
+    path.write_bytes(bytes(80) + struct.pack("<I", len(triangles)) + data)
+
+
+@pytest.fixture
+def robot(tmp_path):
+    """A robot with a bit of everything, and the folder that holds its package."""
+    (tmp_path / "share" / "thing").mkdir(parents=True)
+    write_stl(tmp_path / "share" / "thing" / "box.stl", (0.1, 0.2, 0.3))
+    path = tmp_path / "robot.urdf"
+    path.write_text(ROBOT)
+    return path, [tmp_path / "share"]

@@ -151,6 +151,7 @@ def test_scaling_point(rng):
     np.testing.assert_allclose(T @ V, np.broadcast_to(np.eye(3), T.shape), atol=1e-12)
 
 
+@pytest.mark.case(49)
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the folders of FCLIB problems are not here")
 @pytest.mark.parametrize(
     "path", sorted(SHARED.glob("fc3d/*.hdf5")) + sorted(SHARED.glob("hard/*.hdf5")), ids=lambda p: p.stem

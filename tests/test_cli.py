@@ -40,7 +40,9 @@ def recording(run, tmp_path):
     return tmp_path / "run.h5"
 
 
-@pytest.mark.parametrize("command", [[], ["scenes"], ["doctor"], ["run"], ["solve"], ["profile"], ["energy"], ["view"]])
+@pytest.mark.parametrize(
+    "command", [[], ["scenes"], ["doctor"], ["run"], ["solve"], ["profile"], ["bench"], ["sweep"], ["energy"], ["view"]]
+)
 def test_help(run, command):
     code, out, err = run(*command, "--help")
     assert code == 0 and out.startswith("usage: nsdyn") and err == ""
@@ -133,6 +135,13 @@ def test_run_gives_its_figures_as_json(run, tmp_path):
     assert trajectory.meta["solver"].startswith("Newton(tol=1e-07")
 
 
+def test_run_of_a_driven_scene(run, tmp_path):
+    """The module's external_force is applied: the push does work."""
+    code, _, _ = run("run", "rolling", "--time", "0.05", "--dt", "0.01", "--set", "balls=2", "-o", "run.h5")
+    assert code == 0
+    assert Trajectory.load(tmp_path / "run.h5").energy.external.sum() > 0.1
+
+
 def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
     # No solver reaches 1e-300 once something moves.
     code, out, err = run("run", "slide", *SHORT, "--solver", "pgs", "--tol", "1e-300", "-o", "run.h5")
@@ -168,6 +177,8 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["solve", "text.h5", "-o", "missing/s.hdf5"], "cannot write missing/s.hdf5: there is no folder"),
         (["solve", "text.h5", "-o", "text.h5"], "cannot write text.h5: it exists"),
         (["profile", "."], "no *.hdf5 files in ."),
+        (["bench", "sleigh"], "case must be one of slide"),
+        (["bench", "--peer", "ode"], "peer must be one of"),
         (["profile", ".", "--plot", "missing/p.png"], "cannot write missing/p.png: there is no folder"),
         (["energy", "missing.h5"], "no such recording: missing.h5"),
         (["energy", "text.h5", "--csv", "e.csv"], "text.h5 is not a recording of nsdyn"),
@@ -215,6 +226,15 @@ def test_solve_that_does_not_converge(run, problem):
     assert code == 1 and "the iteration limit was reached" in out and err == ""
 
 
+def test_solve_without_a_slater_point(run, tmp_path):
+    """A point squeezed between two walls: no solution exists, and the one line says why."""
+    H = np.hstack((np.eye(3), -np.eye(3)))
+    squeezed = nd.FC3D(H.T @ H, np.array([-1.0, 0, 0, -1.0, 0, 0]), np.full(2, 0.5))
+    nd.fclib.write(tmp_path / "squeezed.hdf5", squeezed)
+    code, out, _ = run("solve", "squeezed.hdf5")
+    assert code == 1 and "no velocity opens every contact" in out and out.count("\n") == 1
+
+
 def test_failing_run_dumps_a_problem_that_solve_reads(run):
     code, _, err = run("run", "slide", *SHORT, "--solver", "pgs", "--tol", "1e-300", "--dump-on-fail", "dumps")
     assert code == 1 and "its problem is in dumps/step-000001.hdf5" in err
@@ -223,15 +243,32 @@ def test_failing_run_dumps_a_problem_that_solve_reads(run):
 
 
 def test_profile(run, problem, tmp_path):
-    code, out, err = run("profile", ".", "--solver", "pgs", "--csv", "p.csv", "--plot", "p.png")
+    tolerances = ("--tol", "1e-4", "--tol", "1e-8")
+    code, out, err = run("profile", ".", "--solver", "pgs", *tolerances, "--csv", "p.csv", "--plot", "p.png")
     assert code == 0 and err == ""
-    assert out.splitlines()[1].split() == ["pgs", "1/1", "1.00", "1.00", "1.00", "1.00", "1"]
+    lines = out.splitlines()
+    assert lines[0] == "tol 0.0001" and lines[4] == "tol 1e-08"
+    assert lines[2].split() == lines[6].split() == ["pgs", "1/1", "1.00", "1.00", "1.00", "1.00", "1"]
     rows = list(csv.DictReader((tmp_path / "p.csv").read_text().splitlines()))
-    assert rows[0]["problem"] == "p" and rows[0]["solved"] == "True"
+    assert [row["tol"] for row in rows] == ["0.0001", "1e-08"]
+    assert rows[1]["problem"] == "p" and rows[1]["solved"] == "True"
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
-    figures = json.loads(run("profile", ".", "--solver", "pgs", "--tol", "1e-30", "--json")[1])
+    (figures,) = json.loads(run("profile", ".", "--solver", "pgs", "--tol", "1e-30", "--json")[1])
     assert figures["summary"][0]["solved"] == 0 and figures["summary"][0]["mean_ratio"] is None
     assert figures["runs"][0]["error"] > 1e-30
+    code, _, err = run("profile", ".", "--min-contacts", "20")
+    assert code == 2 and "no problem in . has 20 contacts" in err
+
+
+def test_bench(run, monkeypatch):
+    from nsdyn import bench
+
+    monkeypatch.setattr(bench, "STEPS", (0.5, 0.2))
+    code, out, _ = run("bench", "slip", "--csv", "b.csv", "--plot", "b.png")
+    assert code == 0 and out.splitlines()[2].split()[:2] == ["slip", "nsdyn"]
+    assert Path("b.csv").read_text().count("\n") == 1 + 2 * 2 and Path("b.png").stat().st_size > 5_000
+    figures = json.loads(run("bench", "slip", "--json")[1])
+    assert figures["summary"][0]["reached"]["nsdyn"]["error"] < 1e-10 and figures["summary"][0]["ratio"] is None
 
 
 @pytest.mark.parametrize(

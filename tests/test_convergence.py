@@ -276,7 +276,7 @@ def test_pendulum_is_second_order(tmp_path):
         trajectory = nd.simulate(scene, period, dt=period / steps)
         return trajectory.q[-1, 0] - 1.0, trajectory.v[-1, 0]
 
-    np.testing.assert_allclose(orders(error, (100, 200, 400)), 2.0, atol=0.05)
+    np.testing.assert_allclose(orders(error, (200, 400, 800)), 2.0, atol=0.05)
 
 
 def test_constant_sliding_is_exact():

@@ -160,3 +160,14 @@ def test_initial_velocity_is_in_world_axes():
     # Pinocchio's layout: the linear velocity in body axes, turned by -90 degrees about z.
     np.testing.assert_allclose(trajectory.v[0], [0, -1, 0, 0, 0, 2], atol=1e-15)
     assert Dynamics(scene).n == 6
+
+
+def test_links_reach_as_far_as_their_shapes():
+    """Speed of the link's origin, plus its spin times the size of what hangs on it, plus the fall."""
+    scene = nd.scenes.load("spinning_disk")(speed=1.0, spin=10.0, radius=0.1, rings=2, sectors=3)
+    dynamics = Dynamics(scene)
+    position, v = dynamics.start()
+    dynamics.evaluate(position)
+    x, y = dynamics.x[:, 0], dynamics.x[:, 1]
+    speed = np.hypot(1.0 - 10.0 * y, 10.0 * x)
+    np.testing.assert_allclose(dynamics.reach(v, 1e-3), 1e-3 * (speed + 10.0 * 0.005) + 9.81e-6, rtol=1e-12)

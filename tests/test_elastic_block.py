@@ -22,6 +22,7 @@ def body():
     return elastic_block.block(32)
 
 
+@pytest.mark.case(49)
 @pytest.mark.parametrize("case", elastic_block.CASES)
 def test_zones(body, case):
     u, r, _ = elastic_block.solve(body, *case)
@@ -29,6 +30,7 @@ def test_zones(body, case):
     np.testing.assert_allclose(elastic_block.zones(body, u, r), elastic_block.CASES[case], atol=2.5 + 1e-9)
 
 
+@pytest.mark.case(49)
 @pytest.mark.parametrize(
     ("solver", "tol"), [("newton", 1e-9), ("pgs", 1e-9), ("auto", 1e-9), ("uzawa", 1e-6), ("bundle", 1e-4)]
 )

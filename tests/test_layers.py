@@ -7,10 +7,11 @@ import nsdyn
 
 ROOT = Path(nsdyn.__file__).parent
 ORDER = [
-    ["_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
-    ["shapes"], ["scene"], ["contacts", "scenes"], ["dynamics"],
-    ["gauss", "impacts", "energy", "history", "profile", "_peers"], ["trajectory"], ["viewer", "stepper"],
-    ["acceleration", "cli"],
+    ["workers", "_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
+    ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
+    ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
+    ["gauss", "impacts", "energy", "history", "profile", "_peers", "bench"], ["trajectory"], ["viewer", "stepper"],
+    ["acceleration", "ensemble"], ["cli"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
 MATHEMATICS = {"_kernels", "cones", "problem", "formulations", "solvers", "fclib", "gauss"}

@@ -13,6 +13,7 @@ from test_problem import corner_box
 
 import nsdyn as nd
 from nsdyn import profile
+from nsdyn.workers import Worker
 
 HANGS = """
 import sys, time, json
@@ -62,11 +63,12 @@ def test_figures(made_up):
 
 
 def test_csv_and_plot(made_up, tmp_path):
-    made_up.write_csv(tmp_path / "p.csv")
+    profile.write_csv(tmp_path / "p.csv", [made_up])
     rows = list(csv.DictReader((tmp_path / "p.csv").read_text().splitlines()))
     assert len(rows) == 6 and rows[1]["seconds"] == "6.0" and rows[2]["seconds"] == "" and rows[2]["solved"] == "False"
     from matplotlib.figure import Figure
 
+    assert made_up.plot(Figure().subplots(), legend=False).get_legend() is None
     axes = made_up.plot(Figure().subplots())
     for line, k in zip(axes.lines, (0, 1), strict=True):
         x, y = line.get_data()
@@ -86,8 +88,15 @@ def test_solvers_are_judged_by_the_problem(folder):
     assert hopeless.table().splitlines()[1].split()[:3] == ["pgs", "0/2", "0.00"]
 
 
+def test_all_solvers_and_small_problems(folder, monkeypatch):
+    monkeypatch.setattr(profile, "SOLVERS", {"auto": None, "pgs": None})
+    nd.fclib.write(folder / "one.hdf5", nd.FC3D(np.eye(3), np.array([-1.0, 0.2, 0.0]), np.array([0.5])))
+    found = profile.measure(folder, ["pgs", "all"], limit=60.0, min_contacts=2)
+    assert found.problems == ["box", "slip"] and found.solvers == ["pgs", "auto"]
+
+
 def test_hanging_solver_is_ended():
-    worker = profile._Worker([sys.executable, "-c", HANGS], 0.0)
+    worker = Worker([sys.executable, "-c", HANGS], 0.0)
     begin = time.monotonic()
     assert worker.ask({}, 0.3) == {"failure": "no answer within 0.3 s"}
     assert worker._process is None
@@ -95,7 +104,7 @@ def test_hanging_solver_is_ended():
 
 
 def test_crash_is_a_result_and_the_next_request_gets_a_new_process():
-    worker = profile._Worker([sys.executable, "-c", DIES], 0.0)
+    worker = Worker([sys.executable, "-c", DIES], 0.0)
     for _ in range(2):
         assert worker.ask({}, 10.0)["failure"] == "the process died with exit code -6"
 
@@ -103,7 +112,7 @@ def test_crash_is_a_result_and_the_next_request_gets_a_new_process():
 def test_first_calls_may_compile_for_a_while():
     """The grace is spent once: a solver that hangs in every first call costs it once."""
     script = HANGS.replace('"start"', '"warm"')
-    worker = profile._Worker([sys.executable, "-c", script], 0.5)
+    worker = Worker([sys.executable, "-c", script], 0.5)
     assert worker.ask({}, 0.1)["failure"] == "no answer within 0.6 s"
     assert worker.ask({}, 0.1)["failure"] == "no answer within 0.1 s"
 
@@ -150,7 +159,7 @@ def test_peers_solve_the_same_problem(folder, tmp_path, label):
     """Order of contacts and of components, and the signs, are right if the answer solves our problem."""
     player = peer(label)
     problem = nd.fclib.read(folder / "slip.hdf5")
-    worker = profile._Worker(list(player.script), 0.0)
+    worker = Worker(list(player.script), 0.0)
     try:
         found = player.play(worker, folder / "slip.hdf5", problem, 1e-6, 60.0, tmp_path)
     finally:

@@ -67,7 +67,7 @@ def test_bad_scene():
         scene.set_pair("b", "c", mu=0.1)
     with pytest.raises(ValueError, match="mu must not be negative"):
         scene.set_pair("b", "b", mu=-0.1)
-    with pytest.raises(ValueError, match="must be a URDF file"):
+    with pytest.raises(ValueError, match="must be a file in URDF"):
         scene.add_urdf("arm", "nowhere.urdf")
 
 
@@ -138,3 +138,33 @@ def test_overlap_at_the_start():
     assert stepper.get_state().position.x[0, 2] == pytest.approx(0.1, abs=1e-9)
     assert np.abs(step.v).max() < 1e-9
     nd.Stepper(scene(1e-10))
+
+
+def test_centre_of_mass_elsewhere_than_the_centroid():
+    """A ball with a low centre of mass stands up; its contact is one radius below its centre, wherever that is."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    J = 0.4 * 0.1**2 * np.eye(3)
+    tilt = np.array([np.sin(0.2), 0, 0, np.cos(0.2)])  # 0.4 rad about x
+    low = np.array([0, 0.02 * np.sin(0.4), -0.02 * np.cos(0.4)])
+    scene.add_sphere("b", 0.1, 1.0, com=(0, 0, -0.02), inertia=J, position=low + np.array([0, 0, 0.1]), quaternion=tilt)
+    stepper = nd.Stepper(scene)
+    step = stepper.step()
+    np.testing.assert_allclose(step.contacts.point[0], (0, 0, 0), atol=1e-9)
+    # M at the contact is J + m r²: w' = -m g d sin(tilt) / M about x, with r from the contact to the centre of mass.
+    r = np.array([0, 0, 0.1]) + low
+    expected = -9.81 * 0.02 * np.sin(0.4) / (J[0, 0] + r @ r) * 1e-3
+    assert step.v[3] == pytest.approx(expected, rel=1e-4)
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    scene.add_convex("c", corners, 1.0, com=(0.1, 0, 0), inertia=np.eye(3), quaternion=(0, 0, 1, 0))
+    np.testing.assert_allclose(scene.bodies["c"].position, (-0.6, -0.5, 0.5), atol=1e-15)
+
+
+def test_bad_centre_of_mass():
+    scene = nd.Scene()
+    with pytest.raises(ValueError, match="com of 'b' must be 3 numbers"):
+        scene.add_sphere("b", 0.1, 1.0, com=(0, 0))
+    with pytest.raises(ValueError, match="inertia of 'b' is needed"):
+        scene.add_sphere("b", 0.1, 1.0, com=(0, 0, 0.01))
+    with pytest.raises(ValueError, match="'b' is fixed, so its com has no meaning"):
+        scene.add_sphere("b", 0.1, fixed=True, com=(0, 0, 0.01))

@@ -19,7 +19,9 @@ from nsdyn.trajectory import Recorder, Trajectory
 
 DT = 0.01
 META = {"dt": DT, "theta": 0.5, "solver": "Auto(tol=1e-08)"}
-WORKS = ["external", "normal", "friction", "gyroscopic", "theta", "mass", "projection", "defect"]
+WORKS = [
+    "external", "normal", "friction", "damping", "constraint", "gyroscopic", "theta", "mass", "projection", "defect",
+]  # fmt: skip
 
 
 def scene_dict(links: bool = False):
@@ -53,7 +55,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
         q = np.column_stack([rng.normal(size=(2, 3)), quaternion]).ravel()
         poses = (rng.normal(size=(3, 3)), rng.normal(size=(3, 4))) if links else (None, None)
         joint = [0.5] if links else []
-        works = dict(zip(WORKS, rng.normal(size=8), strict=True))
+        works = dict(zip(WORKS, rng.normal(size=10), strict=True))
         return dict(
             t=k * DT, q=np.append(q, joint), v=np.append(rng.normal(size=12), joint),
             frames_x=poses[0], frames_quat=poses[1],
@@ -129,7 +131,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 1 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 2 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
@@ -271,7 +273,7 @@ def test_failed_save_leaves_the_old_file(tmp_path):
     [
         (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
         (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
-        (lambda f: f["meta"].attrs.__setitem__("format_version", 2), "format_version 2"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", 3), "format_version 3"),
         (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
         (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
         (lambda f: f["t"].resize(0, axis=0), "is damaged"),
@@ -285,6 +287,20 @@ def test_damaged_file_is_named(damage, message, tmp_path):
     with pytest.raises(ValueError, match=message) as failure:
         Trajectory.load(path)
     assert str(path) in str(failure.value)
+
+
+def test_recordings_of_version_1_are_read(tmp_path):
+    """They lack the works of joint damping and of constraints, which were 0."""
+    path = tmp_path / "run.h5"
+    record(path, 5)
+    with h5py.File(path, "r+") as file:
+        file["meta"].attrs["format_version"] = 1
+        normal = file["energy/normal"][:]
+        del file["energy/damping"], file["energy/constraint"]
+    old = Trajectory.load(path)
+    np.testing.assert_array_equal(old.energy.damping, np.zeros(5))
+    np.testing.assert_array_equal(old.energy.constraint, np.zeros(5))
+    np.testing.assert_array_equal(old.energy.normal, normal)
 
 
 def test_other_files_are_refused(tmp_path):

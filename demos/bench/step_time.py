@@ -12,6 +12,7 @@ import time
 import numpy as np
 
 import nsdyn as nd
+from nsdyn import bench
 
 PHASES = ("broad phase", "Coal", "manifold and assembly", "solve", "the rest", "record")
 
@@ -36,31 +37,13 @@ def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> tuple[list[float
     return [statistics.median(phase) for phase in zip(*split, strict=True)], deepest, drift
 
 
-def mujoco_model(scene: nd.Scene, dt: float, stiff: bool) -> str:
-    """MJCF text of a scene of boxes and spheres on a ground."""
-    stiffness = f'solref="{3 * dt} 1" solimp=".99 .999 .001"' if stiff else ""
-    option = '<option cone="elliptic" impratio="1e4" tolerance="1e-12"/>' if stiff else ""
-    bodies = []
-    for b in scene.free_bodies:
-        half = " ".join(str(s / 2) for s in b.shape.size)
-        kind = f'type="box" size="{half}"' if b.shape.size.all() else f'type="sphere" size="{b.shape.size[0]}"'
-        x, y, z = b.position
-        qx, qy, qz, qw = b.quaternion
-        bodies.append(
-            f'<body pos="{x} {y} {z}" quat="{qw} {qx} {qy} {qz}"><freejoint/>'
-            f'<geom {kind} mass="{b.mass}" friction="{b.material.mu} 0 0" {stiffness}/></body>'
-        )
-    return (
-        f'<mujoco><option timestep="{dt}"/>{option}<size memory="200M"/><worldbody>'
-        f'<geom type="plane" size="100 100 1" friction=".5 0 0" {stiffness}/>{"".join(bodies)}</worldbody></mujoco>'
-    )
-
-
 def peer(scene: nd.Scene, dt: float, steps: int, stiff: bool) -> tuple[float, float]:
     """Median seconds of MuJoCo's step and its deepest penetration [m], after the same settling."""
     import mujoco
 
-    model = mujoco.MjModel.from_xml_string(mujoco_model(scene, dt, stiff))
+    from nsdyn._peers.bench_mujoco import mjcf
+
+    model = mujoco.MjModel.from_xml_string(mjcf(bench.describe(scene), "stiff" if stiff else "default", dt))
     data = mujoco.MjData(model)
     for _ in range(round(0.25 / dt)):
         mujoco.mj_step(model, data)

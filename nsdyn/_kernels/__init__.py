@@ -1,8 +1,38 @@
 """Compiled kernels: functions of arrays and scalars, the only place where numba is imported.
 
 Each kernel has a NumPy twin of the same meaning, in `nsdyn.cones`, `nsdyn.problem` or its test, and gives the same
-answer with ``NUMBA_DISABLE_JIT=1``.
+answer with ``NUMBA_DISABLE_JIT=1``. The first use on a machine compiles them and keeps the machine code in numba's
+cache; the logger "nsdyn" says so, at INFO also which.
 
 For developers: numba's cache sees a change of a kernel's own file only. After editing a kernel that another file calls,
 delete ``_kernels/__pycache__``.
 """
+
+import logging
+
+from numba.core import event
+
+_log = logging.getLogger("nsdyn")
+
+
+class _Announce(event.Listener):  # type: ignore[misc]  # numba is not typed
+    """Tells a person who waits that kernels are being compiled, and which."""
+
+    def __init__(self) -> None:
+        self.seen: set[str] = set()
+
+    def on_start(self, event: event.Event) -> None:
+        """Once in a process, and once for every module of kernels."""
+        module = event.data["dispatcher"].py_func.__module__
+        if not module.startswith(__name__) or module in self.seen:
+            return
+        if not self.seen:
+            _log.warning("compiling the kernels, once on this machine: up to a minute")
+        self.seen.add(module)
+        _log.info("compiling %s", module.removeprefix(__name__ + "."))
+
+    def on_end(self, event: event.Event) -> None:
+        """Nothing to tell."""
+
+
+event.register("numba:compile", _Announce())

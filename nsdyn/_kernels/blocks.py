@@ -15,16 +15,19 @@ from nsdyn._kernels.cones import largest_eigenvalue
 def relative_velocity(offset, block, start, h, v, u):
     """u = Hᵀ v, into u (3 nc,)."""
     for c in range(block.shape[0]):
-        for i in range(3):
-            total = 0.0
-            for s in range(2):
-                k = block[c, s]
-                if k >= 0:
-                    o, n = offset[k], offset[k + 1] - offset[k]
-                    row = start[c, s] + i * n
-                    for j in range(n):
-                        total += h[row + j] * v[o + j]
-            u[3 * c + i] = total
+        u0, u1, u2 = 0.0, 0.0, 0.0
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                # Unsigned indices spare the test whether they count from the end: a third of the time.
+                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                d, e = a + n, a + n + n
+                for j in range(n):
+                    x = v[o + j]
+                    u0 += h[a + j] * x
+                    u1 += h[d + j] * x
+                    u2 += h[e + j] * x
+        u[3 * c], u[3 * c + 1], u[3 * c + 2] = u0, u1, u2
 
 
 @njit(cache=True)
@@ -32,29 +35,29 @@ def momentum(offset, block, start, h, r, p):
     """p = H r, into p (n,)."""
     p[:] = 0.0
     for c in range(block.shape[0]):
+        r0, r1, r2 = r[3 * c], r[3 * c + 1], r[3 * c + 2]
+        if r0 == 0.0 and r1 == 0.0 and r2 == 0.0:
+            continue
         for s in range(2):
             k = block[c, s]
             if k >= 0:
-                o, n = offset[k], offset[k + 1] - offset[k]
-                for i in range(3):
-                    x = r[3 * c + i]
-                    if x != 0.0:
-                        row = start[c, s] + i * n
-                        for j in range(n):
-                            p[o + j] += h[row + j] * x
+                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                d, e = a + n, a + n + n
+                for j in range(n):
+                    p[o + j] += h[a + j] * r0 + h[d + j] * r1 + h[e + j] * r2
 
 
 @njit(cache=True)
 def block_product(offset, m_start, m, x, y):
     """y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
     for k in range(offset.size - 1):
-        o, n = offset[k], offset[k + 1] - offset[k]
+        o, n, row = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(m_start[k])
         for i in range(n):
-            row = m_start[k] + i * n
             total = 0.0
             for j in range(n):
                 total += m[row + j] * x[o + j]
             y[o + i] = total
+            row += n
 
 
 @njit(cache=True)
@@ -79,7 +82,7 @@ def contacts_of_blocks(block, count):
 
 
 @njit(cache=True)
-def _weighted_rows(offset, block, start, h, m_start, minv):
+def weighted_rows(offset, block, start, h, m_start, minv):
     """Rows of (M⁻¹ H)ᵀ in the layout of h."""
     y = np.zeros_like(h)
     for c in range(block.shape[0]):
@@ -122,7 +125,7 @@ def delassus(offset, block, start, h, m_start, minv):
     """Block-sparse W = Hᵀ M⁻¹ H as (indptr, indices, data (nnz, 3, 3)), exactly symmetric, columns ascending."""
     nc, count = block.shape[0], offset.size - 1
     pointer, members = contacts_of_blocks(block, count)
-    y = _weighted_rows(offset, block, start, h, m_start, minv)
+    y = weighted_rows(offset, block, start, h, m_start, minv)
     indptr = np.zeros(nc + 1, np.int64)
     seen = np.full(nc, -1, np.int64)
     for a in range(nc):

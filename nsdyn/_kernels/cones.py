@@ -127,6 +127,28 @@ def solve_one(W, q, mu, r):
     if t <= mu * rn:
         r[0], r[1], r[2] = rn, r1, r2
         return
+    # 1 - mu r_N / |r_T| is linear in alpha where the contact is isotropic: secants from the root of that line.
+    alpha, f = 0.0, 1.0 - mu * rn / t if t > 0.0 else 1.0
+    old, f_old = -tau, 1.0
+    for _ in range(12):
+        if f == f_old:
+            break
+        step = -f * (alpha - old) / (f - f_old)
+        old, f_old = alpha, f
+        alpha += step
+        if not 0.0 <= alpha < 1e300:
+            break
+        rn, r1, r2 = _slip(W, q, alpha)
+        t = math.sqrt(r1 * r1 + r2 * r2)
+        if t == 0.0:
+            break
+        f = 1.0 - mu * rn / t
+        if abs(f) <= 1e-15:
+            s = mu * rn / t
+            r[0], r[1], r[2] = rn, s * r1, s * r2
+            return
+    rn, r1, r2 = _slip(W, q, 1e-14 * tau if singular else 0.0)
+    t = math.sqrt(r1 * r1 + r2 * r2)
     # f = (|r_T| - mu r_N) / (|r_T| + mu |r_N|) falls from f_lo in (0, 1] at lo to -1 at hi.
     lo, f_lo, hi, f_hi = 0.0, (t - mu * rn) / (t + mu * abs(rn)), 1.0, -1.0
     side = 0

@@ -5,7 +5,7 @@ from numba import njit
 
 from nsdyn._kernels import interior, pgs
 from nsdyn._kernels.blocks import unite
-from nsdyn._kernels.cones import natural_error, natural_residual, solve_one
+from nsdyn._kernels.cones import solve_one
 from nsdyn._kernels.linear import factorise, substitute
 from nsdyn._kernels.newton import PATIENCE, grown, projected, stiffness
 
@@ -157,11 +157,11 @@ def filled(indptr, indices, data):
 
 
 @njit(cache=True)
-def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, found, largest, warm, sweeps, steps):
+def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, found, largest, warm, sweeps, patience):
     """Every island of at most `largest` contacts in place of r; returns the iterations.
 
-    One contact: closed form. Else a warm start tries Newton; then accelerated Gauss–Seidel and Newton from its
-    contact states; then the interior point method and Newton from its states.
+    One contact: closed form. Else a warm start tries Newton; then accelerated Gauss–Seidel while its rate leaves
+    hope; then the interior point method and Newton from its states.
     """
     nc = mu.size
     end, order = np.zeros(found + 1, np.int64), np.empty(nc, np.int64)
@@ -183,7 +183,7 @@ def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, fou
         if k > 30:
             contacts = narrow(indptr, indices, contacts)
         part = extract(indptr, indices, data, contacts)
-        x, u, own_q = np.empty(3 * k), np.empty(3 * k), np.empty(3 * k)
+        x, own_q = np.empty(3 * k), np.empty(3 * k)
         own_mu, own_scales = np.empty(k), np.empty(k)
         for l in range(k):
             c = contacts[l]
@@ -203,19 +203,14 @@ def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, fou
                 used, best = newton(W, own_q, own_mu, own_scales, x, tol, q_norm, 1e2, 6)
                 count += used
             if best > tol:
-                used, _ = pgs.accelerated(
-                    part[0], part[1], part[2], own_q, own_mu, own_scales, x, tol, q_norm, sweeps, 5, min(20, k + 1),
-                    sweeps,
+                M, memory = pgs.matrix(*part), min(20, k + 1)
+                used, best = pgs.accelerated(
+                    M, own_q, own_mu, own_scales, x, tol, q_norm, sweeps, 5, memory, patience
                 )  # fmt: skip
                 count += used
-                pgs.velocity(part[0], part[1], part[2], own_q, x, u)
-                best = max(natural_residual(own_scales, u, x, own_mu), natural_error(u, x, own_mu) / q_norm)
             if best > tol:
                 if W.size == 0:
                     W = filled(*part)
-                used, best = newton(W, own_q, own_mu, own_scales, x, tol, q_norm, 1e2, steps)
-                count += used
-            if best > tol:
                 y = np.empty(3 * k)
                 used, now = interior.dense(W, own_q, own_mu, own_scales, y, tol, q_norm, 40)
                 count += used
@@ -224,9 +219,8 @@ def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, fou
                     count += used
                 if now > tol:
                     # Near the solution the sweeps reach the last digits that factorisations lose.
-                    used, _ = pgs.accelerated(
-                        part[0], part[1], part[2], own_q, own_mu, own_scales, y, tol, q_norm, sweeps, 5,
-                        min(20, k + 1), sweeps,
+                    used, now = pgs.accelerated(
+                        M, own_q, own_mu, own_scales, y, tol, q_norm, sweeps, 5, memory, sweeps
                     )  # fmt: skip
                     count += used
                 if now < best:

@@ -1,1 +1,1 @@
-"""Scripts that `nsdyn.profile` runs in processes of their own: our solvers, and the peers to compare with."""
+"""Scripts that `nsdyn.profile` and `nsdyn.bench` run in processes of their own: ours, and the peers to compare with."""

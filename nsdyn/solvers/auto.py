@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,8 +13,8 @@ from nsdyn._kernels import cones as _cones
 from nsdyn._kernels import local as _local
 from nsdyn._kernels import newton as _newton
 from nsdyn._kernels import pgs as _pgs
-from nsdyn.problem import FC3D, Array, Blocks, Index, Solution, Status, _csr
-from nsdyn.solvers.interior import Local, newton, solve_by_factors, solve_by_matrix
+from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
+from nsdyn.solvers.interior import Local, solve_by_factors, solve_by_matrix
 from nsdyn.solvers.newton import DENSE, island, islands_of, rows, solve_blocks
 
 POLISH, FLOOR = 1e-5, 1e-14
@@ -27,29 +28,21 @@ LARGEST = 100
 WARM = 1e2, 6
 """Penalty and Newton steps of a warm start."""
 
-SWEEPS, STEPS = 60, 15
-"""Sweeps of Gauss–Seidel and then Newton steps a cold start gets before the interior point method. Most contact
-states are found by then, and what is not found in 60 sweeps takes thousands."""
+SWEEPS, PATIENCE = 400, 20
+"""Sweeps of Gauss–Seidel a cold start may take, which cost about as much as the interior point method, and the number
+from which on it is foreseen whether they suffice."""
+
+FINISH = 1e3, 3
+"""Penalty and Newton steps of the polish."""
 
 INTERIOR = 40, 2500
 """Limits of the interior point method and of the Newton steps that finish it."""
 
 
-def _sweep(
-    indptr: Index,
-    indices: Index,
-    data: Array,
-    q: Array,
-    mu: Array,
-    scales: Array,
-    r: Array,
-    tol: float,
-    q_norm: float,
-) -> int:
-    """SWEEPS of accelerated Gauss–Seidel in place of r; the number used."""
-    memory = min(20, mu.size + 1)
-    used, _ = _pgs.accelerated(indptr, indices, data, q, mu, scales, r, tol, q_norm, SWEEPS, 5, memory, SWEEPS)
-    return int(used)
+def _sweep(W: Any, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float) -> tuple[int, float]:
+    """Accelerated Gauss–Seidel in place of r, W a `Matrix` or `Factors`: (sweeps, measure)."""
+    used, best = _pgs.accelerated(W, q, mu, scales, r, tol, q_norm, SWEEPS, 5, min(20, mu.size + 1), PATIENCE)
+    return int(used), float(best)
 
 
 @dataclass(frozen=True)
@@ -59,7 +52,8 @@ class Auto:
     An island with one contact is solved in closed form. A warm start first gets a few Newton steps, since the contact
     states of the last step mostly hold. Otherwise accelerated Gauss–Seidel finds the states and Newton finishes from
     them; where it does not, the interior point method finds them and Newton finishes. A problem given by W alone is
-    solved on its impulses, so that W need not be symmetric.
+    solved on its impulses, so that W need not be symmetric. What is not solved is checked for a Slater point, without
+    which no solution is guaranteed, and its status says so.
 
     Parameters
     ----------
@@ -81,7 +75,17 @@ class Auto:
             enough, _, _, u = problem.solved(r, max(POLISH * self.tol, FLOOR))
             if not enough:
                 count = self._given_factors(problem, problem.blocks, r, u)
-        return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+        solution = Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+        return solution if solution.converged else self._explained(problem, solution)
+
+    @staticmethod
+    def _explained(problem: FC3D, solution: Solution) -> Solution:
+        """The solution with `Status.NO_SLATER_POINT` where none is guaranteed to exist."""
+        from nsdyn.formulations import has_slater_point  # rarely needed, and its imports take long
+
+        if solution.status is Status.MAX_ITERATIONS and has_slater_point(problem) is False:
+            return replace(solution, status=Status.NO_SLATER_POINT)
+        return solution
 
     def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, u: Array) -> int:
         """Solve a problem with factors from r, whose velocity is u, in place of r; iterations used."""
@@ -117,7 +121,7 @@ class Auto:
         count = int(
             _local.solve_small(
                 indptr, indices, data, problem.q, problem.mu, problem.scales, r, tol, q_norm, label, found,
-                LARGEST, bool(r.any()), SWEEPS, STEPS,
+                LARGEST, bool(r.any()), SWEEPS, PATIENCE,
             )
         )  # fmt: skip
         for k in np.flatnonzero(np.bincount(label) > LARGEST) if problem.nc > LARGEST else ():
@@ -127,15 +131,12 @@ class Auto:
             q, mu, scales = problem.q[i], problem.mu[contacts], problem.scales[contacts]
             x = r[i]
             W = Local(sp.bsr_array((values, columns, start), shape=(x.size, x.size)))
-            count += _sweep(start, columns, values, q, mu, scales, x, tol, q_norm)
-            used, best = newton(W, q, mu, scales, x, tol, q_norm, 1e2, STEPS)
+            used, best = _sweep(_pgs.matrix(start, columns, values), q, mu, scales, x, tol, q_norm)
             count += used
             if best > tol:
                 y = np.empty_like(x)
                 used, now = solve_by_matrix(W, q, mu, scales, y, tol, q_norm, INTERIOR)
                 count += used
-                if now > tol:
-                    count += _sweep(start, columns, values, q, mu, scales, y, tol, q_norm)
                 x = y if now < best else x
             r[i] = x
         return count
@@ -153,15 +154,13 @@ class Auto:
             count += used
             if best <= tol:
                 return r, count
-        W = _csr(blocks.delassus())
-        count += _sweep(*W, q, mu, scales, r, sharp, q_norm)
-        used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 1e2, STEPS)
+        W = _pgs.factors(blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.minv)
+        used, best = _sweep(W, q, mu, scales, r, tol, q_norm)
         count += used
         if best > tol:
             x = np.empty_like(r)
             used, now = solve_by_factors(blocks, q, mu, scales, x, tol, q_norm, INTERIOR)
             count += used
-            if now < best:
-                r = x
-            count += solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, 1e3, STEPS)[0]
+            r = x if now < best else r
+        count += solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, *FINISH)[0]
         return r, count

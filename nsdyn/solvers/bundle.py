@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import nnls
 
 from nsdyn.formulations import ELEMENTS, xuewen_soh_wanji
 from nsdyn.problem import FC3D, Array, Solution, Status
@@ -23,6 +22,8 @@ def shortest(V: Array) -> Array:
 
     min ‖Vᵀλ‖² + (Σλ - 1)² over λ ≥ 0 has its solution along that of the simplex; Σλ brings it there.
     """
+    from scipy.optimize import nnls  # a tenth of a second that few need
+
     V = V / (np.linalg.norm(V, axis=1).min() or 1.0)
     weights = nnls(np.vstack((V.T, np.ones(V.shape[0]))), np.r_[np.zeros(V.shape[1]), 1.0])[0]
     return np.asarray(weights / weights.sum())

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import get_ident
 from typing import Any
 
 import numpy as np
@@ -56,14 +57,14 @@ class Factor:
 
 
 @lru_cache(maxsize=16)
-def _factor(offset: bytes, block: bytes) -> Factor:
-    """One `Factor` per contact graph, so that the symbolic part lives as long as the graph."""
+def _factor(thread: int, offset: bytes, block: bytes) -> Factor:
+    """One `Factor` per contact graph, so that the symbolic part lives as long as the graph, for each thread its own."""
     return Factor(np.frombuffer(offset, np.int64), np.frombuffer(block, np.int64).reshape(-1, 2))
 
 
 def contact_graph(blocks: Blocks) -> Factor:
     """The factorisations on the contact graph of some blocks."""
-    return _factor(blocks.offset.tobytes(), blocks.block.tobytes())
+    return _factor(get_ident(), blocks.offset.tobytes(), blocks.block.tobytes())
 
 
 def _sparse(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsdyn._kernels import pgs as _kernels
-from nsdyn.problem import FC3D, Array, Solution, Status, _csr
+from nsdyn.problem import FC3D, Array, Solution, Status
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class PGS:
     memory : int
         Differences kept by Anderson's acceleration; 0 gives the plain method.
     patience : int
-        Sweeps without a tenfold fall of the residual after which the solve is called stalled.
+        Sweeps from which on the solve is called stalled once their rate leaves no hope within max_iter.
 
     References
     ----------
@@ -44,12 +44,18 @@ class PGS:
         """Solve the problem from r0 (default 0)."""
         start = time.perf_counter()
         r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
-        sweeps, stalled = 0, False
+        sweeps = 0
         if problem.nc and not problem.solved(r, self.tol)[0]:
             q_norm = float(np.linalg.norm(problem.q)) or 1.0
-            sweeps, stalled = _kernels.accelerated(
-                *_csr(problem.W), problem.q, problem.mu, problem.scales, r, self.tol, q_norm,
+            blocks = problem.blocks
+            W = (
+                _kernels.matrix(*problem.csr)
+                if blocks is None
+                else _kernels.factors(blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.minv)
+            )
+            sweeps, _ = _kernels.accelerated(
+                W, problem.q, problem.mu, problem.scales, r, self.tol, q_norm,
                 self.max_iter, min(5, self.max_iter), min(self.memory, problem.nc + 1), self.patience,
             )  # fmt: skip
-        status = Status.STALLED if stalled else Status.MAX_ITERATIONS
+        status = Status.STALLED if sweeps < self.max_iter else Status.MAX_ITERATIONS
         return Solution.judge(problem, r, self.tol, sweeps, time.perf_counter() - start, status)

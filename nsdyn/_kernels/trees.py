@@ -1,0 +1,311 @@
+"""Articulated trees: free motion, works, rows of contacts on links, rows of joint limits and joint friction.
+
+Joint rows follow the contacts of a step, three each like them. A limit is a frictionless contact with one normal row
+±e_j; dry friction |tau| <= tau_c is a contact with mu = 1 whose first tangent row is e_j and whose normal row lies on
+a coordinate of its own, pressed so that r_N = h tau_c exactly. Rows that are not named are zero.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, minv, force):
+    """The forces linear in the end velocity: the effective mass matrix, its factor, its inverse, and what is left.
+
+    m = M + h (theta D + h theta² K + kd + h kp) and minv = Fᵀ F, where F = L⁻¹ for its Cholesky factor L, all (n, n);
+    force = tau - (D + kd + h kp) v - K (stretch + theta h v), (n,). False when m is not positive definite.
+    """
+    n = M.shape[0]
+    L = np.zeros((n, n))
+    for j in range(n):
+        for i in range(n):
+            m[i, j] = M[i, j]
+        m[j, j] += h * (theta * damping[j] + h * theta * theta * stiffness[j] + kd[j] + h * kp[j])
+        force[j] = tau[j] - (damping[j] + kd[j] + h * kp[j]) * v[j] - stiffness[j] * (stretch[j] + theta * h * v[j])
+    for j in range(n):
+        d = m[j, j]
+        for k in range(j):
+            d -= L[j, k] * L[j, k]
+        if not d > 0.0:
+            return False
+        L[j, j] = math.sqrt(d)
+        for i in range(j + 1, n):
+            x = m[i, j]
+            for k in range(j):
+                x -= L[i, k] * L[j, k]
+            L[i, j] = x / L[j, j]
+    F[:] = 0.0
+    for j in range(n):
+        F[j, j] = 1.0 / L[j, j]
+        for i in range(j + 1, n):
+            x = 0.0
+            for k in range(j, i):
+                x -= L[i, k] * F[k, j]
+            F[i, j] = x / L[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            y = 0.0
+            for k in range(i, n):
+                y += F[k, i] * F[k, j]
+            minv[i, j] = minv[j, i] = y
+    return True
+
+
+@njit(cache=True)
+def respond(start, minv, force, bias, h, v):
+    """V = start + h minv (force - bias), into v (n,); returns its relative change."""
+    change, size = 0.0, 0.0
+    for i in range(v.size):
+        x = start[i]
+        for j in range(v.size):
+            x += h * minv[i, j] * (force[j] - bias[j])
+        change, size = max(change, abs(x - v[i])), max(size, abs(x))
+        v[i] = x
+    return change / size if size > 0.0 else 0.0
+
+
+@njit(cache=True)
+def conserve(M, minv, v0, v1, gain, h, bias):
+    """Add s M v̄ to the bias, with the s that makes h v̄·bias = gain - v̄·M Δv for the energy gained from v0 to v1.
+
+    Motions slower than gravity makes them in a step keep the bias: there s is a quotient of round-off.
+    """
+    n = bias.size
+    momentum = np.zeros(n)
+    twice, kinetic, work, scale = 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        response = 0.0
+        for j in range(n):
+            momentum[i] += 0.5 * M[i, j] * (v0[j] + v1[j])
+            response += minv[i, j] * bias[j]
+        mean = 0.5 * (v0[i] + v1[i])
+        twice += mean * momentum[i]
+        kinetic += momentum[i] * (v1[i] - v0[i])
+        work += h * mean * bias[i]
+        scale += bias[i] * response
+    if twice > h * h * scale:
+        s = (gain - kinetic - work) / (h * twice)
+        for i in range(n):
+            bias[i] += s * momentum[i]
+
+
+@njit(cache=True)
+def works(M, damping, stiffness, kp, kd, tau, stretch, bias, v0, v1, v_theta, h, theta, out):
+    """Works of a step on v̄ = (v0 + v1) / 2: v̄·M Δv, of actuation, damping, springs and bias, into out (5,), J."""
+    out[:] = 0.0
+    for i in range(v0.size):
+        mean = 0.5 * (v0[i] + v1[i])
+        for j in range(v0.size):
+            out[0] += mean * M[i, j] * (v1[j] - v0[j])
+        out[1] += h * mean * (tau[i] - (kd[i] + h * kp[i]) * v1[i])
+        out[2] -= h * mean * damping[i] * v_theta[i]
+        out[3] -= h * mean * stiffness[i] * (stretch[i] + theta * h * v_theta[i])
+        out[4] += h * mean * bias[i]
+
+
+@njit(cache=True)
+def quaternions(R, out):
+    """Unit quaternions xyzw of rotation matrices, w >= 0 unless the turn is near half, into out (n, 4)."""
+    for b in range(R.shape[0]):
+        trace = R[b, 0, 0] + R[b, 1, 1] + R[b, 2, 2]
+        if trace > 0.0:
+            s = 2.0 * math.sqrt(1.0 + trace)
+            out[b, 3] = 0.25 * s
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                out[b, i] = (R[b, k, j] - R[b, j, k]) / s
+        else:
+            i = 0
+            if R[b, 1, 1] > R[b, 0, 0]:
+                i = 1
+            if R[b, 2, 2] > R[b, i, i]:
+                i = 2
+            j, k = (i + 1) % 3, (i + 2) % 3
+            s = 2.0 * math.sqrt(1.0 + R[b, i, i] - R[b, j, j] - R[b, k, k])
+            out[b, i] = 0.25 * s
+            out[b, j] = (R[b, i, j] + R[b, j, i]) / s
+            out[b, k] = (R[b, i, k] + R[b, k, i]) / s
+            out[b, 3] = (R[b, k, j] - R[b, j, k]) / s
+
+
+@njit(cache=True)
+def link_rows(frame1, frame2, point, frame, first, support, J, start, h):
+    """Add the rows of Hᵀ on the links of one tree.
+
+    Its frames are first, first + 1, ...; column j of J (6, nv) is the velocity field of coordinate j in world axes,
+    linear at the world's origin, then angular; it moves frame f if support[f - first, j]. A contact between two links
+    adds both to side 0.
+    """
+    last, nv = first + support.shape[0], J.shape[1]
+    for c in range(frame1.size):
+        inside = first <= frame1[c] < last
+        for s in range(2):
+            f = frame1[c] if s == 0 else frame2[c]
+            if f < first or f >= last:
+                continue
+            sign = -1.0 if s == 0 else 1.0
+            side = 0 if inside else s
+            p0, p1, p2 = point[c, 0], point[c, 1], point[c, 2]
+            for i in range(3):
+                d0, d1, d2 = sign * frame[c, i, 0], sign * frame[c, i, 1], sign * frame[c, i, 2]
+                m0, m1, m2 = p1 * d2 - p2 * d1, p2 * d0 - p0 * d2, p0 * d1 - p1 * d0
+                row = start[c, side] + nv * i
+                for j in range(nv):
+                    if support[f - first, j]:
+                        h[row + j] += (
+                            d0 * J[0, j] + d1 * J[1, j] + d2 * J[2, j] + m0 * J[3, j] + m1 * J[4, j] + m2 * J[5, j]
+                        )
+
+
+@njit(cache=True)
+def link_reach(x, support, J, v, h, radius, fall, out):
+    """How far any point of each link's shapes moves in a step of h at velocity v, and by `fall`, m, into out (n,)."""
+    for f in range(support.shape[0]):
+        a = np.zeros(6)
+        for j in range(v.size):
+            if support[f, j]:
+                for i in range(6):
+                    a[i] += J[i, j] * v[j]
+        a[0] += a[4] * x[f, 2] - a[5] * x[f, 1]
+        a[1] += a[5] * x[f, 0] - a[3] * x[f, 2]
+        a[2] += a[3] * x[f, 1] - a[4] * x[f, 0]
+        speed, spin = math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), math.sqrt(a[3] ** 2 + a[4] ** 2 + a[5] ** 2)
+        out[f] = h * (speed + spin * radius[f]) + fall
+
+
+@njit(cache=True)
+def active_rows(coordinate, sign, bound, near, angle, v, v_free, h):
+    """The joint rows of a step: all friction (sign 0), and the limits that the joint may reach; ascending."""
+    rows = np.empty(coordinate.size, np.int64)
+    count = 0
+    for k in range(coordinate.size):
+        c = coordinate[k]
+        rate = max(abs(v[c]), abs(v_free[c]))
+        if sign[k] == 0.0 or sign[k] * (angle[c] - bound[k]) <= near[k] + 2.0 * h * rate:
+            rows[count] = k
+            count += 1
+    return rows[:count]
+
+
+@njit(cache=True)
+def joint_rows(rows, coordinate, block, sign, offset, size, start, h):
+    """Layout and entries of joint rows, into start (nj, 2) and h[size:], which is zero."""
+    for i in range(rows.size):
+        k = rows[i]
+        b = block[k]
+        n = offset[b + 1] - offset[b]
+        start[i, 0], start[i, 1] = size, size
+        j = coordinate[k] - offset[b]
+        if sign[k] == 0.0:
+            h[size + n + j] = 1.0
+        else:
+            h[size + j] = sign[k]
+        size += 3 * n
+
+
+@njit(cache=True)
+def joint_impact_law(u, u_free, gap, restitution, h_theta, closed, w):
+    """Normal offset w_N of joint rows as `motion.impact_law` has it, into w (nj,).
+
+    Rest is an approach slower than what the free motion gains in two steps; u and u_free are (3 nj,).
+    """
+    for k in range(gap.size):
+        approach = u[3 * k]
+        resting = 2.0 * abs(u_free[3 * k] - approach)
+        if restitution[k] > 0.0 and approach < -resting and gap[k] + h_theta * approach <= 0.0:
+            w[k] = restitution[k] * approach
+        else:
+            w[k] = gap[k] / h_theta if gap[k] > closed else 0.0
+
+
+@njit(cache=True)
+def mobility(offset, m_start, minv, block, start, h, rows):
+    """Entry W_T1T1 of the given rows, each on one block, shape (k,); 1 where the joint cannot move."""
+    out = np.zeros(rows.size)
+    for i in range(rows.size):
+        c = rows[i]
+        k = block[c, 0]
+        n = offset[k + 1] - offset[k]
+        row = start[c, 0] + n
+        for a in range(n):
+            for b in range(n):
+                out[i] += h[row + a] * minv[m_start[k] + a * n + b] * h[row + b]
+        if out[i] <= 0.0:
+            out[i] = 1.0
+    return out
+
+
+@njit(cache=True)
+def reduce_rows(offset, block, start, h, z_start, z, own, new_offset, new_block, new_start):
+    """Rows of Hᵀ Z, with Z the matrix (n, ny) of block k at z[z_start[k]:], or the identity for z_start[k] < 0.
+
+    Row c of a contact with own[c] >= 0 gets block own[c] of one coordinate as side 1, on which its normal row is 1.
+    Returns the new h; fills new_block and new_start (nc, 2).
+    """
+    size = 0
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k = block[c, s]
+            if s == 1 and own[c] >= 0:
+                k = own[c]
+            new_block[c, s], new_start[c, s] = k, size
+            if k >= 0:
+                size += 3 * (new_offset[k + 1] - new_offset[k])
+    out = np.zeros(size)
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k, b = block[c, s], new_start[c, s]
+            if s == 1 and own[c] >= 0:
+                out[b] = 1.0
+                continue
+            if k < 0:
+                continue
+            a, n, ny = start[c, s], offset[k + 1] - offset[k], new_offset[k + 1] - new_offset[k]
+            for i in range(3):
+                for j in range(ny):
+                    if z_start[k] < 0:
+                        out[b + i * ny + j] = h[a + i * n + j]
+                    else:
+                        total = 0.0
+                        for l in range(n):
+                            total += h[a + i * n + l] * z[z_start[k] + l * ny + j]
+                        out[b + i * ny + j] = total
+    return out
+
+
+@njit(cache=True)
+def expand(offset, z_start, z, new_offset, y, v):
+    """V = Z y block by block, into v (n,)."""
+    for k in range(offset.size - 1):
+        o, n, p, ny = offset[k], offset[k + 1] - offset[k], new_offset[k], new_offset[k + 1] - new_offset[k]
+        for i in range(n):
+            if z_start[k] < 0:
+                v[o + i] = y[p + i]
+            else:
+                total = 0.0
+                for j in range(ny):
+                    total += z[z_start[k] + i * ny + j] * y[p + j]
+                v[o + i] = total
+
+
+@njit(cache=True)
+def surface_velocities(geom, motion_of_geom, origin, linear, angular, slides, point, frame, sign, w):
+    """Add the velocity of prescribed bodies at the contacts, times sign, in the contact frames, to w (3 nc,).
+
+    Motion m has the velocity linear[m] + angular[m] x (p - origin[m]); where it slides in itself (a conveyor), only
+    the tangential part counts.
+    """
+    for c in range(geom.size):
+        m = motion_of_geom[geom[c]]
+        if m < 0:
+            continue
+        p0, p1, p2 = point[c, 0] - origin[m, 0], point[c, 1] - origin[m, 1], point[c, 2] - origin[m, 2]
+        a = angular[m]
+        v0 = linear[m, 0] + a[1] * p2 - a[2] * p1
+        v1 = linear[m, 1] + a[2] * p0 - a[0] * p2
+        v2 = linear[m, 2] + a[0] * p1 - a[1] * p0
+        for i in range(1 if slides[m] else 0, 3):
+            w[3 * c + i] += sign * (frame[c, i, 0] * v0 + frame[c, i, 1] * v1 + frame[c, i, 2] * v2)

@@ -1,0 +1,78 @@
+"""Checks of what a user gives: each returns the value in its working type or raises ValueError naming the argument."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+__all__ = ["inertia", "mass", "number", "quaternion", "rotation", "vector"]
+
+
+def number(value: Any, what: str) -> float:
+    """A finite number."""
+    try:
+        out = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{what} must be a number, got {value!r}") from None
+    if not np.isfinite(out):
+        raise ValueError(f"{what} must be finite, got {out}")
+    return out
+
+
+def vector(value: ArrayLike, size: int, what: str) -> Array:
+    """`size` finite numbers."""
+    try:
+        out = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{what} must be {size} numbers, got {value!r}") from None
+    if out.shape != (size,):
+        raise ValueError(f"{what} must be {size} numbers, got shape {out.shape}")
+    if not np.isfinite(out).all():
+        raise ValueError(f"{what} must be finite, got {out.tolist()}")
+    return out
+
+
+def quaternion(value: ArrayLike, what: str) -> Array:
+    """A unit quaternion x y z w."""
+    out = vector(value, 4, what)
+    norm = float(np.linalg.norm(out))
+    if abs(norm - 1.0) > 1e-6:  # what a user's own rounding may leave; more is a mistake (wxyz order, degrees)
+        raise ValueError(f"{what} must be a unit quaternion x y z w, got norm {norm:.9g}")
+    return out / norm
+
+
+def rotation(quaternion: Array) -> Array:
+    """Rotation matrix of a unit quaternion x y z w, shape (3, 3)."""
+    out: Array = np.array(pin.Quaternion(quaternion).toRotationMatrix())
+    return out
+
+
+def mass(value: Any, what: str) -> float:
+    """A positive number."""
+    out = number(value, what)
+    if out <= 0.0:
+        raise ValueError(f"{what} must be positive, got {out:g}")
+    return out
+
+
+def inertia(value: ArrayLike, what: str) -> Array:
+    """A physical inertia: symmetric, positive, and no principal moment larger than the sum of the others."""
+    matrix = np.array(value, dtype=float)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ValueError(f"{what} must be a finite 3 x 3 matrix, got {value!r}")
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+        raise ValueError(f"{what} must be symmetric, got {matrix.tolist()}")
+    moments = np.linalg.eigvalsh(matrix)
+    if moments[0] <= 0.0:
+        raise ValueError(f"{what} must be positive definite, got principal moments {moments.tolist()}")
+    if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
+        raise ValueError(
+            f"{what} is not that of a body: its principal moments {moments.tolist()} break the triangle inequality"
+        )
+    out: Array = 0.5 * (matrix + matrix.T)
+    return out

@@ -1,0 +1,183 @@
+"""Joint limits and dry joint friction as rows beside the contacts, and the coordinates the solver works in.
+
+A limit is a frictionless contact whose normal row is ±e_j. Dry friction |τ| ≤ τ_c is a contact with μ = 1 whose first
+tangent row is e_j, pressed on a coordinate of its own so that r_N = h τ_c exactly: sticking is exact, and the solvers
+need nothing new. Where loops or driven joints restrict a tree, v = v_p + Z y, and the solver sees y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels import trees as _trees
+from nsdyn.articulations import Articulation
+from nsdyn.problem import Blocks
+from nsdyn.trees import Tree
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+__all__ = ["JointLaws", "JointRows", "Rows"]
+
+NEAR = 1e-2
+"""A limit takes part in a step when the joint is this fraction of its range away from it, plus what it moves."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """The joint rows of a step, nj of them.
+
+    Attributes
+    ----------
+    slot : ndarray of int, shape (nj,)
+        Rows of the table of `JointLaws`, ascending.
+    gap : ndarray, shape (nj,)
+        Distance to the limit at the midpoint, rad or m; 0 for friction.
+    restitution, mu : ndarray, shape (nj,)
+    press : ndarray, shape (nj,)
+        h τ_c of friction, 0 for limits, N m s or N s.
+    """
+
+    slot: Index
+    gap: Array
+    restitution: Array
+    mu: Array
+    press: Array
+
+
+class JointLaws:
+    """Limits and dry friction of the joints of all trees: a table of slots, each of which may become a row.
+
+    Parameters
+    ----------
+    articulations : sequence of Articulation
+    trees : sequence of Tree
+    first : int
+        Block of the first tree; the others follow.
+    """
+
+    def __init__(self, articulations: Sequence[Articulation], trees: Sequence[Tree], first: int) -> None:
+        table = []
+        for block, (a, t) in enumerate(zip(articulations, trees, strict=True), start=first):
+            start = t.coordinates.start
+            lower, upper = t.limits() if a.limits else (np.full(a.model.nv, -np.inf), np.full(a.model.nv, np.inf))
+            for j in range(a.model.nv):
+                near = NEAR * (upper[j] - lower[j]) if np.isfinite(upper[j] - lower[j]) else NEAR
+                for sign, bound in ((1.0, lower[j]), (-1.0, upper[j])):
+                    if np.isfinite(bound):
+                        table.append((start + j, block, sign, bound, near, a.restitution))
+                if a.friction[j] > 0.0:
+                    table.append((start + j, block, 0.0, a.friction[j], 0.0, 0.0))
+        columns = np.array(table, dtype=float).reshape(-1, 6).T
+        self.coordinate, self.block = columns[0].astype(np.int64), columns[1].astype(np.int64)
+        self.sign, self.bound, self.near, self.restitution = (np.ascontiguousarray(c) for c in columns[2:])
+        self.size = len(table)
+
+    def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows | None:
+        """Rows of a step: all friction, and the limits the joints may reach; None when there are none.
+
+        Parameters
+        ----------
+        angle : ndarray, shape (n,)
+            Joint coordinates at the midpoint.
+        v, v_free : ndarray, shape (n,)
+            Velocity at the beginning, and at the end without contacts.
+        h : float
+        """
+        slot = _trees.active_rows(self.coordinate, self.sign, self.bound, self.near, angle, v, v_free, h)
+        if not slot.size:
+            return None
+        sign, bound = self.sign[slot], self.bound[slot]
+        friction = sign == 0.0
+        gap = sign * (angle[self.coordinate[slot]] - bound)
+        return JointRows(slot, gap, self.restitution[slot], friction.astype(float), np.where(friction, h * bound, 0.0))
+
+    def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:
+        """Impulses r (nj, 3) by slot, shape (slots, 3), and on the coordinates, shape (n,)."""
+        by_slot, on_coordinate = np.zeros((self.size, 3)), np.zeros(n)
+        if rows is not None:
+            by_slot[rows.slot] = r
+            np.add.at(on_coordinate, self.coordinate[rows.slot], self.sign[rows.slot] * r[:, 0] + rows.mu * r[:, 1])
+        return by_slot, on_coordinate
+
+    def append(self, rows: JointRows, full: Blocks) -> Blocks:
+        """Contacts of `full` followed by the joint rows."""
+        nj = rows.slot.size
+        block, start = np.full((nj, 2), -1, np.int64), np.empty((nj, 2), np.int64)
+        block[:, 0] = self.block[rows.slot]
+        widths = full.offset[block[:, 0] + 1] - full.offset[block[:, 0]]
+        h = np.concatenate((full.h, np.zeros(3 * int(widths.sum()))))
+        _trees.joint_rows(rows.slot, self.coordinate, self.block, self.sign, full.offset, full.h.size, start, h)
+        blocks = np.concatenate((full.block, block)), np.concatenate((full.start, start))
+        return Blocks(full.offset, *blocks, h, full.m_start, full.m, full.minv)
+
+
+class Rows:
+    """The factors of a step in the velocities v, and in the coordinates y that constraints leave free, v = v_p + Z y.
+
+    Parameters
+    ----------
+    full : Blocks
+        In the velocities v of the scene, M⁻¹ of a constrained block being Z Zᵀ.
+    bases : mapping of int to ndarray, shape (n, ny)
+        Z of the constrained blocks, with Zᵀ M Z = I.
+    pressed : ndarray of int, shape (k,)
+        Rows of joint friction. Each gets a coordinate of its own, as mobile as its joint.
+    press : ndarray, shape (k,)
+        Their impulses h τ_c.
+
+    Attributes
+    ----------
+    full, blocks : Blocks
+        `blocks` is `full` itself where nothing restricts or presses.
+    press : ndarray, shape (3 nc,)
+        Normal velocities without impulses on the coordinates of joint friction, m/s.
+    """
+
+    def __init__(self, full: Blocks, bases: Mapping[int, Array], pressed: Index, press: Array) -> None:
+        self.full = self.blocks = full
+        self.press = np.zeros(3 * full.nc)
+        if not bases and not pressed.size:
+            return
+        nb, sizes = full.offset.size - 1, np.diff(full.offset)
+        own = np.full(full.nc, -1, np.int64)
+        own[pressed] = nb + np.arange(pressed.size)
+        mobility = _trees.mobility(full.offset, full.m_start, full.minv, full.block, full.start, full.h, pressed)
+        self.press[3 * pressed] = -press * mobility
+        self._z_start = np.full(nb, -1, np.int64)
+        self._z = np.concatenate([np.empty(0), *(Z.ravel() for Z in bases.values())])
+        m: list[Array] = []
+        minv: list[Array] = []
+        at = done = 0
+        for k, Z in bases.items():
+            self._z_start[k], at = at, at + Z.size
+            kept, one = slice(done, full.m_start[k]), np.eye(Z.shape[1]).ravel()
+            m, minv = [*m, full.m[kept], one], [*minv, full.minv[kept], one]
+            done, sizes[k] = kept.stop + sizes[k] ** 2, Z.shape[1]
+        sizes = np.append(sizes, np.ones(pressed.size, np.int64))
+        offset, m_start = np.append(0, np.cumsum(sizes)), np.append(0, np.cumsum(sizes * sizes))[:-1]
+        block, start = np.empty_like(full.block), np.empty_like(full.start)
+        h = _trees.reduce_rows(
+            full.offset, full.block, full.start, full.h, self._z_start, self._z, own, offset, block, start
+        )
+        masses = np.concatenate((*m, full.m[done:], 1.0 / mobility))
+        self.blocks = Blocks(
+            offset, block, start, h, m_start, masses, np.concatenate((*minv, full.minv[done:], mobility))
+        )
+
+    def velocity_change(self, r: Array) -> Array:
+        """Change of v by the impulses r, shape (n,)."""
+        y = self.blocks.velocity_change(r)
+        if self.blocks is self.full:
+            return y
+        v = np.empty(self.full.n)
+        _trees.expand(self.full.offset, self._z_start, self._z, self.blocks.offset, y, v)
+        return v
+
+    def velocity(self, r: Array) -> Array:
+        """Relative velocities W r by the impulses r, shape (3 nc,)."""
+        return self.blocks.relative_velocity(self.blocks.velocity_change(r))

@@ -1,0 +1,57 @@
+"""Prescribed motion: the velocity of a fixed body, of its surface, or of a joint as a function of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Velocity = ArrayLike | Callable[[float], ArrayLike]
+
+__all__ = ["Motion", "Velocity"]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A prescribed velocity.
+
+    Attributes
+    ----------
+    name : str
+        Body, or articulation/joint.
+    velocity : array or callable
+        Constant, or a function of the time in s. Of a body: linear (3,) [m/s] of its centre, or (linear, angular
+        [rad/s]), world axes. Of a joint: one number, rad/s or m/s.
+    kind : {"body", "surface", "joint"}
+        A "surface" slides in itself while the body stays where it is: a conveyor.
+    """
+
+    name: str
+    velocity: Velocity
+    kind: str
+
+    def twist(self, t: float) -> Array:
+        """(linear, angular) velocity of a body or its surface at time t, shape (2, 3); ValueError for other shapes."""
+        value = self._value(t)
+        if value.shape not in ((3,), (2, 3)) or not np.isfinite(value).all():
+            raise ValueError(
+                f"velocity of {self.name!r} must be finite with shape (3,) or (2, 3), got {value.tolist()} at t = {t:g}"
+            )
+        return value if value.ndim == 2 else np.array((value, np.zeros(3)))
+
+    def rate(self, t: float) -> float:
+        """Velocity of a joint at time t; ValueError if it is not one finite number."""
+        value = self._value(t)
+        if value.shape != () or not np.isfinite(value):
+            raise ValueError(f"velocity of {self.name!r} must be one finite number, got {value.tolist()} at t = {t:g}")
+        return float(value)
+
+    def _value(self, t: float) -> Array:
+        given = self.velocity(t) if callable(self.velocity) else self.velocity
+        try:
+            return np.array(given, dtype=float)
+        except (TypeError, ValueError):
+            raise ValueError(f"velocity of {self.name!r} must be numbers, got {given!r} at t = {t:g}") from None

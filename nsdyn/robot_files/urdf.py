@@ -1,0 +1,103 @@
+"""URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn import shapes
+from nsdyn.articulations import Description, Link, describe_model
+from nsdyn.robot_files.xml import Array, Notes, mesh_file, numbers, parse
+from nsdyn.shapes import Shape
+
+__all__ = ["read_urdf"]
+
+
+def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) -> Description:
+    """Description of a URDF file.
+
+    Pinocchio reads links, inertias and joints. The collision shapes are read here: urdfdom, which Pinocchio uses, knows
+    no capsules and drops all shapes of a link that has one.
+    """
+    if base not in ("fixed", "free"):
+        raise ValueError(f"base of {name!r} must be 'fixed' or 'free', got {base!r}")
+    root = parse(name, path, "URDF")
+    if root.tag != "robot":
+        raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <robot>")
+    if any("xacro" in element.tag for element in root.iter()):
+        raise ValueError(f"path of {name!r}: {path} could not be read: it has xacro macros; expand them first")
+    dropped, unused = Notes(), Notes()
+    elements, joints = list(root.iter("link")), [e for e in root if e.tag == "joint"]
+    dropped += [
+        f"joint {e.get('name')!r}: <mimic> of {m.get('joint')!r}, it moves on its own"
+        for e in joints
+        for m in e.iter("mimic")
+    ]
+    if any(e.get("effort") or e.get("velocity") for joint in joints for e in joint.iter("limit")):
+        unused.append("joint: effort and velocity of <limit>")
+    unused.of_children([root], {"link", "joint"}, "robot")
+    unused.of_children(elements, {"inertial", "collision"}, "link")
+    unused.of_children(joints, {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"}, "joint")
+    collisions = [(e.get("name", ""), c) for e in elements for c in e.findall("collision")]
+    unused.of_children([c for _, c in collisions], {"origin", "geometry"}, "collision")
+    for element in elements:
+        for child in [c for c in element if c.tag != "inertial"]:
+            element.remove(child)
+    try:
+        root_joint = (pin.JointModelFreeFlyer(),) if base == "free" else ()
+        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"), *root_joint)
+    except (ValueError, RuntimeError) as failure:
+        raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
+    links: list[Link] = []
+    bodies: list[str] = []
+    for body, collision in collisions:
+        frame = model.frames[model.getFrameId(body, pin.FrameType.BODY)]
+        link = f"{body}_{bodies.count(body)}"
+        try:
+            with dropped.of_warnings(link):
+                shape, shift = _shape(collision.find("geometry"), [path.parent, *package_dirs])
+            placement = frame.placement * _pose(collision.find("origin")) * pin.SE3(np.eye(3), shift)
+        except ValueError as failure:
+            raise ValueError(f"path of {name!r}: {path}, collision of {body!r}: {failure}") from None
+        links.append(Link(link, int(frame.parentJoint), placement, shape))
+        bodies.append(body)
+    return describe_model(model, links, bodies, dropped=tuple(dropped), unused=tuple(unused))
+
+
+def _pose(origin: Element | None) -> Any:
+    """SE3 of an <origin>: xyz, and rpy about fixed axes."""
+    if origin is None:
+        return pin.SE3.Identity()
+    rpy = numbers(origin.get("rpy"), 3, (0, 0, 0), "rpy")
+    return pin.SE3(pin.rpy.rpyToMatrix(rpy), numbers(origin.get("xyz"), 3, (0, 0, 0), "xyz"))
+
+
+def _shape(geometry: Element | None, folders: Sequence[Path]) -> tuple[Shape, Array]:
+    """(shape, its origin) of a <geometry>."""
+    if geometry is None or len(geometry) != 1:
+        raise ValueError("<geometry> must hold one shape")
+    (shape,), origin = geometry, np.zeros(3)
+
+    def length(attribute: str) -> float:
+        return float(numbers(shape.get(attribute), 1, None, f"{attribute} of <{shape.tag}>")[0])
+
+    match shape.tag:
+        case "box":
+            return shapes.box(numbers(shape.get("size"), 3, None, "size of <box>")), origin
+        case "sphere":
+            return shapes.sphere(length("radius")), origin
+        case "cylinder":
+            return shapes.cylinder(length("radius"), length("length")), origin
+        case "capsule":
+            return shapes.capsule(length("radius"), length("length")), origin
+        case "mesh":
+            scale = numbers(shape.get("scale"), 3, (1, 1, 1), "scale of <mesh>")
+            return shapes.mesh(mesh_file(shape.get("filename", ""), folders), scale)
+        case tag:
+            raise ValueError(f"<{tag}> is no shape of a URDF")

@@ -1,0 +1,73 @@
+"""What the readers share: XML, notes of what is left out, mesh files."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+__all__ = ["Notes", "mesh_file", "numbers", "parse"]
+
+
+class Notes(list[str]):
+    """What a reader leaves out, in words."""
+
+    @contextmanager
+    def of_warnings(self, where: str) -> Iterator[None]:
+        """Note the warnings given inside instead of showing them one by one."""
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            yield
+        self += [f"{where}: {w.message}" for w in caught]
+
+    def of_children(self, elements: Iterable[Element], used: set[str], where: str) -> None:
+        """Note the children of `elements` whose tag is not `used`."""
+        found = Counter(child.tag for element in elements for child in element if child.tag not in used)
+        self += [f"{where}: <{tag}> ({n})" for tag, n in sorted(found.items())]
+
+
+def parse(name: str, path: Path, kind: str) -> Element:
+    """Root of an XML file."""
+    if not path.is_file():
+        raise ValueError(f"path of {name!r} must be a file in {kind}, got {str(path)!r}")
+    try:
+        return ElementTree.parse(path).getroot()
+    except (ElementTree.ParseError, UnicodeDecodeError) as failure:
+        raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
+
+
+def numbers(text: str | None, count: int, default: Sequence[float] | None, what: str) -> Array:
+    """`count` numbers of a text; `default` where there is none."""
+    if text is None:
+        if default is None:
+            raise ValueError(f"{what} is missing")
+        return np.array(default, dtype=float)
+    try:
+        out = np.array(text.split(), dtype=float)
+    except ValueError:
+        out = np.empty(0)
+    if out.shape != (count,) or not np.isfinite(out).all():
+        raise ValueError(f"{what} must be {'a number' if count == 1 else f'{count} numbers'}, got {text!r}")
+    return out
+
+
+def mesh_file(uri: str, folders: Sequence[Path]) -> Path:
+    """File of ``package://package/rest``, ``model://...``, ``file://...`` or a path, looked up in `folders`."""
+    scheme, _, rest = uri.rpartition("://")
+    tried = [Path(rest)] if scheme == "file" else [folder / rest for folder in folders]
+    if scheme in ("package", "model"):
+        package, _, inner = rest.partition("/")
+        tried += [folder / inner for folder in folders if folder.name == package]
+    for path in tried:
+        if path.is_file():
+            return path
+    raise ValueError(f"mesh {uri!r} was not found in {', '.join(map(str, folders))}; give its folder in package_dirs")

@@ -1,0 +1,67 @@
+"""Bodies that move as prescribed and surfaces that slide, as the contacts see them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels import motion as _motion
+from nsdyn._kernels import trees as _trees
+from nsdyn.contacts import ContactSet
+from nsdyn.scene import Scene
+
+Array = NDArray[np.float64]
+
+__all__ = ["Surfaces"]
+
+
+class Surfaces:
+    """The driven bodies of a scene, then its sliding surfaces: velocities at the contacts, poses of the bodies.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        names = [b.name for b in scene.driven_bodies]
+        names += [name for name, m in scene.motions.items() if m.kind == "surface"]
+        self.count = len(names)
+        self._motions = [scene.motions[name] for name in names]
+        self._driven = len(scene.driven_bodies)
+        self._slides = np.array([m.kind == "surface" for m in self._motions], dtype=bool)
+        self._origin = np.array([scene.bodies[name].position for name in names]).reshape(-1, 3)
+        self._radius = np.array([b.shape.bounding_radius for b in scene.driven_bodies])
+        place = {name: k for k, name in enumerate(names)}
+        self._motion_of_geom = np.array([place.get(g.body, -1) for g in scene.geoms()], dtype=np.int64)
+
+    def twists(self, t: float) -> Array:
+        """(linear, angular) velocities at time t, shape (surfaces, 2, 3), m/s and rad/s, world axes."""
+        return np.array([m.twist(t) for m in self._motions]).reshape(-1, 2, 3)
+
+    def advance(self, x: Array, quaternion: Array, step: Array) -> tuple[Array, Array]:
+        """Poses of the driven bodies after small displacements (surfaces, 2, 3) in world axes."""
+        step = step[: self._driven]
+        x_out, quaternion_out, R = np.empty_like(x), np.empty_like(quaternion), np.empty((self._driven, 3, 3))
+        _motion.rotations(quaternion, R)
+        local = np.concatenate((step[:, 0], np.einsum("kji,kj->ki", R, step[:, 1])), axis=1)
+        _motion.integrate(x, quaternion, local.ravel(), 1.0, x_out, quaternion_out)
+        return x_out, quaternion_out
+
+    def reach(self, step: Array, out: Array) -> None:
+        """How far any point of the driven bodies moves, into the last entries of `out`, m."""
+        if self._driven:
+            speed = np.linalg.norm(step[: self._driven], axis=2)
+            out[-self._driven :] = speed[:, 0] + speed[:, 1] * self._radius
+
+    def drag(self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, twist: Array) -> Array | float:
+        """What the surfaces add to the relative velocities of the contacts, shape (3 rows,), 0 beyond them, m/s."""
+        if not self.count:
+            return 0.0
+        w = np.zeros(3 * rows)
+        origin = self._origin.copy()
+        origin[: self._driven] = driven_x
+        fields = self._motion_of_geom, origin, twist[:, 0].copy(), twist[:, 1].copy(), self._slides
+        _trees.surface_velocities(contacts.geom1, *fields, contacts.point, frame, -1.0, w)
+        _trees.surface_velocities(contacts.geom2, *fields, contacts.point, frame, 1.0, w)
+        return w

@@ -1,0 +1,284 @@
+"""Articulated trees in a scene: what is read from robot files and models, and their matrices against Pinocchio."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.linalg import null_space
+
+import nsdyn as nd
+from nsdyn import shapes
+
+
+def loaded(robot, **keywords):
+    path, package_dirs = robot
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match=r"'r' leaves out: joint 'jc': <mimic> of 'ja'"):
+        scene.add_urdf("r", path, package_dirs=package_dirs, **keywords)
+    return scene, scene.articulations["r"]
+
+
+def test_neighbours_are_not_tested(robot):
+    scene, a = loaded(robot)
+    names = [link.name for link in a.links]
+    pairs = {frozenset((names[i], names[j])) for i, j in a.excluded}
+    assert frozenset(("base_0", "a_0")) in pairs and frozenset(("c_0", "tip_0")) in pairs
+    assert frozenset(("base_0", "b_0")) not in pairs and frozenset(("a_0", "c_0")) not in pairs
+    scene.add_sphere("ball", 0.1, 1.0, position=(5, 0, 0))
+    geoms = scene.geoms()
+    assert {frozenset((geoms[i].name[2:], geoms[j].name[2:])) for i, j in scene.excluded(geoms)} == pairs
+
+
+def test_no_self_collisions(robot):
+    _, a = loaded(robot, self_collisions=False)
+    assert len(a.excluded) == 6 * 5 / 2
+
+
+def test_srdf(robot, tmp_path):
+    srdf = tmp_path / "r.srdf"
+    srdf.write_text(
+        '<robot name="r"><group name="g"/><disable_collisions link1="a" link2="c" reason="Never"/>'
+        '<disable_collisions link1="a" link2="gone" reason="Never"/></robot>'
+    )
+    _, before = loaded(robot)
+    _, a = loaded(robot, srdf=srdf)
+    names = [link.name for link in a.links]
+    added = {frozenset((names[i], names[j])) for i, j in a.excluded - before.excluded}
+    assert added == {frozenset(("a_0", "c_0")), frozenset(("a_1", "c_0"))}
+    assert any("gone" in line for line in a.report) and "SRDF: <group>" in a.report
+
+
+def test_collision_shapes_are_the_users(robot):
+    _, a = loaded(robot, collisions=False)
+    assert a.links == ()
+    up = pin.SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))
+    _, a = loaded(robot, collisions={"a": [], "tip": [shapes.sphere(0.2), (shapes.box((1, 1, 1)), up)]})
+    assert [(link.name, link.joint) for link in a.links] == [
+        ("base_0", 0), ("b_0", 2), ("c_0", 3), ("tip_0", 3), ("tip_1", 3),
+    ]  # fmt: skip
+    np.testing.assert_allclose(a.links[4].placement.translation, (0, 0, 1))
+
+
+def test_material_of_a_body(robot):
+    scene, _ = loaded(robot, material={"a": nd.Material(mu=0.9), "tip": nd.Material(restitution=0.3)})
+    materials = {g.name: g.material for g in scene.geoms()}
+    assert materials["r/a_0"].mu == materials["r/a_1"].mu == 0.9
+    assert materials["r/tip_0"].restitution == 0.3 and materials["r/b_0"] == nd.Material()
+
+
+POSE = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.9), np.array([1.0, -2.0, 0.5]))
+
+
+@pytest.mark.parametrize("base", ["fixed", "free"])
+def test_base_pose(robot, base):
+    """Every frame of the placed robot is where that of the robot at the origin is, moved by the pose."""
+    at = {"position": POSE.translation, "quaternion": pin.SE3ToXYZQUAT(POSE)[3:]}
+    q = (0.4, np.cos(2), np.sin(2), 0.1)
+    _, here = loaded(robot, base=base, q=q)
+    _, there = loaded(robot, base=base, q=q, **at)
+    poses = []
+    for a in (here, there):
+        data = a.model.createData()
+        pin.framesForwardKinematics(a.model, data, a.q)
+        poses.append([f.copy() for f in data.oMf] + [data.oMi[k.joint] * k.placement for k in a.links])
+    for p, moved in zip(*(p[1:] for p in poses), strict=True):  # all but the world itself
+        assert (POSE * p).isApprox(moved, 1e-14)
+    assert there.v.size == (9 if base == "free" else 3)
+
+
+def test_copies_are_independent():
+    path = nd.scenes.folder() / "arm.urdf"
+    scene = nd.Scene()
+    for k in range(20):
+        scene.add_urdf(f"arm{k}", path, position=(2 * k, 0, 0), armature=(0.1 * k, 0))
+    first, last = scene.articulations["arm0"].model, scene.articulations["arm19"].model
+    assert first.jointPlacements[1].translation[0] == 0 and last.jointPlacements[1].translation[0] == 38
+    assert first.armature[0] == 0 and last.armature[0] == pytest.approx(1.9)
+    assert len(scene.geoms()) == 60
+
+
+def test_joint_values_of_the_user(robot):
+    _, a = loaded(
+        robot, base="free", friction=(1, 2, 3), damping=np.arange(9), stiffness=(3, 0, 4), rest=(0.1, 0, 0.2),
+        v=(5, 6, 7), limits=False, restitution=0.5,
+    )  # fmt: skip
+    np.testing.assert_array_equal(a.friction, (0, 0, 0, 0, 0, 0, 1, 2, 3))
+    np.testing.assert_array_equal(a.damping, np.arange(9))
+    np.testing.assert_array_equal(a.stiffness[6:], (3, 0, 4))
+    np.testing.assert_array_equal(a.rest[6:], (0.1, 0, 0.2))
+    np.testing.assert_array_equal(a.v[6:], (5, 6, 7))
+    assert not a.limits and a.restitution == 0.5
+
+
+def pendulum():
+    """Pinocchio model of a rod of 1 m on a hinge about y with a sphere at its end, and its geometry."""
+    model, geometry = pin.Model(), pin.GeometryModel()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    down = pin.SE3(np.eye(3), np.array([0.0, 0.0, -1.0]))
+    model.appendBodyToJoint(joint, pin.Inertia(2.0, np.zeros(3), 0.01 * np.eye(3)), down)
+    model.addFrame(pin.Frame("bob", joint, 0, down, pin.FrameType.BODY))
+    geometry.addGeometryObject(pin.GeometryObject("ball", joint, down, shapes.sphere(0.1).geometry))
+    return model, geometry
+
+
+def test_model_made_by_hand():
+    model, geometry = pendulum()
+    scene = nd.Scene()
+    scene.add_model("p", model, geometry, q=(0.3,))
+    scene.add_model("bare", model)
+    a = scene.articulations["p"]
+    assert [(k.name, k.joint) for k in a.links] == [("ball", 1)]
+    assert scene.articulations["bare"].links == () and a.report == ()
+    a.model.armature = np.ones(1)
+    assert model.armature[0] == 0, "the user's model is copied"
+    np.testing.assert_array_equal(a.model.gravity.linear, (0, 0, -9.81))
+
+
+def test_loop():
+    model, _ = pendulum()
+    scene = nd.Scene()
+    scene.add_model("p", model, q=(0.5,))
+    scene.add_loop("p", "pin", "bob", position=(0, 0, 0.2))
+    (loop,) = scene.articulations["p"].loops
+    assert (loop.joint1, loop.joint2, loop.kind) == (1, 0, "point")
+    # Where the point 0.8 m down the rod is at 0.5 rad.
+    np.testing.assert_allclose(loop.placement2.translation, (-0.8 * np.sin(0.5), 0, -0.8 * np.cos(0.5)), atol=1e-15)
+    for change, words in (
+        ({"articulation": "x"}, "articulation must be one of"),
+        ({"frame1": "x"}, "frame1 of 'other' must be a frame"),
+        ({"kind": "x"}, "kind of 'other' must be"),
+        ({"name": "pin"}, "name must be unique among the loops"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            scene.add_loop(**{"articulation": "p", "name": "other", "frame1": "bob"} | change)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"q": (0.1, 1, 0)}, r"q of 'r' must be 4 numbers, got shape \(3,\)"),
+        ({"q": (0.1, 1, 0.5, 0)}, "q of 'r' must have unit quaternions"),
+        ({"q": (2.5, 1, 0, 0)}, "q of 'r' must respect the limits: joint 'ja' is at 2.5, its limits are -1 and 2"),
+        ({"v": (0.1,)}, "v of 'r' must be 3 numbers"),
+        ({"v": (0, 0, np.nan)}, "v of 'r' must be finite"),
+        ({"base": "loose"}, "base of 'r' must be 'fixed' or 'free'"),
+        ({"position": (0, 0)}, "position of 'r'"),
+        ({"quaternion": (1, 0, 0, 1)}, "quaternion of 'r'"),
+        ({"material": 0.4}, "material of 'r' must be a nsdyn.Material, got 0.4"),
+        ({"material": {"z": nd.Material()}}, "material of 'r' names 'z'"),
+        ({"material": {"a": 0.4}}, "material of 'r' must be a nsdyn.Material, got 0.4"),
+        ({"friction": (-1, 0, 0)}, "friction of 'r' must not be negative"),
+        ({"stiffness": (0, -1, 0)}, "stiffness of 'r' must not be negative"),
+        ({"base": "free", "stiffness": np.ones(9)}, "stiffness of 'r' must be 0 in joint 'root_joint'"),
+        ({"restitution": 2.0}, r"restitution must lie in \[0, 1\]"),
+        ({"limits": 1}, "limits of 'r' must be True or False"),
+        ({"self_collisions": 0}, "self_collisions of 'r' must be True or False"),
+        ({"collisions": {"z": []}}, "collisions of 'r' names 'z'"),
+        ({"collisions": {"a": [1.0]}}, r"collisions of 'r' must be shapes or \(Shape, SE3\)"),
+        ({"collisions": "visual"}, "collisions of 'r' must be True, False or"),
+        ({"srdf": "nowhere.srdf"}, "srdf of 'r' must be an SRDF file"),
+        ({"package_dirs": ()}, r"mesh 'package://thing/box.stl' was not found"),
+        ({"colour": (1, 0, 0)}, "unknown argument 'colour'"),
+    ],
+)
+def test_refused(robot, change, words):
+    path, package_dirs = robot
+    scene = nd.Scene()
+    with pytest.raises(ValueError, match=words):
+        scene.add_urdf("r", path, **{"package_dirs": package_dirs} | change)
+    assert not scene.articulations, "a refused robot leaves the scene as it was"
+
+
+ARTICULATED = [name for name in nd.scenes.names() if nd.scenes.load(name)().articulations]
+
+
+def dense(dynamics, position):
+    """(M, H rows of every contact as a function, basis of what the loops leave) of all trees, from Pinocchio alone."""
+    d = dynamics
+    M, leave = np.zeros((d.n, d.n)), np.eye(d.n)
+    jacobians = {}
+    for k in range(d.free):
+        M[6 * k : 6 * k + 3, 6 * k : 6 * k + 3] = d.mass[k] * np.eye(3)
+        M[6 * k + 3 : 6 * k + 6, 6 * k + 3 : 6 * k + 6] = d.J[k]
+        J = np.zeros((6, d.n))
+        J[:3, 6 * k : 6 * k + 3], J[3:, 6 * k + 3 : 6 * k + 6] = np.eye(3), d.R[k]
+        jacobians[k] = J, position.x[k]
+    for t, q in zip(d.trees, position.trees, strict=True):
+        model, data, rows = t.model, t.model.createData(), t.coordinates
+        upper = np.triu(pin.crba(model, data, q))
+        M[rows, rows] = upper + np.triu(upper, 1).T
+        pin.computeJointJacobians(model, data, q)
+        for k, joint in enumerate(t.joints, start=t.frames.start):
+            J = np.zeros((6, d.n))
+            J[:, rows] = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
+            jacobians[k] = J, data.oMi[joint].translation.copy()
+    return M, jacobians, leave
+
+
+@pytest.mark.parametrize("name", ARTICULATED)
+def test_step_against_dense_pinocchio(name):
+    """M, H, W and the free acceleration of a step with contacts (if any in 0.3 s) against Pinocchio's dense ones."""
+    scene = nd.scenes.load(name)()
+    stepper = nd.Stepper(scene, dt=nd.scenes.module(name).DT, controller=nd.scenes.controller(name, scene))
+    d, h = stepper.dynamics, 1e-5
+    for _ in range(200):
+        before = stepper.get_state()
+        step = stepper.step()
+        if (np.maximum(step.contacts.frame1, step.contacts.frame2) >= d.free).any():
+            break
+    # One short step without control, whose gains are in the mass matrix, implicit (θ = 1) and so without the term that
+    # conserves energy: its free motion is M Δv = h (τ - bias) with damping and springs at its end.
+    q, v = before.position, before.v
+    M, jacobians, N = dense(d, q)
+    d.evaluate(q)
+    v_free, _ = d.free_velocity(q, q, v, 0.0, h, 1.0, None, None)
+    blocks, frame = d.blocks(step.contacts)
+    _, H = blocks.dense()
+    c = step.contacts
+    expected = np.zeros_like(H)
+    for k in range(c.gap.size):
+        for body, sign in ((c.frame1[k], -1.0), (c.frame2[k], 1.0)):
+            if body >= 0:
+                J, origin = jacobians[body]
+                at_point = J[:3] - pin.skew(c.point[k] - origin) @ J[3:]
+                expected[:, 3 * k : 3 * k + 3] += sign * (frame[k] @ at_point).T
+    ours, minv = np.zeros((2, d.n, d.n))
+    for k, (at, size) in enumerate(zip(d.m_start, np.diff(d.offset), strict=True)):
+        rows = slice(d.offset[k], d.offset[k + 1])
+        ours[rows, rows] = d.m[at : at + size**2].reshape(size, size)
+        minv[rows, rows] = d.minv[at : at + size**2].reshape(size, size)
+    acceleration, bias = (v_free - v) / h, np.zeros(d.n)
+    bias[: 6 * d.free] = -M[: 6 * d.free, : 6 * d.free] @ acceleration[: 6 * d.free]  # tested with the free bodies
+    implicit = np.zeros(d.n)
+    for t, a, x in zip(d.trees, scene.articulations.values(), q.trees, strict=True):
+        model, rows, after = t.model, t.coordinates, v_free[t.coordinates]
+        mean = 0.5 * (v[rows] + after)
+        tau = -a.damping * after - a.stiffness * (t.angle(x) + h * after - a.rest)
+        bias[rows] = pin.rnea(model, model.createData(), x, mean, np.zeros(model.nv)) - tau
+        implicit[rows] = h * a.damping + h**2 * a.stiffness
+        if a.loops:
+            N = np.delete(N, np.s_[rows], axis=1)
+            N = np.hstack((N, np.eye(d.n)[:, rows] @ null_space(loop_jacobian(a, x), rcond=1e-9)))
+    M_implicit = M + np.diag(implicit)
+    W = expected.T @ N @ np.linalg.solve(N.T @ M_implicit @ N, N.T @ expected)
+    # The bar of all four, relative to the largest entry; accelerations lose the digits of v in a step of h.
+    np.testing.assert_allclose(ours, M_implicit, atol=1e-10 * np.abs(M).max())
+    np.testing.assert_allclose(H, expected, atol=1e-10 * max(1.0, np.abs(expected).max(initial=0.0)))
+    np.testing.assert_allclose(H.T @ minv @ H, W, atol=1e-10 * max(1.0, np.abs(W).max(initial=0.0)))
+    rest = N.T @ (M @ acceleration + bias)
+    np.testing.assert_allclose(rest, 0.0, atol=1e-10 * max(np.abs(bias).max(), np.abs(M @ v).max() / h))
+
+
+def loop_jacobian(articulation, q):
+    """Rows of all loops: the relative velocity of their frames, in the axes of the first."""
+    model, rows = articulation.model, []
+    data = model.createData()
+    pin.computeJointJacobians(model, data, q)
+    for loop in articulation.loops:
+        J = []
+        for joint, placement in ((loop.joint1, loop.placement1), (loop.joint2, loop.placement2)):
+            pose = data.oMi[joint] * placement
+            own = np.zeros((6, model.nv)) if joint == 0 else pin.getJointJacobian(model, data, joint, pin.WORLD)
+            turn = pin.SE3(np.eye(3), pose.translation).toActionMatrixInverse()
+            J.append(turn @ own)
+        rows.append((J[1] - J[0])[: 3 if loop.kind == "point" else 6])
+    return np.vstack(rows)

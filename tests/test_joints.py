@@ -1,0 +1,393 @@
+"""Joint forces, dry friction, limits and prescribed motion, against formulas solved on paper."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mechanisms import add, at, limit, pendulum, slider
+
+import nsdyn as nd
+from nsdyn import shapes
+
+G = 9.81
+INERTIA = 1.0 / 3.0 + 1e-9  # of the pendulum's rod about its hinge, kg m²
+
+
+def closes(trajectory):
+    """Largest defect of the ledger over the largest energy or work."""
+    e = trajectory.energy
+    works = [np.abs(getattr(e, name)).max() for name in e.names[2:-1]]
+    return np.abs(e.defect).max() / max(e.kinetic.max(), np.ptp(e.potential), *works)
+
+
+def run(model, duration, dt=1e-3, gravity=(0, 0, -G), q=None, v=None, controller=None, **joints):
+    scene = nd.Scene(gravity=gravity)
+    add(scene, "a", model, q=q, v=v, **joints)
+    trajectory = nd.simulate(scene, duration, dt, solver=nd.solvers.Auto(tol=1e-12), controller=controller)
+    assert closes(trajectory) < 1e-12  # the bar of the ledger
+    return trajectory
+
+
+# -- smooth motion -----------------------------------------------------------------------------------------------------
+
+
+def test_double_pendulum_keeps_its_energy():
+    total = run(pendulum(2), 10.0, q=(2.5, 1.0)).energy.total
+    assert np.abs(total - total[0]).max() <= 1e-6  # of 36 J that go back and forth
+
+
+@pytest.mark.parametrize("joints", [{}, {"stiffness": (30.0, 50.0), "rest": 0.2, "damping": 0.3, "armature": 0.1}])
+def test_smooth_motion_is_second_order(joints):
+    def end(dt):
+        return run(pendulum(2), 1.0, dt, q=(1.5, 1.0), **joints).q[-1]
+
+    fine = end(2.5e-4)
+    errors = [np.abs(end(dt) - fine).max() for dt in (4e-3, 2e-3)]
+    # (256 - 1)/(64 - 1) with the error of the fine run; 5 % for the next order.
+    assert errors[0] / errors[1] == pytest.approx(4.05, rel=0.05)
+
+
+def test_springs_keep_energy_and_oscillate_as_they_should():
+    """A mass on a spring: the midpoint rule turns the phase by 2 atan(ω h / 2) a step."""
+    mass, stiffness, h = 2.0, 50.0, 1e-2
+    trajectory = run(slider(mass), 2.0, h, q=[0.3], stiffness=stiffness, rest=0.1)
+    phase = 2.0 * np.arctan(0.5 * h * np.sqrt(stiffness / mass)) * np.arange(201)
+    np.testing.assert_allclose(trajectory.q[:, 0], 0.1 + 0.2 * np.cos(phase), atol=1e-13)
+    # 1 J to round-off of 200 steps
+    np.testing.assert_allclose(trajectory.energy.total, 0.5 * stiffness * 0.2**2, rtol=1e-13)
+
+
+def test_damping_takes_what_it_should():
+    """v falls by (1 - a)/(1 + a), a = h D / 2 m, in each step, and the ledger has the whole energy under `damping`."""
+    trajectory = run(slider(2.0), 1.0, 1e-2, v=[3.0], damping=0.8)
+    a = 0.5 * 1e-2 * 0.8 / 2.0
+    np.testing.assert_allclose(trajectory.v[:, 0], 3.0 * ((1 - a) / (1 + a)) ** np.arange(101), rtol=1e-13)
+    kinetic = trajectory.energy.kinetic
+    np.testing.assert_allclose(np.cumsum(trajectory.energy.damping), kinetic[1:] - kinetic[0], rtol=1e-12)
+
+
+def test_armature_is_inertia():
+    """A pendulum's small oscillation: ω² = m g l / 2 (I + armature)."""
+    trajectory = run(pendulum(), 6.0, q=[1e-4], armature=0.5)
+    q, t = trajectory.q[:, 0], trajectory.t
+    down = np.flatnonzero((q[:-1] > 0) & (q[1:] <= 0))
+    crossing = t[down] + q[down] / (q[down] - q[down + 1]) * 1e-3
+    omega = np.sqrt(0.5 * G / (INERTIA + 0.5))
+    # The phase error of the midpoint rule is (ω h)²/12 = 5e-7, the linear crossing less.
+    assert np.diff(crossing) == pytest.approx(2 * np.pi / omega, rel=2e-6)
+
+
+# -- control -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(1e6, 0.0), (1e6, 1e3), (0.0, 1e6)])
+def test_pd_is_stable_at_any_gain(kp, kd):
+    target = np.array([1.0, 0.5, -0.5])
+    control = nd.PD(kp, kd, target)
+    trajectory = run(pendulum(3), 2.0, 5e-3, q=(0.5, -0.3, 1.0), controller=lambda t, q, v: {"a": control})
+    if kp:
+        # At rest, off the target by what gravity bends: at most 1.5 + 2.5 + 3.5 m of 9.81 N.
+        assert np.abs(trajectory.v[-1]).max() < 1e-9 and np.abs(trajectory.q[-1] - target).max() < 74.0 / kp
+    else:
+        assert np.abs(trajectory.v[-1]).max() < 74.0 / kd
+
+
+def test_pd_is_the_formula():
+    """One step of a mass on a rail: (m + h kd + h² kp) v' = m v + h (kp (target - q) + kd target_velocity + ff)."""
+    m, h, kp, kd, q, v = 2.0, 1e-2, 300.0, 7.0, 0.1, -0.4
+    control = nd.PD(kp, kd, target=0.5, target_velocity=0.2, feedforward=3.0)
+    trajectory = run(slider(m), h, h, q=[q], v=[v], controller=lambda t, q, v: {"a": control})
+    expected = (m * v + h * (kp * (0.5 - q) + kd * 0.2 + 3.0)) / (m + h * kd + h * h * kp)
+    assert trajectory.v[-1, 0] == pytest.approx(expected, rel=1e-14)
+    # All of the change is work of the controller.
+    assert np.diff(trajectory.energy.kinetic)[0] == pytest.approx(trajectory.energy.external[0], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (np.zeros(2), "3 finite joint forces for 'a'"),
+        ((1.0, np.nan, 0.0), "3 finite joint forces for 'a'"),
+        ("up", "3 finite joint forces for 'a'"),
+        (nd.PD(1.0, 1.0, np.zeros(2)), "target of the PD control of 'a' must be one or 3"),
+    ],
+)
+def test_wrong_control_is_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        run(pendulum(3), 1e-3, controller=lambda t, q, v: {"a": given})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((-1.0, 0.0, 0.0), "kp of a PD control must not be negative"),
+        ((1.0, np.inf, 0.0), "kd of a PD control must be one or nv finite numbers"),
+        ((1.0, 1.0, "up"), "target of a PD control must be one or nv finite numbers, got 'up'"),
+        ((1.0, 1.0, np.zeros((2, 2))), "target of a PD control"),
+    ],
+)
+def test_wrong_gains_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        nd.PD(*arguments)
+
+
+def test_gains_on_a_free_base_are_refused():
+    scene, path = nd.Scene(), nd.scenes.folder() / "quadruped.urdf"
+    scene.add_urdf("robot", path, base="free", position=(0, 0, 1), q=4 * (0.0, 0.6, -1.2))
+    with pytest.raises(ValueError, match="kp of the PD control of 'robot' must be 0 on free and spherical joints"):
+        nd.simulate(scene, 1e-3, controller=lambda t, q, v: {"robot": nd.PD(np.ones(18), 0.0, 0.0)})
+
+
+def test_unknown_articulation_is_refused():
+    with pytest.raises(ValueError, match="controller names 'b'; articulations are"):
+        run(pendulum(), 1e-3, controller=lambda t, q, v: {"b": np.zeros(1)})
+
+
+# -- dry friction ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("links", [1, 3])
+def test_joint_friction_holds_below_its_threshold(links):
+    """Rods that friction holds at an angle for 10 s: gravity asks for 0.99 of the first joint's friction."""
+    q = np.array([0.5, -0.3, 0.4])[:links]
+    tip = np.cumsum(q)
+    lever = [0.5 * np.sin(tip[k]) + sum(np.sin(tip[i]) for i in range(k)) for k in range(links)]
+    tau = np.array([G * sum(lever[k:]) - G * (links - k) * sum(np.sin(tip[i]) for i in range(k)) for k in range(links)])
+    trajectory = run(pendulum(links), 10.0, 1e-2, q=q, friction=np.abs(tau) / 0.99)
+    assert np.abs(trajectory.q - q).max() <= 1e-12
+    scene = nd.Scene()
+    add(scene, "a", pendulum(links), q=q, friction=np.abs(tau) / 0.99)
+    # What holds is the torque of statics, not the threshold; the bias is taken on the free motion, h² g²/4 off.
+    np.testing.assert_allclose(nd.Stepper(scene, 1e-2).step().joint_impulse / 1e-2, tau, atol=2.4e-3)
+
+
+@pytest.mark.slow
+def test_joint_friction_holds_for_a_minute():
+    trajectory = run(pendulum(2), 60.0, 5e-3, q=(0.5, -0.3), friction=(20.0, 10.0))
+    assert np.abs(trajectory.q - trajectory.q[0]).max() <= 1e-12
+
+
+def test_joint_friction_slips_at_the_analytic_rate():
+    """A flywheel under 0.5 N m of dry friction slows by τ/I each second and stops at I v²/2τ for good."""
+    tau, v = 0.5, 2.0
+    trajectory = run(pendulum(), 2.0, gravity=(0, 0, 0), v=[v], friction=tau)
+    t = trajectory.t
+    np.testing.assert_allclose(trajectory.v[:, 0], np.maximum(v - tau / INERTIA * t, 0.0), atol=1e-12)
+    # The step in which it stops moves at the mean of its velocities: off by less than h² τ/I.
+    assert trajectory.q[-1, 0] == pytest.approx(INERTIA * v * v / (2 * tau), abs=2e-6)
+    assert trajectory.energy.friction.sum() == pytest.approx(-0.5 * INERTIA * v * v, rel=1e-9)
+    assert np.ptp(trajectory.q[-500:]) <= 1e-12
+
+
+def test_driven_above_its_threshold_a_joint_slips():
+    trajectory = run(slider(2.0), 1.0, friction=3.0, controller=lambda t, q, v: {"a": np.array([5.0])})
+    np.testing.assert_allclose(trajectory.v[:, 0], (5.0 - 3.0) / 2.0 * trajectory.t, atol=1e-12)
+
+
+# -- limits ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_pendulum_bounces_off_its_stop(restitution):
+    trajectory = run(pendulum(lower=-0.3, upper=2.0), 5.0, q=[1.0], restitution=restitution)
+    assert trajectory.q.min() >= -0.3 - 1e-10 and trajectory.q.max() <= 2.0
+    v = trajectory.v[:, 0]
+    k = int(np.argmax(np.abs(np.diff(v)) > 0.1))  # the first impact; gravity changes v by 0.015 a step
+    # The velocity of the fall, from the energy; a step of h changes it by 3 h rad/s.
+    fall = np.sqrt(2 * 0.5 * G * (np.cos(0.3) - np.cos(1.0)) / INERTIA)
+    assert -v[k] == pytest.approx(fall, rel=2e-3)
+    # Without restitution the first step only closes the gap.
+    assert v[k + 1 if restitution else k + 2] == pytest.approx(-restitution * v[k], abs=1e-12)
+    if restitution == 1.0:
+        np.testing.assert_allclose(trajectory.energy.total, trajectory.energy.total[0], atol=1e-6)
+    else:
+        assert trajectory.energy.normal.sum() < -0.1
+
+
+def test_resting_on_a_stop_is_exact():
+    """Pressed on its upper limit a mass stays there, and the limit pushes back with the force."""
+    scene = nd.Scene()
+    add(scene, "a", slider(2.0, upper=0.2), q=[0.1], restitution=0.8)
+    stepper = nd.Stepper(scene, 1e-3, controller=lambda t, q, v: {"a": np.array([10.0])})
+    for _ in range(3000):
+        step = stepper.step()
+    assert step.q[0] == pytest.approx(0.2, abs=1e-10) and abs(step.v[0]) <= 1e-12
+    assert step.joint_impulse[0] == pytest.approx(-10.0 * 1e-3, rel=1e-9)
+    assert step.contacts.gap.size == 0
+
+
+def test_limits_can_be_switched_off():
+    trajectory = run(slider(lower=-0.1, upper=0.1), 1.0, v=[1.0], limits=False)
+    assert trajectory.q[-1, 0] == pytest.approx(1.0, rel=1e-12)
+
+
+def test_limits_push_on_what_they_carry():
+    """A box on a table that a rail carries up to its stop: the contact with the box takes part in the impact."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
+    model.appendBodyToJoint(joint, pin.Inertia(3.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    scene = nd.Scene()
+    table = shapes.box((1, 1, 0.1)), at((0, 0, -0.05))
+    add(scene, "lift", limit(model, 0.0, 0.5), q=[0.1], collisions={"lift": [table]})
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.2))
+    trajectory = nd.simulate(scene, 1.0)
+    assert closes(trajectory) < 1e-12
+    body = trajectory.body("box")
+    assert body.position[-1, 2] == pytest.approx(0.1, abs=1e-9) and trajectory.q[-1, 7] == pytest.approx(0.0, abs=1e-10)
+    # The stop carries both, the box rests on the table.
+    impulse = trajectory.contacts(-1).impulse[:, 0].sum()
+    assert impulse == pytest.approx(1.0 * G * 1e-3, rel=1e-6)
+
+
+# -- prescribed motion -------------------------------------------------------------------------------------------------
+
+
+def test_conveyor_carries_a_box():
+    """A box dropped on a belt of 1 m/s slips for v/(μ g), then moves with it; half of the belt's work is lost."""
+    mu, speed, h = 0.5, 1.0, 1e-3
+    scene = nd.Scene()
+    scene.add_halfspace("belt")
+    scene.set_motion("belt", surface_velocity=(speed, 0, 0))
+    scene.add_box("box", (0.2, 0.2, 0.2), 2.0, position=(0, 0, 0.1))
+    scene.set_pair("box", "belt", mu=mu)
+    trajectory = nd.simulate(scene, 0.5, h)
+    v = trajectory.body("box").linear_velocity[:, 0]
+    np.testing.assert_allclose(v, np.minimum(mu * G * trajectory.t, speed), atol=1e-9)
+    assert closes(trajectory) < 1e-12
+    # Work of the belt: the force times its speed, all along; friction takes the sliding part.
+    assert trajectory.energy.constraint.sum() == pytest.approx(2.0 * speed**2, rel=1e-9)
+    assert trajectory.energy.friction.sum() == pytest.approx(-0.5 * 2.0 * speed**2, rel=1e-9)
+    assert trajectory.scene["frames"] == ["box"]
+
+
+def test_moving_wall_pushes_a_ball():
+    """A wall that moves as 1 - cos t catches a ball, and loses it where it slows down."""
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_box("wall", (0.1, 1, 1), position=(-0.05, 0, 0), fixed=True)
+    scene.set_motion("wall", velocity=lambda t: (np.sin(t), 0, 0))
+    scene.add_sphere("ball", 0.1, 1.0, position=(0.15, 0, 0))
+    trajectory = nd.simulate(scene, 3.0)
+    ball, wall = trajectory.body("ball"), trajectory.body("wall")
+    # The trapezoidal rule of the wall's velocity: h² / 12.
+    np.testing.assert_allclose(wall.position[:, 0], -0.05 + 1 - np.cos(trajectory.t), atol=2e-7)
+    assert min(trajectory.contacts(k).gap.min(initial=0.0) for k in range(1, 3001)) >= -1e-12
+    assert ball.linear_velocity[-1, 0] == pytest.approx(1.0, abs=1e-6)  # the fastest the wall was
+    assert closes(trajectory) < 1e-12
+    # The wall did what the ball has and what the first, inelastic impact took.
+    works = trajectory.energy
+    assert works.constraint.sum() == pytest.approx(works.kinetic[-1] - works.normal.sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize(("amplitude", "flies"), [(0.9, False), (1.5, True)])
+def test_shaker_throws_a_box_above_one_g(amplitude, flies):
+    omega = 20.0
+    scene = nd.Scene()
+    scene.add_box("table", (1, 1, 0.1), position=(0, 0, -0.05), fixed=True)
+    scene.set_motion("table", velocity=lambda t: (0, 0, amplitude * G / omega * np.sin(omega * t)))
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1))
+    trajectory = nd.simulate(scene, 1.0)
+    apart = trajectory.body("box").position[:, 2] - trajectory.body("table").position[:, 2] - 0.15
+    assert apart.min() >= -1e-9
+    assert (apart.max() > 1e-3) == flies and (flies or apart.max() < 1e-9)
+    assert closes(trajectory) < 1e-12
+
+
+def test_turntable_carries_a_box_around():
+    """Within the radius μ g / ω² a box turns with the table."""
+    scene = nd.Scene()
+    scene.add_box("table", (1, 1, 0.1), position=(0, 0, -0.05), fixed=True)
+    scene.set_motion("table", velocity=((0, 0, 0), (0, 0, 2.0)))
+    scene.add_box(
+        "box", (0.1, 0.1, 0.1), 1.0, position=(0.2, 0, 0.05), linear_velocity=(0, 0.4, 0), angular_velocity=(0, 0, 2.0)
+    )
+    scene.set_pair("box", "table", mu=0.5)
+    h = np.pi / 2000
+    trajectory = nd.simulate(scene, np.pi, h)
+    # A whole turn; second order in ω h = 0.003, after two steps that do not know yet how the rows turn.
+    radius, angle = (
+        np.hypot(*trajectory.body("box").position[-1, :2]),
+        np.arctan2(*trajectory.body("box").position[-1, 1::-1]),
+    )
+    assert radius / 0.2 - 1.0 == pytest.approx(0.0, abs=2e-5)
+    assert angle == pytest.approx(0.0, abs=1e-4)
+    assert abs(trajectory.body("table").quaternion[-1, 2]) == pytest.approx(0.0, abs=1e-9)
+    assert closes(trajectory) < 1e-12
+
+
+def test_driven_joint_moves_as_told_and_its_work_is_booked():
+    """The first joint of a double pendulum is a crank, also below a second, free joint that swings."""
+    scene = nd.Scene()
+    add(scene, "a", pendulum(2), q=(0.0, 0.3))
+    scene.set_motion("a/j0", velocity=np.sin)
+    trajectory = nd.simulate(scene, 2.0)
+    np.testing.assert_allclose(trajectory.v[:, 0], np.sin(trajectory.t), atol=1e-14)
+    np.testing.assert_allclose(trajectory.q[:, 0], 1 - np.cos(trajectory.t), atol=2e-7)  # trapezoidal rule, h²/12
+    assert np.ptp(trajectory.q[:, 1]) > 0.3
+    assert closes(trajectory) < 1e-12
+    total = trajectory.energy.total
+    assert trajectory.energy.constraint.sum() == pytest.approx(total[-1] - total[0], abs=1e-6)
+
+
+def test_bodies_and_links_that_cannot_give_way_ignore_each_other():
+    """A driven wall through the ground and a driven rod through it: no contact of theirs could be solved."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_box("wall", (0.1, 0.1, 1), position=(1, 0, 0.4), fixed=True)
+    scene.set_motion("wall", velocity=(0.5, 0, 0))
+    rod = {"j0": [(shapes.sphere(0.1), at((0, 0, -1.0)))]}
+    add(scene, "a", pendulum(2), position=(0, 0, 1.0), collisions=rod, q=(0.0, 3.0))
+    scene.set_motion("a/j0", velocity=2.0)
+    scene.add_sphere("ball", 0.1, 1.0, position=(1.16, 0, 0.1))
+    trajectory = nd.simulate(scene, 0.1)
+    touched = {frozenset((c.body1[0], c.body2[0])) for c in map(trajectory.contacts, range(1, 101)) if len(c)}
+    assert touched <= {frozenset(("ground", "ball")), frozenset(("wall", "ball"))} and touched
+
+
+def test_wrong_motions_are_refused():
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_box("wall", (1, 1, 1), position=(0, 0, 3), fixed=True)
+    scene.add_box("box", (1, 1, 1), 1.0, position=(0, 0, 1))
+    add(scene, "a", pendulum(2))
+    for arguments, message in [
+        (("box", (1, 0, 0)), "needs a fixed body or 'articulation/joint', got 'box'"),
+        (("wall",), "either velocity or surface_velocity"),
+        (("wall", (1, 0)), r"finite with shape \(3,\) or \(2, 3\)"),
+        (("wall", lambda t: (0, 0, np.inf)), r"must be finite"),
+        (("ground", (0, 0, 1)), "halfspace 'ground' cannot move"),
+        (("a/j7", 1.0), "'a' has no joint 'j7'"),
+        (("a/j0", (1.0, 2.0)), "must be one finite number"),
+        (("a/j0", None, 1.0), "no surface_velocity"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            scene.set_motion(*arguments)
+    scene.set_motion("wall", velocity=lambda t: (0, 0, 0) if t < 0.5e-3 else "stop")
+    with pytest.raises(ValueError, match="velocity of 'wall' must be numbers, got 'stop'"):
+        nd.simulate(scene, 0.01)
+
+
+# -- state -------------------------------------------------------------------------------------------------------------
+
+
+def test_resuming_is_exact_to_the_bit():
+    """Driven wall and joint, friction, limits, PD: two halves make the same bytes as one run."""
+
+    def stepper():
+        scene = nd.Scene()
+        scene.add_box("table", (1, 1, 0.1), position=(0, 0, -2.05), fixed=True)
+        scene.set_motion("table", velocity=lambda t: (0.1 * np.cos(5 * t), 0, 0.3 * np.sin(7 * t)))
+        scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, -1.8))
+        add(scene, "a", pendulum(3, upper=1.2), q=(1.0, 0.2, 0.1), friction=(0.3, 0.1, 0.0), restitution=0.4)
+        scene.set_motion("a/j1", velocity=lambda t: 0.5 * np.sin(3 * t))
+        return nd.Stepper(scene, 2e-3, controller=lambda t, q, v: {"a": nd.PD((0, 0, 30.0), (0, 0, 1.0), 0.5)})
+
+    whole, first, second = stepper(), stepper(), stepper()
+    for _ in range(300):
+        last = whole.step()
+    for _ in range(150):
+        first.step()
+    second.set_state(first.get_state())
+    for _ in range(150):
+        end = second.step()
+    assert end.q.tobytes() == last.q.tobytes() and end.v.tobytes() == last.v.tobytes()
+    assert end.frames_x.tobytes() == last.frames_x.tobytes()
+    assert end.joint_impulse.tobytes() == last.joint_impulse.tobytes() and np.abs(end.joint_impulse).max() > 0

@@ -1,0 +1,158 @@
+"""Closed loops: hyperstatic ones, singular configurations, energy, contacts on them."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mechanisms import add, at, bricard, four_bars, limit, pendulum, rod
+
+import nsdyn as nd
+from nsdyn import shapes
+from nsdyn.articulations import Loop
+from nsdyn.loops import Closures, admissible
+
+
+def follow(scene, duration, dt):
+    """(step, largest gap of the loops, energies) of a scene with one articulation."""
+    (a,) = scene.articulations.values()
+    closures, stepper = Closures(a.model, a.loops), nd.Stepper(scene, dt)
+    gap, energy, q = 0.0, [], []
+    for _ in range(round(duration / dt)):
+        step = stepper.step()
+        gap = max(gap, np.abs(closures.at(step.q)[0]).max())
+        energy.append((step.energy["kinetic"], step.energy["potential"], step.energy["defect"]))
+        q.append(step.q)
+    start = sum(nd.Stepper(scene, dt).start().energy.values())
+    kinetic, potential, defect = np.array(energy).T
+    assert np.abs(defect).max() <= 1e-12 * kinetic.max()  # the bar of the ledger
+    return np.array(q), gap, np.abs(kinetic + potential - start).max()
+
+
+def test_bricard_moves_and_keeps_its_energy():
+    """Six rows of rank five leave the one degree of freedom; the energy drifts by some 1e-5 of 29 J."""
+    model, loops = bricard()
+    scene = nd.Scene(gravity=(0, -9.81, 0))
+    add(scene, "bricard", model, loops=loops)
+    q, gap, drift = follow(scene, 10.0, 2e-3)
+    assert gap <= 1e-9 and np.ptp(q[:, 0]) > 3.0
+    assert drift <= 1e-4  # 1.6e-5 at this step, falling with h²
+
+
+@pytest.mark.parametrize("windows", [1, 2])
+def test_four_bars_pass_their_singular_configurations(windows):
+    """Rods turn all the way and lie flat twice a turn, where the loop loses rank; they stay parallel."""
+    model, loops, v = four_bars(windows)
+    scene = nd.Scene()
+    add(scene, "bars", model, v=v, loops=loops)
+    q, gap, drift = follow(scene, 10.0, 2e-3)
+    assert gap <= 1e-9 and q[-1, 0] > 8 * np.pi
+    np.testing.assert_allclose(q[:, 1], -q[:, 0], atol=1e-5)
+    assert drift <= 1e-6  # 4e-8 of 39 J and more at this step
+
+
+def test_four_bar_is_second_order():
+    """Against the pendulum it is: two rods of inertia 1/3 each and a bar that moves as their tips."""
+    model, loops, v = four_bars(1)
+
+    def end(dt):
+        scene = nd.Scene()
+        add(scene, "bars", model, v=v, loops=loops)
+        return nd.simulate(scene, 1.0, dt).q[-1, 0]
+
+    def pendulum_of_one_coordinate():
+        from scipy.integrate import solve_ivp
+
+        inertia, torque = 2.0 / 3.0 + 1.0, 9.81 * (2 * 0.5 + 1.0)
+        rate = lambda t, y: (y[1], torque * np.sin(y[0]) / inertia)  # noqa: E731
+        return solve_ivp(rate, (0, 1), (0.0, 1.0), rtol=1e-12, atol=1e-12).y[0, -1]
+
+    exact = pendulum_of_one_coordinate()
+    errors = [abs(end(dt) - exact) for dt in (4e-3, 2e-3)]
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_admissible_velocities_of_redundant_rows(rng):
+    """B Z = 0, Zᵀ M Z = I and B P b = b on the range of B, whatever the rank and the units of the rows."""
+    A = rng.normal(size=(6, 6))
+    M = A @ A.T + np.eye(6)
+    F = np.linalg.inv(np.linalg.cholesky(M))
+    B = rng.normal(size=(3, 6))
+    B = np.concatenate((B, B[:2] * 1e3, B[:1] + B[1:2]))  # rank 3
+    Z, P = admissible(B, F)
+    assert Z.shape == (6, 3)
+    np.testing.assert_allclose(B @ Z, 0.0, atol=1e-11)
+    np.testing.assert_allclose(Z.T @ M @ Z, np.eye(3), atol=1e-12)
+    b = B @ rng.normal(size=6)
+    np.testing.assert_allclose(B @ P @ b, b, rtol=1e-10)
+    np.testing.assert_allclose(Z.T @ M @ P @ b, 0.0, atol=1e-11)
+
+
+def test_a_chain_between_two_pins_hangs_as_statics_says():
+    """Three damped rods over a span of two: the outer ones come to rest at 30° from the vertical."""
+    scene = nd.Scene()
+    pin_at = Loop("pin", 0, at((2.0, 0, 0)), 3, at((0, 0, -1)))
+    add(scene, "chain", pendulum(3), q=(-0.2, -1.2, -1.2), damping=1.0, loops=[pin_at])
+    q, gap, _ = follow(scene, 10.0, 1e-2)
+    assert gap <= 1e-9 and np.abs(q[0] - q[-1]).max() > 0.05
+    np.testing.assert_allclose(q[-1], (-np.pi / 6, -np.pi / 3, -np.pi / 3), atol=1e-4)
+
+
+def test_a_triangle_is_a_structure():
+    """Two rods between two pins a rod apart have no motion left, and carry a ball all the same."""
+    scene = nd.Scene()
+    knee = {"j1": [shapes.sphere(0.1)]}
+    pin_at = Loop("pin", 0, at((1.0, 0, 0)), 2, at((0, 0, -1)))
+    add(scene, "truss", pendulum(2), q=(-2.6, 2.1), collisions=knee, loops=[pin_at])
+    scene.add_sphere("ball", 0.1, 1.0, position=(0.5, 0, np.sqrt(0.75) + 0.2))
+    trajectory = nd.simulate(scene, 0.2)
+    np.testing.assert_allclose(trajectory.q[:, 7:], np.tile((-5 * np.pi / 6, 2 * np.pi / 3), (201, 1)), atol=1e-9)
+    assert trajectory.contacts(-1).impulse[0, 0] == pytest.approx(9.81e-3, rel=1e-6)
+
+
+def test_contacts_act_on_closed_loops():
+    """A four-bar table, held up by a spring, carries a box: the bar stays level and the box does not slip off."""
+    model, loops, _ = four_bars(1)
+    scene = nd.Scene()
+    table = {"h0": [(shapes.box((1.0, 0.6, 0.1)), at((0.5, 0, 0)))]}
+    add(scene, "bars", model, loops=loops, collisions=table, stiffness=(400.0, 0, 0), damping=(20.0, 0, 0))
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0.5, 0, 1.15))
+    trajectory = nd.simulate(scene, 2.0, 2e-3)
+    energy = trajectory.energy
+    assert np.abs(energy.defect).max() <= 1e-12 * np.ptp(energy.potential) + 1e-13
+    contacts = trajectory.contacts(-1)
+    assert len(contacts) == 4 and contacts.impulse[:, 0].sum() == pytest.approx(9.81 * 2e-3, rel=1e-3)
+    assert np.abs(trajectory.contacts(-1).gap).max() <= 1e-8
+
+
+def test_joint_friction_holds_a_closed_loop():
+    """Dry friction in one joint of three of the four-bar holds it leaning, to the last bit."""
+    model, loops, _ = four_bars(1)
+    scene = nd.Scene()
+    a = 0.3
+    # m g sin(a) of the two rods at half, the bar at full height.
+    torque = 2.0 * 9.81 * np.sin(a)
+    add(scene, "bars", model, q=(a, -a, a), loops=loops, friction=(torque / 0.99, 0, 0))
+    trajectory = nd.simulate(scene, 2.0, 2e-3)
+    assert np.abs(trajectory.q - trajectory.q[0]).max() <= 1e-12
+
+
+def test_a_crank_drives_a_loop():
+    """A driven four-bar turns at the crank's speed, and its work is the change of energy."""
+    model, loops, _ = four_bars(1)
+    scene = nd.Scene()
+    add(scene, "bars", model, loops=loops, v=(2.0, -2.0, 2.0))
+    scene.set_motion("bars/v0", velocity=2.0)
+    trajectory = nd.simulate(scene, 1.0, 2e-3)
+    np.testing.assert_allclose(trajectory.v, np.tile((2.0, -2.0, 2.0), (501, 1)), atol=1e-6)
+    total = trajectory.energy.total
+    assert trajectory.energy.constraint.sum() == pytest.approx(total[-1] - total[0], rel=1e-4)
+    assert np.abs(trajectory.energy.defect).max() <= 1e-12 * np.ptp(total)
+
+
+def test_loops_that_cannot_close_are_refused():
+    model = limit(pin.Model())
+    joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "j")
+    model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
+    scene = nd.Scene()
+    add(scene, "a", model, loops=[Loop("pin", 0, at((3, 0, 0)), 1, at((0, 0, -1)))])
+    with pytest.raises(ValueError, match=r"loops \['pin'\] do not close: they are apart by 2"):
+        nd.Stepper(scene)

@@ -1,0 +1,410 @@
+"""Readers of robot files: what they find, what they leave out, and what they refuse."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import ROBOT, write_stl
+
+import nsdyn as nd
+from nsdyn import shapes
+
+
+def test_urdf(robot):
+    path, package_dirs = robot
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match=r"'r' leaves out: joint 'jc': <mimic> of 'ja'"):
+        scene.add_urdf("r", path, package_dirs=package_dirs)
+    a = scene.articulations["r"]
+    assert a.model.nv == 3 and a.model.nq == 4
+    np.testing.assert_array_equal(a.damping, (0.5, 0, 0))
+    np.testing.assert_array_equal(a.friction, (0.7, 0, 0))
+    np.testing.assert_array_equal(a.armature, np.zeros(3))
+    # The continuous joint's (cos, sin) has none.
+    np.testing.assert_array_equal(a.model.lowerPositionLimit, (-1, -np.inf, -np.inf, 0))
+    np.testing.assert_array_equal(a.model.upperPositionLimit, (2, np.inf, np.inf, 0.4))
+    assert [link.name for link in a.links] == ["base_0", "a_0", "a_1", "b_0", "c_0", "tip_0"]
+    assert [link.joint for link in a.links] == [0, 1, 1, 2, 3, 3]
+    kinds = [shapes.POLYTOPE, shapes.CAPSULE, shapes.SPHERE, shapes.CYLINDER, shapes.POLYTOPE, shapes.SPHERE]
+    assert [link.shape.kind for link in a.links] == kinds
+    capsule, mesh, tip = a.links[1], a.links[4], a.links[5]
+    np.testing.assert_allclose(capsule.shape.size, (0.1, 0.15, 0))
+    np.testing.assert_allclose(capsule.placement.translation, (0, 0, 0.5))
+    np.testing.assert_allclose(capsule.placement.rotation, pin.rpy.rpyToMatrix(0, 0.3, 0), atol=1e-15)
+    # Scaled and mirrored in y; the origin of a shape is its centroid. The file holds float32.
+    np.testing.assert_allclose(np.ptp(mesh.shape.vertices, axis=0), (0.1, 0.4, 0.3), rtol=1e-6)
+    np.testing.assert_allclose(mesh.placement.translation, (0.05, -0.2, 0.15), rtol=1e-6)
+    np.testing.assert_allclose(tip.placement.translation, (0, 0, 2))
+    assert a.report == (
+        "joint 'jc': <mimic> of 'ja', it moves on its own", "joint: effort and velocity of <limit>",
+        "robot: <transmission> (1)", "link: <visual> (1)",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<robot name='r'><link", "could not be read"),
+        ("<sdf/>", "its root is <sdf>, not <robot>"),
+        ('<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro/></robot>', "xacro"),
+        ('<robot name="r"><link name="a"><collision><geometry><cone/></geometry></collision></link></robot>', "<cone>"),
+        ('<robot name="r"><link name="a"><collision/></link></robot>', "<geometry> must hold one shape"),
+        (
+            ROBOT.replace('sphere radius="0.1"', 'sphere radius="x"'),
+            "radius of <sphere> must be a number, got 'x'",
+        ),
+        (ROBOT.replace("sphere radius", "sphere diameter"), "radius of <sphere> is missing"),
+        (
+            '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
+            '<child link="b"/><axis xyz="0 0 1"/></joint></robot>',
+            "'r' has a singular mass matrix: give the bodies moved by joint 'j'",
+        ),
+    ],
+)
+def test_bad_files(tmp_path, text, words):
+    path = tmp_path / "r.urdf"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=words):
+        nd.Scene().add_urdf("r", path)
+
+
+MJCF = """<mujoco model="m"><compiler angle="degree"/><option gravity="0 0 -9"/>
+<default><joint damping="0.3" armature="0.01"/><geom density="500"/>
+  <default class="c"><joint stiffness="5" springref="0.1" frictionloss="0.2"/>
+    <geom contype="0" conaffinity="0"/></default></default>
+<include file="assets.xml"/>
+<worldbody><light pos="0 0 1"/><geom name="floor" type="plane" size="1 1 .1"/>
+  <body name="torso" pos="0 0 1" euler="10 20 30"><freejoint name="root"/><geom name="t" type="box" size=".1 .2 .3"/>
+    <body name="a" pos="0 0 -.3"><joint name="ja" axis="0 1 0" range="-30 60" ref="10" pos="0 .1 0"/>
+      <geom name="ga" type="capsule" fromto="0 0 0 0 .1 -.3" size=".05"/>
+      <body name="b" pos="0 0 -.3" childclass="c"><joint name="jb" type="slide" axis="0 0 1" range="-.1 .2"/>
+        <geom type="ellipsoid" size=".05 .06 .07"/>
+        <geom name="gb" class="main" type="sphere" size=".05"/><site name="s"/></body></body>
+    <body name="c" pos="0.2 0 0"><joint name="jc" type="ball" range="0 30" damping="0.4"/>
+      <geom name="gc" type="cylinder" size=".05 .06" contype="2" conaffinity="4"/></body>
+    <body name="d" pos="0.4 0 0"><joint name="jd1" axis="1 0 0"/>
+      <joint name="jd2" axis="0 1 0" stiffness="2" springref="90"/>
+      <inertial pos="0 0 .1" mass="1.5" diaginertia=".1 .2 .15" quat="1 .1 0 0"/>
+      <geom type="mesh" mesh="box"/></body></body>
+  <body pos="2 0 0"><freejoint/><geom name="g2" size=".1"/></body>
+  <body name="e" pos="3 0 0"><joint name="je" axis="0 1 0"/>
+    <geom name="ge" type="box" size=".1 .2 .3" pos=".1 0 0"/></body></worldbody>
+<contact><exclude body1="torso" body2="b"/><pair geom1="ga" geom2="gb"/></contact>
+<equality><connect name="loop" body1="b" body2="c" anchor="0 0 .1"/><weld body1="a" body2="d"/>
+  <joint joint1="ja" joint2="jb"/>
+  <weld body1="e" active="false"/></equality>
+<actuator><motor joint="ja"/></actuator><sensor><jointpos joint="ja"/></sensor>
+<keyframe><key name="home" qpos="0 0 2 .6 0 0 .8  .3 .05  .6 0 .8 0  .1 .2  2 0 3 1 0 0 0  .5"/></keyframe>
+</mujoco>"""
+
+
+@pytest.fixture
+def mjcf(tmp_path):
+    """A file with three trees, classes, an included file, a mesh, loops, masks and a keyframe."""
+    write_stl(tmp_path / "box.stl", (0.1, 0.2, 0.3))
+    (tmp_path / "assets.xml").write_text('<mujoco><asset><mesh name="box" file="box.stl"/></asset></mujoco>')
+    path = tmp_path / "robot.xml"
+    path.write_text(MJCF)
+    return path
+
+
+def loaded_mjcf(path, **keywords):
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match="'m' leaves out: <actuator>"):
+        scene.add_mjcf("m", path, **keywords)
+    return scene.articulations["m"]
+
+
+def test_mjcf(mjcf):
+    a = loaded_mjcf(mjcf)
+    inf = np.inf
+    # Free base, hinge ja, slide jb, ball jc, hinges jd1 and jd2, free body, hinge je.
+    lower = [-inf] * 7 + [np.radians(-30), -0.1] + [-inf] * 14
+    upper = [inf] * 7 + [np.radians(60), 0.2] + [inf] * 14
+    np.testing.assert_allclose(a.model.lowerPositionLimit, lower, rtol=1e-15)
+    np.testing.assert_allclose(a.model.upperPositionLimit, upper, rtol=1e-15)
+    np.testing.assert_array_equal(a.damping, [0] * 6 + [0.3, 0.3, 0.4, 0.4, 0.4, 0.3, 0.3] + [0] * 6 + [0.3])
+    np.testing.assert_array_equal(a.friction, [0] * 7 + [0.2] + [0] * 12)
+    np.testing.assert_array_equal(a.armature, [0] * 6 + [0.01] * 7 + [0] * 6 + [0.01])
+    np.testing.assert_array_equal(a.stiffness, [0] * 7 + [5] + [0] * 4 + [2] + [0] * 7)
+    np.testing.assert_allclose(a.rest, [0] * 7 + [0.1] + [0] * 4 + [np.pi / 2] + [0] * 7, rtol=1e-15)
+    names = [(link.name, link.joint) for link in a.links]
+    assert names == [
+        ("floor", 0), ("t", 1), ("ga", 2), ("gb", 3), ("gc", 4), ("d_0", 5), ("g2", 6), ("ge", 7),
+    ]  # fmt: skip
+    assert a.links[0].shape.kind == shapes.HALFSPACE
+    assert a.report == (
+        "<actuator>", "contact: <pair> of 'ga' and 'gb'", "joint 'jc': range of a ball joint",
+        "equality 'joint2' of type 'joint'", "mujoco: <option> (1)", "mujoco: <sensor> (1)",
+        "body 'world': <light> (1)", "keyframe 'home'",
+    )  # fmt: skip
+
+
+def test_mjcf_masks_and_exclusions(mjcf):
+    a = loaded_mjcf(mjcf)
+    names = [link.name for link in a.links]
+    pairs = {frozenset((names[i], names[j])) for i, j in a.excluded}
+    assert frozenset(("t", "gb")) in pairs, "<exclude>"
+    assert {frozenset(("gc", n)) for n in names if n != "gc"} <= pairs, "masks 2 and 4 meet no 1"
+    assert frozenset(("floor", "t")) not in pairs and frozenset(("g2", "floor")) not in pairs
+    assert frozenset(("floor", "ge")) in pairs, "joined to the world"
+
+
+def test_mjcf_loops(mjcf):
+    """Both are closed where the file puts the bodies; the connect at its anchor."""
+    a = loaded_mjcf(mjcf)
+    data = a.model.createData()
+    pin.framesForwardKinematics(a.model, data, a.q)
+    assert [(c.name, c.joint1, c.joint2, c.kind) for c in a.loops] == [
+        ("loop", 3, 4, "point"),
+        ("weld1", 2, 5, "frame"),
+    ]
+    point, weld = a.loops
+    body = data.oMf[a.model.getFrameId("b", pin.FrameType.BODY)]
+    np.testing.assert_allclose(
+        (data.oMi[3] * point.placement1).translation, body.act(np.array([0, 0, 0.1])), atol=1e-15
+    )
+    np.testing.assert_allclose(
+        (data.oMi[3] * point.placement1).translation, (data.oMi[4] * point.placement2).translation, atol=1e-15
+    )
+    assert (data.oMi[2] * weld.placement1).isApprox(data.oMi[5] * weld.placement2, 1e-14)
+
+
+def test_mjcf_keyframe(mjcf):
+    a = loaded_mjcf(mjcf, keyframe="home")
+    # Quaternions of the file are w x y z.
+    expected = [0, 0, 2, 0, 0, 0.8, 0.6, 0.3, 0.05, 0, 0.8, 0, 0.6, 0.1, 0.2, 2, 0, 3, 0, 0, 0, 1, 0.5]
+    np.testing.assert_allclose(a.q, expected, atol=1e-15)
+    with pytest.raises(ValueError, match=r"keyframe must be one of \['home'\], got 'away'"):
+        nd.Scene().add_mjcf("m", mjcf, keyframe="away")
+
+
+def test_mjcf_against_mujoco(mjcf, rng):
+    """Mass matrix and bias at a random state, and what acts in the joints, against MuJoCo's own reading."""
+    mujoco = pytest.importorskip("mujoco", reason="the extra 'peers' is not installed")
+    a = loaded_mjcf(mjcf)
+    theirs = mujoco.MjModel.from_xml_path(str(mjcf))
+    data = mujoco.MjData(theirs)
+    v = rng.normal(size=a.model.nv)
+    q = pin.integrate(a.model, a.q, 0.2 * v)
+    # Free joints: MuJoCo has w first and the linear velocity in world axes.
+    turn = np.eye(a.model.nv)
+    data.qpos[:], placed = q, a.model.createData()
+    pin.forwardKinematics(a.model, placed, q)
+    for start in (3, 9, 18):
+        data.qpos[start : start + 4] = np.roll(q[start : start + 4], 1)
+    for joint, start in ((1, 0), (6, 13)):
+        turn[start : start + 3, start : start + 3] = placed.oMi[joint].rotation.T
+    data.qvel[:] = np.linalg.solve(turn, v)
+    data.qvel[[0, 1, 2, 13, 14, 15]] = 0.0
+    v = turn @ data.qvel
+    mujoco.mj_forward(theirs, data)
+    M = np.zeros((theirs.nv, theirs.nv))
+    mujoco.mj_fullM(theirs, data, M)
+    np.testing.assert_allclose(turn.T @ pin.crba(a.model, placed, q) @ turn, M, atol=1e-13)
+    a.model.gravity = pin.Motion(np.array([0, 0, -9.0]), np.zeros(3))
+    bias = pin.nonLinearEffects(a.model, placed, q, v)
+    np.testing.assert_allclose(turn.T @ bias, data.qfrc_bias, atol=1e-12)
+    np.testing.assert_allclose(a.damping, theirs.dof_damping.ravel()[: a.model.nv])
+    np.testing.assert_allclose(a.friction, theirs.dof_frictionloss)
+    np.testing.assert_allclose(a.armature, theirs.dof_armature)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<mujoco", "could not be read"),
+        ("<robot/>", "its root is <robot>, not <mujoco>"),
+        ("<mujoco/>", "it has no <worldbody>"),
+        ('<mujoco><worldbody><replicate count="2"/></worldbody></mujoco>', "body 'world' has a <replicate>"),
+        ('<mujoco><include file="gone.xml"/></mujoco>', "path of 'm' must be a file in MJCF"),
+        ('<mujoco><worldbody><body><joint class="x"/></body></worldbody></mujoco>', "class 'x' of a <joint>"),
+        (
+            '<mujoco><worldbody><body><joint range="1"/><geom size="1"/></body></worldbody></mujoco>',
+            "could not be read",
+        ),
+        (MJCF.replace("0 0 2 .6", "2 .6"), "qpos of keyframe 'home' must be 23 numbers"),
+        (MJCF.replace('body2="c"', 'body2="z"'), "equality 'loop' joins .* which are not both bodies or sites"),
+    ],
+)
+def test_bad_mjcf(mjcf, text, words):
+    mjcf.write_text(text)
+    with pytest.raises(ValueError, match=words):
+        nd.Scene().add_mjcf("m", mjcf, keyframe="home")
+
+
+def sdf_inertial(mass, xyz="0 0 0"):
+    return (
+        f"<inertial><pose>{xyz} 0 0 0.3</pose><mass>{mass}</mass>"
+        "<inertia><ixx>0.1</ixx><iyy>0.2</iyy><izz>0.15</izz><ixy>0.01</ixy></inertia></inertial>"
+    )
+
+
+SDF = f"""<sdf version="1.9"><model name="m"><pose>1 2 3 0.1 0.2 0.3</pose><self_collide>true</self_collide>
+<frame name="mount" attached_to="base"><pose degrees="true">0 0 1 0 90 0</pose></frame>
+<link name="base">{sdf_inertial(2)}
+  <collision name="c"><geometry><box><size>.4 .2 .1</size></box></geometry></collision></link>
+<link name="a"><pose relative_to="mount">0 0 0.5 0 0 0</pose>{sdf_inertial(1, "0 0 0.2")}<visual name="v"/>
+  <collision name="c"><pose>0 0 .1 0 .3 0</pose>
+    <geometry><capsule><radius>.1</radius><length>.3</length></capsule></geometry></collision>
+  <collision name="h"><geometry><heightmap/></geometry></collision></link>
+<link name="b"><pose relative_to="a">0 0.1 0.7 0 0 0</pose>{sdf_inertial(1.5)}<collision name="c">
+  <geometry><mesh><uri>model://thing/box.stl</uri><scale>1 2 1</scale></mesh></geometry></collision></link>
+<link name="tip"><pose relative_to="b" rotation_format="quat_xyzw">0 0 0.2 0 0.6 0 0.8</pose>{sdf_inertial(0.3)}
+  <collision name="c"><geometry><ellipsoid><radii>.1 .2 .3</radii></ellipsoid></geometry></collision></link>
+<link name="ball"><pose relative_to="tip">0 0 0.2 0 0 0</pose>{sdf_inertial(0.3)}</link>
+<joint name="ja" type="revolute"><parent>mount</parent><child>a</child><pose>0 0 -.1 0 0 0.4</pose>
+  <axis><xyz expressed_in="__model__">0 0 2</xyz><limit><lower>-1</lower><upper>2</upper><effort>5</effort></limit>
+  <dynamics><damping>0.5</damping><friction>0.7</friction><spring_stiffness>3</spring_stiffness>
+  <spring_reference>.2</spring_reference>
+  </dynamics></axis></joint>
+<joint name="jb" type="prismatic"><parent>a</parent><child>b</child><axis><xyz>0 1 0</xyz>
+  <limit><lower>-1e16</lower><upper>0.4</upper></limit></axis></joint>
+<joint name="jt" type="fixed"><parent>b</parent><child>tip</child></joint>
+<joint name="jc" type="ball"><parent>tip</parent><child>ball</child></joint>
+<plugin name="p"/></model></sdf>"""
+
+
+@pytest.fixture
+def sdf(robot, tmp_path):
+    path = tmp_path / "robot.sdf"
+    path.write_text(SDF)
+    return path, robot[1]
+
+
+def test_sdf(sdf):
+    path, package_dirs = sdf
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match="'m' leaves out: collision 'h' of link 'a': its shape"):
+        scene.add_sdf("m", path, package_dirs)
+    a = scene.articulations["m"]
+    assert list(a.model.names) == ["universe", "base_free", "ja", "jb", "jc"]
+    inf = np.inf
+    np.testing.assert_array_equal(a.model.lowerPositionLimit, [-inf] * 7 + [-1, -inf] + [-inf] * 4)
+    np.testing.assert_array_equal(a.model.upperPositionLimit, [inf] * 7 + [2, 0.4] + [inf] * 4)
+    for values, first in ((a.damping, 0.5), (a.friction, 0.7), (a.stiffness, 3), (a.rest, 0.2)):
+        np.testing.assert_array_equal(values, [0] * 6 + [first] + [0] * 4)
+    assert [(k.name, k.joint) for k in a.links] == [("base_0", 1), ("a_0", 2), ("b_0", 3), ("tip_0", 3)]
+    kinds = [shapes.POLYTOPE, shapes.CAPSULE, shapes.POLYTOPE, shapes.ELLIPSOID]
+    assert [k.shape.kind for k in a.links] == kinds
+    assert a.report == (
+        "collision 'h' of link 'a': its shape", "model: <plugin> (1)", "link: <visual> (1)",
+        "joint: effort and velocity of <limit>",
+    )  # fmt: skip
+    # Where the file puts the links, by its own chain of frames.
+    data = a.model.createData()
+    pin.framesForwardKinematics(a.model, data, a.q)
+    base = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([1.0, 2.0, 3.0]))
+    mount = base * pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.array([0, 0, 1.0]))
+    link_a = mount * pin.SE3(np.eye(3), np.array([0, 0, 0.5]))
+    link_b = link_a * pin.SE3(np.eye(3), np.array([0, 0.1, 0.7]))
+    tip = link_b * pin.SE3(pin.Quaternion(0.8, 0, 0.6, 0).toRotationMatrix(), np.array([0, 0, 0.2]))
+    for name, pose in (("base", base), ("a", link_a), ("b", link_b), ("tip", tip)):
+        assert data.oMf[a.model.getFrameId(name, pin.FrameType.BODY)].isApprox(pose, 1e-14), name
+    # The axis of ja is the model's z; its point lies 0.1 below the origin of a.
+    J = pin.computeFrameJacobian(
+        a.model, data, a.q, a.model.getFrameId("a", pin.FrameType.BODY), pin.LOCAL_WORLD_ALIGNED
+    )[:, 6]  # fmt: skip
+    np.testing.assert_allclose(J[3:], base.rotation[:, 2], atol=1e-14)
+    np.testing.assert_allclose(J[:3], np.cross(base.rotation[:, 2], 0.1 * link_a.rotation[:, 2]), atol=1e-14)
+    assert pin.computeTotalMass(a.model) == pytest.approx(5.1, rel=1e-15)
+
+
+def four_bar_sdf(closing):
+    """A planar four-bar of rods of 1 m; `closing` is the type of the joint that makes it a loop."""
+    rods = ((0, 0.5, 0), (0.5, 1, np.pi / 2), (1, 0.5, 0))
+    links = "".join(
+        f'<link name="rod{k}"><pose>{x} 0 {z} 0 {turn} 0</pose>{sdf_inertial(1)}</link>'
+        for k, (x, z, turn) in enumerate(rods)
+    )
+    ends = (
+        ("world", "rod0", "0 0 -0.5", "revolute"), ("rod0", "rod1", "0 0 -0.5", "revolute"),
+        ("rod1", "rod2", "0 0 0.5", "revolute"), ("world", "rod2", "0 0 -0.5", closing),
+    )  # fmt: skip
+    joints = "".join(
+        f'<joint name="j{k}" type="{kind}"><parent>{parent}</parent><child>{child}</child><pose>{pose} 0 0 0</pose>'
+        "<axis><xyz>0 1 0</xyz></axis></joint>"
+        for k, (parent, child, pose, kind) in enumerate(ends)
+    )
+    return f'<sdf version="1.9"><model name="m">{links}{joints}</model></sdf>'
+
+
+@pytest.mark.parametrize(("closing", "nv"), [("revolute", 4), ("fixed", 3)])
+def test_sdf_loop(tmp_path, closing, nv):
+    """The rod with two parents is cut in halves that a loop welds; the mass is that of the file."""
+    path = tmp_path / "four_bar.sdf"
+    path.write_text(four_bar_sdf(closing))
+    scene = nd.Scene()
+    scene.add_sdf("m", path)
+    a = scene.articulations["m"]
+    (loop,) = a.loops
+    assert a.model.nv == nv and loop.kind == "frame"
+    assert pin.computeTotalMass(a.model) == pytest.approx(3 - 0.5 * (closing == "fixed"), rel=1e-15)
+    data = a.model.createData()
+    pin.forwardKinematics(a.model, data, a.q)
+    assert (data.oMi[loop.joint1] * loop.placement1).isApprox(data.oMi[loop.joint2] * loop.placement2, 1e-14)
+
+
+def test_sdf_against_urdf(robot, tmp_path, rng):
+    """The same two-link arm in both formats: mass matrix and bias at a random state."""
+    arm = (nd.scenes.folder() / "arm.urdf").read_text()
+    assert 'name="shoulder"' in arm
+    path = tmp_path / "arm.sdf"
+    path.write_text(
+        """<sdf version="1.9"><model name="arm"><link name="base"/>
+        <link name="upper"><pose>0 0 .1 0 0 0</pose><inertial><pose>.2 0 0 0 0 0</pose><mass>2</mass>
+          <inertia><ixx>.002</ixx><iyy>.03</iyy><izz>.03</izz></inertia></inertial></link>
+        <link name="fore"><pose relative_to="upper">.4 0 0 0 0 0</pose><inertial><pose>.2 0 0 0 0 0</pose><mass>1</mass>
+          <inertia><ixx>.001</ixx><iyy>.015</iyy><izz>.015</izz></inertia></inertial></link>
+        <link name="hand"><pose relative_to="fore">.4 0 0 0 0 0</pose><inertial><mass>.5</mass>
+          <inertia><ixx>.0005</ixx><iyy>.0005</iyy><izz>.0005</izz></inertia></inertial></link>
+        <joint name="hold" type="fixed"><parent>world</parent><child>base</child></joint>
+        <joint name="shoulder" type="revolute"><parent>base</parent><child>upper</child>
+          <axis><xyz>0 0 1</xyz></axis></joint>
+        <joint name="elbow" type="revolute"><parent>upper</parent><child>fore</child>
+          <axis><xyz>0 0 1</xyz></axis></joint>
+        <joint name="wrist" type="fixed"><parent>fore</parent><child>hand</child></joint></model></sdf>"""
+    )
+    scene = nd.Scene(gravity=(1, 2, 3))
+    scene.add_sdf("sdf", path)
+    scene.add_urdf("urdf", nd.scenes.folder() / "arm.urdf")
+    q, v = rng.normal(size=(2, 2))
+    M, bias = [], []
+    for a in scene.articulations.values():
+        M.append(pin.crba(a.model, a.model.createData(), q))
+        bias.append(pin.nonLinearEffects(a.model, a.model.createData(), q, v))
+    np.testing.assert_allclose(M[0], M[1], atol=1e-14)
+    np.testing.assert_allclose(bias[0], bias[1], atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<sdf", "could not be read"),
+        ("<robot/>", "its root is <robot>, not <sdf>"),
+        ("<sdf/>", r"it must hold one model, got \[\]"),
+        ("<sdf><model/><model/></sdf>", "it must hold one model"),
+        ("<sdf><model/></sdf>", "it has no <link>"),
+        ("<sdf><model><link name='a'/><include/></model></sdf>", "a <include> inside the model"),
+        (SDF.replace('"prismatic"', '"screw"'), "joint 'jb' is of type 'screw'"),
+        (SDF.replace("<child>b</child>", "<child>z</child>"), "joint 'jb' names 'z', which is no link"),
+        (SDF.replace('relative_to="b"', 'relative_to="z"'), "frame 'z' is not defined"),
+        (
+            SDF.replace('attached_to="base"', 'attached_to="a"'),
+            "frame 'a' hangs on itself|frame 'mount' hangs on itself",
+        ),
+        (SDF.replace("<xyz>0 1 0</xyz>", "<xyz>0 0 0</xyz>"), "axis of joint 'jb' must not be zero"),
+        (SDF.replace("<mass>1.5</mass>", "<mass>heavy</mass>"), "mass of link 'b' must be a number, got 'heavy'"),
+        (SDF.replace("<lower>-1</", "<lower>3</"), "limits of 'm': joint 'ja' has lower 3 above upper 2"),
+        (
+            "<sdf><model><link name='a'/><link name='b'/>"
+            "<joint name='j' type='fixed'><parent>a</parent><child>b</child></joint>"
+            "<joint name='k' type='fixed'><parent>b</parent><child>a</child></joint></model></sdf>",
+            "hang on each other in a circle",
+        ),
+    ],
+)
+def test_bad_sdf(sdf, text, words):
+    path, package_dirs = sdf
+    path.write_text(text)
+    with pytest.raises(ValueError, match=words):
+        nd.Scene().add_sdf("m", path, package_dirs)
