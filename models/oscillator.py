@@ -23,9 +23,6 @@ def spring(
     return lambda t, q, v: {"block": (-stiffness * (q[0] - rest + belt * t), 0.0, 0.0)}
 
 
-external_force = spring()
-
-
 def scene(start: float = 0.35, speed: float = 0.0, mu: float = 0.3, size: float = 0.2, mass: float = 1.0) -> Scene:
     """Cube of edge `size` [m] and `mass` [kg] at x = `start` [m] with `speed` along x [m/s], ground of friction `mu`.
 
@@ -39,3 +36,8 @@ def scene(start: float = 0.35, speed: float = 0.0, mu: float = 0.3, size: float 
         material=material,
     )  # fmt: skip
     return out
+
+
+def external_force(scene: Scene) -> Callable[[float, Any, Any], dict[str, tuple[float, float, float]]]:
+    """The spring on ground at rest."""
+    return spring()

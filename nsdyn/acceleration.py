@@ -229,15 +229,11 @@ def least_constraint(
     ------
     ValueError
         If a closed contact approaches faster than `still`: an impact, at which there is no acceleration. For scenes
-        with prescribed motions or closed loops.
-
-    Notes
-    -----
-    Joint limits and dry joint friction are left out.
+        with joint limits, dry joint friction, closed loops or prescribed motions, which are not in the problem.
     """
     d = Dynamics(scene)
-    if d.surfaces.count or any(t.constrained for t in d.trees):
-        raise ValueError("scene must have no prescribed motions and no closed loops")
+    if d.joints.size or d.surfaces.count or any(tree.constrained for tree in d.trees):
+        raise ValueError("scene must have no joint limits, dry joint friction, closed loops or prescribed motions")
     geoms = scene.geoms()
     detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms))
     position, v = d.start() if state is None else (state.position, state.v)
@@ -252,16 +248,19 @@ def least_constraint(
         names = geoms[found.geom1[c]].name, geoms[found.geom2[c]].name
         raise ValueError(f"{names[0]!r} and {names[1]!r} approach at {-u[c, 0]:.3g} m/s: an impact, no acceleration")
     keep = np.flatnonzero(touching & (u[:, 0] <= still))
-    _, loads = d.free_velocity(position, position, v, 0.0, 0.0, 1.0, np.zeros(d.n), wrenches, tau)
-    f = np.hstack((loads.force + d.mass[:, None] * d.gravity, loads.torque + loads.gyroscopic)).ravel()
-    for t, load in zip(d.trees, loads.trees, strict=True):
-        resistance = (t.damping + load.kd) * v[t.coordinates] + t.stiffness * load.stretch
-        f = np.append(f, load.tau - resistance - load.bias)
     M, H = blocks.dense()
+    t = 0.0 if state is None else state.t
+    _, loads = d.free_velocity(position, position, v, t, 0.0, 1.0, np.zeros(d.n), wrenches, tau)
+    parts = [np.hstack((loads.force + d.mass[:, None] * d.gravity, loads.torque + loads.gyroscopic)).ravel()]
+    for tree, load in zip(d.trees, loads.trees, strict=True):
+        actuation, damping, springs = tree.forces(load, v[tree.coordinates], v[tree.coordinates], 0.0, 1.0)
+        parts.append(actuation + damping + springs - load.bias)
+    f = np.concatenate(parts)
 
     # Relative velocities along the motion with v held, of the same contacts, in world axes and along their normals.
     size = min((g.shape.bounding_radius for g in geoms if g.frame >= 0), default=1.0)
-    rate = float((d.reach(v, 1e-9, d.surfaces.twists(0.0)) / 1e-9).max(initial=0.0))
+    twists = d.surfaces.twists(t)
+    rate = float((d.reach(v, 1e-9, twists, twists) / 1e-9).max(initial=0.0))
     p = np.zeros((found.key.size, 3))
     if rate > 0.0 and v.any():
         step = REACH * size / rate
@@ -282,7 +281,7 @@ def _along(
     d: Dynamics, detector: Detector, position: Position, v: Array, s: float, reach: Array, found: ContactSet
 ) -> Array:
     """Relative velocities (nc, 4) of the found contacts at position ⊕ s v: world axes, then normal; NaN if gone."""
-    d.place(d.advance(position, v, s))
+    d.evaluate(d.advance(position, v, s))
     there = detector.detect(d.x, d.R, reach)
     blocks, frame = d.blocks(there)
     u = blocks.relative_velocity(v).reshape(-1, 3)

@@ -42,9 +42,6 @@ SMALL = 0.01
 """dt in s from which on a smaller one takes longer: a run that takes too long is the last of its series. Above it the
 size of the step itself may make the contact problems hard."""
 
-ROUND_OFF = 1e-16
-"""What an error of zero is drawn as."""
-
 _SCRIPTS = Path(__file__).with_name("_peers")
 
 Measure = Callable[[Scene, Array, Array], float]
@@ -334,14 +331,21 @@ class Bench:
         """The fastest run of an engine that meets the error at its dt and at every smaller one, None without any."""
         best = None
         broken = set()
-        for run in sorted(self.runs, key=lambda run: run.dt):
-            if (run.case, run.engine) != (case, engine) or math.isnan(run.error):
-                continue
+        for run in self._finished.get((case, engine), []):
             if run.error > error:
                 broken.add(run.variant)
             elif run.variant not in broken and (best is None or run.seconds < best.seconds):
                 best = run
         return best
+
+    @cached_property
+    def _finished(self) -> dict[tuple[str, str], list[Run]]:
+        """Runs that were not stopped of every case and engine, the smallest dt first."""
+        out: dict[tuple[str, str], list[Run]] = {}
+        for run in sorted(self.runs, key=lambda run: run.dt):
+            if not math.isnan(run.error):
+                out.setdefault((run.case, run.engine), []).append(run)
+        return out
 
     def summary(self) -> list[dict[str, Any]]:
         """For every case and bound of `ERRORS`: the run by which each engine reaches it, and ours over the best peer's.
@@ -390,29 +394,26 @@ class Bench:
                 sink.writerow([x if not isinstance(x, float) or math.isfinite(x) else "" for x in astuple(run)])
 
     def plot(self, figure: Any) -> None:
-        """Draw time per simulated second against error on a matplotlib figure, a panel for each case."""
+        """Draw time per simulated second against error on a matplotlib figure, a panel for each case.
+
+        A line is the time by which an engine reaches an error, as in the table; dots are its runs.
+        """
         columns = min(4, len(self.cases))
         panels = figure.subplots(math.ceil(len(self.cases) / columns), columns, squeeze=False).ravel()
-        colours = {engine: f"C{k}" for k, engine in enumerate(self.engines)}
-        for axes, name in zip(panels, self.cases, strict=False):
-            lines: dict[tuple[str, str], list[Run]] = {}
-            for run in self.runs:
-                if run.case == name and math.isfinite(run.error):
-                    lines.setdefault((run.engine, run.variant), []).append(run)
-            for (engine, variant), runs in lines.items():
-                order = [v for e, v in lines if e == engine].index(variant)
-                look = {"marker": "os^Dvx"[order % 6], "ms": 3.0, "ls": ("-", "--", ":", "-.")[order % 4]}
-                error = [max(run.error, ROUND_OFF) for run in runs]
-                seconds = [1e3 * run.seconds for run in runs]
-                axes.plot(error, seconds, color=colours[engine], lw=1.6 if engine == OURS else 0.8, **look)
-            axes.set(xscale="log", yscale="log", title=CASES[name].title, xlabel=CASES[name].what)
-            axes.set_ylabel("ms per simulated second")
+        bounds = np.logspace(-10.0, 0.0, 201)
+        for axes, case in zip(panels, self.cases, strict=False):
+            for k, engine in enumerate(self.engines):
+                runs = [run for run in self._finished.get((case, engine), []) if math.isfinite(run.error)]
+                error = [max(run.error, bounds[0]) for run in runs]
+                axes.plot(error, [1e3 * run.seconds for run in runs], ".", color=f"C{k}", ms=3.0, alpha=0.4)
+                reached = [self.reach(case, engine, bound) for bound in bounds]
+                seconds = [math.nan if run is None else 1e3 * run.seconds for run in reached]
+                axes.plot(bounds, seconds, color=f"C{k}", lw=2.0 if k == 0 else 1.2, label=engine)
+            axes.set(xscale="log", yscale="log", xlim=(bounds[0], bounds[-1]))
+            axes.set(title=CASES[case].title, xlabel=CASES[case].what, ylabel="ms per simulated second")
         for axes in panels[len(self.cases) :]:
             axes.axis("off")
-        from matplotlib.lines import Line2D
-
-        handles = [Line2D([], [], color=colour, lw=2.0, label=engine) for engine, colour in colours.items()]
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(self.engines))
 
 
 OURS = "nsdyn"

@@ -123,6 +123,11 @@ class Dynamics:
         tail = np.zeros(sum(s * s for s in sizes[self.free :]))
         self.m, self.minv = np.append(m.ravel(), tail), np.append(minv.ravel(), tail)
         self.x, self.R = np.zeros((self.frames, 3)), np.zeros((self.frames, 3, 3))
+        self.constrained = any(t.constrained for t in self.trees)
+        # Links of trees with a fixed base; index -1 is the world's.
+        self._held = np.zeros(self.frames + 1, dtype=bool)
+        for t in self.trees:
+            self._held[t.frames] = "JointModelFreeFlyer" not in [joint.shortname() for joint in t.model.joints]
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
         self.surfaces = Surfaces(scene)
         starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]
@@ -204,7 +209,8 @@ class Dynamics:
         t, h, theta : float
             Time at the end of the step, step [s], and θ.
         push : ndarray, shape (n,)
-            Change of velocity expected of the contacts: gyroscopic and Coriolis terms belong to the motion with it.
+            Change of velocity expected of contacts and joint rows: gyroscopic and Coriolis terms belong to the motion
+            with it.
         wrenches : mapping, optional
             Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes.
         tau : mapping, optional
@@ -233,7 +239,7 @@ class Dynamics:
             nv, at = tree.model.nv, self.m_start[self.free + k]
             m, minv = (a[at : at + nv * nv].reshape(nv, nv) for a in (self.m, self.minv))
             where, control = (begin.trees[k], middle.trees[k]), given.get(tree.name)
-            out[tree.coordinates], load = tree.free_motion(*where, v, h, theta, t, push, control, m, minv)
+            out[tree.coordinates], load = tree.free_motion(*where, v, push, h, theta, t, control, m, minv)
             loads.append(load)
         return out, Loads(force, torque, gyroscopic, tuple(loads))
 
@@ -260,6 +266,12 @@ class Dynamics:
             _trees.link_rows(*where[:-1], t.frames.start, t.support, t.J, start, h)
         return Blocks(self.offset, block, start, h, self.m_start, self.m, self.minv), frame
 
+    def held(self, contacts: ContactSet) -> NDArray[np.bool_]:
+        """Which contacts are between the world and a link of a tree that hangs on it, shape (nc,)."""
+        one, two = contacts.frame1, contacts.frame2
+        out: NDArray[np.bool_] = (self._held[one] & (two < 0)) | (self._held[two] & (one < 0))
+        return out
+
     def rows(self, contacts: Blocks, joints: JointRows | None) -> Rows:
         """Contacts and joint rows, in v and in the coordinates that loops, driven joints and joint friction leave."""
         bases = {self.free + k: t.Z for k, t in enumerate(self.trees) if t.constrained}
@@ -268,15 +280,19 @@ class Dynamics:
         pressed = np.flatnonzero(joints.press)
         return Rows(self.joints.append(joints, contacts), bases, contacts.nc + pressed, joints.press[pressed])
 
-    def reach(self, v: Array, h: float, twist: Array) -> Array:
-        """How far any point of each frame's shapes may move in a step of h, m, shape (frames,)."""
+    def reach(self, v: Array, h: float, begun: Array, ended: Array) -> Array:
+        """How far any point of each frame's shapes may move in a step of h, m, shape (frames,).
+
+        Driven bodies have the velocities `begun` and `ended` (surfaces, 2, 3) at its beginning and its end.
+        """
         out = np.zeros(self.frames)
         _motion.reach(v, self.gravity, h, self.radius, out)
         fall = h * h * float(np.linalg.norm(self.gravity)) if self.trees else 0.0
         for t in self.trees:
             part = self.x[t.frames], t.support, t.J, v[t.coordinates], h, t.radius, fall, out[t.frames]
             _trees.link_reach(*part)
-        self.surfaces.reach(h * twist, out)
+        if self.surfaces.count:
+            self.surfaces.reach(h * np.maximum(np.abs(begun), np.abs(ended)), out)
         return out
 
     def energies(self, position: Position, v: Array) -> tuple[float, float]:

@@ -67,7 +67,7 @@ def ledger(
     loads: Loads,
     positions: tuple[Position, Position, Position],
     velocities: tuple[Array, Array, Array],
-    impulse: Array,
+    impulse: Array | None,
     normal: float,
     friction: float,
     driving: float,
@@ -85,8 +85,8 @@ def ledger(
         Before the step, after it, after the position projection.
     velocities : (begin, end, theta)
         v_k, v_{k+1} and v_{k+θ}.
-    impulse : ndarray, shape (n,)
-        H r of contacts and joint rows.
+    impulse : ndarray, shape (n,), optional
+        H r of contacts and joint rows; needed where loops or driven joints restrict a tree.
     normal, friction : float
         Sums of the works of contacts and joint rows, J.
     driving : float
@@ -124,7 +124,7 @@ def _tree_works(
     load: TreeLoads,
     configurations: tuple[Array, Array, Array],
     velocities: tuple[Array, Array, Array],
-    impulse: Array,
+    impulse: Array | None,
 ) -> tuple[float, ...]:
     """(T, V, ΔT, ΔV, external, damping, constraint, gyroscopic, theta, mass, projection) of one tree, J."""
     begin, moved, end = configurations
@@ -140,7 +140,10 @@ def _tree_works(
     if theta != 0.5:
         drop = -h * float((0.5 * (v0 + v1) - v_theta) @ load.weight)
         gyroscopic, slip = gyroscopic - drop, drop + springs + S_moved - S0
-    constraint = t.constraint_work(*step, impulse[t.coordinates]) if t.constrained else 0.0
+    constraint = 0.0
+    if t.constrained:
+        assert impulse is not None
+        constraint = t.constraint_work(*step, impulse[t.coordinates])
     return (
         T1, V1 + S1, T1 - T0, V1 - V0 + S1 - S0, actuation, damping, constraint, gyroscopic, slip,
         T1 - T0 - kinetic, V1 - V_moved + S1 - S_moved,

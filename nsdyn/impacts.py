@@ -38,24 +38,20 @@ def apply(law: str, u: Array, struck: NDArray[np.bool_], w: Array) -> None:
     ----------
     law : str
         One of `LAWS`.
-    u : ndarray, shape (3 m,)
-        Relative velocity before, m/s; the contacts come first.
-    struck : ndarray of bool, shape (nc,)
-    w : ndarray, shape (3 m,)
+    u : ndarray, shape (3 rows,)
+        Relative velocity before, m/s.
+    struck : ndarray of bool, shape (rows,)
+    w : ndarray, shape (3 rows,)
         So that u⁺ + w obeys the contact law, m/s; written.
     """
     if law == "poisson":
-        w[0 : 3 * struck.size : 3][struck] = 0.0
+        w[0::3][struck] = 0.0
     elif law == "fremond":
         for i in (1, 2):
-            w[i : 3 * struck.size : 3][struck] = u[i : 3 * struck.size : 3][struck]
+            w[i::3][struck] = u[i::3][struck]
 
 
 def returned(r: Array, restitution: Array) -> Array:
-    """Impulses r_c + e r_c of compression and expansion in Poisson's law, from those of compression.
-
-    Rows beyond those of the contacts give nothing back.
-    """
-    out = r.copy()
-    out[: 3 * restitution.size] *= 1.0 + np.repeat(restitution, 3)
+    """Impulses r_c + e r_c of compression and expansion in Poisson's law, from those of compression, (3 nc,)."""
+    out: Array = r * (1.0 + np.repeat(restitution, 3))
     return out

@@ -106,14 +106,9 @@ class JointLaws:
 
     def append(self, rows: JointRows, full: Blocks) -> Blocks:
         """Contacts of `full` followed by the joint rows."""
-        nj = rows.slot.size
-        block, start = np.full((nj, 2), -1, np.int64), np.empty((nj, 2), np.int64)
-        block[:, 0] = self.block[rows.slot]
-        widths = full.offset[block[:, 0] + 1] - full.offset[block[:, 0]]
-        h = np.concatenate((full.h, np.zeros(3 * int(widths.sum()))))
-        _trees.joint_rows(rows.slot, self.coordinate, self.block, self.sign, full.offset, full.h.size, start, h)
-        blocks = np.concatenate((full.block, block)), np.concatenate((full.start, start))
-        return Blocks(full.offset, *blocks, h, full.m_start, full.m, full.minv)
+        table = self.coordinate, self.block, self.sign
+        block, start, h = _trees.append_rows(rows.slot, *table, full.offset, full.block, full.start, full.h)
+        return Blocks(full.offset, block, start, h, full.m_start, full.m, full.minv)
 
 
 class Rows:
@@ -143,31 +138,12 @@ class Rows:
         self.press = np.zeros(3 * full.nc)
         if not bases and not pressed.size:
             return
-        nb, sizes = full.offset.size - 1, np.diff(full.offset)
-        own = np.full(full.nc, -1, np.int64)
-        own[pressed] = nb + np.arange(pressed.size)
-        mobility = _trees.mobility(full.offset, full.m_start, full.minv, full.block, full.start, full.h, pressed)
-        self.press[3 * pressed] = -press * mobility
-        self._z_start = np.full(nb, -1, np.int64)
+        z_start = np.cumsum([0, *(Z.size for Z in bases.values())])
         self._z = np.concatenate([np.empty(0), *(Z.ravel() for Z in bases.values())])
-        m: list[Array] = []
-        minv: list[Array] = []
-        at = done = 0
-        for k, Z in bases.items():
-            self._z_start[k], at = at, at + Z.size
-            kept, one = slice(done, full.m_start[k]), np.eye(Z.shape[1]).ravel()
-            m, minv = [*m, full.m[kept], one], [*minv, full.minv[kept], one]
-            done, sizes[k] = kept.stop + sizes[k] ** 2, Z.shape[1]
-        sizes = np.append(sizes, np.ones(pressed.size, np.int64))
-        offset, m_start = np.append(0, np.cumsum(sizes)), np.append(0, np.cumsum(sizes * sizes))[:-1]
-        block, start = np.empty_like(full.block), np.empty_like(full.start)
-        h = _trees.reduce_rows(
-            full.offset, full.block, full.start, full.h, self._z_start, self._z, own, offset, block, start
-        )
-        masses = np.concatenate((*m, full.m[done:], 1.0 / mobility))
-        self.blocks = Blocks(
-            offset, block, start, h, m_start, masses, np.concatenate((*minv, full.minv[done:], mobility))
-        )
+        keys = np.fromiter(bases, np.int64, len(bases))
+        factors = full.offset, full.block, full.start, full.h, full.m_start, full.m, full.minv
+        *reduced, self._where, self.press = _trees.reduce_rows(*factors, keys, z_start, self._z, pressed, press)
+        self.blocks = Blocks(*reduced)
 
     def velocity_change(self, r: Array) -> Array:
         """Change of v by the impulses r, shape (n,)."""
@@ -175,9 +151,5 @@ class Rows:
         if self.blocks is self.full:
             return y
         v = np.empty(self.full.n)
-        _trees.expand(self.full.offset, self._z_start, self._z, self.blocks.offset, y, v)
+        _trees.expand(self.full.offset, self._where, self._z, self.blocks.offset, y, v)
         return v
-
-    def velocity(self, r: Array) -> Array:
-        """Relative velocities W r by the impulses r, shape (3 nc,)."""
-        return self.blocks.relative_velocity(self.blocks.velocity_change(r))

@@ -18,7 +18,7 @@ from nsdyn._kernels import motion as _motion
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.history import History
+from nsdyn.history import History, foresee_slip, forget_stopped, slip_status
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
@@ -52,8 +52,6 @@ class State:
         What the last step leaves to the next.
     memory : ContactMemory
         The last step's contacts and their keys.
-    joint_impulse : ndarray, shape (slots, 3)
-        Impulses of joint limits and joint friction, by the slots of `nsdyn.joints.JointLaws`.
     """
 
     origin: float
@@ -63,7 +61,6 @@ class State:
     v: Array
     history: History
     memory: ContactMemory
-    joint_impulse: Array
 
     @property
     def t(self) -> float:
@@ -98,10 +95,10 @@ class Step:
         0 open, 1 stick, 2 slip.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
-    created : float
-        Energy that the contacts of a step with an impact created, J: 0 but for the paradox of Newton's law (`impacts`).
     joint_impulse : ndarray, shape (n,)
         Of joint limits and dry joint friction on each coordinate, N m s or N s.
+    created : float
+        Energy that the contacts of a step with an impact created, J: 0 but for the paradox of Newton's law (`impacts`).
     energy : dict
         The terms of `nsdyn.energy.Ledger`, J.
     gauss : Certificate
@@ -125,8 +122,8 @@ class Step:
     contact_status: NDArray[np.int8]
     work_normal: Array
     work_friction: Array
-    created: float
     joint_impulse: Array
+    created: float
     energy: dict[str, float]
     gauss: gauss.Certificate
     problem: FC3D
@@ -163,8 +160,8 @@ class Stepper:
     rows of Hᵀ until the end of the step as far as the last steps foretell it (`History`), so that smooth motion is
     second order for θ = ½, in contact too. A free body then keeps its energy and its angular momentum in space to
     round-off, for θ = ½ and up to 2 rad a step. An impact that another one of the same step provokes follows in the
-    next. Penetration left by curvature or by a bad start is removed by a projection of the positions that never touches
-    v.
+    next. Penetration left by curvature or by a bad start is removed by a projection of the positions that never
+    touches v.
 
     Parameters
     ----------
@@ -239,10 +236,8 @@ class Stepper:
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position)
-        self._state = State(
-            0.0, self.dt, 0, position, v, History.empty(v.size), self.detector.memory,
-            np.zeros((self.dynamics.joints.size, 3)),
-        )  # fmt: skip
+        history = History.empty(v.size, self.dynamics.joints.size)
+        self._state = State(0.0, self.dt, 0, position, v, history, self.detector.memory)
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -262,11 +257,8 @@ class Stepper:
         if state.v.shape != (self.dynamics.n,) or state.position.x.shape != (self.dynamics.free, 3):
             raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {state.v.shape}")
         if state.dt != self.dt:
-            ratio = self.dt / state.dt
-            state = State(
-                state.t, self.dt, 0, state.position, state.v, state.history.scaled(ratio), state.memory,
-                ratio * state.joint_impulse,
-            )  # fmt: skip
+            history = state.history.scaled(self.dt / state.dt)
+            state = State(state.t, self.dt, 0, state.position, state.v, history, state.memory)
         self.detector.memory = state.memory
         self._state = state
 
@@ -290,11 +282,11 @@ class Stepper:
         begun, ended = d.surfaces.twists(s.t), d.surfaces.twists(s.next_t)
         middle = d.advance(s.position, s.v, (1.0 - theta) * h, begun)
         d.evaluate(middle)
-        forces = self._callbacks(middle)
-        v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, s.history.push, *forces)
+        callbacks = self._callbacks(middle)
+        v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, s.history.push, *callbacks)
 
         # Contacts, joint limits and joint friction, and their impact law.
-        reach = d.reach(s.v, h, begun)
+        reach = d.reach(s.v, h, begun, ended)
         fast = self._outruns_contacts(reach)
         if fast:
             d.place(s.position)
@@ -309,58 +301,49 @@ class Stepper:
         where = contacts, frame, middle.driven_x, rows.full.nc
         drag, drag_after = d.surfaces.drag(*where, begun), d.surfaces.drag(*where, ended)
         u_before = rows.full.relative_velocity(s.v) + drag
-        # The rows turn: velocities at the beginning and at the end of the step have rows of their own.
-        nc = contacts.gap.size
+        # The rows turn by `bend` a step: velocities at its beginning and at its end have rows of their own.
         bend, turn, slides = s.history.turning(contacts, frame, u_before)
         u_begin = u_before - (1.0 - theta) * bend
-        u_free = rows.full.relative_velocity(v_free) + drag_after + theta * bend
-        gap, mu, w = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
-        struck = w[0::3] < 0.0
-        impacts.apply(self.impact, u_begin, struck[:nc], w)
-        q = u_free + rows.press + w
-        returned = np.zeros_like(w)
-        if self.impact == "poisson" and struck[:nc].any():
-            compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (u_begin + w + q), mu))
-            returned = impacts.returned(compression.r, contacts.restitution)
-            q += rows.velocity(returned)
-        guess = self._warm_start(contacts, frame, joints)
-        curve = np.zeros_like(w)
-        if slides.any():
-            _motion.curve(u_begin, q - w + rows.velocity(guess), slides, curve)
-        problem = FC3D.from_blocks(rows.blocks, q + curve, mu)
+        u_free = rows.full.relative_velocity(v_free) + rows.press + drag_after + theta * bend
+        gap, mu, w, struck = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
+        q, returned = self._expand(rows, contacts.restitution, mu, u_begin, u_free, w, struck)
+        guess = s.history.warm_start(contacts, frame, joints)
+        curve = foresee_slip(rows, u_begin, q, slides, guess)
+        problem = FC3D.from_blocks(rows.blocks, q + w + curve, mu)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = self.solver(problem, guess)
-        before = w.copy()
         postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w)
-        status = _status(solution.u, returned + solution.r, mu)
-        stopped = bool(curve.reshape(-1, 3)[status == 1].any())
-        if postponed.any() or stopped:
-            if stopped:  # what was to slide on
-                curve[:] = 0.0
-            problem = FC3D.from_blocks(rows.blocks, q + (w - before) + curve, mu)
-            solution = self.solver(problem, guess)
-            status = _status(solution.u, returned + solution.r, mu)
-        r = returned + solution.r
+        if forget_stopped(solution.u, solution.r + returned, contacts.mu, curve) or postponed.any():
+            problem = FC3D.from_blocks(rows.blocks, q + w + curve, mu)
+            solution = self.solver(problem, solution.r)
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, guess)
-        change = rows.velocity_change(r)
+        impulse = solution.r + returned
+        change = rows.velocity_change(impulse)
         v = v_free + change
 
         # Positions, and what penetration is left in them.
         v_theta = theta * v + (1.0 - theta) * s.v
         moved = d.advance(s.position, v_theta, h, theta * ended + (1.0 - theta) * begun)
-        u = solution.u - w - curve
-        # What rebounds leaves on its own, unless it is so fast that it would do so on the other side.
-        leaving = (struck | postponed) & (not fast)
-        leaving[nc:] = False  # a joint that rebounds half a step late is behind its limit
-        end, gap = self._project(moved, rows, gap + theta * h * u[0::3], leaving)
+        u_after = rows.full.relative_velocity(v) + drag_after
+        u = u_after + theta * bend
+        nc = contacts.gap.size
+        end, gap = moved, gap + theta * h * u[0::3]
+        if gap.min(initial=0.0) < -CLOSED:
+            # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
+            # would do so on the other side, or a link of a mechanism in its guide.
+            ahead = gap + h * (u + theta * (u_free - u_begin))[0::3]
+            leaving = ((struck & (ahead >= 0.0)) | postponed) & (not fast)
+            if d.trees:
+                leaving[:nc] &= ~d.held(contacts)
+            end, gap = self._project(moved, rows, gap, leaving)
 
         # Certificate, ledger, record.
-        u_after = u - theta * bend
-        normal, friction = energy.contact_works(u_before, u_after, r)
+        normal, friction = energy.contact_works(u_before, u_after, impulse)
+        driving = -0.5 * float((drag + drag_after) @ impulse) if d.surfaces.count else 0.0
         step_energy = energy.ledger(
             d,
             h,
@@ -368,43 +351,66 @@ class Stepper:
             loads,
             (s.position, moved, end),
             (s.v, v, v_theta),
-            rows.full.momentum(r),
+            rows.full.momentum(impulse) if d.constrained else None,
             float(normal.sum()),
             float(friction.sum()),
-            -0.5 * float(((drag + drag_after) * r).sum()),
+            driving,
         )
-        created = max(0.0, float((normal + friction)[:nc].sum())) if struck[:nc].any() else 0.0
-        history = s.history.after(contacts, status[:nc], frame, change, r[: 3 * nc], u_after[: 3 * nc], turn)
-        r = r.reshape(-1, 3)
+        created = max(0.0, float((normal + friction)[:nc].sum())) if struck.any() else 0.0
+        r = impulse.reshape(-1, 3)
+        status = slip_status(solution.u, impulse, contacts.mu)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
-        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory, slots)
-        q, v_out = d.pinocchio_state(end, v)
+        history = s.history.after(contacts, status, frame, change, r, u_after, turn, slots)
+        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
+        q_out, v_out = d.pinocchio_state(end, v)
         x, quaternion = d.poses(end)
         certificate = gauss.certify(problem, solution.r, solution.u)
         times = (
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q, v_out, x, quaternion, contacts, gap[:nc], frame, u.reshape(-1, 3)[:nc], r[:nc],
-            status[:nc], normal[:nc], friction[:nc], created, joint_impulse, step_energy._asdict(), certificate,
-            problem, solution, times,
+            self._state.t, q_out, v_out, x, quaternion, contacts, gap[:nc], frame, u.reshape(-1, 3)[:nc], r[:nc],
+            status, normal[:nc], friction[:nc], joint_impulse, created, step_energy._asdict(), certificate, problem,
+            solution, times,
         )  # fmt: skip
 
     def _impact_law(
         self, contacts: ContactSet, joints: JointRows | None, u_begin: Array, u_free: Array, bend: Array, fast: bool
-    ) -> tuple[Array, Array, Array]:
-        """(gap, mu, w) of contacts, then joint rows: the gaps at the midpoint and the offsets of the impact law."""
+    ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """(gap, mu, w, struck) of contacts, then joint rows.
+
+        Gaps at the midpoint, offsets of the impact law, and which contacts have an impact.
+        """
         h, theta, nc = self.dt, self.theta, contacts.gap.size
-        mu, w = contacts.mu, np.zeros_like(u_begin)
-        # The midpoint was reached with the velocity of the beginning, beside the way of a contact that lasts.
-        gap = contacts.gap + (1.0 - theta) * h * (u_begin if fast else -0.5 * (1.0 - theta) * bend)[0 : 3 * nc : 3]
+        moves = u_begin if fast else -0.5 * (1.0 - theta) * bend
+        gap, mu, w = contacts.gap + (1.0 - theta) * h * moves[0 : 3 * nc : 3], contacts.mu, np.zeros_like(u_begin)
         w_N = w[0::3]
         _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w_N[:nc])
         if joints is not None:
             u, free = u_begin[3 * nc :], u_free[3 * nc :]
             _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, CLOSED, w_N[nc:])
             gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
-        return gap, mu, w
+        struck = w_N < 0.0
+        struck[nc:] = False  # a joint that rebounds half a step late is behind its limit
+        impacts.apply(self.impact, u_begin, struck, w)
+        return gap, mu, w, struck
+
+    def _expand(
+        self,
+        rows: Rows,
+        restitution: Array,
+        mu: Array,
+        u_begin: Array,
+        u_free: Array,
+        w: Array,
+        struck: NDArray[np.bool_],
+    ) -> tuple[Array, Array | float]:
+        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, 0) without."""
+        if self.impact != "poisson" or not struck.any():
+            return u_free, 0.0
+        compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (u_begin + u_free) + w, mu))
+        r = impacts.returned(compression.r, np.append(restitution, np.zeros(mu.size - restitution.size)))
+        return u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r
 
     def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
         """(wrenches, joint forces) of the user's callbacks at the midpoint."""
@@ -425,17 +431,19 @@ class Stepper:
         return bool((reach[: self.dynamics.free] > self.dynamics.inscribed).any())
 
     def _postpone(
-        self, problem: FC3D, solution: Solution, restitution: Array, u_before: Array, w: Array
+        self, problem: FC3D, solution: Solution, restitution: Array, u_begin: Array, w: Array
     ) -> NDArray[np.bool_]:
         """Leave impacts that others of this step provoke to the next one, in `w`; tells which of the rows.
 
         A contact with e > 0 that is open or opening gets no impact law, and what closes it within the step would make
         it perfectly plastic. Where without it the bodies would meet faster than those that rest, w lets them pass.
         """
-        opening = (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_before[0::3] > self.resting_speed))
-        late: NDArray[np.bool_] = opening & (solution.r[0::3] > 0.0)
-        late[restitution.size :] = False  # joint limits have a law of their own
-        late[: restitution.size] &= restitution > 0.0
+        late = np.zeros(problem.nc, np.bool_)
+        if self.impact != "poisson":  # whose expansion serves them too
+            late[: restitution.size] = restitution > 0.0  # joint limits have a law of their own
+        if late.any():
+            late &= solution.r[0::3] > 0.0
+            late &= (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_begin[0::3] > self.resting_speed))
         if late.any():
             away = np.zeros_like(w)
             away[0::3][late] = 2.0 * np.abs(problem.q).max()
@@ -444,11 +452,6 @@ class Stepper:
             late &= (free.u - away - w)[0::3] < -self.resting_speed
             w[0::3][late] += away[0::3][late]
         return late
-
-    def _warm_start(self, contacts: ContactSet, frame: Array, joints: JointRows | None) -> Array:
-        """Last step's world impulses of the contacts that are still there, in the frames of now, and of the joints."""
-        r = self._state.history.warm_start(contacts, frame)
-        return r if joints is None else np.concatenate((r, self._state.joint_impulse[joints.slot].ravel()))
 
     def _fail(self, problem: FC3D, solution: Solution, v_free: Array | None, guess: Array) -> None:
         message = (
@@ -502,13 +505,6 @@ class Stepper:
             raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m)")
         if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
             warnings.warn(f"{where}; the first step moves them apart", stacklevel=4)
-
-
-def _status(u: Array, r: Array, mu: Array) -> NDArray[np.int8]:
-    """0 open, 1 stick, 2 slip of every contact."""
-    out = np.empty(mu.size, np.int8)
-    _motion.contact_status(u, r, mu, out)
-    return out
 
 
 def simulate(

@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 __all__ = ["Surfaces"]
 
+NONE = np.empty((0, 2, 3))
+
 
 class Surfaces:
     """The driven bodies of a scene, then its sliding surfaces: velocities at the contacts, poses of the bodies.
@@ -37,7 +39,7 @@ class Surfaces:
 
     def twists(self, t: float) -> Array:
         """(linear, angular) velocities at time t, shape (surfaces, 2, 3), m/s and rad/s, world axes."""
-        return np.array([m.twist(t) for m in self._motions]).reshape(-1, 2, 3)
+        return np.array([m.twist(t) for m in self._motions]) if self.count else NONE
 
     def advance(self, x: Array, quaternion: Array, step: Array) -> tuple[Array, Array]:
         """Poses of the driven bodies after small displacements (surfaces, 2, 3) in world axes."""
@@ -51,8 +53,8 @@ class Surfaces:
     def reach(self, step: Array, out: Array) -> None:
         """How far any point of the driven bodies moves, into the last entries of `out`, m."""
         if self._driven:
-            speed = np.linalg.norm(step[: self._driven], axis=2)
-            out[-self._driven :] = speed[:, 0] + speed[:, 1] * self._radius
+            length = np.linalg.norm(step[: self._driven], axis=2)
+            out[-self._driven :] = length[:, 0] + length[:, 1] * self._radius
 
     def drag(self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, twist: Array) -> Array | float:
         """What the surfaces add to the relative velocities of the contacts, shape (3 rows,), 0 beyond them, m/s."""

@@ -23,7 +23,7 @@ __all__ = ["Tree", "TreeLoads"]
 PASSES = 20
 """Most passes of the fixed point for the free motion; it contracts by O(h ω) a pass."""
 
-SETTLED = 1e-10
+SETTLED = 1e-12
 """Relative change of the velocity by the next pass, extrapolated from the last two, at which it stops."""
 
 
@@ -196,10 +196,10 @@ class Tree:
         begin: Array,
         middle: Array,
         velocity: Array,
+        push: Array,
         h: float,
         theta: float,
         t: float,
-        push: Array,
         given: Any,
         m: Array,
         minv: Array,
@@ -208,9 +208,9 @@ class Tree:
 
         The forces linear in the end velocity v' make the effective mass matrix
         M + h θ D + h² θ² K + h kd + h² kp: damping -D v_θ and springs -K (q_k + θ h v_θ - rest) act at the θ-point,
-        PD control at the end. The bias is Pinocchio's at ½ (v + v'), with v' pushed by the contacts; for θ = ½ a
-        multiple of M (v + v') of order h² is added that makes its work on that motion the change of kinetic and gravity
-        energy exactly.
+        PD control at the end. The bias is Pinocchio's at ½ (v + v'), v' with the `push`; for θ = ½ a multiple of
+        M (v + v') of order h² is added that makes its work on that motion the change of kinetic and gravity energy
+        exactly.
 
         Parameters
         ----------
@@ -218,11 +218,11 @@ class Tree:
             Configurations; `evaluate` has been called at the middle.
         velocity : ndarray
             Of the scene, at the beginning.
+        push : ndarray
+            Change of it expected of contacts and joint rows.
         h, theta : float
         t : float
             Time at the end of the step, s.
-        push : ndarray
-            Change of velocity expected of the contacts, of the scene.
         given : array or PD or None
             What the controller returned.
         m, minv : ndarray, shape (nv, nv)
@@ -247,18 +247,18 @@ class Tree:
             minv[:] = self.Z @ self.Z.T
             rest = minv @ (m @ v)
         energies = self.energies(begin, velocity)
-        new, bias, change = v.copy(), zero, 1.0
+        new, bias, change, kick = v.copy(), zero, 1.0, push[self.coordinates]
         for k in range(PASSES):
-            pushed = new + push[self.coordinates]
-            mean = 0.5 * (v + pushed)
+            after = new + kick
+            mean = 0.5 * (v + after)
             bias = np.array(pin.nonLinearEffects(self.model, self.data, middle, mean))
             if k and theta == 0.5:
                 end = pin.integrate(self.model, begin, h * mean)
-                gain = pin.computeMechanicalEnergy(self.model, self.data, end, pushed) - sum(energies)
-                _trees.conserve(self.M, minv, v, pushed, gain, h, bias)
+                gain = pin.computeMechanicalEnergy(self.model, self.data, end, after) - sum(energies)
+                _trees.conserve(self.M, minv, v, after, gain, h, bias)
             if self.constrained and k < 2:
                 # Later passes would diverge where a step is longer than the way to a singular configuration.
-                start = rest + self.P @ self._rates(begin, v, new, h, theta, t)
+                start = rest + self.P @ self._rates(begin, v, after, h, theta, t)
             last, change = change, _trees.respond(start, minv, force, bias, h, new)
             if k and change * min(change, last) <= SETTLED * last:
                 break

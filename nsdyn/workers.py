@@ -11,7 +11,7 @@ from typing import Any
 
 __all__ = ["Worker"]
 
-LOADING = 120.0
+LOADING = 300.0
 """s for whatever is not timed: imports, reading, building."""
 
 

@@ -230,7 +230,7 @@ def test_step_against_dense_pinocchio(name):
     q, v = before.position, before.v
     M, jacobians, N = dense(d, q)
     d.evaluate(q)
-    v_free, _ = d.free_velocity(q, q, v, 0.0, h, 1.0, None, None)
+    v_free, _ = d.free_velocity(q, q, v, 0.0, h, 1.0, np.zeros(d.n), None, None)
     blocks, frame = d.blocks(step.contacts)
     _, H = blocks.dense()
     c = step.contacts

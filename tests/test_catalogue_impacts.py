@@ -49,8 +49,12 @@ def rest_error(dt, height, restitution=0.5):
     end = math.sqrt(2 * height / g) * (1 + restitution) / (1 - restitution)
     trajectory = nd.simulate(nd.scenes.load("bounce")(height=height, restitution=restitution), 1.2 * end, dt=dt)
     moving = np.flatnonzero(np.abs(trajectory.v).max(axis=1) > 1e-12)
-    # No bounce gives energy, and no chatter follows: the resting ball does not move at all.
-    assert np.diff(trajectory.energy.total).max() <= 1e-12  # of 1 to 2 J
+    # No bounce gives energy. An impact that only gravity makes fast within its step is left to the next one: the ball
+    # sinks in by the order of g h², and what pushing it out costs is booked.
+    energy = trajectory.energy
+    assert (np.diff(energy.total) - energy.projection).max() <= 1e-12  # of 1 to 2 J
+    assert energy.projection.max() <= 2 * (g * dt) ** 2
+    # No chatter follows: the resting ball does not move at all.
     assert abs(trajectory.body("ball").position[-1, 2] - 0.1) <= 1e-9
     return trajectory.t[moving[-1] + 1] - end
 

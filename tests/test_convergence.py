@@ -276,6 +276,7 @@ def test_pendulum_is_second_order(tmp_path):
         trajectory = nd.simulate(scene, period, dt=period / steps)
         return trajectory.q[-1, 0] - 1.0, trajectory.v[-1, 0]
 
+    # 0.03 for the next order.
     np.testing.assert_allclose(orders(error, (200, 400, 800)), 2.0, atol=0.05)
 
 
@@ -305,7 +306,7 @@ def test_path_of_a_sliding_point_on_an_incline():
         v = nd.simulate(scene, 1.0, dt=1.0 / steps, solver=FINE).body("point").linear_velocity
         return np.linalg.norm(v, axis=1) + v[:, 0] - 1.0
 
-    np.testing.assert_allclose(orders(error, (100, 200, 400)), 2.0, atol=0.05)
+    np.testing.assert_allclose(orders(error, (50, 100, 200)), 2.0, atol=0.05)
 
 
 # -- impacts and stops ---------------------------------------------------------------------------------------

@@ -5,6 +5,8 @@ import math
 import numpy as np
 from numba import njit
 
+ROUNDING = 2.0**-52
+
 
 @njit(cache=True, inline="always")
 def project(zn, z1, z2, mu):
@@ -49,7 +51,10 @@ def projection_jacobian(zn, z1, z2, mu, D):
 
 @njit(cache=True)
 def natural_residual(W_diagonal, u, r, mu):
-    """Largest over contacts of |r - P_K(r - rho u_hat)| / rho with rho = 1 / W_diagonal[c], in m/s."""
+    """Largest over contacts of |r - P_K(r - rho u_hat)| / rho with rho = 1 / W_diagonal[c], in m/s.
+
+    At least the rounding of W_cc r_c: impulses so large that q drowns in u = W r + q solve nothing.
+    """
     worst = 0.0
     for c in range(mu.size):
         i = 3 * c
@@ -57,6 +62,9 @@ def natural_residual(W_diagonal, u, r, mu):
         s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
         pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu[c])
         e = math.sqrt((r[i] - pn) ** 2 + (r[i + 1] - p1) ** 2 + (r[i + 2] - p2) ** 2) / rho
+        floor = ROUNDING * math.sqrt(r[i] ** 2 + r[i + 1] ** 2 + r[i + 2] ** 2) / rho
+        if e < floor:
+            e = floor
         if not e <= worst:  # a NaN is the worst
             worst = e
     return worst

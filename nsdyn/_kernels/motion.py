@@ -258,7 +258,7 @@ def curve(u_begin, u_end, slides, w):
     """Offset that turns the slip which friction opposes from that of the end to that of the middle, into w (3 nc,).
 
     Half the foreseen change of u_T across its direction, of contacts that slide and will slide on: those whose slip
-    changes by less than a tenth of itself.
+    changes by less than half of itself.
     """
     for c in range(slides.size):
         i = 3 * c
@@ -266,7 +266,7 @@ def curve(u_begin, u_end, slides, w):
         x, y = u_end[i + 1], u_end[i + 2]
         dx, dy = x - u_begin[i + 1], y - u_begin[i + 2]
         slip = u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2
-        if slides[c] and dx * dx + dy * dy < 0.01 * slip:
+        if slides[c] and dx * dx + dy * dy < 0.25 * slip:
             across = 0.5 * (x * dy - y * dx) / (x * x + y * y)
             w[i + 1] = across * y
             w[i + 2] = -across * x

@@ -191,19 +191,26 @@ def active_rows(coordinate, sign, bound, near, angle, v, v_free, h):
 
 
 @njit(cache=True)
-def joint_rows(rows, coordinate, block, sign, offset, size, start, h):
-    """Layout and entries of joint rows, into start (nj, 2) and h[size:], which is zero."""
-    for i in range(rows.size):
-        k = rows[i]
-        b = block[k]
-        n = offset[b + 1] - offset[b]
-        start[i, 0], start[i, 1] = size, size
-        j = coordinate[k] - offset[b]
-        if sign[k] == 0.0:
-            h[size + n + j] = 1.0
+def append_rows(slots, coordinate, tree, sign, offset, block, start, h):
+    """Contacts followed by the joint rows of the given slots: (block, start, h)."""
+    nc, nj, size = block.shape[0], slots.size, h.size
+    new_block, new_start = np.full((nc + nj, 2), -1, np.int64), np.empty((nc + nj, 2), np.int64)
+    new_block[:nc], new_start[:nc] = block, start
+    for i in range(nj):
+        k = tree[slots[i]]
+        new_block[nc + i, 0] = k
+        new_start[nc + i, 0] = new_start[nc + i, 1] = size
+        size += 3 * (offset[k + 1] - offset[k])
+    new_h = np.zeros(size)
+    new_h[: h.size] = h
+    for i in range(nj):
+        k = tree[slots[i]]
+        at = new_start[nc + i, 0] + coordinate[slots[i]] - offset[k]
+        if sign[slots[i]] == 0.0:
+            new_h[at + offset[k + 1] - offset[k]] = 1.0
         else:
-            h[size + j] = sign[k]
-        size += 3 * n
+            new_h[at] = sign[slots[i]]
+    return new_block, new_start, new_h
 
 
 @njit(cache=True)
@@ -222,58 +229,67 @@ def joint_impact_law(u, u_free, gap, restitution, h_theta, closed, w):
 
 
 @njit(cache=True)
-def mobility(offset, m_start, minv, block, start, h, rows):
-    """Entry W_T1T1 of the given rows, each on one block, shape (k,); 1 where the joint cannot move."""
-    out = np.zeros(rows.size)
-    for i in range(rows.size):
-        c = rows[i]
-        k = block[c, 0]
-        n = offset[k + 1] - offset[k]
-        row = start[c, 0] + n
+def reduce_rows(offset, block, start, h, m_start, m, minv, bases, z_start, z, pressed, press):
+    """The factors in the coordinates y that constraints leave, v = Z y, and those of joint friction after them.
+
+    Block bases[i] has Z (n, ny) with Zᵀ M Z = I at z[z_start[i]:z_start[i + 1]]. Row pressed[i] gets a block of one
+    coordinate as its side 1, as mobile as its joint, and there the normal velocity -press[i] times that mobility.
+    Returns (offset, block, start, h, m_start, m, minv), where each block's Z begins in z (-1: it is I), velocities.
+    """
+    nb, nc, np_ = offset.size - 1, block.shape[0], pressed.size
+    where, sizes = np.full(nb, -1, np.int64), np.ones(nb + np_, np.int64)
+    for k in range(nb):
+        sizes[k] = offset[k + 1] - offset[k]
+    for i in range(bases.size):
+        where[bases[i]] = z_start[i]
+        sizes[bases[i]] = (z_start[i + 1] - z_start[i]) // sizes[bases[i]]
+    new_offset, new_m_start = np.zeros(nb + np_ + 1, np.int64), np.zeros(nb + np_ + 1, np.int64)
+    for k in range(nb + np_):
+        new_offset[k + 1], new_m_start[k + 1] = new_offset[k] + sizes[k], new_m_start[k] + sizes[k] * sizes[k]
+    new_m, new_minv = np.zeros(new_m_start[-1]), np.zeros(new_m_start[-1])
+    for k in range(nb):
+        first, n = new_m_start[k], sizes[k]
+        if where[k] < 0:
+            new_m[first : first + n * n] = m[m_start[k] : m_start[k] + n * n]
+            new_minv[first : first + n * n] = minv[m_start[k] : m_start[k] + n * n]
+        else:
+            for j in range(n):
+                new_m[first + j * n + j] = new_minv[first + j * n + j] = 1.0
+    new_block, new_start, velocity = block.copy(), np.empty_like(start), np.zeros(3 * nc)
+    for i in range(np_):
+        c, k = pressed[i], block[pressed[i], 0]
+        n, row = offset[k + 1] - offset[k], start[pressed[i], 0] + offset[k + 1] - offset[k]
+        mobility = 0.0
         for a in range(n):
             for b in range(n):
-                out[i] += h[row + a] * minv[m_start[k] + a * n + b] * h[row + b]
-        if out[i] <= 0.0:
-            out[i] = 1.0
-    return out
-
-
-@njit(cache=True)
-def reduce_rows(offset, block, start, h, z_start, z, own, new_offset, new_block, new_start):
-    """Rows of Hᵀ Z, with Z the matrix (n, ny) of block k at z[z_start[k]:], or the identity for z_start[k] < 0.
-
-    Row c of a contact with own[c] >= 0 gets block own[c] of one coordinate as side 1, on which its normal row is 1.
-    Returns the new h; fills new_block and new_start (nc, 2).
-    """
+                mobility += h[row + a] * minv[m_start[k] + a * n + b] * h[row + b]
+        if mobility <= 0.0:  # a joint that cannot move
+            mobility = 1.0
+        new_block[c, 1] = nb + i
+        velocity[3 * c] = -press[i] * mobility
+        new_m[new_m_start[nb + i]], new_minv[new_m_start[nb + i]] = 1.0 / mobility, mobility
     size = 0
-    for c in range(block.shape[0]):
+    for c in range(nc):
         for s in range(2):
-            k = block[c, s]
-            if s == 1 and own[c] >= 0:
-                k = own[c]
-            new_block[c, s], new_start[c, s] = k, size
-            if k >= 0:
-                size += 3 * (new_offset[k + 1] - new_offset[k])
-    out = np.zeros(size)
-    for c in range(block.shape[0]):
+            new_start[c, s] = size
+            if new_block[c, s] >= 0:
+                size += 3 * sizes[new_block[c, s]]
+    new_h = np.zeros(size)
+    for c in range(nc):
         for s in range(2):
-            k, b = block[c, s], new_start[c, s]
-            if s == 1 and own[c] >= 0:
-                out[b] = 1.0
-                continue
-            if k < 0:
-                continue
-            a, n, ny = start[c, s], offset[k + 1] - offset[k], new_offset[k + 1] - new_offset[k]
-            for i in range(3):
-                for j in range(ny):
-                    if z_start[k] < 0:
-                        out[b + i * ny + j] = h[a + i * n + j]
-                    else:
-                        total = 0.0
-                        for l in range(n):
-                            total += h[a + i * n + l] * z[z_start[k] + l * ny + j]
-                        out[b + i * ny + j] = total
-    return out
+            k, b = new_block[c, s], new_start[c, s]
+            if k >= nb:
+                new_h[b] = 1.0
+            elif k >= 0:
+                a, n, ny = start[c, s], offset[k + 1] - offset[k], sizes[k]
+                for i in range(3):
+                    for j in range(ny):
+                        if where[k] < 0:
+                            new_h[b + i * ny + j] = h[a + i * n + j]
+                        else:
+                            for l in range(n):
+                                new_h[b + i * ny + j] += h[a + i * n + l] * z[where[k] + l * ny + j]
+    return new_offset, new_block, new_start, new_h, new_m_start[:-1], new_m, new_minv, where, velocity
 
 
 @njit(cache=True)

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-MOST, ENOUGH = 9, 0.5  # runs of one request: at most so many, none more after so many seconds
+MOST, ENOUGH = 5, 0.2  # runs of one request: at most so many, none more after so many seconds
 
 
 class Simulation(Protocol):

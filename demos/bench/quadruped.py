@@ -1,0 +1,102 @@
+"""Quadruped that stands for 10 s: time of a step and slip of its feet, for 1 to 20 robots and beside MuJoCo.
+
+    python demos/bench/quadruped.py
+
+Slip is the path of the points of contact on the ground, the largest of the feet. Time is processor time of a step,
+the median. MuJoCo (extra `peers`) runs the same URDF in the same run, at its defaults and with elliptic cones and
+impratio 10, at the same step and at a fifth of it.
+"""
+
+import time
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+
+import nsdyn as nd
+
+DURATION, DT = 10.0, 5e-3
+MODULE = nd.scenes.module("quadruped")
+STANCE, (KP, KD) = np.array(MODULE.STANCE["quadruped"]), MODULE.GAINS["quadruped"]
+
+
+def measure(step: Callable[[], float], dt: float) -> tuple[float, float]:
+    """(median processor time of a step in s, slip in m) of `step`, which returns the fastest slip in m/s."""
+    times, slip = [], 0.0
+    for _ in range(round(DURATION / dt)):
+        start = time.process_time()
+        speed = step()
+        times.append(time.process_time() - start)
+        slip += dt * speed
+    return float(np.median(times)), slip
+
+
+def ours(count: int) -> tuple[float, float]:
+    """`measure` of nsdyn with so many robots."""
+    scene = MODULE.scene(count=count)
+    stepper = nd.Stepper(scene, dt=DT, controller=MODULE.controller(scene, walk=False))
+
+    def step() -> float:
+        u = stepper.step().u
+        return float(np.hypot(u[:, 1], u[:, 2]).max(initial=0.0))
+
+    stepper.step()  # compiles
+    return measure(step, DT)
+
+
+def mujoco(stiff: bool, dt: float) -> tuple[float, float]:
+    """`measure` of MuJoCo with the same robot, stance and gains."""
+    import mujoco as mj
+
+    # Without this its reader of URDF makes the trunk a part of the world.
+    keep = '<robot name="quadruped"><mujoco><compiler fusestatic="false"/></mujoco>'
+    text = (nd.scenes.folder() / "quadruped.urdf").read_text().replace('<robot name="quadruped">', keep)
+    spec = mj.MjSpec.from_string(text)
+    spec.worldbody.first_body().add_freejoint()
+    spec.worldbody.add_geom(type=mj.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1])
+    spec.option.timestep, spec.option.integrator = dt, mj.mjtIntegrator.mjINT_IMPLICITFAST
+    if stiff:
+        spec.option.cone, spec.option.impratio = mj.mjtCone.mjCONE_ELLIPTIC, 10.0
+    for geom in spec.geoms:
+        geom.friction[0], geom.condim = 0.8, 3
+    for joint in [j for j in spec.joints if j.type == mj.mjtJoint.mjJNT_HINGE]:
+        servo = spec.add_actuator(target=joint.name, trntype=mj.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(KP, kv=KD)
+    model = spec.compile()
+    data = mj.MjData(model)
+    height = nd.scenes.load("quadruped")().articulations["quadruped"].q[2]
+    data.qpos[:], data.ctrl[:] = np.r_[0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0, STANCE], STANCE
+    velocity = np.zeros(6)
+
+    def slipping() -> float:
+        fastest = 0.0
+        for k in range(data.ncon):
+            contact = data.contact[k]
+            foot = max(contact.geom)
+            mj.mj_objectVelocity(model, data, mj.mjtObj.mjOBJ_GEOM, foot, velocity, 0)
+            at_point = velocity[3:] + np.cross(velocity[:3], contact.pos - data.geom_xpos[foot])
+            fastest = max(fastest, float(np.hypot(*at_point[:2])))
+        return fastest
+
+    seconds, _ = measure(lambda: mj.mj_step(model, data) or 0.0, dt)
+    mj.mj_resetData(model, data)
+    data.qpos[:], data.ctrl[:] = np.r_[0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0, STANCE], STANCE
+    return seconds, measure(lambda: mj.mj_step(model, data) or slipping(), dt)[1]
+
+
+def main() -> None:
+    """Run and print."""
+    print(f"{'engine':>18} {'dt [s]':>7} {'robots':>7} {'µs per step':>12} {'slip in 10 s [m]':>17}")
+    for count in (1, 5, 20):
+        seconds, slip = ours(count)
+        print(f"{'nsdyn':>18} {DT:7} {count:7} {1e6 * seconds:12.0f} {slip:17.1e}")
+    try:
+        for name, dt in product(("MuJoCo", "MuJoCo elliptic"), (DT, DT / 5)):
+            seconds, slip = mujoco(name != "MuJoCo", dt)
+            print(f"{name:>18} {dt:7} {1:7} {1e6 * seconds:12.0f} {slip:17.1e}")
+    except ImportError:
+        print("MuJoCo is not installed: pip install 'nsdyn[peers]'")
+
+
+if __name__ == "__main__":
+    main()

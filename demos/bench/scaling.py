@@ -1,0 +1,135 @@
+"""How the cost of a step grows: with bodies, with contacts, with the tolerance, and with features a scene uses.
+
+    python demos/bench/scaling.py [--largest 10000]
+
+Medians of whole steps after settling, and the peak memory of a process that does nothing else; the exponent is the
+slope between the smallest and the largest scene, in logarithms.
+"""
+
+import argparse
+import json
+import math
+import resource
+import statistics
+import subprocess
+import sys
+import time
+
+import nsdyn as nd
+
+DT = 5e-3
+
+
+def flying(bodies: int) -> nd.Scene:
+    """Spheres that touch nothing: free flight."""
+    scene = nd.Scene()
+    side = math.ceil(bodies ** (1 / 3))
+    for k in range(bodies):
+        at = 0.5 * (k % side), 0.5 * (k // side % side), 10.0 + 0.5 * (k // side**2)
+        scene.add_sphere(f"ball{k}", 0.1, 1.0, position=at)
+    return scene
+
+
+def resting(bodies: int) -> nd.Scene:
+    """Boxes that stand apart on the ground, four contacts each."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    side = math.ceil(math.sqrt(bodies))
+    for k in range(bodies):
+        scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, position=(0.4 * (k % side), 0.4 * (k // side), 0.1))
+    return scene
+
+
+def rolling(bodies: int) -> nd.Scene:
+    """Spheres that roll apart on the ground: every contact is solved in every step."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    side = math.ceil(math.sqrt(bodies))
+    for k in range(bodies):
+        at = 0.4 * (k % side), 0.4 * (k // side), 0.1
+        scene.add_sphere(f"ball{k}", 0.1, 1.0, position=at, linear_velocity=(1, 0, 0))
+    return scene
+
+
+SCENES = {"flying": flying, "resting": resting, "rolling": rolling}
+
+
+def median_step(scene: nd.Scene, tol: float, settle: int = 5, steps: int = 15) -> float:
+    """Median seconds of a step."""
+    stepper = nd.Stepper(scene, dt=DT, solver=nd.solvers.Auto(tol=tol), on_fail="ignore")
+    times = []
+    for k in range(settle + steps):
+        start = time.perf_counter()
+        stepper.step()
+        if k >= settle:
+            times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def alone(kind: str, bodies: int) -> dict[str, float]:
+    """Step time and peak memory [MB] of one scene in a process of its own."""
+    command = [sys.executable, __file__, "--only", kind, str(bodies)]
+    out: dict[str, float] = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    return out
+
+
+def growth(largest: int) -> None:
+    """Print step time and memory against the number of bodies."""
+    numbers = [n for n in (100, 1000, 10_000, 100_000) if n <= largest]
+    print(f"{'scene':<10}" + "".join(f"{n:>20} bodies" for n in numbers) + "   exponents of time, memory")
+    for kind in SCENES:
+        found = [alone(kind, n) for n in numbers]
+        base = alone(kind, 1)["memory"]  # the interpreter and its libraries
+        cells = "".join(f"{1e3 * f['time']:>12.3f} ms {f['memory']:>8.0f} MB" for f in found)
+        span = math.log(numbers[-1] / numbers[0])
+        slope = math.log(found[-1]["time"] / found[0]["time"]) / span
+        room = math.log((found[-1]["memory"] - base) / max(found[0]["memory"] - base, 1.0)) / span
+        print(f"{kind:<10}{cells}   {slope:.2f}, {room:.2f}")
+
+
+def tolerances() -> None:
+    """Print the cost of a wall's step, kicked so that there is something to solve, against the tolerance."""
+    scene = nd.scenes.load("wall")()
+    times = {tol: median_step(scene, tol, settle=20, steps=40) for tol in (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)}
+    print("wall, by tolerance: " + ", ".join(f"{tol:.0e} {1e3 * t:.2f} ms" for tol, t in times.items()))
+    print(f"1e-10 costs {times[1e-10] / times[1e-4]:.2f} times 1e-4")
+
+
+def features() -> None:
+    """Print what a feature costs a stack that has it and one that does not."""
+
+    def stack(restitution: float) -> nd.Scene:
+        scene = nd.Scene()
+        scene.add_halfspace("ground", material=nd.Material(restitution=restitution))
+        for k in range(10):
+            scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1 + 0.2 * k))
+        return scene
+
+    plain = median_step(stack(0.0), 1e-6, 50, 200)
+    bouncy = median_step(stack(0.5), 1e-6, 50, 200)
+    beside = stack(0.0)
+    beside.add_sphere("bird", 0.1, 1.0, position=(5, 0, 100))
+    flight = median_step(beside, 1e-6, 50, 200)
+    print(f"stack of 10: {1e6 * plain:.0f} us; with restitution x {bouncy / plain:.2f}")
+    print(f"with a body that touches nothing x {flight / plain:.2f}")
+
+
+def main() -> None:
+    """Run everything, or one scene for `alone`."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--largest", type=int, default=10_000, help="bodies of the largest scene (default: 10000)")
+    parser.add_argument("--only", nargs=2, metavar=("SCENE", "BODIES"), help="one scene, printed as JSON")
+    arguments = parser.parse_args()
+    if arguments.only:
+        kind, bodies = arguments.only
+        found = {"time": median_step(SCENES[kind](int(bodies)), 1e-6)}
+        found["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(json.dumps(found))
+        return
+    growth(arguments.largest)
+    tolerances()
+    features()
+
+
+if __name__ == "__main__":
+    main()
