@@ -138,6 +138,8 @@ class Description:
         Pairs of bodies that are never tested for contact.
     filtered : frozenset of frozenset of str
         Pairs of links, by name, that are never tested for contact.
+    world_touches : bool
+        Whether the links that joints join to the world may touch it, as in MJCF.
     dropped : tuple of str
         What is not used and changes the motion; it is warned of.
     unused : tuple of str
@@ -153,6 +155,7 @@ class Description:
     loops: tuple[Loop, ...] = ()
     excluded: frozenset[frozenset[str]] = frozenset()
     filtered: frozenset[frozenset[str]] = frozenset()
+    world_touches: bool = False
     dropped: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
 
@@ -241,7 +244,8 @@ def assemble(
     return Articulation(
         name, model, links, q0, v0, materials, limits,
         float(restitution), **in_joints, rest=rest0, loops=loops,
-        excluded=_joined(links, _neighbours(model, loops)) | named, report=(*dropped, *unused),
+        excluded=_joined(links, _neighbours(model, loops, description.world_touches)) | named,
+        report=(*dropped, *unused),
     )  # fmt: skip
 
 
@@ -381,12 +385,13 @@ def _joined(links: Sequence[Link], joined: set[frozenset[int]]) -> frozenset[tup
     )
 
 
-def _neighbours(model: Any, loops: Sequence[Loop]) -> set[frozenset[int]]:
+def _neighbours(model: Any, loops: Sequence[Loop], world_touches: bool) -> set[frozenset[int]]:
     """Pairs of joints whose links are joined by a joint or a loop; a free base is not joined to the world."""
     out = {frozenset((c.joint1, c.joint2)) for c in loops}
     for joint in range(1, model.njoints):
-        if model.joints[joint].shortname() != FREE:
-            out.add(frozenset((joint, int(model.parents[joint]))))
+        parent = int(model.parents[joint])
+        if model.joints[joint].shortname() != FREE and not (world_touches and parent == 0):
+            out.add(frozenset((joint, parent)))
     return out
 
 

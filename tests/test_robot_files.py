@@ -146,7 +146,8 @@ def test_mjcf_masks_and_exclusions(mjcf):
     assert frozenset(("t", "gb")) in pairs, "<exclude>"
     assert {frozenset(("gc", n)) for n in names if n != "gc"} <= pairs, "masks 2 and 4 meet no 1"
     assert frozenset(("floor", "t")) not in pairs and frozenset(("g2", "floor")) not in pairs
-    assert frozenset(("floor", "ge")) in pairs, "joined to the world"
+    assert frozenset(("floor", "ge")) not in pairs, "a hinge to the world does not keep a body off its geoms"
+    assert frozenset(("t", "ga")) in pairs and frozenset(("ga", "gb")) in pairs, "joined by joints"
 
 
 def test_mjcf_loops(mjcf):

@@ -64,7 +64,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
     return describe_model(
         model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, excluded=excluded, filtered=filtered,
-        dropped=tuple(dropped), unused=tuple(unused),
+        world_touches=True, dropped=tuple(dropped), unused=tuple(unused),
     )  # fmt: skip
 
 
