@@ -229,15 +229,20 @@ def least_constraint(
     ------
     ValueError
         If a closed contact approaches faster than `still`: an impact, at which there is no acceleration. For scenes
-        with joint limits, dry joint friction, closed loops or prescribed motions, which are not in the problem.
+        with dry joint friction, closed loops or prescribed motions, and joints at their limits: not in the problem.
     """
     d = Dynamics(scene)
-    if d.joints.size or d.surfaces.count or any(tree.constrained for tree in d.trees):
-        raise ValueError("scene must have no joint limits, dry joint friction, closed loops or prescribed motions")
+    if d.surfaces.count or any(tree.constrained for tree in d.trees):
+        raise ValueError("scene must have no closed loops or prescribed motions")
     geoms = scene.geoms()
     detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms))
     position, v = d.start() if state is None else (state.position, state.v)
     d.evaluate(position)
+    t = 0.0 if state is None else state.t
+    _, loads = d.free_velocity(position, position, v, t, 0.0, 1.0, np.zeros(d.n), wrenches, tau)
+    joints = d.joint_rows(position, v, v, 0.0)
+    if joints is not None and (joints.mu.any() or joints.gap.min() <= closed):
+        raise ValueError("scene must have no dry joint friction, and no joint at its limit")
     reach = np.full(d.frames, closed)
     found = detector.detect(d.x, d.R, reach)
     blocks, frame = d.blocks(found)
@@ -249,8 +254,6 @@ def least_constraint(
         raise ValueError(f"{names[0]!r} and {names[1]!r} approach at {-u[c, 0]:.3g} m/s: an impact, no acceleration")
     keep = np.flatnonzero(touching & (u[:, 0] <= still))
     M, H = blocks.dense()
-    t = 0.0 if state is None else state.t
-    _, loads = d.free_velocity(position, position, v, t, 0.0, 1.0, np.zeros(d.n), wrenches, tau)
     parts = [np.hstack((loads.force + d.mass[:, None] * d.gravity, loads.torque + loads.gyroscopic)).ravel()]
     for tree, load in zip(d.trees, loads.trees, strict=True):
         actuation, damping, springs = tree.forces(load, v[tree.coordinates], v[tree.coordinates], 0.0, 1.0)

@@ -29,9 +29,10 @@ __all__ = ["State", "Step", "Stepper", "simulate"]
 
 Callback = Callable[[float, Array, Array], Mapping[str, Any]]
 
-CLOSED = 1e-10
-"""Gap in m, of either sign, that counts as closed: a hundredth of the penetration promised, and far above round-off,
-whose jitter would otherwise change the problem of a body at rest in every step."""
+CLOSED = 1e-9
+"""Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
+that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
+body at rest in every step."""
 
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
@@ -232,7 +233,9 @@ class Stepper:
         self.detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms), max_points)
         # A body slower than this rests: an impact at the speed gravity gives in two steps is a contact force.
         self.resting_speed = 2.0 * self.dt * float(np.linalg.norm(self.dynamics.gravity))
-        self._projection = Auto(tol=CLOSED)
+        # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
+        self.closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
+        self._projection = Auto(tol=self.closed)
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position)
@@ -332,7 +335,7 @@ class Stepper:
         u = u_after + theta * bend
         nc = contacts.gap.size
         end, gap = moved, gap + theta * h * u[0::3]
-        if gap.min(initial=0.0) < -CLOSED:
+        if gap.min(initial=0.0) < -self.closed:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side, or a link of a mechanism in its guide.
             ahead = gap + h * (u + theta * (u_free - u_begin))[0::3]
@@ -385,10 +388,10 @@ class Stepper:
         moves = u_begin if fast else -0.5 * (1.0 - theta) * bend
         gap, mu, w = contacts.gap + (1.0 - theta) * h * moves[0 : 3 * nc : 3], contacts.mu, np.zeros_like(u_begin)
         w_N = w[0::3]
-        _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, CLOSED, w_N[:nc])
+        _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, self.closed, w_N[:nc])
         if joints is not None:
             u, free = u_begin[3 * nc :], u_free[3 * nc :]
-            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, CLOSED, w_N[nc:])
+            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, self.closed, w_N[nc:])
             gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
         struck = w_N < 0.0
         struck[nc:] = False  # a joint that rebounds half a step late is behind its limit
@@ -478,7 +481,7 @@ class Stepper:
         helps, `moved` itself is returned.
         """
         held = np.where(leaving, np.maximum(gap, 0.0), gap)
-        if held.min(initial=0.0) >= -CLOSED:
+        if held.min(initial=0.0) >= -self.closed:
             return moved, gap
         g = np.zeros(3 * gap.size)
         g[0::3] = held

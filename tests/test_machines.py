@@ -83,10 +83,10 @@ def test_woodpecker_pecks_periodically():
     found = pecks(4e-4, 0.85)
     period, fall, spin = np.diff(found[:, 0]), -np.diff(found[:, 1]), found[:, 5] + found[:, 6]
     assert len(period) >= 4
-    # Impacts fall anywhere in a step of 0.4 ms: that much of 132 ms, twice.
-    assert np.ptp(period) <= 3e-3 and period.mean() == pytest.approx(0.132, abs=2e-3)
-    assert np.ptp(fall) <= 2e-3 and fall.mean() == pytest.approx(0.0160, abs=1e-3)
-    assert np.ptp(spin) <= 0.1
+    # Impacts fall anywhere in a step of 0.4 ms: that much of the 131.4 ms and 14.9 mm of a step of 0.05 ms, twice.
+    assert np.ptp(period) <= 3e-3 and period.mean() == pytest.approx(0.1314, abs=1e-3)
+    assert np.ptp(fall) <= 2e-3 and fall.mean() == pytest.approx(0.0149, abs=5e-4)
+    assert np.ptp(spin) <= 0.01 * spin.mean()
 
 
 @pytest.mark.slow
@@ -165,10 +165,11 @@ def test_quadruped_stands_without_slip():
 def test_quadruped_walks_in_place():
     """Every foot leaves the ground and lands in every period, and the trunk stays up and level."""
     scene, steps = run("quadruped", 3.0, 5e-3)
-    height = np.array([feet(scene, s)[0, :, 2] for s in steps[200::2]]) - 0.02
+    height = np.array([feet(scene, s)[0, :, 2] for s in steps[200:]]) - 0.02
     assert (height.max(axis=0) > 0.02).all()
-    # Gaps are linear in the motion within a step; what a turning foot adds is removed in the next one.
-    assert height.min() >= -1e-7
+    # Gaps are linear in the motion within a step; what a turning leg adds in the one it lands in, of order h² times
+    # its centripetal acceleration of some 0.1 m/s², is removed in the next one.
+    assert height.min() >= -2e-6
     lifted = height > 0.005
     assert (np.diff(lifted.astype(int), axis=0) == 1).sum(axis=0).min() >= 3
     trunk = np.array([s.q[:7] for s in steps])

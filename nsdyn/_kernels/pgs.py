@@ -13,6 +13,7 @@ from numba.extending import overload
 
 from nsdyn._kernels.blocks import momentum, relative_velocity, weighted_rows
 from nsdyn._kernels.cones import natural_error, natural_residual, project_all, solve_one
+from nsdyn._kernels.linear import factorise, substitute
 
 
 class Matrix(NamedTuple):
@@ -300,13 +301,16 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
                 trace += A[i, i]
             for i in range(used - 1):
                 A[i, i] += 1e-10 * trace + 1e-300
-            gamma = np.linalg.solve(A, b)
-            # Larger ones come of sweeps that all change r alike, to round-off: then the last sweep alone is taken.
-            steady = np.abs(gamma).max() <= 1e4
+            # Sweeps that all change r alike, to round-off, are no basis: then the last one alone is taken.
+            pivot, low, end = np.empty((3, used - 1), np.int64)
+            steady = factorise(A, pivot, low, end)
+            if steady:
+                substitute(A, pivot, low, end, b)
+                steady = np.abs(b).max() <= 1e4
             for i in range(used - 1 if steady else 0):
                 p = i if i < slot else i + 1
                 for l in range(n):
-                    x[l] += gamma[i] * (G[p, l] - g[l])
+                    x[l] += b[i] * (G[p, l] - g[l])
             project_all(x, mu, x)
         slot = (slot + 1) % m
     r[:] = best_r
