@@ -277,8 +277,9 @@ def test_spinning_disk_has_its_fixed_point():
     for side in (0.99, 1.01):
         scene = nd.scenes.load("spinning_disk")(speed=target * side, spin=10.0, rings=8)
         ratio = ratios(nd.simulate(scene, 0.3, dt=5e-3))
-        assert np.abs(ratio / target - 1).max() <= 0.01 + 1e-9
-        assert abs(ratio[-1] / target - 1) <= 0.007
+        # Without the step that ends at rest in the next one: the two stand for the whole stop, and leave no ratio.
+        assert np.abs(ratio[:-1] / target - 1).max() <= 0.01 + 1e-9
+        assert abs(ratio[-2] / target - 1) <= 0.007
 
 
 @pytest.mark.case(23)
