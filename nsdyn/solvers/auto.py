@@ -59,9 +59,12 @@ class Auto:
     ----------
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    accept : float
+        Fraction of the tolerance within which a warm start is the solution of an island.
     """
 
     tol: float = 1e-8
+    accept: float = 1.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
@@ -103,7 +106,7 @@ class Auto:
                     problem.q, problem.mu, problem.scales, r, label, measures, enough, q_norm, DENSE, *WARM,
                 )
             )  # fmt: skip
-            wanted &= ~(measures <= tol)
+            wanted &= ~(measures <= self.accept * tol)
         for k in np.flatnonzero(wanted).tolist():
             contacts, part = island(blocks, label, k)
             i = rows(contacts, problem.nc)
