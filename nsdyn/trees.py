@@ -162,12 +162,12 @@ class Tree:
     def place(self, q: Array, x: Array, R: Array) -> None:
         """Poses of the links at q into x and R, and the Jacobian."""
         pin.computeJointJacobians(self.model, self.data, q)
-        x[self.frames], R[self.frames] = self._x[self._carriers], self._R[self._carriers]
+        self._put_poses(x, R)
 
     def evaluate(self, q: Array, x: Array, R: Array) -> None:
         """Mass matrix M and what `place` does."""
         pin.crba(self.model, self.data, q, pin.Convention.WORLD)
-        x[self.frames], R[self.frames] = self._x[self._carriers], self._R[self._carriers]
+        self._put_poses(x, R)
 
     def close(self, q: Array) -> Array:
         """The closest configuration whose loops are closed; q itself when they are."""
@@ -177,9 +177,10 @@ class Tree:
         """(tau, kp, kd) of what a controller returned, the forces at the velocity 0; ValueError if it does not fit."""
         if isinstance(given, PD):
             if given is not self._controlled[0]:
-                self._controlled = given, given.on(self.name, self.scalar)
-            kp, kd, target, rate, feedforward = self._controlled[1]
-            return feedforward + kd * rate - kp * self._deviation(self.angle(begin), target), kp, kd
+                kp, kd, target, rate, feedforward = given.on(self.name, self.scalar)
+                self._controlled = given, (kp, kd, target, feedforward + kd * rate)
+            kp, kd, target, constant = self._controlled[1]
+            return constant - kp * self._deviation(self.angle(begin), target), kp, kd
         zero = np.zeros(self.model.nv)
         if given is None:
             return zero, zero, zero
@@ -247,20 +248,24 @@ class Tree:
             minv[:] = self.Z @ self.Z.T
             rest = minv @ (m @ v)
         energies = self.energies(begin, velocity)
-        new, bias, change, kick = v.copy(), zero, 1.0, push[self.coordinates]
+        # Pushed, a motion mostly goes on as it was: at rest that guess is the answer, and one pass tells.
+        kick, change, before = push[self.coordinates], SETTLED, sum(energies)
+        new = v - kick
         for k in range(PASSES):
             after = new + kick
             mean = 0.5 * (v + after)
-            bias = np.array(pin.nonLinearEffects(self.model, self.data, middle, mean))
+            bias = pin.nonLinearEffects(self.model, self.data, middle, mean)
             if k and theta == 0.5:
                 end = pin.integrate(self.model, begin, h * mean)
-                gain = pin.computeMechanicalEnergy(self.model, self.data, end, after) - sum(energies)
+                gain = pin.computeMechanicalEnergy(self.model, self.data, end, after) - before
                 _trees.conserve(self.M, minv, v, after, gain, h, bias)
             if self.constrained and k < 2:
                 # Later passes would diverge where a step is longer than the way to a singular configuration.
                 start = rest + self.P @ self._rates(begin, v, after, h, theta, t)
             last, change = change, _trees.respond(start, minv, force, bias, h, new)
-            if k and change * min(change, last) <= SETTLED * last:
+            if change * min(change, last) <= SETTLED * last and (
+                k or theta != 0.5 or _trees.slow(self.M, minv, mean, bias, h)
+            ):
                 break
         weight = zero if theta == 0.5 else np.array(pin.computeGeneralizedGravity(self.model, self.data, middle))
         return new, TreeLoads(tau, kp, kd, stretch, bias, weight, energies)
@@ -286,12 +291,13 @@ class Tree:
         actuation = loads.tau - (loads.kd + h * loads.kp) * v1
         return actuation, -self.damping * v_theta, -self.stiffness * (loads.stretch + theta * h * v_theta)
 
-    def works(self, loads: TreeLoads, v0: Array, v1: Array, v_theta: Array, h: float, theta: float) -> Array:
-        """Works on the mean velocity v̄, J: v̄·M Δv, then of actuation, damping, springs and bias, shape (5,)."""
+    def works(self, loads: TreeLoads, v0: Array, v1: Array, v_theta: Array, h: float, theta: float) -> list[float]:
+        """Works on the mean velocity v̄, J: v̄·M Δv, then of actuation, damping, springs and bias."""
         out = np.empty(5)
         laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch, loads.bias
         _trees.works(self.M, *laws, v0, v1, v_theta, h, theta, out)
-        return out
+        works: list[float] = out.tolist()
+        return works
 
     def constraint_work(
         self, loads: TreeLoads, v0: Array, v1: Array, v_theta: Array, h: float, theta: float, impulse: Array
@@ -321,4 +327,8 @@ class Tree:
     def poses(self, q: Array, x: Array, R: Array) -> None:
         """Poses of the links at q into x and R."""
         pin.forwardKinematics(self.model, self.data, q)
-        x[self.frames], R[self.frames] = self._x[self._carriers], self._R[self._carriers]
+        self._put_poses(x, R)
+
+    def _put_poses(self, x: Array, R: Array) -> None:
+        """Copy the poses that Pinocchio computed last."""
+        _trees.gather(self._x, self._R, self._carriers, x[self.frames], R[self.frames])
