@@ -79,6 +79,15 @@ def _rotation(quaternion: Array) -> Array:
     return np.array(pin.Quaternion(quaternion).toRotationMatrix())
 
 
+def _mapping(given: Any, what: str) -> Mapping[str, Any]:
+    """What a callback returned; None is nothing."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{what} must return a mapping of names or None, got {given!r}")
+    return given
+
+
 class Dynamics:
     """Equations of motion of a scene between contacts.
 
@@ -127,7 +136,7 @@ class Dynamics:
             tuple(a[at : at + t.model.nv**2].reshape(t.model.nv, t.model.nv) for a in (self.m, self.minv))
             for at, t in zip(self.m_start[self.free :], self.trees, strict=True)
         ]
-        self._tree_names = {t.name for t in self.trees}
+        self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
         self._fall = float(np.linalg.norm(self.gravity))
         self.x, self.R = np.zeros((self.frames, 3)), np.zeros((self.frames, 3, 3))
         self.constrained = any(t.constrained for t in self.trees)
@@ -224,35 +233,50 @@ class Dynamics:
             Change of velocity expected of contacts and joint rows: gyroscopic and Coriolis terms belong to the motion
             with it.
         wrenches : mapping, optional
-            Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes.
+            Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes. For a
+            body of an articulation, "articulation/body", the force acts at the origin of its frame.
         tau : mapping, optional
             Articulation name to its joint forces (nv,), or to a `PD`.
         """
-        force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
-        for name, wrench in (wrenches or {}).items():
-            if name not in self.names:
-                raise ValueError(f"external_force names {name!r}, which is no free body; they are {list(self.names)}")
-            parts = np.array(wrench, dtype=float)
-            if parts.shape not in ((3,), (2, 3)) or not np.isfinite(parts).all():
-                raise ValueError(f"external_force on {name!r} must be finite with shape (3,) or (2, 3), got {wrench!r}")
-            k = self.names[name]
-            force[k] = parts if parts.ndim == 1 else parts[0]
-            if parts.ndim == 2:
-                torque[k] = _rotation(begin.quaternion[k]).T @ parts[1]
-        given = tau or {}
-        if unknown := given.keys() - self._tree_names:
-            raise ValueError(
-                f"controller names {min(unknown)!r}; articulations are {[tree.name for tree in self.trees]}"
-            )
+        force, torque, applied = self._applied(begin, _mapping(wrenches, "external_force"))
+        given = _mapping(tau, "controller")
+        if unknown := given.keys() - self._tree_names.keys():
+            raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
         if self.free:
             _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
         loads = []
         for k, (tree, blocks) in enumerate(zip(self.trees, self._tree_blocks, strict=True)):
-            where, control = (begin.trees[k], middle.trees[k]), given.get(tree.name)
-            out[tree.coordinates], load = tree.free_motion(*where, v, push, h, theta, t, control, *blocks)
+            where, control = (begin.trees[k], middle.trees[k]), (given.get(tree.name), applied.get(k))
+            out[tree.coordinates], load = tree.free_motion(*where, v, push, h, theta, t, *control, *blocks)
             loads.append(load)
         return out, Loads(force, torque, gyroscopic, tuple(loads))
+
+    def _applied(self, begin: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
+        """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
+        force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
+        applied: dict[int, Array] = {}
+        for name, wrench in wrenches.items():
+            try:
+                parts = np.array(wrench, dtype=float)
+            except (TypeError, ValueError):
+                parts = np.array(np.nan)
+            if parts.shape not in ((3,), (2, 3)) or not np.isfinite(parts).all():
+                raise ValueError(f"external_force on {name!r} must be finite with shape (3,) or (2, 3), got {wrench!r}")
+            pull, turn = parts if parts.ndim == 2 else (parts, np.zeros(3))
+            owner, _, body = name.partition("/")
+            if name in self.names:
+                k = self.names[name]
+                force[k], torque[k] = pull, _rotation(begin.quaternion[k]).T @ turn
+            elif body and owner in self._tree_names:
+                k = self._tree_names[owner]
+                applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(body, pull, turn)
+            else:
+                raise ValueError(
+                    f"external_force names {name!r}, which is no free body and no 'articulation/body'; free bodies are "
+                    f"{list(self.names)}, articulations {list(self._tree_names)}"
+                )
+        return force, torque, applied
 
     def joint_rows(self, middle: Position, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""

@@ -33,7 +33,7 @@ class TreeLoads(NamedTuple):
     Attributes
     ----------
     tau : ndarray, shape (nv,)
-        Given joint forces and the part of a PD control that the motion does not change.
+        Joint forces given or of external wrenches, and the part of a PD control that the motion does not change.
     kp, kd : ndarray, shape (nv,)
         Gains of the PD control, 0 where there is none.
     stretch : ndarray, shape (nv,)
@@ -114,6 +114,10 @@ class Tree:
         self._closures = Closures(self.model, a.loops) if a.loops else None
         self.constrained = bool(driven) or self._closures is not None
         self._controlled: tuple[Any, Any] = (None, None)
+        kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
+        self._bodies = {
+            f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
+        }
         self.B, self.P, self.Z = np.zeros((0, nv)), np.zeros((nv, 0)), np.eye(nv)
         self._known: tuple[Any, Any, tuple[float, float]] = (None, None, (0.0, 0.0))
 
@@ -192,6 +196,17 @@ class Tree:
             raise ValueError(f"controller must give {zero.size} finite joint forces for {self.name!r}, got {given!r}")
         return tau, zero, zero
 
+    def joint_forces(self, body: str, force: Array, torque: Array) -> Array:
+        """Jᵀ (force, torque), shape (nv,), of a force [N] at the origin of a body's frame and a torque [N m].
+
+        World axes; `evaluate` or `place` has been called.
+        """
+        if body not in self._bodies:
+            raise ValueError(f"external_force: {self.name!r} has no moving body {body!r}; it has {list(self._bodies)}")
+        at = self._bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        out: Array = pin.getFrameJacobian(self.model, self.data, *at).T @ np.concatenate((force, torque))
+        return out
+
     def free_motion(
         self,
         begin: Array,
@@ -202,6 +217,7 @@ class Tree:
         theta: float,
         t: float,
         given: Any,
+        applied: Array | None,
         m: Array,
         minv: Array,
     ) -> tuple[Array, TreeLoads]:
@@ -226,6 +242,8 @@ class Tree:
             Time at the end of the step, s.
         given : array or PD or None
             What the controller returned.
+        applied : ndarray, shape (nv,), optional
+            Joint forces of external wrenches.
         m, minv : ndarray, shape (nv, nv)
             The effective mass matrix and its inverse, Z Zᵀ of a constrained tree, written.
 
@@ -235,6 +253,8 @@ class Tree:
         """
         v, zero = velocity[self.coordinates], np.zeros(self.model.nv)
         tau, kp, kd = self._control(given, begin)
+        if applied is not None:
+            tau = tau + applied
         stretch = self._deviation(self.angle(begin), self.rest) if self._springs else zero
         force, factor = np.empty_like(v), np.empty_like(m)
         laws = self.damping, self.stiffness, kp, kd, tau, stretch
