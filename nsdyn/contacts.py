@@ -193,15 +193,13 @@ class Detector:
 
     def candidates(self, x: Array, R: Array, reach: Array) -> None:
         """First part of `detect`: place the geoms and renew the candidate pairs if one has left its fat box."""
-        moving, geometry = self._moving, self._geometry
-        broadphase.place(geometry, x, R, self._R, self._t)
-        self._reach[moving] = reach[self._frame[moving]]
-        need = self._base + self._reach
-        box = self._lower, self._upper
-        fat = self._fat_lower, self._fat_upper
-        if broadphase.leaves(geometry, self._R, self._t, need, *box, *fat):
+        geometry, fat = self._geometry, (self._fat_lower, self._fat_upper)
+        if broadphase.follow(
+            geometry, x, R, reach, self._base, self._R, self._t, self._reach, self._lower, self._upper, *fat
+        ):
             # The skin keeps the list for several steps; fixed geoms need none.
-            skin = np.where(moving, need + SKIN * geometry.radius + AHEAD * self._reach, 0.0)[:, None]
+            skin = self._base + self._reach + SKIN * geometry.radius + AHEAD * self._reach
+            skin = np.where(self._moving, skin, 0.0)[:, None]
             np.subtract(self._lower, skin, out=self._fat_lower)
             np.add(self._upper, skin, out=self._fat_upper)
             solids = np.flatnonzero(geometry.kind != HALFSPACE)
@@ -244,19 +242,20 @@ class Detector:
             self._pair_base, self._reach, self._max_points, *self._scratch, self._point, self._normal, self._gap,
             self._pair,
         )  # fmt: skip
-        pair = self._pair[:count]
-        first, second = self._first[pair], self._second[pair]
-        point, old = self._point[:count].copy(), self._memory
-        key, local1, local2 = np.empty(count, dtype=np.int64), np.empty((count, 3)), np.empty((count, 3))
+        geom1, geom2, frame1, frame2, key = (np.empty(count, np.int64) for _ in range(5))
+        point, normal, local1, local2 = (np.empty((count, 3)) for _ in range(4))
+        gap, mu, restitution = np.empty(count), np.empty(count), np.empty(count)
+        manifold.collect(
+            self._pair, self._first, self._second, self._frame, self._mu, self._restitution, self._point, self._normal,
+            self._gap, geom1, geom2, frame1, frame2, mu, restitution, point, normal, gap,
+        )  # fmt: skip
+        old = self._memory
         next_key = manifold.match(
-            self._geometry, self._R, self._t, first, second, point, TOLERANCE, self._reach, old.geom1, old.geom2,
+            self._geometry.radius, self._R, self._t, geom1, geom2, point, TOLERANCE, self._reach, old.geom1, old.geom2,
             old.key, old.local1, old.local2, old.next_key, key, local1, local2,
         )  # fmt: skip
-        self._memory = ContactMemory(first, second, key, local1, local2, next_key)
-        return ContactSet(
-            first, second, self._frame[first], self._frame[second], point, self._normal[:count].copy(),
-            self._gap[:count].copy(), self._mu[pair], self._restitution[pair], key,
-        )  # fmt: skip
+        self._memory = ContactMemory(geom1, geom2, key, local1, local2, next_key)
+        return ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key)
 
 
 def _flatten(geoms: Sequence[Geom]) -> broadphase.Geometry:

@@ -46,6 +46,8 @@ class History:
         What of it to expect again.
     joints : ndarray, shape (slots, 3)
         Impulses of joint limits and joint friction, by the slots of `nsdyn.joints.JointLaws`.
+    solved : bool
+        Whether the impulses were solved for, and not those of the step before.
     """
 
     key: Index
@@ -57,12 +59,13 @@ class History:
     change: Array
     push: Array
     joints: Array
+    solved: bool
 
     @staticmethod
     def empty(n: int, slots: int) -> History:
         """Of a scene with n coordinates and so many slots of joint rows, before its first step."""
         key, status, none = np.empty(0, np.int64), np.empty(0, np.int8), np.empty((0, 3))
-        return History(key, status, none, none, none, none, np.zeros(n), np.zeros(n), np.zeros((slots, 3)))
+        return History(key, status, none, none, none, none, np.zeros(n), np.zeros(n), np.zeros((slots, 3)), False)
 
     def scaled(self, ratio: float) -> History:
         """For steps longer by `ratio`."""
@@ -112,6 +115,7 @@ class History:
         u: Array,
         turn: Array,
         joints: Array,
+        solved: bool,
     ) -> History:
         """History after a step with impulses r (rows, 3), their change of v, and relative velocities u at v_{k+1}."""
         impulse, velocity = np.empty_like(turn), np.empty_like(turn)
@@ -119,7 +123,7 @@ class History:
         _motion.to_world(frame, u.reshape(-1, 3), velocity)
         agreed = np.minimum(np.abs(change), np.abs(self.change))
         push = np.where(change * self.change > 0.0, np.copysign(agreed, change), 0.0)
-        return History(contacts.key, status, contacts.normal, impulse, velocity, turn, change, push, joints)
+        return History(contacts.key, status, contacts.normal, impulse, velocity, turn, change, push, joints, solved)
 
 
 def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, slides: NDArray[np.bool_], guess: Array) -> Array:

@@ -101,18 +101,13 @@ class Blocks:
     def velocity_change(self, r: Array) -> Array:
         """M⁻¹ H r, shape (n,)."""
         dv = np.empty(self.n)
-        _blocks.block_product(self.offset, self.m_start, self.minv, self.momentum(r), dv)
+        _blocks.velocity_change(self.offset, self.block, self.start, self.h, self.m_start, self.minv, r, dv)
         return dv
 
     def delassus(self) -> sp.bsr_array:
         """W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
         indptr, indices, data = _blocks.delassus(self.offset, self.block, self.start, self.h, self.m_start, self.minv)
         return sp.bsr_array((data, indices, indptr), shape=(3 * self.nc, 3 * self.nc))
-
-    def scales(self) -> Array:
-        """λ_max of every diagonal block of W, shape (nc,), in 1/kg."""
-        out: Array = _blocks.delassus_scales(self.offset, self.block, self.start, self.h, self.m_start, self.minv)
-        return out
 
     def jacobian(self) -> sp.csr_array:
         """Hᵀ, shape (3 nc, n), u = Hᵀ v."""
@@ -194,6 +189,7 @@ class FC3D:
 
     def __init__(self, W: Any, q: Any, mu: Any) -> None:
         self._set(q, mu)
+        self._check_values()
         self.blocks: Blocks | None = None
         self.csr = _as_blocks3(W, "W")
         rows = 3 * (self.csr[0].size - 1)
@@ -209,7 +205,15 @@ class FC3D:
         if blocks.nc != problem.mu.size:
             raise ValueError(f"blocks must have {problem.mu.size} contacts like mu, got {blocks.nc}")
         problem.blocks = blocks
-        problem._check_scales()
+        problem.scales = np.empty(problem.mu.size)
+        b = blocks
+        q_norm, good = _blocks.prepare(
+            b.offset, b.block, b.start, b.h, b.m_start, b.minv, problem.q, problem.mu, problem.scales
+        )
+        if not good:
+            problem._check_values()
+            problem._check_scales()
+        problem.q_norm = q_norm or 1.0
         return problem
 
     def _set(self, q: Any, mu: Any) -> None:
@@ -217,6 +221,8 @@ class FC3D:
         self.mu: Array = np.ascontiguousarray(mu, dtype=float)
         if self.mu.ndim != 1 or self.q.shape != (3 * self.mu.size,):
             raise ValueError(f"q must have 3 entries per entry of mu, got {self.q.shape} and {self.mu.shape}")
+
+    def _check_values(self) -> None:
         if not np.isfinite(self.q).all():
             raise ValueError("q must be finite, got NaN or infinity")
         if not (np.isfinite(self.mu).all() and (self.mu >= 0).all()):
@@ -238,8 +244,6 @@ class FC3D:
     @cached_property
     def scales(self) -> Array:
         """λ_max(W_cc) of each contact, shape (nc,), 1/kg."""
-        if self.blocks is not None:
-            return self.blocks.scales()
         out = np.empty(self.nc)
         _cones.diagonal_scales(*self.csr, out)
         return out
@@ -302,8 +306,13 @@ class FC3D:
     def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:
         """(both measures within tol, error, residual in m/s, u) of an impulse r."""
         r = self._impulse(r)
-        u = self.velocity(r)
-        top, residual = _cones.measures(self.scales, u, r, self.mu)
+        if self.blocks is None:
+            u = self.velocity(r)
+            top, residual = _cones.measures(self.scales, u, r, self.mu)
+        else:
+            b, u = self.blocks, np.empty_like(self.q)
+            factors = b.offset, b.block, b.start, b.h, b.m_start, b.minv
+            top, residual = _blocks.judged(*factors, self.q, self.mu, self.scales, r, u)
         error = top / self.q_norm
         return error <= tol and residual <= tol, error, residual, u
 

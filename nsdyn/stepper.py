@@ -6,7 +6,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -239,7 +239,12 @@ class Stepper:
         self.resting_speed = 2.0 * self.dt * float(np.linalg.norm(self.dynamics.gravity))
         # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
         self.closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
+        # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
+        self.closed = max(self.closed, self.solver.tol * self.dt)
         self._projection = Auto(tol=self.closed)
+        # What a warm start within the tolerance leaves of the velocities is part of the next impulses that are solved
+        # for, which start the step after them as wrong as that. Accepted there, it would stay for ever.
+        self._strict = replace(self.solver, accept=0.4) if isinstance(self.solver, Auto) else self.solver
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position)
@@ -320,7 +325,7 @@ class Stepper:
         t_assembly = clock()
 
         # The frictional contact problem.
-        solution = self.solver(problem, guess)
+        solution = (self._strict if s.history.solved else self.solver)(problem, guess)
         postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w)
         if forget_stopped(solution.u, solution.r + returned, contacts.mu, curve) or postponed.any():
             problem = FC3D.from_blocks(rows.blocks, q + w + curve, mu)
@@ -367,7 +372,7 @@ class Stepper:
         r = impulse.reshape(-1, 3)
         status = slip_status(solution.u, impulse, contacts.mu)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
-        history = s.history.after(contacts, status, frame, change, r, u_after, turn, slots)
+        history = s.history.after(contacts, status, frame, change, r, u_after, turn, slots, solution.iterations > 0)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
         q_out, v_out = d.pinocchio_state(end, v)
         x, quaternion = d.poses(end)

@@ -114,7 +114,8 @@ def test_blocks_against_dense(rng):
     np.testing.assert_allclose(blocks.relative_velocity(v), H.T @ v, atol=1e-14)
     np.testing.assert_allclose(blocks.velocity_change(r), np.linalg.solve(M, H @ r), atol=1e-13)
     expected = [np.linalg.eigvalsh(W.toarray()[3 * c : 3 * c + 3, 3 * c : 3 * c + 3])[-1] for c in range(nc)]
-    np.testing.assert_allclose(blocks.scales(), expected, rtol=1e-13)
+    problem = nd.FC3D.from_blocks(blocks, np.zeros(3 * nc), np.ones(nc))
+    np.testing.assert_allclose(problem.scales, expected, rtol=1e-13)
 
 
 def test_factors_of_a_given_matrix():

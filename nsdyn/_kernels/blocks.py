@@ -5,10 +5,12 @@ Coordinates come in blocks (a free body: 6, an articulated tree: its nv). Contac
 ``m`` and ``minv`` hold the n x n diagonal blocks of M and M⁻¹, block k from ``m_start[k]`` on.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 
-from nsdyn._kernels.cones import largest_eigenvalue
+from nsdyn._kernels.cones import largest_eigenvalue, measures
 
 
 @njit(cache=True)
@@ -175,14 +177,43 @@ def delassus(offset, block, start, h, m_start, minv):
 
 
 @njit(cache=True)
-def delassus_scales(offset, block, start, h, m_start, minv):
-    """lambda_max of every diagonal block W_cc, without the rest of W, shape (nc,)."""
+def velocity_change(offset, block, start, h, m_start, minv, r, v):
+    """v = M⁻¹ H r, into v (n,)."""
+    p = np.empty(v.size)
+    momentum(offset, block, start, h, r, p)
+    block_product(offset, m_start, minv, p, v)
+
+
+@njit(cache=True)
+def judged(offset, block, start, h, m_start, minv, q, mu, scales, r, u):
+    """u = Hᵀ M⁻¹ H r + q, into u; returns the two `measures` of r."""
+    v = np.empty(offset[-1])
+    velocity_change(offset, block, start, h, m_start, minv, r, v)
+    relative_velocity(offset, block, start, h, v, u)
+    u += q
+    return measures(scales, u, r, mu)
+
+
+@njit(cache=True)
+def prepare(offset, block, start, h, m_start, minv, q, mu, scales):
+    """`delassus_scales`; returns the norm of q, and whether q, mu and the scales are what they have to be."""
+    delassus_scales(offset, block, start, h, m_start, minv, scales)
+    total, good = 0.0, True
+    for c in range(mu.size):
+        for i in range(3):
+            total += q[3 * c + i] ** 2
+        good = good and 0.0 <= mu[c] < np.inf and scales[c] > 0.0
+    return math.sqrt(total), good and total < np.inf
+
+
+@njit(cache=True)
+def delassus_scales(offset, block, start, h, m_start, minv, out):
+    """lambda_max of every diagonal block W_cc, without the rest of W, into out (nc,)."""
     nc = block.shape[0]
     widest = 0
     for k in range(offset.size - 1):
         widest = max(widest, offset[k + 1] - offset[k])
     x, y = np.empty((3, widest)), np.empty((3, widest))
-    out = np.empty(nc)
     w = np.empty((3, 3))
     for c in range(nc):
         w[:] = 0.0
@@ -209,7 +240,6 @@ def delassus_scales(offset, block, start, h, m_start, minv):
                     w[i, j] += total
         w[1, 0], w[2, 0], w[2, 1] = w[0, 1], w[0, 2], w[1, 2]
         out[c] = largest_eigenvalue(w)
-    return out
 
 
 @njit(cache=True)
@@ -228,11 +258,10 @@ def unite(parent, a, b):
 
 
 @njit(cache=True)
-def islands(block, count):
-    """Connected components of the graph of blocks and contacts.
+def islands(block, count, label):
+    """Connected components of the graph of blocks and contacts; contacts are connected when they share a block.
 
-    Returns the label of every contact (nc,), ascending in the order of first contact, and their number; contacts
-    are connected when they share a block.
+    The label of every contact into label (nc,), ascending in the order of first contact; returns their number.
     """
     parent = np.arange(count)
     for c in range(block.shape[0]):
@@ -240,7 +269,6 @@ def islands(block, count):
         if a >= 0 and b >= 0:
             unite(parent, a, b)
     label_of_root = np.full(count, -1, np.int64)
-    label = np.empty(block.shape[0], np.int64)
     found = 0
     for c in range(block.shape[0]):
         k = block[c, 0] if block[c, 0] >= 0 else block[c, 1]
@@ -250,4 +278,4 @@ def islands(block, count):
             label_of_root[k] = found
             found += 1
         label[c] = label_of_root[k]
-    return label, found
+    return found

@@ -79,14 +79,20 @@ def bound(geometry, g, R, t, lower, upper):
 
 
 @njit(cache=True)
-def leaves(geometry, R, t, inflation, lower, upper, fat_lower, fat_upper):
-    """Bounds of the moving geoms into lower, upper; True when one of them, inflated, leaves its fat box."""
+def follow(geometry, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fat_lower, fat_upper):
+    """World poses, reaches and bounds of the geoms on moving frames, into R, t, reach, lower and upper.
+
+    Returns whether one of them, inflated by its base and its reach, leaves its fat box.
+    """
+    place(geometry, x, R_frames, R, t)
     out = False
     for g in range(geometry.kind.size):
         if geometry.frame[g] >= 0:
+            reach[g] = frame_reach[geometry.frame[g]]
+            need = base[g] + reach[g]
             bound(geometry, g, R[g], t[g], lower, upper)
             for i in range(3):
-                inside = fat_lower[g, i] <= lower[g, i] - inflation[g] and upper[g, i] + inflation[g] <= fat_upper[g, i]
+                inside = fat_lower[g, i] <= lower[g, i] - need and upper[g, i] + need <= fat_upper[g, i]
                 out = out or not inside
     return out
 

@@ -882,12 +882,27 @@ def manifolds(
     return total
 
 
+@njit(cache=True)
+def collect(
+    pair, first, second, frame, pair_mu, pair_restitution, points, normals, gaps, geom1, geom2, frame1, frame2, mu,
+    restitution, point, normal, gap,
+):  # fmt: skip
+    """What `manifolds` found, and what the contacts have from their pairs and geoms, into arrays of their number."""
+    for c in range(gap.size):
+        p = pair[c]
+        i, j = first[p], second[p]
+        geom1[c], geom2[c], frame1[c], frame2[c] = i, j, frame[i], frame[j]
+        mu[c], restitution[c], gap[c] = pair_mu[p], pair_restitution[p], gaps[c]
+        put(point, c, row(points, c))
+        put(normal, c, row(normals, c))
+
+
 # -- keys --------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True)
 def match(
-    geometry, R, t, first, second, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key,
+    radius, R, t, first, second, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key,
     key, local1, local2,
 ):  # fmt: skip
     """Give contacts the keys of those they continue; new ones count up from next_key, which is returned.
@@ -913,7 +928,7 @@ def match(
         q = o
         while q < old1.size and old1[q] == i and old2[q] == j:
             q += 1
-        reach = tolerance * min(geometry.radius[i], geometry.radius[j]) + slack[i] + slack[j]
+        reach = tolerance * min(radius[i], radius[j]) + slack[i] + slack[j]
         if b - a == 1 and q - o == 1:
             reach = np.inf
         for _ in range(min(b - a, q - o)):

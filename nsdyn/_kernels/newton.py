@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numba import njit
 
-from nsdyn._kernels.blocks import block_product, momentum, relative_velocity
+from nsdyn._kernels.blocks import block_product, islands, momentum, relative_velocity
 from nsdyn._kernels.cones import natural_error, natural_residual
 from nsdyn._kernels.linear import factorise, substitute
 
@@ -344,31 +344,20 @@ def extract(offset, block, start, h, m_start, m, minv, label, island):
 
 @njit(cache=True)
 def warm_islands(
-    offset,
-    block,
-    start,
-    h,
-    m_start,
-    m,
-    minv,
-    q,
-    mu,
-    scales,
-    r,
-    label,
-    measures,
-    tol,
-    q_norm,
-    largest,
-    penalty,
+    offset, block, start, h, m_start, m, minv, q, mu, scales, r, u, label, tol, accept, q_norm, largest, penalty,
     max_iter,
-):
-    """`dense` on every island of at most `largest` coordinates with measure above `tol`, in place of r.
+):  # fmt: skip
+    """`dense` on every island of at most `largest` coordinates with measure above `tol`, in place of an r that is not 0.
 
-    `measures` (found,) holds those of r and gets the new ones; returns the factorisations.
+    The islands into label (nc,). Returns their measures, 0 for those of a warm start that end within `accept` times
+    0.9 / sqrt(number of islands), and the factorisations.
     """
+    found = islands(block, offset.size - 1, label)
+    measures = measures_of_islands(label, found, scales, q_norm, u, r, mu)
     count = 0
-    for k in range(measures.size):
+    if not r.any():
+        return measures, count
+    for k in range(found):
         if measures[k] <= tol:
             continue
         contacts, o, b, st, hh, ms, mm, mi = extract(offset, block, start, h, m_start, m, minv, label, k)
@@ -388,4 +377,7 @@ def warm_islands(
         for e in range(nc):
             for i in range(3):
                 r[3 * contacts[e] + i] = x[3 * e + i]
-    return count
+    for k in range(found):
+        if measures[k] <= accept * 0.9 / math.sqrt(found):
+            measures[k] = 0.0
+    return measures, count

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,7 +16,7 @@ from nsdyn._kernels import newton as _newton
 from nsdyn._kernels import pgs as _pgs
 from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
 from nsdyn.solvers.interior import Local, solve_by_factors, solve_by_matrix
-from nsdyn.solvers.newton import DENSE, island, islands_of, rows, solve_blocks
+from nsdyn.solvers.newton import DENSE, island, rows, solve_blocks
 
 POLISH, FLOOR = 1e-5, 1e-14
 """Islands are solved to this fraction of the tolerance where Newton reaches it, but not below the round-off of FLOOR
@@ -59,9 +60,12 @@ class Auto:
     ----------
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    accept : float
+        Fraction of the tolerance within which a warm start is the solution of an island.
     """
 
     tol: float = 1e-8
+    accept: float = 1.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
@@ -72,9 +76,10 @@ class Auto:
             if not problem.solved(r, self.tol)[0]:
                 count = self._given_matrix(problem, r)
         elif problem.blocks is not None and problem.nc:
-            enough, _, _, u = problem.solved(r, max(POLISH * self.tol, FLOOR))
-            if not enough:
-                count = self._given_factors(problem, problem.blocks, r, u)
+            enough, error, residual, u = problem.solved(r, max(POLISH * self.tol, FLOOR))
+            if enough:
+                return Solution(r, u, Status.CONVERGED, error, residual, 0, time.perf_counter() - start)
+            count = self._given_factors(problem, problem.blocks, r, u)
         solution = Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
         return solution if solution.converged else self._explained(problem, solution)
 
@@ -89,28 +94,20 @@ class Auto:
 
     def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, u: Array) -> int:
         """Solve a problem with factors from r, whose velocity is u, in place of r; iterations used."""
-        count, q_norm = 0, problem.q_norm
-        label, found = islands_of(blocks)
+        q_norm, enough, label = problem.q_norm, max(POLISH * self.tol, FLOOR), np.empty(problem.nc, np.int64)
+        measures, count = _newton.warm_islands(
+            blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, blocks.minv, problem.q,
+            problem.mu, problem.scales, r, u, label, enough, self.accept * self.tol, q_norm, DENSE, *WARM,
+        )  # fmt: skip
         # The literature's error adds the islands up in squares; the judge measures them together.
-        tol = 0.9 * self.tol / np.sqrt(found)
-        measures = _newton.measures_of_islands(label, found, problem.scales, q_norm, u, r, problem.mu)
-        enough = max(POLISH * self.tol, FLOOR)
-        wanted = ~(measures <= enough)
-        if r.any():
-            count += int(
-                _newton.warm_islands(
-                    blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, blocks.minv,
-                    problem.q, problem.mu, problem.scales, r, label, measures, enough, q_norm, DENSE, *WARM,
-                )
-            )  # fmt: skip
-            wanted &= ~(measures <= tol)
-        for k in np.flatnonzero(wanted).tolist():
+        tol = 0.9 * self.tol / math.sqrt(measures.size)
+        for k in (~(measures <= enough)).nonzero()[0].tolist():
             contacts, part = island(blocks, label, k)
             i = rows(contacts, problem.nc)
             given = problem.q[i], problem.mu[contacts], problem.scales[contacts]
             r[i], used = self._island(part, *given, r[i].copy(), tol, q_norm)
             count += used
-        return count
+        return int(count)
 
     def _given_matrix(self, problem: FC3D, r: Array) -> int:
         """Solve a problem given by W alone in place of r; iterations used."""

@@ -116,12 +116,6 @@ def _sparse(
     return count, best
 
 
-def islands_of(blocks: Blocks) -> tuple[Index, int]:
-    """(island of every contact, number of islands): connected components of the contact graph."""
-    label, found = _blocks.islands(blocks.block, blocks.offset.size - 1)
-    return label, int(found)
-
-
 def island(blocks: Blocks, label: Index, k: int) -> tuple[Any, Blocks]:
     """(contacts, blocks) of island k; contacts is a slice when it is all there is."""
     if not label.any() and np.unique(blocks.block[blocks.block >= 0]).size == blocks.offset.size - 1:
@@ -134,7 +128,8 @@ def island(blocks: Blocks, label: Index, k: int) -> tuple[Any, Blocks]:
 
 def each_island(blocks: Blocks) -> list[tuple[Any, Blocks]]:
     """(contacts, blocks) of every island."""
-    label, found = islands_of(blocks)
+    label = np.empty(blocks.nc, np.int64)
+    found = _blocks.islands(blocks.block, blocks.offset.size - 1, label)
     return [island(blocks, label, k) for k in range(found)]
 
 
