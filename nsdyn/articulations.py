@@ -212,7 +212,7 @@ def assemble(
     links, loops = _place(model, q0, links, description.loops, at)
     excluded = set(description.excluded)
     if srdf is not None:
-        excluded |= _disabled_pairs(name, Path(srdf), model, unused)
+        excluded |= _disabled_pairs(name, checks.path(srdf, f"srdf of {name!r}"), model, unused)
     in_joints = {}
     for what, given, default in (
         ("friction", friction, np.array(model.upperDryFrictionLimit)),

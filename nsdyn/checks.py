@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-__all__ = ["inertia", "mass", "number", "quaternion", "rotation", "vector"]
+__all__ = ["folders", "inertia", "mass", "number", "path", "quaternion", "rotation", "vector"]
 
 
 def number(value: Any, what: str) -> float:
@@ -22,6 +25,20 @@ def number(value: Any, what: str) -> float:
     if not np.isfinite(out):
         raise ValueError(f"{what} must be finite, got {out}")
     return out
+
+
+def path(value: Any, what: str) -> Path:
+    """A path."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise ValueError(f"{what} must be a path, got {value!r}")
+    return Path(value)
+
+
+def folders(value: Any, what: str) -> list[Path]:
+    """A sequence of paths; one path alone is a mistake, since a text is a sequence of letters."""
+    if isinstance(value, (str, os.PathLike)) or not isinstance(value, Iterable):
+        raise ValueError(f"{what} must be a sequence of folders, got {value!r}")
+    return [path(folder, what) for folder in value]
 
 
 def vector(value: ArrayLike, size: int, what: str) -> Array:

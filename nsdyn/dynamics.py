@@ -79,6 +79,15 @@ def _rotation(quaternion: Array) -> Array:
     return np.array(pin.Quaternion(quaternion).toRotationMatrix())
 
 
+def _mapping(given: Any, what: str) -> Mapping[str, Any]:
+    """What a callback returned; None is nothing."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{what} must return a mapping of names or None, got {given!r}")
+    return given
+
+
 class Dynamics:
     """Equations of motion of a scene between contacts.
 
@@ -122,6 +131,13 @@ class Dynamics:
             minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / self.mass[k], 0.5 * (inverse + inverse.T)
         tail = np.zeros(sum(s * s for s in sizes[self.free :]))
         self.m, self.minv = np.append(m.ravel(), tail), np.append(minv.ravel(), tail)
+        # The blocks of the trees in m and minv, written in each step.
+        self._tree_blocks = [
+            tuple(a[at : at + t.model.nv**2].reshape(t.model.nv, t.model.nv) for a in (self.m, self.minv))
+            for at, t in zip(self.m_start[self.free :], self.trees, strict=True)
+        ]
+        self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
+        self._fall = float(np.linalg.norm(self.gravity))
         self.x, self.R = np.zeros((self.frames, 3)), np.zeros((self.frames, 3, 3))
         self.constrained = any(t.constrained for t in self.trees)
         # Links of trees with a fixed base; index -1 is the world's.
@@ -155,11 +171,15 @@ class Dynamics:
 
         Driven bodies move with `twist` (surfaces, 2, 3), linear and angular velocities in world axes, or not at all.
         """
-        x, quaternion = np.empty_like(position.x), np.empty_like(position.quaternion)
-        _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
+        x, quaternion = position.x, position.quaternion
+        if self.free:
+            x, quaternion = np.empty_like(x), np.empty_like(quaternion)
+            _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
         trees = tuple(
-            t.close(np.array(pin.integrate(t.model, q, h * v[t.coordinates])))
-            for t, q in zip(self.trees, position.trees, strict=True)
+            [
+                t.close(pin.integrate(t.model, q, h * v[t.coordinates]))
+                for t, q in zip(self.trees, position.trees, strict=True)
+            ]
         )
         driven = position.driven_x, position.driven_quaternion
         if twist is not None and len(position.driven_x):
@@ -179,8 +199,9 @@ class Dynamics:
             t.evaluate(q, self.x, self.R)
 
     def _place_bodies(self, position: Position) -> None:
-        self.x[: self.free] = position.x
-        _motion.rotations(position.quaternion, self.R)
+        if self.free:
+            self.x[: self.free] = position.x
+            _motion.rotations(position.quaternion, self.R)
         if position.driven_x.size:
             nd = len(position.driven_x)
             self.x[-nd:] = position.driven_x
@@ -212,36 +233,50 @@ class Dynamics:
             Change of velocity expected of contacts and joint rows: gyroscopic and Coriolis terms belong to the motion
             with it.
         wrenches : mapping, optional
-            Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes.
+            Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes. For a
+            body of an articulation, "articulation/body", the force acts at the origin of its frame.
         tau : mapping, optional
             Articulation name to its joint forces (nv,), or to a `PD`.
         """
-        force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
-        for name, wrench in (wrenches or {}).items():
-            if name not in self.names:
-                raise ValueError(f"external_force names {name!r}, which is no free body; they are {list(self.names)}")
-            parts = np.array(wrench, dtype=float)
-            if parts.shape not in ((3,), (2, 3)) or not np.isfinite(parts).all():
-                raise ValueError(f"external_force on {name!r} must be finite with shape (3,) or (2, 3), got {wrench!r}")
-            k = self.names[name]
-            force[k] = parts if parts.ndim == 1 else parts[0]
-            if parts.ndim == 2:
-                torque[k] = _rotation(begin.quaternion[k]).T @ parts[1]
-        given = dict(tau or {})
-        if unknown := set(given) - {tree.name for tree in self.trees}:
-            raise ValueError(
-                f"controller names {min(unknown)!r}; articulations are {[tree.name for tree in self.trees]}"
-            )
+        force, torque, applied = self._applied(begin, _mapping(wrenches, "external_force"))
+        given = _mapping(tau, "controller")
+        if unknown := given.keys() - self._tree_names.keys():
+            raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
-        _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
+        if self.free:
+            _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
         loads = []
-        for k, tree in enumerate(self.trees):
-            nv, at = tree.model.nv, self.m_start[self.free + k]
-            m, minv = (a[at : at + nv * nv].reshape(nv, nv) for a in (self.m, self.minv))
-            where, control = (begin.trees[k], middle.trees[k]), given.get(tree.name)
-            out[tree.coordinates], load = tree.free_motion(*where, v, push, h, theta, t, control, m, minv)
+        for k, (tree, blocks) in enumerate(zip(self.trees, self._tree_blocks, strict=True)):
+            where, control = (begin.trees[k], middle.trees[k]), (given.get(tree.name), applied.get(k))
+            out[tree.coordinates], load = tree.free_motion(*where, v, push, h, theta, t, *control, *blocks)
             loads.append(load)
         return out, Loads(force, torque, gyroscopic, tuple(loads))
+
+    def _applied(self, begin: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
+        """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
+        force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
+        applied: dict[int, Array] = {}
+        for name, wrench in wrenches.items():
+            try:
+                parts = np.array(wrench, dtype=float)
+            except (TypeError, ValueError):
+                parts = np.array(np.nan)
+            if parts.shape not in ((3,), (2, 3)) or not np.isfinite(parts).all():
+                raise ValueError(f"external_force on {name!r} must be finite with shape (3,) or (2, 3), got {wrench!r}")
+            pull, turn = parts if parts.ndim == 2 else (parts, np.zeros(3))
+            owner, _, body = name.partition("/")
+            if name in self.names:
+                k = self.names[name]
+                force[k], torque[k] = pull, _rotation(begin.quaternion[k]).T @ turn
+            elif body and owner in self._tree_names:
+                k = self._tree_names[owner]
+                applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(body, pull, turn)
+            else:
+                raise ValueError(
+                    f"external_force names {name!r}, which is no free body and no 'articulation/body'; free bodies are "
+                    f"{list(self.names)}, articulations {list(self._tree_names)}"
+                )
+        return force, torque, applied
 
     def joint_rows(self, middle: Position, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""
@@ -261,7 +296,8 @@ class Dynamics:
         size = _motion.contact_layout(contacts.frame1, contacts.frame2, self.block_of_frame, self.offset, block, start)
         h = np.zeros(size)
         where = contacts.frame1, contacts.frame2, contacts.point, frame, self.x
-        _motion.free_rows(*where, self.R, self.free, start, h)
+        if self.free:
+            _motion.free_rows(*where, self.R, self.free, start, h)
         for t in self.trees:
             _trees.link_rows(*where[:-1], t.frames.start, t.support, t.J, start, h)
         return Blocks(self.offset, block, start, h, self.m_start, self.m, self.minv), frame
@@ -289,9 +325,8 @@ class Dynamics:
         """
         out = np.zeros(self.frames)
         fast = _motion.reach(v, self.gravity, h, self.radius, self._inscribed, out)
-        fall = h * h * float(np.linalg.norm(self.gravity)) if self.trees else 0.0
         for t in self.trees:
-            part = self.x[t.frames], t.support, t.J, v[t.coordinates], h, t.radius, fall, out[t.frames]
+            part = self.x[t.frames], t.support, t.J, v[t.coordinates], h, t.radius, h * h * self._fall, out[t.frames]
             _trees.link_reach(*part)
         if self.surfaces.count:
             self.surfaces.reach(h * np.maximum(np.abs(begun), np.abs(ended)), out)
@@ -307,10 +342,11 @@ class Dynamics:
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
         """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
-        q = np.concatenate((np.empty(7 * self.free), *position.trees))
-        out, R = v.copy(), np.empty((self.free, 3, 3))
-        _motion.rotations(position.quaternion, R)
-        _motion.pinocchio_layout(position.quaternion, R, position.x, v, q, out)
+        q, out = np.concatenate((np.empty(7 * self.free), *position.trees)), v.copy()
+        if self.free:
+            R = np.empty((self.free, 3, 3))
+            _motion.rotations(position.quaternion, R)
+            _motion.pinocchio_layout(position.quaternion, R, position.x, v, q, out)
         return q, out
 
     def poses(self, position: Position) -> tuple[Array, Array] | tuple[None, None]:

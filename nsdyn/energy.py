@@ -94,17 +94,20 @@ def ledger(
     """
     begin, moved, end = positions
     v0, v1, v_theta = velocities
-    works = np.empty(5)
     d = dynamics
-    body = d.mass, d.J, d.gravity, loads.force, loads.torque
-    _motion.free_works(*body, loads.gyroscopic, h, v0, v1, v_theta, begin.x, moved.x, works)
-    d_kinetic, d_potential, external, gyroscopic, slip = (float(w) for w in works)
-    kinetic, potential = _motion.free_energies(d.mass, d.J, d.gravity, end.x, v1)
-    projection = 0.0
-    if end is not moved:
-        projection = -float(d.mass @ ((end.x - moved.x) @ d.gravity))
-        d_potential += projection
-    sums = kinetic, potential, d_kinetic, d_potential, external, 0.0, driving, gyroscopic, slip, 0.0, projection
+    kinetic = potential = d_kinetic = d_potential = external = gyroscopic = slip = projection = 0.0
+    if d.free:
+        works = np.empty(5)
+        body = d.mass, d.J, d.gravity, loads.force, loads.torque
+        _motion.free_works(*body, loads.gyroscopic, h, v0, v1, v_theta, begin.x, moved.x, works)
+        d_kinetic, d_potential, external, gyroscopic, slip = works.tolist()
+        kinetic, potential = _motion.free_energies(d.mass, d.J, d.gravity, end.x, v1)
+        if end is not moved:
+            projection = -float(d.mass @ ((end.x - moved.x) @ d.gravity))
+            d_potential += projection
+    sums: tuple[float, ...] = (
+        kinetic, potential, d_kinetic, d_potential, external, 0.0, driving, gyroscopic, slip, 0.0, projection,
+    )  # fmt: skip
     for k, t in enumerate(d.trees):
         configurations = begin.trees[k], moved.trees[k], end.trees[k]
         own = _tree_works(t, h, theta, loads.trees[k], configurations, velocities, impulse)
@@ -130,7 +133,7 @@ def _tree_works(
     begin, moved, end = configurations
     v0, v1, v_theta = (v[t.coordinates] for v in velocities)
     step = load, v0, v1, v_theta, h, theta
-    kinetic, actuation, damping, springs, bias = (float(w) for w in t.works(*step))
+    kinetic, actuation, damping, springs, bias = t.works(*step)
     T0, V0 = load.energies
     T1, V1 = t.energies(end, velocities[1])
     V_moved = V1 if end is moved else t.energies(moved, velocities[1])[1]

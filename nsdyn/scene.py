@@ -368,7 +368,8 @@ class Scene:
         package_dirs : sequence of paths
             Where ``package://`` meshes are looked up, besides the file's own folder.
         """
-        description = robot_files.read_urdf(name, Path(path), base, [Path(d) for d in package_dirs])
+        folders = checks.folders(package_dirs, f"package_dirs of {name!r}")
+        description = robot_files.read_urdf(name, checks.path(path, f"path of {name!r}"), base, folders)
         self._add_articulation(name, description, keywords)
 
     def add_mjcf(self, name: str, path: str | Path, keyframe: str | None = None, **keywords: Any) -> None:
@@ -382,7 +383,8 @@ class Scene:
         keyframe : str, optional
             Name of the one to start from.
         """
-        self._add_articulation(name, robot_files.read_mjcf(name, Path(path), keyframe), keywords)
+        description = robot_files.read_mjcf(name, checks.path(path, f"path of {name!r}"), keyframe)
+        self._add_articulation(name, description, keywords)
 
     def add_sdf(self, name: str, path: str | Path, package_dirs: Sequence[str | Path] = (), **keywords: Any) -> None:
         """Add the articulated tree of an SDF file with one model; see `add_model` for the other keywords.
@@ -395,7 +397,8 @@ class Scene:
         package_dirs : sequence of paths
             Where ``model://`` meshes are looked up, besides the file's own folder.
         """
-        description = robot_files.read_sdf(name, Path(path), [Path(d) for d in package_dirs])
+        folders = checks.folders(package_dirs, f"package_dirs of {name!r}")
+        description = robot_files.read_sdf(name, checks.path(path, f"path of {name!r}"), folders)
         self._add_articulation(name, description, keywords)
 
     def add_loop(

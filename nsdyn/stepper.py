@@ -178,7 +178,8 @@ class Stepper:
         configuration of the midpoint and the velocity at the beginning, Pinocchio's layout.
     external_force : callable, optional
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
-        (force, torque)}, world axes, N and N·m. Nothing persists to the next step.
+        (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's
+        frame. Nothing persists to the next step.
     on_fail : {"raise", "warn", "ignore"}
         What to do when the solver misses its tolerance; the status is always recorded.
     max_points : int
@@ -219,6 +220,9 @@ class Stepper:
             raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
         if on_fail not in ("raise", "warn", "ignore"):
             raise ValueError(f"on_fail must be 'raise', 'warn' or 'ignore', got {on_fail!r}")
+        for what, given in (("controller", controller), ("external_force", external_force)):
+            if given is not None and not callable(given):
+                raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
         if impact not in impacts.LAWS:
             raise ValueError(f"impact must be one of {impacts.LAWS}, got {impact!r}")
         self.impact = impact

@@ -33,7 +33,7 @@ class TreeLoads(NamedTuple):
     Attributes
     ----------
     tau : ndarray, shape (nv,)
-        Given joint forces and the part of a PD control that the motion does not change.
+        Joint forces given or of external wrenches, and the part of a PD control that the motion does not change.
     kp, kd : ndarray, shape (nv,)
         Gains of the PD control, 0 where there is none.
     stretch : ndarray, shape (nv,)
@@ -114,6 +114,10 @@ class Tree:
         self._closures = Closures(self.model, a.loops) if a.loops else None
         self.constrained = bool(driven) or self._closures is not None
         self._controlled: tuple[Any, Any] = (None, None)
+        kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
+        self._bodies = {
+            f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
+        }
         self.B, self.P, self.Z = np.zeros((0, nv)), np.zeros((nv, 0)), np.eye(nv)
         self._known: tuple[Any, Any, tuple[float, float]] = (None, None, (0.0, 0.0))
 
@@ -162,12 +166,12 @@ class Tree:
     def place(self, q: Array, x: Array, R: Array) -> None:
         """Poses of the links at q into x and R, and the Jacobian."""
         pin.computeJointJacobians(self.model, self.data, q)
-        x[self.frames], R[self.frames] = self._x[self._carriers], self._R[self._carriers]
+        self._put_poses(x, R)
 
     def evaluate(self, q: Array, x: Array, R: Array) -> None:
         """Mass matrix M and what `place` does."""
         pin.crba(self.model, self.data, q, pin.Convention.WORLD)
-        x[self.frames], R[self.frames] = self._x[self._carriers], self._R[self._carriers]
+        self._put_poses(x, R)
 
     def close(self, q: Array) -> Array:
         """The closest configuration whose loops are closed; q itself when they are."""
@@ -177,9 +181,10 @@ class Tree:
         """(tau, kp, kd) of what a controller returned, the forces at the velocity 0; ValueError if it does not fit."""
         if isinstance(given, PD):
             if given is not self._controlled[0]:
-                self._controlled = given, given.on(self.name, self.scalar)
-            kp, kd, target, rate, feedforward = self._controlled[1]
-            return feedforward + kd * rate - kp * self._deviation(self.angle(begin), target), kp, kd
+                kp, kd, target, rate, feedforward = given.on(self.name, self.scalar)
+                self._controlled = given, (kp, kd, target, feedforward + kd * rate)
+            kp, kd, target, constant = self._controlled[1]
+            return constant - kp * self._deviation(self.angle(begin), target), kp, kd
         zero = np.zeros(self.model.nv)
         if given is None:
             return zero, zero, zero
@@ -191,6 +196,17 @@ class Tree:
             raise ValueError(f"controller must give {zero.size} finite joint forces for {self.name!r}, got {given!r}")
         return tau, zero, zero
 
+    def joint_forces(self, body: str, force: Array, torque: Array) -> Array:
+        """Jᵀ (force, torque), shape (nv,), of a force [N] at the origin of a body's frame and a torque [N m].
+
+        World axes; `evaluate` or `place` has been called.
+        """
+        if body not in self._bodies:
+            raise ValueError(f"external_force: {self.name!r} has no moving body {body!r}; it has {list(self._bodies)}")
+        at = self._bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        out: Array = pin.getFrameJacobian(self.model, self.data, *at).T @ np.concatenate((force, torque))
+        return out
+
     def free_motion(
         self,
         begin: Array,
@@ -201,6 +217,7 @@ class Tree:
         theta: float,
         t: float,
         given: Any,
+        applied: Array | None,
         m: Array,
         minv: Array,
     ) -> tuple[Array, TreeLoads]:
@@ -225,6 +242,8 @@ class Tree:
             Time at the end of the step, s.
         given : array or PD or None
             What the controller returned.
+        applied : ndarray, shape (nv,), optional
+            Joint forces of external wrenches.
         m, minv : ndarray, shape (nv, nv)
             The effective mass matrix and its inverse, Z Zᵀ of a constrained tree, written.
 
@@ -234,6 +253,8 @@ class Tree:
         """
         v, zero = velocity[self.coordinates], np.zeros(self.model.nv)
         tau, kp, kd = self._control(given, begin)
+        if applied is not None:
+            tau = tau + applied
         stretch = self._deviation(self.angle(begin), self.rest) if self._springs else zero
         force, factor = np.empty_like(v), np.empty_like(m)
         laws = self.damping, self.stiffness, kp, kd, tau, stretch
@@ -247,20 +268,24 @@ class Tree:
             minv[:] = self.Z @ self.Z.T
             rest = minv @ (m @ v)
         energies = self.energies(begin, velocity)
-        new, bias, change, kick = v.copy(), zero, 1.0, push[self.coordinates]
+        # Pushed, a motion mostly goes on as it was: at rest that guess is the answer, and one pass tells.
+        kick, change, before = push[self.coordinates], SETTLED, sum(energies)
+        new = v - kick
         for k in range(PASSES):
             after = new + kick
             mean = 0.5 * (v + after)
-            bias = np.array(pin.nonLinearEffects(self.model, self.data, middle, mean))
+            bias = pin.nonLinearEffects(self.model, self.data, middle, mean)
             if k and theta == 0.5:
                 end = pin.integrate(self.model, begin, h * mean)
-                gain = pin.computeMechanicalEnergy(self.model, self.data, end, after) - sum(energies)
+                gain = pin.computeMechanicalEnergy(self.model, self.data, end, after) - before
                 _trees.conserve(self.M, minv, v, after, gain, h, bias)
             if self.constrained and k < 2:
                 # Later passes would diverge where a step is longer than the way to a singular configuration.
                 start = rest + self.P @ self._rates(begin, v, after, h, theta, t)
             last, change = change, _trees.respond(start, minv, force, bias, h, new)
-            if k and change * min(change, last) <= SETTLED * last:
+            if change * min(change, last) <= SETTLED * last and (
+                k or theta != 0.5 or _trees.slow(self.M, minv, mean, bias, h)
+            ):
                 break
         weight = zero if theta == 0.5 else np.array(pin.computeGeneralizedGravity(self.model, self.data, middle))
         return new, TreeLoads(tau, kp, kd, stretch, bias, weight, energies)
@@ -286,12 +311,13 @@ class Tree:
         actuation = loads.tau - (loads.kd + h * loads.kp) * v1
         return actuation, -self.damping * v_theta, -self.stiffness * (loads.stretch + theta * h * v_theta)
 
-    def works(self, loads: TreeLoads, v0: Array, v1: Array, v_theta: Array, h: float, theta: float) -> Array:
-        """Works on the mean velocity v̄, J: v̄·M Δv, then of actuation, damping, springs and bias, shape (5,)."""
+    def works(self, loads: TreeLoads, v0: Array, v1: Array, v_theta: Array, h: float, theta: float) -> list[float]:
+        """Works on the mean velocity v̄, J: v̄·M Δv, then of actuation, damping, springs and bias."""
         out = np.empty(5)
         laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch, loads.bias
         _trees.works(self.M, *laws, v0, v1, v_theta, h, theta, out)
-        return out
+        works: list[float] = out.tolist()
+        return works
 
     def constraint_work(
         self, loads: TreeLoads, v0: Array, v1: Array, v_theta: Array, h: float, theta: float, impulse: Array
@@ -321,4 +347,8 @@ class Tree:
     def poses(self, q: Array, x: Array, R: Array) -> None:
         """Poses of the links at q into x and R."""
         pin.forwardKinematics(self.model, self.data, q)
-        x[self.frames], R[self.frames] = self._x[self._carriers], self._R[self._carriers]
+        self._put_poses(x, R)
+
+    def _put_poses(self, x: Array, R: Array) -> None:
+        """Copy the poses that Pinocchio computed last."""
+        _trees.gather(self._x, self._R, self._carriers, x[self.frames], R[self.frames])

@@ -177,6 +177,10 @@ def test_loop():
         ({"collisions": "visual"}, "collisions of 'r' must be True, False or"),
         ({"srdf": "nowhere.srdf"}, "srdf of 'r' must be an SRDF file"),
         ({"package_dirs": ()}, r"mesh 'package://thing/box.stl' was not found"),
+        ({"package_dirs": "folder"}, "package_dirs of 'r' must be a sequence of folders, got 'folder'"),
+        ({"package_dirs": 3}, "package_dirs of 'r' must be a sequence of folders, got 3"),
+        ({"srdf": 3}, "srdf of 'r' must be a path, got 3"),
+        ({"path": None}, "path of 'r' must be a path, got None"),
         ({"colour": (1, 0, 0)}, "unknown argument 'colour'"),
     ],
 )
@@ -184,7 +188,7 @@ def test_refused(robot, change, words):
     path, package_dirs = robot
     scene = nd.Scene()
     with pytest.raises(ValueError, match=words):
-        scene.add_urdf("r", path, **{"package_dirs": package_dirs} | change)
+        scene.add_urdf("r", **{"path": path, "package_dirs": package_dirs} | change)
     assert not scene.articulations, "a refused robot leaves the scene as it was"
 
 

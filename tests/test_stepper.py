@@ -152,7 +152,12 @@ def test_torque_and_controller():
 @pytest.mark.parametrize(
     ("callback", "words"),
     [
-        ({"external_force": lambda t, q, v: {"ghost": (0, 0, 1)}}, "'ghost', which is no free body"),
+        ({"external_force": lambda t, q, v: {"ghost": (0, 0, 1)}}, "'ghost', which is no free body and no"),
+        ({"external_force": lambda t, q, v: {"arm": (0, 0, 1)}}, r"articulations \['arm'\]"),
+        ({"external_force": lambda t, q, v: {"arm/leg": (0, 0, 1)}}, "'arm' has no moving body 'leg'; it has"),
+        ({"external_force": lambda t, q, v: {"box": "up"}}, "external_force on 'box' must be finite .* got 'up'"),
+        ({"external_force": lambda t, q, v: 5}, "external_force must return a mapping of names or None, got 5"),
+        ({"controller": lambda t, q, v: np.zeros(2)}, "controller must return a mapping of names or None"),
         ({"external_force": lambda t, q, v: {"box": (0, 1)}}, "external_force on 'box'"),
         ({"external_force": lambda t, q, v: {"box": (0, 0, np.nan)}}, "external_force on 'box'"),
         ({"controller": lambda t, q, v: {"arm": [1.0]}}, "controller must give 2 finite joint forces"),
@@ -160,9 +165,16 @@ def test_torque_and_controller():
     ],
 )
 def test_bad_callbacks(callback, words):
+    """Each is named, in the step that calls it."""
     stepper = nd.Stepper(nd.scenes.load("arm_pushes_box")(), **callback)
     with pytest.raises(ValueError, match=words):
         stepper.step()
+
+
+def test_callbacks_must_be_functions():
+    for what in ("controller", "external_force"):
+        with pytest.raises(ValueError, match=f"{what} must be a function of"):
+            nd.Stepper(nd.scenes.load("slide")(), **{what: 3})
 
 
 def test_gauss_least_constraint_literally(rng):

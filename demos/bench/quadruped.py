@@ -2,9 +2,10 @@
 
     python demos/bench/quadruped.py
 
-Slip is the path of the points of contact on the ground, the largest of the feet. Time is processor time of a step,
-the median. MuJoCo (extra `peers`) runs the same URDF in the same run, at its defaults and with elliptic cones and
-impratio 10, at the same step and at a fifth of it.
+Slip is the path of the points of contact on the ground, the largest of the feet. Time is processor time of a step: the
+median, and beside it the lower quartile and the least, which a busy machine disturbs less. MuJoCo (extra `peers`) runs
+the same URDF in the same run, at its defaults and with elliptic cones and impratio 10, at the same step and at a fifth
+of it.
 """
 
 import time
@@ -20,18 +21,18 @@ MODULE = nd.scenes.module("quadruped")
 STANCE, (KP, KD) = np.array(MODULE.STANCE["quadruped"]), MODULE.GAINS["quadruped"]
 
 
-def measure(step: Callable[[], float], dt: float) -> tuple[float, float]:
-    """(median processor time of a step in s, slip in m) of `step`, which returns the fastest slip in m/s."""
+def measure(step: Callable[[], float], dt: float) -> tuple[np.ndarray, float]:
+    """(least, quartile and median processor time of a step in s, slip in m); `step` returns the fastest slip in m/s."""
     times, slip = [], 0.0
     for _ in range(round(DURATION / dt)):
         start = time.process_time()
         speed = step()
         times.append(time.process_time() - start)
         slip += dt * speed
-    return float(np.median(times)), slip
+    return np.quantile(times, (0.0, 0.25, 0.5)), slip
 
 
-def ours(count: int) -> tuple[float, float]:
+def ours(count: int) -> tuple[np.ndarray, float]:
     """`measure` of nsdyn with so many robots."""
     scene = MODULE.scene(count=count)
     stepper = nd.Stepper(scene, dt=DT, controller=MODULE.controller(scene, walk=False))
@@ -44,7 +45,7 @@ def ours(count: int) -> tuple[float, float]:
     return measure(step, DT)
 
 
-def mujoco(stiff: bool, dt: float) -> tuple[float, float]:
+def mujoco(stiff: bool, dt: float) -> tuple[np.ndarray, float]:
     """`measure` of MuJoCo with the same robot, stance and gains."""
     import mujoco as mj
 
@@ -86,14 +87,18 @@ def mujoco(stiff: bool, dt: float) -> tuple[float, float]:
 
 def main() -> None:
     """Run and print."""
-    print(f"{'engine':>18} {'dt [s]':>7} {'robots':>7} {'µs per step':>12} {'slip in 10 s [m]':>17}")
-    for count in (1, 5, 20):
-        seconds, slip = ours(count)
-        print(f"{'nsdyn':>18} {DT:7} {count:7} {1e6 * seconds:12.0f} {slip:17.1e}")
+    print(f"{'':34} {'µs per step':^23} {'slip in':>8}")
+    print(f"{'engine':>18} {'dt [s]':>7} {'robots':>7} {'least':>7} {'quarter':>7} {'median':>7} {'10 s [m]':>8}")
+
+    def row(engine: str, dt: float, count: int, seconds: np.ndarray, slip: float) -> None:
+        times = " ".join(f"{1e6 * s:7.0f}" for s in seconds)
+        print(f"{engine:>18} {dt:7} {count:7} {times} {slip:8.1e}", flush=True)
+
+    for count in (1, 5, 10, 20):
+        row("nsdyn", DT, count, *ours(count))
     try:
         for name, dt in product(("MuJoCo", "MuJoCo elliptic"), (DT, DT / 5)):
-            seconds, slip = mujoco(name != "MuJoCo", dt)
-            print(f"{name:>18} {dt:7} {1:7} {1e6 * seconds:12.0f} {slip:17.1e}")
+            row(name, dt, 1, *mujoco(name != "MuJoCo", dt))
     except ImportError:
         print("MuJoCo is not installed: pip install 'nsdyn[peers]'")
 

@@ -68,28 +68,37 @@ def respond(start, minv, force, bias, h, v):
 
 
 @njit(cache=True)
+def slow(M, minv, mean, bias, h):
+    """Whether a motion is slower than the bias makes it in a step."""
+    twice, scale = 0.0, 0.0
+    for i in range(bias.size):
+        for j in range(bias.size):
+            twice += mean[i] * M[i, j] * mean[j]
+            scale += bias[i] * minv[i, j] * bias[j]
+    return twice <= h * h * scale
+
+
+@njit(cache=True)
 def conserve(M, minv, v0, v1, gain, h, bias):
     """Add s M v̄ to the bias, with the s that makes h v̄·bias = gain - v̄·M Δv for the energy gained from v0 to v1.
 
-    Motions slower than gravity makes them in a step keep the bias: there s is a quotient of round-off.
+    Slow motions keep the bias: there s is a quotient of round-off.
     """
     n = bias.size
+    mean = 0.5 * (v0 + v1)
+    if slow(M, minv, mean, bias, h):
+        return
     momentum = np.zeros(n)
-    twice, kinetic, work, scale = 0.0, 0.0, 0.0, 0.0
+    twice, kinetic, work = 0.0, 0.0, 0.0
     for i in range(n):
-        response = 0.0
         for j in range(n):
-            momentum[i] += 0.5 * M[i, j] * (v0[j] + v1[j])
-            response += minv[i, j] * bias[j]
-        mean = 0.5 * (v0[i] + v1[i])
-        twice += mean * momentum[i]
+            momentum[i] += M[i, j] * mean[j]
+        twice += mean[i] * momentum[i]
         kinetic += momentum[i] * (v1[i] - v0[i])
-        work += h * mean * bias[i]
-        scale += bias[i] * response
-    if twice > h * h * scale:
-        s = (gain - kinetic - work) / (h * twice)
-        for i in range(n):
-            bias[i] += s * momentum[i]
+        work += h * mean[i] * bias[i]
+    s = (gain - kinetic - work) / (h * twice)
+    for i in range(n):
+        bias[i] += s * momentum[i]
 
 
 @njit(cache=True)
@@ -104,6 +113,16 @@ def works(M, damping, stiffness, kp, kd, tau, stretch, bias, v0, v1, v_theta, h,
         out[2] -= h * mean * damping[i] * v_theta[i]
         out[3] -= h * mean * stiffness[i] * (stretch[i] + theta * h * v_theta[i])
         out[4] += h * mean * bias[i]
+
+
+@njit(cache=True)
+def gather(x, R, joints, x_out, R_out):
+    """Poses of some joints, from (n, 3), (n, 3, 3) into x_out and R_out."""
+    for k in range(joints.size):
+        for i in range(3):
+            x_out[k, i] = x[joints[k], i]
+            for j in range(3):
+                R_out[k, i, j] = R[joints[k], i, j]
 
 
 @njit(cache=True)
