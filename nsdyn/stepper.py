@@ -398,7 +398,7 @@ class Stepper:
         h, theta, nc = self.dt, self.theta, contacts.gap.size
         # Where the gaps were looked for at the beginning they have moved since; else the rows have turned.
         moves, since = (u_begin, (1.0 - theta) * h) if fast else (bend, -0.5 * (1.0 - theta) ** 2 * h)
-        gap, mu, w, struck = np.empty(nc), contacts.mu, np.zeros_like(u_begin), np.zeros(u_begin.size // 3, np.bool_)
+        gap, mu, w, struck = np.empty(nc), contacts.mu, np.zeros(u_begin.size), np.zeros(u_begin.size // 3, np.bool_)
         some, elastic = _motion.impact_law(
             u_begin, moves, since, contacts.gap, contacts.restitution, theta * h, self.resting_speed, self.closed, gap,
             w, struck,
