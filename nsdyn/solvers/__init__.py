@@ -14,6 +14,7 @@ from nsdyn.solvers.fixed_point import FixedPoint
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Interior
 from nsdyn.solvers.interior_point import InteriorPoint
+from nsdyn.solvers.momentum import Momentum
 from nsdyn.solvers.newton import Newton
 from nsdyn.solvers.panagiotopoulos import Panagiotopoulos
 from nsdyn.solvers.pgs import PGS
@@ -33,6 +34,7 @@ __all__ = [
     "ImpulseNewton",
     "Interior",
     "InteriorPoint",
+    "Momentum",
     "Newton",
     "Panagiotopoulos",
     "Proximal",

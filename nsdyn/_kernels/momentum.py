@@ -1,0 +1,179 @@
+"""Projected Gauss–Seidel with momentum on free bodies, where W is given by its factors.
+
+The rows of Hᵀ are taken in coordinates where M = I, Ĥ = Gᵀ H with M⁻¹ = G Gᵀ, so that one array serves to read the
+velocity of a contact, u = Ĥᵀ v̂ + q, and to apply its impulse, v̂ += Ĥ_c dr: six coordinates a body, unrolled.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from nsdyn._kernels.cones import natural_error, natural_residual, project
+
+ONE = np.uint64(1)
+
+
+@njit(cache=True)
+def rows_in_unit_mass(offset, block, start, h, m_start, minv):
+    """Rows of Ĥᵀ, shape (nc, 2, 18), zeros for a missing body, and bodies (nc, 2), 0 for a missing one."""
+    G = np.zeros_like(minv)
+    for k in range(offset.size - 1):
+        b = m_start[k]
+        for j in range(6):
+            for i in range(j, 6):
+                total = minv[b + 6 * i + j]
+                for l in range(j):
+                    total -= G[b + 6 * i + l] * G[b + 6 * j + l]
+                G[b + 6 * i + j] = math.sqrt(total) if i == j else total / G[b + 7 * j]
+    out, body = np.zeros((block.shape[0], 2, 18)), np.zeros((block.shape[0], 2), np.uint64)
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                body[c, s] = k
+                for i in range(3):
+                    for l in range(6):
+                        x = h[start[c, s] + 6 * i + l]
+                        for j in range(l + 1):
+                            out[c, s, 6 * i + j] += x * G[m_start[k] + 6 * l + j]
+    return out, body
+
+
+@njit(cache=True)
+def local_steps(rows, body):
+    """1/W_NN, W_TN and 1/lambda_max(W_TT) of every contact, shape (nc, 4)."""
+    out = np.empty((rows.shape[0], 4))
+    w = np.empty((3, 3))
+    for c in range(rows.shape[0]):
+        x, y = rows[c, 0], rows[c, 1]
+        for i in range(3):
+            for j in range(i + 1):
+                total = 0.0
+                for l in range(6):
+                    total += x[6 * i + l] * x[6 * j + l] + y[6 * i + l] * y[6 * j + l]
+                w[i, j] = total
+        mean, half = 0.5 * (w[1, 1] + w[2, 2]), 0.5 * (w[1, 1] - w[2, 2])
+        out[c, 0], out[c, 1], out[c, 2] = 1.0 / w[0, 0], w[1, 0], w[2, 0]
+        out[c, 3] = 1.0 / (mean + math.sqrt(half * half + w[2, 1] * w[2, 1]))
+    return out
+
+
+@njit(cache=True, inline="always")
+def dot(x, a, v):
+    """Six products of x from a on with the vector v."""
+    return (x[a] * v[0] + x[a + 1] * v[1] + x[a + 2] * v[2]) + (x[a + 3] * v[3] + x[a + 4] * v[4] + x[a + 5] * v[5])
+
+
+@njit(cache=True, inline="always")
+def apply(x, z0, z1, z2, v):
+    """v += Ĥ_c z."""
+    for l in range(6):
+        v[l] += x[l] * z0 + x[6 + l] * z1 + x[12 + l] * z2
+
+
+@njit(cache=True)
+def sweep(rows, body, steps, scales, q, mu, v, r, x, t):
+    """One sweep in place of r = y and of v = Ĥ y; x is the last sweep's result, t shrinks where momentum was wrong.
+
+    A contact takes its normal impulse exactly and its friction by a projected gradient step. Returns the squared
+    change of r in the norm of the lambda_max(W_cc).
+    """
+    size = 0.0
+    for c in range(mu.size):
+        X, Y, V, U, d = rows[c, 0], rows[c, 1], v[body[c, 0]], v[body[c, 1]], steps[c]
+        r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
+        z0 = max(-r0, -(q[c, 0] + dot(X, 0, V) + dot(Y, 0, U)) * d[0])
+        x0 = r0 + z0
+        x1 = r1 - (q[c, 1] + dot(X, 6, V) + dot(Y, 6, U) + d[1] * z0) * d[3]
+        x2 = r2 - (q[c, 2] + dot(X, 12, V) + dot(Y, 12, U) + d[2] * z0) * d[3]
+        slip, limit = x1 * x1 + x2 * x2, mu[c] * x0
+        if slip > limit * limit:
+            f = limit / math.sqrt(slip)
+            x1 *= f
+            x2 *= f
+        z1, z2 = x1 - r1, x2 - r2
+        if z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
+            apply(X, z0, z1, z2, V)
+            apply(Y, z0, z1, z2, U)
+            r[c, 0], r[c, 1], r[c, 2] = x0, x1, x2
+            size += scales[c] * (z0 * z0 + z1 * z1 + z2 * z2)
+            if z0 * (x0 - x[c, 0]) + z1 * (x1 - x[c, 1]) + z2 * (x2 - x[c, 2]) < 0.0:
+                t[c] = max(1.0, 0.5 * t[c])
+    return size
+
+
+@njit(cache=True)
+def extrapolate(rows, body, mu, v, r, x, t):
+    """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it."""
+    for c in range(mu.size):
+        r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
+        b = (t[c] - 1.0) / (t[c] + 1.0)
+        t[c] += 0.5
+        z0, z1, z2 = b * (r0 - x[c, 0]), b * (r1 - x[c, 1]), b * (r2 - x[c, 2])
+        x[c, 0], x[c, 1], x[c, 2] = r0, r1, r2
+        if z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
+            y0, y1, y2 = project(r0 + z0, r1 + z1, r2 + z2, mu[c])
+            r[c, 0], r[c, 1], r[c, 2] = y0, y1, y2
+            y0, y1, y2 = y0 - r0, y1 - r1, y2 - r2
+            apply(rows[c, 0], y0, y1, y2, v[body[c, 0]])
+            apply(rows[c, 1], y0, y1, y2, v[body[c, 1]])
+
+
+@njit(cache=True)
+def refresh(rows, body, r, v):
+    """v = Ĥ r."""
+    v[:] = 0.0
+    for c in range(r.shape[0]):
+        r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
+        if r0 != 0.0:
+            apply(rows[c, 0], r0, r1, r2, v[body[c, 0]])
+            apply(rows[c, 1], r0, r1, r2, v[body[c, 1]])
+
+
+@njit(cache=True)
+def measure(rows, body, q, mu, scales, q_norm, r, v, u):
+    """Larger of the literature's error and the residual in m/s of an impulse r, given v = Ĥ r."""
+    for c in range(mu.size):
+        X, Y, V, U = rows[c, 0], rows[c, 1], v[body[c, 0]], v[body[c, 1]]
+        for i in range(3):
+            u[c, i] = q[c, i] + dot(X, 6 * i, V) + dot(Y, 6 * i, U)
+    flat, own = u.reshape(-1), r.reshape(-1)
+    return max(natural_residual(scales, flat, own, mu), natural_error(flat, own, mu) / q_norm)
+
+
+@njit(cache=True)
+def solve(offset, block, start, h, m_start, minv, q, mu, scales, r, tol, q_norm, max_sweeps, check, patience):
+    """Sweeps with Nesterov's momentum, which every contact loses by itself, in place of r (3 nc,).
+
+    x' = sweep(y), y = P_K(x' + b (x' - x)) with b = (t - 1)/(t + 1), t growing by 1/2 a sweep. A contact whose
+    momentum points against its own step, (y - x')·(x' - x) > 0, halves its t; when a sweep changes r by 1.4 times the
+    least change so far, all contacts start anew. Unlike combinations of past iterates this survives contacts that
+    change their state one after the other, as a pile's do while impulses travel through it. Every `check` sweeps both
+    measures are tested; r keeps the best. After `patience` sweeps without a better one the method gives up. Returns
+    (sweeps, measure of r).
+    """
+    nc = mu.size
+    rows, body = rows_in_unit_mass(offset, block, start, h, m_start, minv)
+    steps = local_steps(rows, body)
+    q3, best_r = q.reshape(-1, 3), r.reshape(-1, 3)
+    y, x, u = best_r.copy(), best_r.copy(), np.empty((nc, 3))
+    v, t = np.zeros((offset.size - 1, 6)), np.ones(nc)
+    refresh(rows, body, y, v)
+    best = measure(rows, body, q3, mu, scales, q_norm, y, v, u)
+    k, last, least = 0, 0, np.inf
+    while best > tol and k < max_sweeps and k - last < patience:
+        k += 1
+        size = sweep(rows, body, steps, scales, q3, mu, v, y, x, t)
+        if k % check == 0:
+            refresh(rows, body, y, v)  # what the updates leave of round-off
+            now = measure(rows, body, q3, mu, scales, q_norm, y, v, u)
+            if now < best:
+                best, last = now, k
+                best_r[:] = y
+        if size > 2.0 * least:
+            t[:] = 1.0
+            least = size
+        least = min(least, size)
+        extrapolate(rows, body, mu, v, y, x, t)
+    return k, best

@@ -1,0 +1,81 @@
+"""Sweeps with momentum, and the piles that `auto` gives to them."""
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+from nsdyn._kernels import newton as _newton
+from nsdyn.problem import Status
+
+
+def settling(steps: int = 60) -> nd.FC3D:
+    """A step's problem of 64 spheres that have just fallen into a box."""
+    scene, material = nd.Scene(), nd.Material(mu=0.5)
+    scene.add_halfspace("ground", material=material)
+    for k, normal in enumerate([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)]):
+        scene.add_halfspace(f"wall{k}", normal=normal, offset=-0.37, material=material)
+    rng = np.random.default_rng(0)
+    for k in range(64):
+        cell = np.array([k % 4 - 1.5, k // 4 % 4 - 1.5, k // 16 + 0.6]) * 0.18
+        cell[:2] += rng.uniform(-0.005, 0.005, 2)
+        scene.add_sphere(f"ball{k}", 0.08, 1.0, position=cell, material=material)
+    stepper = nd.Stepper(scene, dt=5e-3, solver=nd.solvers.Auto(tol=1e-4))
+    for _ in range(steps):
+        problem = stepper.step().problem
+    return problem
+
+
+@pytest.fixture(scope="module")
+def pile() -> nd.FC3D:
+    return settling()
+
+
+def test_solves_a_pile_from_nothing(pile: nd.FC3D) -> None:
+    solution = nd.solvers.Momentum(tol=1e-6)(pile)
+    assert solution.converged
+    assert pile.nc > 80
+    exact = nd.solve(pile, tol=1e-10)
+    # Velocities are unique where the friction is moderate: a hundred times the tolerance is what a pile amplifies.
+    assert np.abs(solution.u - exact.u).max() < 1e-4
+
+
+def test_momentum_beats_plain_sweeps(pile: nd.FC3D) -> None:
+    plain = nd.solvers.PGS(tol=1e-6, memory=0)(pile)
+    assert nd.solvers.Momentum(tol=1e-6)(pile).iterations < 0.5 * plain.iterations
+
+
+def test_a_guess_that_solves_costs_nothing(pile: nd.FC3D) -> None:
+    r = nd.solvers.Momentum(tol=1e-6)(pile).r
+    again = nd.solvers.Momentum(tol=1e-6)(pile, r)
+    assert again.iterations == 0
+    assert np.array_equal(again.r, r)
+
+
+def test_gives_up_without_gain(pile: nd.FC3D) -> None:
+    solution = nd.solvers.Momentum(tol=1e-17, patience=500)(pile)
+    assert solution.status is Status.STALLED
+
+
+def test_refuses_what_is_not_made_of_free_bodies(pile: nd.FC3D) -> None:
+    with pytest.raises(ValueError, match="factors of free bodies"):
+        nd.solvers.Momentum()(nd.FC3D(pile.W, pile.q, pile.mu))
+
+
+def graph(pairs: np.ndarray, count: int) -> float:
+    """Work of eliminating `count` bodies with contacts between those pairs."""
+    return float(_newton.elimination_work(np.arange(0, 6 * count + 1, 6), pairs))
+
+
+def test_work_of_an_elimination() -> None:
+    """A chain's front holds one neighbour, n = 6 w = 12 at most; a square's is its side."""
+    chain = np.stack([np.arange(99), np.arange(1, 100)], axis=1)
+    assert graph(chain, 100) == 99 * 6 * 12**2 + 6 * 6**2
+    side = np.arange(100).reshape(10, 10)
+    square = np.concatenate([
+        np.stack([side[:, :-1].ravel(), side[:, 1:].ravel()], axis=1),
+        np.stack([side[:-1].ravel(), side[1:].ravel()], axis=1),
+    ])  # fmt: skip
+    # On average between a third of the side's front and all of it, in squares.
+    assert 600 * (60 / 3) ** 2 < graph(square, 100) < 600 * 72**2
+    apart = np.stack([np.arange(100), np.full(100, -1)], axis=1)
+    assert graph(apart, 100) == 600 * 6**2
