@@ -241,7 +241,7 @@ class Stepper:
         self.closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(self.closed, self.solver.tol * self.dt)
-        self._projection = Auto(tol=self.closed)
+        self._projection = Auto(tol=self.closed / self.dt)
         # What a warm start within the tolerance leaves of the velocities is part of the next impulses that are solved
         # for, which start the step after them as wrong as that. Accepted there, it would stay for ever.
         self._strict = replace(self.solver, accept=0.4) if isinstance(self.solver, Auto) else self.solver
@@ -482,7 +482,7 @@ class Stepper:
     def _project(self, moved: Position, rows: Rows, gap: Array, leaving: NDArray[np.bool_]) -> tuple[Position, Array]:
         """Positions without penetration, the closest in the kinetic metric, and their gaps.
 
-        min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0: a frictionless contact problem in positions, on the gaps g at the end of the
+        min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0: a frictionless contact problem for δ/h, on the gaps g at the end of the
         step, linear in the motion. Contacts that are `leaving` are not pushed. Where nothing penetrates, or nothing
         helps, `moved` itself is returned.
         """
@@ -490,13 +490,13 @@ class Stepper:
         if held.min(initial=0.0) >= -self.closed:
             return moved, gap
         g = np.zeros(3 * gap.size)
-        g[0::3] = held
+        g[0::3] = held / self.dt  # like the velocities of the step, in size and in tolerance
         shift = self._projection(FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size)))
-        lifted = gap + (shift.u - g)[0::3]
+        lifted = gap + self.dt * (shift.u - g)[0::3]
         # A body squeezed between others has no position without overlap: an answer that does not help may be anything.
         if not shift.converged and np.where(leaving, 0.0, lifted).min() < 0.5 * held.min():
             return moved, gap
-        return self.dynamics.advance(moved, rows.velocity_change(shift.r), 1.0), lifted
+        return self.dynamics.advance(moved, rows.velocity_change(shift.r), self.dt), lifted
 
     def _check_overlap(self, geoms: list[Geom], position: Position) -> None:
         """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
