@@ -263,7 +263,7 @@ def least_constraint(
     # Relative velocities along the motion with v held, of the same contacts, in world axes and along their normals.
     size = min((g.shape.bounding_radius for g in geoms if g.frame >= 0), default=1.0)
     twists = d.surfaces.twists(t)
-    rate = float((d.reach(v, 1e-9, twists, twists) / 1e-9).max(initial=0.0))
+    rate = float((d.reach(v, 1e-9, twists, twists)[0] / 1e-9).max(initial=0.0))
     p = np.zeros((found.key.size, 3))
     if rate > 0.0 and v.any():
         step = REACH * size / rate

@@ -242,9 +242,9 @@ class Detector:
             self._pair_base, self._reach, self._max_points, *self._scratch, self._point, self._normal, self._gap,
             self._pair,
         )  # fmt: skip
-        geom1, geom2, frame1, frame2, key = (np.empty(count, np.int64) for _ in range(5))
-        point, normal, local1, local2 = (np.empty((count, 3)) for _ in range(4))
-        gap, mu, restitution = np.empty(count), np.empty(count), np.empty(count)
+        geom1, geom2, frame1, frame2, key = np.empty((5, count), np.int64)
+        point, normal, local1, local2 = np.empty((4, count, 3))
+        gap, mu, restitution = np.empty((3, count))
         manifold.collect(
             self._pair, self._first, self._second, self._frame, self._mu, self._restitution, self._point, self._normal,
             self._gap, geom1, geom2, frame1, frame2, mu, restitution, point, normal, gap,

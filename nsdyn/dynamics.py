@@ -104,7 +104,7 @@ class Dynamics:
         self.mass = np.array([b.mass for b in bodies])
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
         self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
-        self.inscribed = np.array([b.shape.inscribed_radius for b in bodies])
+        self._inscribed = np.array([b.shape.inscribed_radius for b in bodies])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self.trees: list[Tree] = []
         start, first = 6 * self.free, self.free
@@ -316,20 +316,21 @@ class Dynamics:
         pressed = np.flatnonzero(joints.press)
         return Rows(self.joints.append(joints, contacts), bases, contacts.nc + pressed, joints.press[pressed])
 
-    def reach(self, v: Array, h: float, begun: Array, ended: Array) -> Array:
-        """How far any point of each frame's shapes may move in a step of h, m, shape (frames,).
+    def reach(self, v: Array, h: float, begun: Array, ended: Array) -> tuple[Array, bool]:
+        """How far any point of each frame's shapes may move in a step of h, m, shape (frames,); whether one is fast.
+
+        A free body that moves farther than its inscribed radius may pass through another within half a step.
 
         Driven bodies have the velocities `begun` and `ended` (surfaces, 2, 3) at its beginning and its end.
         """
         out = np.zeros(self.frames)
-        if self.free:
-            _motion.reach(v, self.gravity, h, self.radius, out)
+        fast = _motion.reach(v, self.gravity, h, self.radius, self._inscribed, out)
         for t in self.trees:
             part = self.x[t.frames], t.support, t.J, v[t.coordinates], h, t.radius, h * h * self._fall, out[t.frames]
             _trees.link_reach(*part)
         if self.surfaces.count:
             self.surfaces.reach(h * np.maximum(np.abs(begun), np.abs(ended)), out)
-        return out
+        return out, fast
 
     def energies(self, position: Position, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy, J; potential energy is 0 at the world's origin."""

@@ -19,7 +19,33 @@ from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import Array, Index
 
-__all__ = ["History", "foresee_slip", "forget_stopped", "slip_status"]
+__all__ = ["Encounter", "History", "foresee_slip", "has_stopped", "slip_status"]
+
+
+@dataclass(frozen=True, eq=False)
+class Encounter:
+    """What a step begins with at its contacts, in their frames, then at its joint rows.
+
+    Attributes
+    ----------
+    u_before, u_free : ndarray, shape (3 rows,)
+        Relative velocities at v_k, and without impulses at the end of the step, with the rows of now, m/s.
+    bend : ndarray, shape (3 rows,)
+        h dHᵀ/dt v, what the rows turn in a step as far as it can be foreseen, m/s.
+    turn : ndarray, shape (nc, 3)
+        For the next `History`.
+    slides : ndarray of bool, shape (nc,), or None
+        Contacts that slid in the last step, None if there are none.
+    guess : ndarray, shape (3 rows,)
+        Last impulses of the contacts that are still there and of the joint rows, N·s.
+    """
+
+    u_before: Array
+    u_free: Array
+    bend: Array
+    turn: Array
+    slides: NDArray[np.bool_] | None
+    guess: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,36 +100,39 @@ class History:
             push=ratio * self.push, joints=ratio * self.joints,
         )  # fmt: skip
 
-    def warm_start(self, contacts: ContactSet, frame: Array, joints: JointRows | None) -> Array:
-        """Last impulses of the contacts that are still there, in the frames of now, and of the joint rows, N·s."""
-        r = np.empty(3 * contacts.key.size)
-        _motion.warm_start(self.key, self.impulse, contacts.key, frame, r)
-        return r if joints is None else np.concatenate((r, self.joints[joints.slot].ravel()))
-
-    def turning(self, contacts: ContactSet, frame: Array, u: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """h dHᵀ/dt v of the contacts that were closed.
+    def meet(
+        self,
+        contacts: ContactSet,
+        joints: JointRows | None,
+        rows: Rows,
+        frame: Array,
+        velocities: tuple[Array, Array],
+        drags: tuple[Array, Array],
+    ) -> Encounter:
+        """What a step begins with at its contacts and joint rows.
 
         Parameters
         ----------
         contacts : ContactSet
+        joints : JointRows, optional
+        rows : Rows
         frame : ndarray, shape (nc, 3, 3)
-        u : ndarray, shape (3 rows,)
-            Relative velocities at v_k with the rows of now, contacts first.
-
-        Returns
-        -------
-        foreseen : ndarray, shape (3 rows,)
-            Contact frames, m/s; 0 beyond the contacts.
-        turn : ndarray, shape (nc, 3)
-            For the next `History`.
-        slides : ndarray of bool, shape (nc,)
-            Which of them slid.
+        velocities : (v, v_free)
+            At the beginning of the step, and at its end without impulses.
+        drags : two ndarrays of shape (3 rows,)
+            What sliding surfaces add to the relative velocities then, m/s.
         """
-        nc = contacts.key.size
-        foreseen, turn, slides = np.zeros_like(u), np.empty((nc, 3)), np.empty(nc, np.bool_)
-        last = self.key, self.status, self.normal, self.velocity, self.turn
-        _motion.turning(*last, contacts.key, frame, u, foreseen, turn, slides)
-        return foreseen, turn, slides
+        nc, full = contacts.key.size, rows.full
+        u_before, u_free, guess = np.empty((3, 3 * full.nc))
+        bend, turn, slides = np.zeros(3 * full.nc), np.empty((nc, 3)), np.empty(nc, np.bool_)
+        some = _motion.meet(
+            full.offset, full.block, full.start, full.h, *velocities, *drags, rows.press, self.key, self.status,
+            self.normal, self.velocity, self.turn, self.impulse, contacts.key, frame, u_before, u_free, bend, turn,
+            slides, guess,
+        )  # fmt: skip
+        if joints is not None:
+            guess[3 * nc :] = self.joints[joints.slot].ravel()
+        return Encounter(u_before, u_free, bend, turn, slides if some else None, guess)
 
     def after(
         self,
@@ -118,42 +147,34 @@ class History:
         solved: bool,
     ) -> History:
         """History after a step with impulses r (rows, 3), their change of v, and relative velocities u at v_{k+1}."""
-        impulse, velocity = np.empty_like(turn), np.empty_like(turn)
-        _motion.to_world(frame, r, impulse)
-        _motion.to_world(frame, u.reshape(-1, 3), velocity)
-        agreed = np.minimum(np.abs(change), np.abs(self.change))
-        push = np.where(change * self.change > 0.0, np.copysign(agreed, change), 0.0)
+        (impulse, velocity), push = np.empty((2, *turn.shape)), np.empty_like(change)
+        _motion.leave(frame, r, u, change, self.change, impulse, velocity, push)
         return History(contacts.key, status, contacts.normal, impulse, velocity, turn, change, push, joints, solved)
 
 
-def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, slides: NDArray[np.bool_], guess: Array) -> Array:
+def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, met: Encounter) -> Array | float:
     """Offset of tangential velocities that lets friction oppose the slip of the middle of the step, shape (3 rows,).
+
+    0 where nothing slides.
 
     Parameters
     ----------
     rows : Rows
     u_begin, u_free : ndarray, shape (3 rows,)
         Relative velocities at the beginning of the step, and at its end without impulses, m/s.
-    slides : ndarray of bool, shape (nc,)
-        Contacts that slide.
-    guess : ndarray, shape (3 rows,)
-        Impulses to expect, N·s.
+    met : Encounter
     """
+    if met.slides is None:
+        return 0.0
     curve = np.zeros_like(u_begin)
-    if slides.any():
-        u_end = u_free + rows.full.relative_velocity(rows.velocity_change(guess))
-        _motion.curve(u_begin, u_end, slides, curve)
+    u_end = u_free + rows.full.relative_velocity(rows.velocity_change(met.guess))
+    _motion.curve(u_begin, u_end, met.slides, curve)
     return curve
 
 
-def forget_stopped(u: Array, r: Array, mu: Array, curve: Array) -> bool:
-    """Put `curve` to 0 if a contact that was to slide on has stopped, and tell whether one has."""
-    if not curve.any():
-        return False
-    stopped = bool(curve[: 3 * mu.size].reshape(-1, 3)[slip_status(u, r, mu) == 1].any())
-    if stopped:
-        curve[:] = 0.0
-    return stopped
+def has_stopped(u: Array, r: Array, mu: Array, curve: Array | float) -> bool:
+    """Whether a contact that was to slide on, with an offset in `curve`, has stopped."""
+    return not isinstance(curve, float) and bool(_motion.stopped(u, r, mu, curve))
 
 
 def slip_status(u: Array, r: Array, mu: Array) -> NDArray[np.int8]:

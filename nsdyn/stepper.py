@@ -18,7 +18,7 @@ from nsdyn._kernels import motion as _motion
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.history import History, foresee_slip, forget_stopped, slip_status
+from nsdyn.history import History, foresee_slip, has_stopped, slip_status
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
@@ -298,9 +298,8 @@ class Stepper:
         v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, s.history.push, *callbacks)
 
         # Contacts, joint limits and joint friction, and their impact law.
-        reach = d.reach(s.v, h, begun, ended)
-        fast = self._outruns_contacts(reach)
-        if fast:
+        reach, fast = d.reach(s.v, h, begun, ended)
+        if fast:  # then contacts are looked for where the step begins, and their gaps extrapolated to the midpoint
             d.place(s.position)
         self.detector.candidates(d.x, d.R, reach)
         t_broad = clock()
@@ -312,34 +311,34 @@ class Stepper:
         rows = d.rows(blocks, joints)
         where = contacts, frame, middle.driven_x, rows.full.nc
         drag, drag_after = d.surfaces.drag(*where, begun), d.surfaces.drag(*where, ended)
-        u_before = rows.full.relative_velocity(s.v) + drag
+        met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after))
         # The rows turn by `bend` a step: velocities at its beginning and at its end have rows of their own.
-        bend, turn, slides = s.history.turning(contacts, frame, u_before)
-        u_begin = u_before - (1.0 - theta) * bend
-        u_free = rows.full.relative_velocity(v_free) + rows.press + drag_after + theta * bend
-        gap, mu, w, struck = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
+        bend = met.bend
+        u_begin = met.u_before - (1.0 - theta) * bend
+        u_free = met.u_free + theta * bend
+        gap, mu, w, struck, elastic = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
         q, returned = self._expand(rows, contacts.restitution, mu, u_begin, u_free, w, struck)
-        guess = s.history.warm_start(contacts, frame, joints)
-        curve = foresee_slip(rows, u_begin, q, slides, guess)
+        curve = foresee_slip(rows, u_begin, q, met)
         problem = FC3D.from_blocks(rows.blocks, q + w + curve, mu)
         t_assembly = clock()
 
         # The frictional contact problem.
-        solution = (self._strict if s.history.solved else self.solver)(problem, guess)
-        postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w)
-        if forget_stopped(solution.u, solution.r + returned, contacts.mu, curve) or postponed.any():
-            problem = FC3D.from_blocks(rows.blocks, q + w + curve, mu)
+        solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
+        postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w) if elastic else None
+        stopped = has_stopped(solution.u, solution.r + returned, contacts.mu, curve)
+        if stopped or postponed is not None:
+            problem = FC3D.from_blocks(rows.blocks, q + w + (0.0 if stopped else curve), mu)
             solution = self.solver(problem, solution.r)
         t_solve = clock()
         if not solution.converged:
-            self._fail(problem, solution, v_free if rows.blocks is rows.full else None, guess)
+            self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
         impulse = solution.r + returned
         change = rows.velocity_change(impulse)
         v = v_free + change
 
         # Positions, and what penetration is left in them.
         v_theta = theta * v + (1.0 - theta) * s.v
-        moved = d.advance(s.position, v_theta, h, theta * ended + (1.0 - theta) * begun)
+        moved = d.advance(s.position, v_theta, h, d.surfaces.mean(begun, ended, theta))
         u_after = rows.full.relative_velocity(v) + drag_after
         u = u_after + theta * bend
         nc = contacts.gap.size
@@ -348,13 +347,16 @@ class Stepper:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side, or a link of a mechanism in its guide.
             ahead = gap + h * (u + theta * (u_free - u_begin))[0::3]
-            leaving = ((struck & (ahead >= 0.0)) | postponed) & (not fast)
+            leaving = np.zeros(gap.size, np.bool_) if struck is None else struck & (ahead >= 0.0)
+            if postponed is not None:
+                leaving |= postponed
+            leaving &= not fast
             if d.trees:
                 leaving[:nc] &= ~d.held(contacts)
             end, gap = self._project(moved, rows, gap, leaving)
 
         # Certificate, ledger, record.
-        normal, friction = energy.contact_works(u_before, u_after, impulse)
+        normal, friction = energy.contact_works(met.u_before, u_after, impulse)
         driving = -0.5 * float((drag + drag_after) @ impulse) if d.surfaces.count else 0.0
         step_energy = energy.ledger(
             d,
@@ -368,11 +370,11 @@ class Stepper:
             float(friction.sum()),
             driving,
         )
-        created = max(0.0, float((normal + friction)[:nc].sum())) if struck.any() else 0.0
+        created = max(0.0, float((normal + friction)[:nc].sum())) if struck is not None else 0.0
         r = impulse.reshape(-1, 3)
         status = slip_status(solution.u, impulse, contacts.mu)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
-        history = s.history.after(contacts, status, frame, change, r, u_after, turn, slots, solution.iterations > 0)
+        history = s.history.after(contacts, status, frame, change, r, u_after, met.turn, slots, solution.iterations > 0)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
         q_out, v_out = d.pinocchio_state(end, v)
         x, quaternion = d.poses(end)
@@ -388,24 +390,27 @@ class Stepper:
 
     def _impact_law(
         self, contacts: ContactSet, joints: JointRows | None, u_begin: Array, u_free: Array, bend: Array, fast: bool
-    ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """(gap, mu, w, struck) of contacts, then joint rows.
+    ) -> tuple[Array, Array, Array, NDArray[np.bool_] | None, bool]:
+        """(gap, mu, w, struck, elastic) of contacts, then joint rows.
 
-        Gaps at the midpoint, offsets of the impact law, and which contacts have an impact.
+        Gaps at the midpoint, offsets of the impact law, which contacts have an impact (None if none has), and whether
+        any could have one.
         """
         h, theta, nc = self.dt, self.theta, contacts.gap.size
-        moves = u_begin if fast else -0.5 * (1.0 - theta) * bend
-        gap, mu, w = contacts.gap + (1.0 - theta) * h * moves[0 : 3 * nc : 3], contacts.mu, np.zeros_like(u_begin)
-        w_N = w[0::3]
-        _motion.impact_law(u_begin, gap, contacts.restitution, theta * h, self.resting_speed, self.closed, w_N[:nc])
-        if joints is not None:
+        # Where the gaps were looked for at the beginning they have moved since; else the rows have turned.
+        moves, since = (u_begin, (1.0 - theta) * h) if fast else (bend, -0.5 * (1.0 - theta) ** 2 * h)
+        gap, mu, w, struck = np.empty(nc), contacts.mu, np.zeros_like(u_begin), np.zeros(u_begin.size // 3, np.bool_)
+        some, elastic = _motion.impact_law(
+            u_begin, moves, since, contacts.gap, contacts.restitution, theta * h, self.resting_speed, self.closed, gap,
+            w, struck,
+        )  # fmt: skip
+        if joints is not None:  # a joint that rebounds half a step late is behind its limit, and counts as not struck
             u, free = u_begin[3 * nc :], u_free[3 * nc :]
-            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, self.closed, w_N[nc:])
+            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, self.closed, w[3 * nc :: 3])
             gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
-        struck = w_N < 0.0
-        struck[nc:] = False  # a joint that rebounds half a step late is behind its limit
-        impacts.apply(self.impact, u_begin, struck, w)
-        return gap, mu, w, struck
+        if some:
+            impacts.apply(self.impact, u_begin, struck, w)
+        return gap, mu, w, struck if some else None, elastic
 
     def _expand(
         self,
@@ -415,10 +420,10 @@ class Stepper:
         u_begin: Array,
         u_free: Array,
         w: Array,
-        struck: NDArray[np.bool_],
+        struck: NDArray[np.bool_] | None,
     ) -> tuple[Array, Array | float]:
         """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, 0) without."""
-        if self.impact != "poisson" or not struck.any():
+        if self.impact != "poisson" or struck is None:
             return u_free, 0.0
         compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (u_begin + u_free) + w, mu))
         r = impacts.returned(compression.r, np.append(restitution, np.zeros(mu.size - restitution.size)))
@@ -435,17 +440,10 @@ class Stepper:
             self.controller(t, q, v) if self.controller else None,
         )
 
-    def _outruns_contacts(self, reach: Array) -> bool:
-        """Whether a body may pass through another within half a step.
-
-        Then contacts are looked for where the step begins, and their gaps are extrapolated to the midpoint.
-        """
-        return bool((reach[: self.dynamics.free] > self.dynamics.inscribed).any())
-
     def _postpone(
         self, problem: FC3D, solution: Solution, restitution: Array, u_begin: Array, w: Array
-    ) -> NDArray[np.bool_]:
-        """Leave impacts that others of this step provoke to the next one, in `w`; tells which of the rows.
+    ) -> NDArray[np.bool_] | None:
+        """Leave impacts that others of this step provoke to the next one, in `w`; tells which of the rows, if any.
 
         A contact with e > 0 that is open or opening gets no impact law, and what closes it within the step would make
         it perfectly plastic. Where without it the bodies would meet faster than those that rest, w lets them pass.
@@ -463,7 +461,7 @@ class Stepper:
             free = self.solver(FC3D.from_blocks(problem.blocks, problem.q + away, problem.mu), solution.r)
             late &= (free.u - away - w)[0::3] < -self.resting_speed
             w[0::3][late] += away[0::3][late]
-        return late
+        return late if late.any() else None
 
     def _fail(self, problem: FC3D, solution: Solution, v_free: Array | None, guess: Array) -> None:
         message = (

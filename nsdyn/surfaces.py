@@ -41,6 +41,10 @@ class Surfaces:
         """(linear, angular) velocities at time t, shape (surfaces, 2, 3), m/s and rad/s, world axes."""
         return np.array([m.twist(t) for m in self._motions]) if self.count else NONE
 
+    def mean(self, begun: Array, ended: Array, theta: float) -> Array:
+        """(1 - θ) begun + θ ended."""
+        return (1.0 - theta) * begun + theta * ended if self.count else begun
+
     def advance(self, x: Array, quaternion: Array, step: Array) -> tuple[Array, Array]:
         """Poses of the driven bodies after small displacements (surfaces, 2, 3) in world axes."""
         step = step[: self._driven]
@@ -56,11 +60,11 @@ class Surfaces:
             length = np.linalg.norm(step[: self._driven], axis=2)
             out[-self._driven :] = length[:, 0] + length[:, 1] * self._radius
 
-    def drag(self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, twist: Array) -> Array | float:
+    def drag(self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, twist: Array) -> Array:
         """What the surfaces add to the relative velocities of the contacts, shape (3 rows,), 0 beyond them, m/s."""
-        if not self.count:
-            return 0.0
         w = np.zeros(3 * rows)
+        if not self.count:
+            return w
         origin = self._origin.copy()
         origin[: self._driven] = driven_x
         fields = self._motion_of_geom, origin, twist[:, 0].copy(), twist[:, 1].copy(), self._slides

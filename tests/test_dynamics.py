@@ -172,5 +172,5 @@ def test_links_reach_as_far_as_their_shapes():
     speed = np.hypot(1.0 - 10.0 * y, 10.0 * x)
     still = dynamics.surfaces.twists(0.0)
     np.testing.assert_allclose(
-        dynamics.reach(v, 1e-3, still, still), 1e-3 * (speed + 10.0 * 0.005) + 9.81e-6, rtol=1e-12
+        dynamics.reach(v, 1e-3, still, still)[0], 1e-3 * (speed + 10.0 * 0.005) + 9.81e-6, rtol=1e-12
     )

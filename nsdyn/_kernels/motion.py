@@ -9,6 +9,8 @@ import math
 import numpy as np
 from numba import njit
 
+from nsdyn._kernels.blocks import relative_velocity
+
 
 @njit(cache=True)
 def integrate(x, quaternion, v, h, x_out, quaternion_out):
@@ -174,14 +176,20 @@ def free_velocity(J, inverse_mass, gravity, force, torque, h, v, kick, v_free, g
 
 
 @njit(cache=True)
-def reach(v, gravity, h, radius, out):
-    """Bound on how far any point of each free body moves in a step of h, in m, into out (n,)."""
+def reach(v, gravity, h, radius, inscribed, out):
+    """Bound on how far any point of each free body moves in a step of h, m, into out (n,); whether one is too fast.
+
+    That is, moves farther than the radius of the ball `inscribed` in it.
+    """
+    fast = False
     fall = h * h * math.sqrt(gravity[0] ** 2 + gravity[1] ** 2 + gravity[2] ** 2)
     for b in range(radius.size):
         i = 6 * b
         speed = math.sqrt(v[i] ** 2 + v[i + 1] ** 2 + v[i + 2] ** 2)
         spin = math.sqrt(v[i + 3] ** 2 + v[i + 4] ** 2 + v[i + 5] ** 2)
         out[b] = h * (speed + spin * radius[b]) + fall
+        fast = fast or out[b] > inscribed[b]
+    return fast
 
 
 @njit(cache=True)
@@ -239,18 +247,26 @@ def free_rows(frame1, frame2, point, frame, x, R, free, start, h):
 
 
 @njit(cache=True)
-def impact_law(u, gap, restitution, h_theta, resting_speed, closed, w):
-    """Normal offset w_N of the impact law, so that u_N + w_N >= 0 is what the step demands, into w (nc,).
+def impact_law(u, moves, before, found, restitution, h_theta, resting_speed, closed, gap, w, struck):
+    """Gaps at the midpoint and the offsets w with u_N + w_N >= 0 at the end, into gap (nc,) and w (3 rows,).
 
-    An impact (e > 0, approach faster than resting_speed, closing by the end of the step) gets Newton's law,
-    w = e u_N⁻; an open contact may close its gap, w = gap / (theta h); one with gap <= closed has w = 0.
+    The gaps were `found` (nc,), `before` seconds ago if they changed with the speeds `moves`. An impact (e > 0,
+    approach faster than resting_speed, closing by the end of the step) gets Newton's law, w_N = e u_N⁻, and is marked
+    in `struck`; an open contact may close its gap, w_N = gap / (theta h); one with gap <= closed has w_N = 0. Returns
+    whether any contact is struck, and whether any has e > 0.
     """
-    for c in range(gap.size):
+    some, elastic = False, False
+    for c in range(found.size):
         approach = u[3 * c]
-        if restitution[c] > 0.0 and approach < -resting_speed and gap[c] + h_theta * approach <= 0.0:
-            w[c] = restitution[c] * approach
-        else:
-            w[c] = gap[c] / h_theta if gap[c] > closed else 0.0
+        gap[c] = found[c] + before * moves[3 * c]
+        elastic = elastic or restitution[c] > 0.0
+        struck[c] = restitution[c] > 0.0 and approach < -resting_speed and gap[c] + h_theta * approach <= 0.0
+        some = some or struck[c]
+        if struck[c]:
+            w[3 * c] = restitution[c] * approach
+        elif gap[c] > closed:
+            w[3 * c] = gap[c] / h_theta
+    return some, elastic
 
 
 @njit(cache=True)
@@ -270,6 +286,17 @@ def curve(u_begin, u_end, slides, w):
             across = 0.5 * (x * dy - y * dx) / (x * x + y * y)
             w[i + 1] = across * y
             w[i + 2] = -across * x
+
+
+@njit(cache=True)
+def stopped(u, r, mu, curve):
+    """Whether a contact with an offset `curve` (3 rows,) sticks."""
+    status = np.empty(mu.size, np.int8)
+    contact_status(u, r, mu, status)
+    for c in range(mu.size):
+        if status[c] == 1 and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0):
+            return True
+    return False
 
 
 @njit(cache=True)
@@ -345,49 +372,83 @@ def pinocchio_layout(quaternion, R, x, v, q_out, v_out):
 
 
 @njit(cache=True)
-def to_world(frame, r, out):
-    """Impulses r (nc, 3) in the contact frames, in world axes, into out (nc, 3)."""
-    for c in range(out.shape[0]):
+def leave(frame, r, u, change, last_change, impulse, velocity, push):
+    """Impulses r (rows, 3) and velocities u (3 rows,) in world axes, into impulse and velocity (nc, 3).
+
+    What `change` and `last_change` (n,) agree on, the smaller of two of one sign, into push (n,).
+    """
+    for c in range(frame.shape[0]):
         for j in range(3):
-            out[c, j] = frame[c, 0, j] * r[c, 0] + frame[c, 1, j] * r[c, 1] + frame[c, 2, j] * r[c, 2]
+            a, b, d = frame[c, 0, j], frame[c, 1, j], frame[c, 2, j]
+            impulse[c, j] = a * r[c, 0] + b * r[c, 1] + d * r[c, 2]
+            velocity[c, j] = a * u[3 * c] + b * u[3 * c + 1] + d * u[3 * c + 2]
+    for i in range(change.size):
+        push[i] = 0.0
+        if change[i] * last_change[i] > 0.0:
+            push[i] = change[i] if abs(change[i]) < abs(last_change[i]) else last_change[i]
 
 
 @njit(cache=True)
-def warm_start(old_key, impulse, new_key, frame, r):
+def meet(
+    offset, block, start, h, v, v_free, drag, drag_after, press, old_key, status, old_normal, velocity, old_turn,
+    impulse, key, frame, u_before, u_free, foreseen, turn, slides, guess,
+):  # fmt: skip
+    """Relative velocities at v and at v_free, `turning` and `warm_start` of a step; whether any contact slides."""
+    relative_velocity(offset, block, start, h, v, u_before)
+    u_before += drag
+    relative_velocity(offset, block, start, h, v_free, u_free)
+    place = places(old_key, key)
+    warm_start(place, impulse, frame, guess)
+    turning(place, status, old_normal, velocity, old_turn, frame, u_before, foreseen, turn, slides)
+    for i in range(u_free.size):
+        u_free[i] += press[i] + drag_after[i]
+    return slides.any()
+
+
+@njit(cache=True)
+def places(old_key, new_key):
+    """Where every new key stands among the old ones, -1 where it does not."""
+    out = np.full(new_key.size, -1)
+    known = 0
+    while known < min(old_key.size, new_key.size) and old_key[known] == new_key[known]:
+        out[known] = known
+        known += 1
+    if known < new_key.size:
+        order = np.argsort(old_key)
+        keys = old_key[order]
+        place = np.searchsorted(keys, new_key)
+        for c in range(known, new_key.size):
+            if place[c] < order.size and keys[place[c]] == new_key[c]:
+                out[c] = order[place[c]]
+    return out
+
+
+@njit(cache=True)
+def warm_start(place, impulse, frame, r):
     """World impulses of old contacts in the frames of those that continue them, 0 for new ones, into r (3 nc,)."""
-    order = np.argsort(old_key)
-    keys = old_key[order]
-    place = np.searchsorted(keys, new_key)
-    for c in range(new_key.size):
-        known = place[c] < order.size and keys[place[c]] == new_key[c]
+    for c in range(place.size):
         for i in range(3):
             r[3 * c + i] = 0.0
-            if known:
-                p = impulse[order[place[c]]]
+            if place[c] >= 0:
+                p = impulse[place[c]]
                 r[3 * c + i] = frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2]
 
 
 @njit(cache=True)
-def turning(old_key, status, old_normal, velocity, old_turn, new_key, frame, u, foreseen, turn, slides):
+def turning(place, status, old_normal, velocity, old_turn, frame, u, foreseen, turn, slides):
     """Change of relative velocity by the turning of the rows, in a step of the contacts that were not open in the last.
 
     World axes: turn = Hᵀ v - (what it was with the rows of the last step, turned with the normal by the least
     rotation), 0 for other contacts, into turn (nc, 3). In the contact frames: the shorter of it and the last one where
-    their angle is acute, else 0, into foreseen (3 nc,). Which of them slid, into slides (nc,).
+    their angle is acute, into foreseen (3 nc,), 0 before. Which of them slid, into slides (nc,).
     """
-    order = np.argsort(old_key)
-    keys = old_key[order]
-    place = np.searchsorted(keys, new_key)
     a = np.empty(3)
-    for c in range(new_key.size):
+    for c in range(place.size):
         for i in range(3):
-            foreseen[3 * c + i] = 0.0
             turn[c, i] = 0.0
         slides[c] = False
-        if place[c] == order.size or keys[place[c]] != new_key[c]:
-            continue
-        k = order[place[c]]
-        if status[k] == 0:
+        k = place[c]
+        if k < 0 or status[k] == 0:
             continue
         slides[c] = status[k] == 2
         n, m, x = frame[c, 0], old_normal[k], velocity[k]

@@ -347,7 +347,7 @@ def warm_islands(
     offset, block, start, h, m_start, m, minv, q, mu, scales, r, u, label, tol, accept, q_norm, largest, penalty,
     max_iter,
 ):  # fmt: skip
-    """`dense` on every island of at most `largest` coordinates with measure above `tol`, in place of an r that is not 0.
+    """`dense` on every island of at most `largest` coordinates with measure above `tol`, in place of r unless r = 0.
 
     The islands into label (nc,). Returns their measures, 0 for those of a warm start that end within `accept` times
     0.9 / sqrt(number of islands), and the factorisations.
