@@ -69,8 +69,8 @@ def test_slider_crank_converges_and_stays_in_its_guide():
     # Gaps within a step are linear in the motion: h² of what turns at 150 rad/s is left. The bar is met at the last.
     assert depth[2e-5] <= 0.3 * depth[4e-5] and depth[5e-6] <= 1e-8
     errors = [np.abs(ends[dt] - ends[5e-6]).max() for dt in (4e-5, 2e-5)]
-    # Impacts are up to a step late, at 225 rad/s.
-    assert errors[0] <= 225 * 4e-5 and errors[1] <= 0.6 * errors[0]
+    # Impacts are up to a step late, which changes speeds of up to 225 rad/s by some 10 rad/s: scattered, but linear.
+    assert errors[0] <= 12 * 4e-5 and errors[1] <= 12 * 2e-5
 
 
 # -- woodpecker ------------------------------------------------------------------------------------------------
