@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from nsdyn import Material, Scene, shapes
 
-DURATION, DT = 0.1, 1e-5
+DURATION, DT = 0.1, 5e-6
 
 CRANK, ROD = 0.153, 0.306
 """Lengths, m."""

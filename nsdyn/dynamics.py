@@ -362,6 +362,8 @@ class Dynamics:
         quaternion = np.empty((self.frames, 4))
         links = slice(self.free, self.frames - len(position.driven_x))
         _trees.quaternions(R[links], quaternion[links])
-        x[: self.free], quaternion[: self.free] = position.x, position.quaternion
-        x[links.stop :], quaternion[links.stop :] = position.driven_x, position.driven_quaternion
+        if self.free:
+            x[: self.free], quaternion[: self.free] = position.x, position.quaternion
+        if links.stop < self.frames:
+            x[links.stop :], quaternion[links.stop :] = position.driven_x, position.driven_quaternion
         return x, quaternion

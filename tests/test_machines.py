@@ -46,21 +46,31 @@ def test_cart_rebounds_from_its_stops():
 # -- slider-crank ----------------------------------------------------------------------------------------------
 
 
+def block_in_its_guide(scene, q):
+    """How deep a corner of the block is in a wall, m."""
+    a = scene.articulations["mechanism"]
+    (block,), data = a.links, a.model.createData()
+    pin.forwardKinematics(a.model, data, q)
+    pose = data.oMi[block.joint] * block.placement
+    return np.abs(block.shape.vertices @ pose.rotation[2] + pose.translation[2]).max() - 0.026
+
+
 def test_slider_crank_converges_and_stays_in_its_guide():
     """First order in the step through knocks and slides at both walls, three quarters of a turn; no penetration."""
-    ends, walls = {}, set()
+    ends, walls, depth = {}, set(), {}
     for dt in (4e-5, 2e-5, 5e-6):
         scene, steps = run("slider_crank", 0.03, dt)
-        # The bar.
-        assert -min(s.gap.min(initial=0.0) for s in steps) <= 1e-8
+        depth[dt] = max(block_in_its_guide(scene, s.q) for s in steps)
         assert (np.array([s.solution.error for s in steps]) <= 1e-8).all()
         ends[dt] = steps[-1].q
         names = [g.name for g in scene.geoms()]
         walls |= {names[g] for s in steps for g, r in zip(s.contacts.geom1, s.r[:, 0], strict=True) if r > 0}
     assert walls == {"upper", "lower"}
+    # Gaps within a step are linear in the motion: h² of what turns at 150 rad/s is left. The bar is met at the last.
+    assert depth[2e-5] <= 0.3 * depth[4e-5] and depth[5e-6] <= 1e-8
     errors = [np.abs(ends[dt] - ends[5e-6]).max() for dt in (4e-5, 2e-5)]
-    # Impacts are up to a step late, at 225 rad/s.
-    assert errors[0] <= 225 * 4e-5 and errors[1] <= 0.6 * errors[0]
+    # Impacts are up to a step late, which changes speeds of up to 225 rad/s by some 10 rad/s: scattered, but linear.
+    assert errors[0] <= 12 * 4e-5 and errors[1] <= 12 * 2e-5
 
 
 # -- woodpecker ------------------------------------------------------------------------------------------------

@@ -139,6 +139,22 @@ def test_mjcf(mjcf):
     )  # fmt: skip
 
 
+def test_mjcf_names_every_attribute_it_leaves_out(tmp_path):
+    path = tmp_path / "r.xml"
+    path.write_text(
+        '<mujoco><option density="1.2" wind="0 0 0" timestep="0.01"/><worldbody><body><joint springdamper="1 1" '
+        'margin=".1"/><geom size=".1" friction="2 0 0" solref=".01 1"/><geom size=".1" friction="1 0 0"/></body>'
+        "</worldbody></mujoco>"
+    )
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match="'m' leaves out: option: density; joint None: springdamper"):
+        scene.add_mjcf("m", path)
+    assert scene.articulations["m"].report == (
+        "option: density", "joint None: springdamper", "mujoco: <option> (1)", "joint: margin (1)",
+        "geom: friction (2)", "geom: solref (1)",
+    )  # fmt: skip
+
+
 def test_mjcf_masks_and_exclusions(mjcf):
     a = loaded_mjcf(mjcf)
     names = [link.name for link in a.links]
@@ -270,6 +286,24 @@ def sdf(robot, tmp_path):
     path = tmp_path / "robot.sdf"
     path.write_text(SDF)
     return path, robot[1]
+
+
+def test_sdf_warns_of_what_changes_the_motion(tmp_path):
+    path = tmp_path / "r.sdf"
+    link = "<gravity>{}</gravity><kinematic>false</kinematic><velocity_decay><linear>1</linear></velocity_decay>"
+    path.write_text(
+        '<sdf version="1.9"><world name="w"><physics type="ode"/><model name="m"><enable_wind>true</enable_wind>'
+        f'<link name="a">{link.format("false")}</link><link name="b">{link.format("true")}</link>'
+        '<joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 0 1</xyz><limit>'
+        "<stiffness>1</stiffness></limit></axis></joint></model></world></sdf>"
+    )
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match="'m' leaves out: model 'm': <enable_wind>; link 'a': <gravity>"):
+        scene.add_sdf("m", path)
+    assert scene.articulations["m"].report == (
+        "model 'm': <enable_wind>", "link 'a': <gravity>", "link 'a': <velocity_decay>", "link 'b': <velocity_decay>",
+        "limit: <stiffness> (1)", "world: <physics> (1)",
+    )  # fmt: skip
 
 
 def test_sdf(sdf):

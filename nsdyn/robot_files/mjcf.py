@@ -39,6 +39,18 @@ SOLID = {"box", "capsule", "cylinder", "ellipsoid", "mesh", "plane", "sphere"}
 
 ASSETS = {"mesh"}
 
+POSE = {"pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"}
+
+ATTRIBUTES = {
+    "joint": {"name", "type", "pos", "axis", "range", "limited", "ref", "stiffness", "springref", "springdamper",
+              "damping", "armature", "frictionloss"},
+    "geom": {"name", "type", "size", "fromto", "mesh", "mass", "density", "contype", "conaffinity", *POSE},
+    "connect": {"name", "active", "body1", "body2", "site1", "site2", "anchor"},
+    "weld": {"name", "active", "body1", "body2", "site1", "site2", "relpose"},
+    "mesh": {"name", "file", "scale", "vertex"},
+}  # fmt: skip
+"""What is used of the attributes of an element, or warned of."""
+
 
 def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     """Description of an MJCF file; its bases are fixed or free as it says, and `keyframe` names its initial state."""
@@ -128,8 +140,15 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> dict[str, tuple[i
         if root.find(tag) is not None:
             dropped.append(f"<{tag}>")
     dropped += [f"contact: <pair> of {e.get('geom1')!r} and {e.get('geom2')!r}" for e in root.iter("pair")]
+    option = root.find("option")
+    for attribute in ("density", "viscosity", "wind"):
+        if option is not None and any(float(x) for x in option.get(attribute, "0").split()):
+            dropped.append(f"option: {attribute}")
+    dropped += [f"joint {e.get('name')!r}: springdamper" for e in world.iter("joint") if e.get("springdamper")]
     read = {"compiler", "worldbody", "equality", "contact", "asset", "keyframe", "actuator", "tendon", "deformable"}
     unused.of_children([root], read, "mujoco")
+    for tag, used in ATTRIBUTES.items():
+        unused.of_attributes([e for e in root.iter(tag) if "joint1" not in e.attrib], used, tag)
     masks: dict[str, tuple[int, int]] = {}
     for number, body in enumerate(world.iter("body")):
         body.attrib.setdefault("name", f"body{number}")

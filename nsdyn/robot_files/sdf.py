@@ -28,6 +28,9 @@ AXES = {"fixed": (), "ball": (), "revolute": ("axis",), "continuous": ("axis",),
         "universal": ("axis", "axis2"), "revolute2": ("axis", "axis2")}  # fmt: skip
 """Axes of the types of joints that are read."""
 
+BEHAVIOUR = {"gravity": "true", "kinematic": "false", "enable_wind": "false", "velocity_decay": None}
+"""Elements of a link that change how it moves, and what they say where they do not, if they can."""
+
 UNLIMITED = 1e15
 """A limit of this size means none: SDF writes 1e16."""
 
@@ -41,7 +44,9 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
         found = [*root.findall("model"), *root.findall("world/model")]
         if len(found) != 1:
             raise ValueError(f"it must hold one model, got {[m.get('name') for m in found]}")
-        return _Reader(found[0], [path.parent, *package_dirs]).description()
+        reader = _Reader(found[0], [path.parent, *package_dirs])
+        reader.unused.of_children([root, *root.findall("world")], {"model", "world"}, "world")
+        return reader.description()
     except ValueError as failure:
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
 
@@ -86,13 +91,25 @@ class _Reader:
 
     def _note_unused(self, joints: Sequence[Element]) -> None:
         links = list(self.links.values())
-        self.unused.of_children([self.element], {"link", "joint", "frame", "pose", "static", "self_collide"}, "model")
-        self.unused.of_children(links, {"pose", "inertial", "collision"}, "link")
+        used = {"link", "joint", "frame", "pose", "static", "self_collide", "enable_wind"}
+        self.unused.of_children([self.element], used, "model")
+        self.unused.of_children(links, {"pose", "inertial", "collision", *BEHAVIOUR}, "link")
+        self.unused.of_children(
+            [i for e in links for i in e.findall("inertial")], {"pose", "mass", "inertia"}, "inertial"
+        )
         self.unused.of_children(joints, {"parent", "child", "pose", "axis", "axis2"}, "joint")
         self.unused.of_children([c for e in links for c in e.findall("collision")], {"pose", "geometry"}, "collision")
         if any(limit.find("effort") is not None or limit.find("velocity") is not None
                for e in joints for limit in e.iter("limit")):  # fmt: skip
             self.unused.append("joint: effort and velocity of <limit>")
+        limits = [limit for e in joints for limit in e.iter("limit")]
+        self.unused.of_children(limits, {"lower", "upper", "effort", "velocity"}, "limit")
+        switches = [("model", self.element, "enable_wind"), *(("link", e, tag) for e in links for tag in BEHAVIOUR)]
+        self.dropped += [
+            f"{kind} {e.get('name')!r}: <{tag}>"
+            for kind, e, tag in switches
+            if e.find(tag) is not None and e.findtext(tag, "").strip() != BEHAVIOUR[tag]
+        ]
         self.dropped += [f"joint {e.get('name')!r}: <mimic>" for e in joints if e.find("*/mimic") is not None]
         self.dropped += [
             f"link {e.get('name')!r}: automatic inertia" for e in links if e.find("inertial[@auto='true']") is not None

@@ -34,6 +34,11 @@ class Notes(list[str]):
         found = Counter(child.tag for element in elements for child in element if child.tag not in used)
         self += [f"{where}: <{tag}> ({n})" for tag, n in sorted(found.items())]
 
+    def of_attributes(self, elements: Iterable[Element], used: set[str], where: str) -> None:
+        """Note the attributes of `elements` that are not `used`."""
+        found = Counter(attribute for element in elements for attribute in element.attrib if attribute not in used)
+        self += [f"{where}: {attribute} ({n})" for attribute, n in sorted(found.items())]
+
 
 def parse(name: str, path: Path, kind: str) -> Element:
     """Root of an XML file."""
