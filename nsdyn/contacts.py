@@ -245,14 +245,12 @@ class Detector:
         geom1, geom2, frame1, frame2, key = np.empty((5, count), np.int64)
         point, normal, local1, local2 = np.empty((4, count, 3))
         gap, mu, restitution = np.empty((3, count))
-        manifold.collect(
+        old = self._memory
+        next_key = manifold.collect(
             self._pair, self._first, self._second, self._frame, self._mu, self._restitution, self._point, self._normal,
             self._gap, geom1, geom2, frame1, frame2, mu, restitution, point, normal, gap,
-        )  # fmt: skip
-        old = self._memory
-        next_key = manifold.match(
-            self._geometry.radius, self._R, self._t, geom1, geom2, point, TOLERANCE, self._reach, old.geom1, old.geom2,
-            old.key, old.local1, old.local2, old.next_key, key, local1, local2,
+            self._geometry.radius, self._R, self._t, TOLERANCE, self._reach, old.geom1, old.geom2, old.key, old.local1,
+            old.local2, old.next_key, key, local1, local2,
         )  # fmt: skip
         self._memory = ContactMemory(geom1, geom2, key, local1, local2, next_key)
         return ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key)

@@ -103,6 +103,7 @@ class Dynamics:
         self.free = len(bodies)
         self.frames = self.free + len(frames) + len(driven)
         self.mass = np.array([b.mass for b in bodies])
+        self._inverse_mass, self._no_load = 1.0 / self.mass, np.zeros((self.free, 3))
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
         self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
         self._inscribed = np.array([b.shape.inscribed_radius for b in bodies])
@@ -247,7 +248,7 @@ class Dynamics:
             raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
         if self.free:
-            _motion.free_velocity(self.J, 1.0 / self.mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
+            _motion.free_velocity(self.J, self._inverse_mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
         loads = []
         for k, (tree, blocks) in enumerate(zip(self.trees, self._tree_blocks, strict=True)):
             where, control = (begin.trees[k], middle.trees[k]), (given.get(tree.name), applied.get(k))
@@ -257,6 +258,8 @@ class Dynamics:
 
     def _applied(self, begin: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
+        if not wrenches:
+            return self._no_load, self._no_load, {}
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
         applied: dict[int, Array] = {}
         for name, wrench in wrenches.items():
@@ -374,6 +377,8 @@ class Dynamics:
         quaternion = np.empty((self.frames, 4))
         links = slice(self.free, self.frames - len(position.driven_x))
         _trees.quaternions(R[links], quaternion[links])
-        x[: self.free], quaternion[: self.free] = position.x, position.quaternion
-        x[links.stop :], quaternion[links.stop :] = position.driven_x, position.driven_quaternion
+        if self.free:
+            x[: self.free], quaternion[: self.free] = position.x, position.quaternion
+        if links.stop < self.frames:
+            x[links.stop :], quaternion[links.stop :] = position.driven_x, position.driven_quaternion
         return x, quaternion

@@ -52,12 +52,11 @@ class Ledger(NamedTuple):
     """What is left: round-off."""
 
 
-def contact_works(u_before: Array, u_after: Array, r: Array) -> tuple[Array, Array]:
-    """(normal, friction) work of every contact, each of shape (nc,), in J."""
-    nc = r.size // 3
-    normal, friction = np.empty(nc), np.empty(nc)
-    _motion.contact_works(u_before, u_after, r, normal, friction)
-    return normal, friction
+def contact_works(u_before: Array, u_after: Array, r: Array) -> tuple[Array, Array, tuple[float, float]]:
+    """(normal, friction) work of every contact, each of shape (nc,), and their sums, in J."""
+    normal, friction = np.empty((2, r.size // 3))
+    sums = _motion.contact_works(u_before, u_after, r, normal, friction)
+    return normal, friction, sums
 
 
 def ledger(
@@ -97,11 +96,10 @@ def ledger(
     d = dynamics
     kinetic = potential = d_kinetic = d_potential = external = gyroscopic = slip = projection = 0.0
     if d.free:
-        works = np.empty(5)
+        works = np.empty(7)
         body = d.mass, d.J, d.gravity, loads.force, loads.torque
-        _motion.free_works(*body, loads.gyroscopic, h, v0, v1, v_theta, begin.x, moved.x, works)
-        d_kinetic, d_potential, external, gyroscopic, slip = works.tolist()
-        kinetic, potential = _motion.free_energies(d.mass, d.J, d.gravity, end.x, v1)
+        _motion.free_works(*body, loads.gyroscopic, h, v0, v1, v_theta, begin.x, moved.x, end.x, works)
+        d_kinetic, d_potential, external, gyroscopic, slip, kinetic, potential = works.tolist()
         if end is not moved:
             projection = -float(d.mass @ ((end.x - moved.x) @ d.gravity))
             d_potential += projection

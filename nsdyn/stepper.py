@@ -344,7 +344,7 @@ class Stepper:
         nc = contacts.gap.size
         end, gap, poses = moved, gap + theta * h * u[0::3], d.poses(moved)
         d.carry_gaps(contacts, poses, gap)
-        if gap.min(initial=0.0) < -self.closed:
+        if _motion.smallest(gap) < -self.closed:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side, or a link of a mechanism in its guide.
             ahead = gap + h * (u + theta * (u_free - u_begin))[0::3]
@@ -358,7 +358,7 @@ class Stepper:
             poses = poses if end is moved else d.poses(end)
 
         # Certificate, ledger, record.
-        normal, friction = energy.contact_works(met.u_before, u_after, impulse)
+        normal, friction, works = energy.contact_works(met.u_before, u_after, impulse)
         driving = -0.5 * float((drag + drag_after) @ impulse) if d.surfaces.count else 0.0
         step_energy = energy.ledger(
             d,
@@ -368,8 +368,7 @@ class Stepper:
             (s.position, moved, end),
             (s.v, v, v_theta),
             rows.full.momentum(impulse) if d.constrained else None,
-            float(normal.sum()),
-            float(friction.sum()),
+            *works,
             driving,
         )
         created = max(0.0, float((normal + friction)[:nc].sum())) if struck is not None else 0.0
@@ -401,7 +400,7 @@ class Stepper:
         h, theta, nc = self.dt, self.theta, contacts.gap.size
         # Where the gaps were looked for at the beginning they have moved since; else the rows have turned.
         moves, since = (u_begin, (1.0 - theta) * h) if fast else (bend, -0.5 * (1.0 - theta) ** 2 * h)
-        gap, mu, w, struck = np.empty(nc), contacts.mu, np.zeros_like(u_begin), np.zeros(u_begin.size // 3, np.bool_)
+        gap, mu, w, struck = np.empty(nc), contacts.mu, np.zeros(u_begin.size), np.zeros(u_begin.size // 3, np.bool_)
         some, elastic = _motion.impact_law(
             u_begin, moves, since, contacts.gap, contacts.restitution, theta * h, self.resting_speed, self.closed, gap,
             w, struck,

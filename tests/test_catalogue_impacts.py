@@ -186,7 +186,7 @@ def test_energy_of_impacts_on_random_operators(rng):
             offset = np.array([restitution * u[0], 0.0, 0.0])
             solution = nd.solve(nd.FC3D(W, u + offset, [mu]), tol=1e-10)
             assert solution.converged
-            normal, friction = nd.energy.contact_works(u, solution.u - offset, solution.r)
+            normal, friction, _ = nd.energy.contact_works(u, solution.u - offset, solution.r)
             works = normal[0] + friction[0]
             # With M⁻¹ = W the velocity is u itself: T = u W⁻¹ u/2.
             after = solution.u - offset

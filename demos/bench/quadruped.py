@@ -5,7 +5,7 @@
 Slip is the path of the points of contact on the ground, the largest of the feet. Time is processor time of a step: the
 median, and beside it the lower quartile and the least, which a busy machine disturbs less. MuJoCo (extra `peers`) runs
 the same URDF in the same run, at its defaults and with elliptic cones and impratio 10, at the same step and at a fifth
-of it.
+of it: with these gains its robot shakes at 5 ms and stands still from 2 ms on.
 """
 
 import time

@@ -882,21 +882,6 @@ def manifolds(
     return total
 
 
-@njit(cache=True)
-def collect(
-    pair, first, second, frame, pair_mu, pair_restitution, points, normals, gaps, geom1, geom2, frame1, frame2, mu,
-    restitution, point, normal, gap,
-):  # fmt: skip
-    """What `manifolds` found, and what the contacts have from their pairs and geoms, into arrays of their number."""
-    for c in range(gap.size):
-        p = pair[c]
-        i, j = first[p], second[p]
-        geom1[c], geom2[c], frame1[c], frame2[c] = i, j, frame[i], frame[j]
-        mu[c], restitution[c], gap[c] = pair_mu[p], pair_restitution[p], gaps[c]
-        put(point, c, row(points, c))
-        put(normal, c, row(normals, c))
-
-
 # -- keys --------------------------------------------------------------------------------------------------
 
 
@@ -951,3 +936,23 @@ def match(
                 next_key += 1
         a, o = b, q
     return next_key
+
+
+@njit(cache=True)
+def collect(
+    pair, first, second, frame, pair_mu, pair_restitution, points, normals, gaps, geom1, geom2, frame1, frame2, mu,
+    restitution, point, normal, gap, radius, R, t, tolerance, slack, old1, old2, old_key, old_local1, old_local2,
+    next_key, key, local1, local2,
+):  # fmt: skip
+    """What `manifolds` found and what contacts have from pairs and geoms, into arrays of their number; then `match`."""
+    for c in range(gap.size):
+        p = pair[c]
+        i, j = first[p], second[p]
+        geom1[c], geom2[c], frame1[c], frame2[c] = i, j, frame[i], frame[j]
+        mu[c], restitution[c], gap[c] = pair_mu[p], pair_restitution[p], gaps[c]
+        put(point, c, row(points, c))
+        put(normal, c, row(normals, c))
+    return match(
+        radius, R, t, geom1, geom2, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key, key,
+        local1, local2,
+    )  # fmt: skip

@@ -301,13 +301,26 @@ def stopped(u, r, mu, curve):
 
 @njit(cache=True)
 def contact_works(u_before, u_after, r, normal, friction):
-    """Work of every contact impulse, ½ (u⁻ + u⁺)·r split in normal and tangential part, in J."""
+    """Work of every contact impulse, ½ (u⁻ + u⁺)·r split in normal and tangential part, in J; returns their sums."""
+    total_normal, total_friction = 0.0, 0.0
     for c in range(normal.size):
         i = 3 * c
         normal[c] = 0.5 * (u_before[i] + u_after[i]) * r[i]
         friction[c] = 0.5 * (
             (u_before[i + 1] + u_after[i + 1]) * r[i + 1] + (u_before[i + 2] + u_after[i + 2]) * r[i + 2]
         )
+        total_normal += normal[c]
+        total_friction += friction[c]
+    return total_normal, total_friction
+
+
+@njit(cache=True)
+def smallest(x):
+    """The smallest entry, or 0 if none is negative; NumPy takes ten times as long for few."""
+    least = 0.0
+    for i in range(x.size):
+        least = min(least, x[i])
+    return least
 
 
 @njit(cache=True)
@@ -338,13 +351,14 @@ def free_energies(mass, J, gravity, x, v):
 
 
 @njit(cache=True)
-def free_works(mass, J, gravity, force, torque, gyroscopic, h, v0, v1, v_theta, x0, x1, out):
-    """Increments of a step over the free bodies, in J, into out (5,).
+def free_works(mass, J, gravity, force, torque, gyroscopic, h, v0, v1, v_theta, x0, x1, end, out):
+    """Increments of a step over the free bodies, in J, into out (7,); x0 and x1 where it begins and ends.
 
     Kinetic energy, potential energy, work of external forces, of the gyroscopic torque, and of gravity on the
-    difference between the mean velocity and the one that moved the body.
+    difference between the mean velocity and the one that moved the body; then their energies at `end`.
     """
     out[:] = 0.0
+    out[5], out[6] = free_energies(mass, J, gravity, end, v1)
     for b in range(mass.size):
         i = 6 * b
         for j in range(3):
