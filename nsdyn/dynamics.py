@@ -21,6 +21,7 @@ from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointLaws, JointRows, Rows
 from nsdyn.problem import Blocks
 from nsdyn.scene import Scene
+from nsdyn.shapes import CAPSULE, SPHERE
 from nsdyn.surfaces import Surfaces
 from nsdyn.trees import Tree, TreeLoads
 
@@ -145,6 +146,8 @@ class Dynamics:
         self._held = np.zeros(self.frames + 1, dtype=bool)
         for t in self.trees:
             self._held[t.frames] = "JointModelFreeFlyer" not in [joint.shortname() for joint in t.model.joints]
+        self._in_tree = self.block_of_frame >= self.free
+        self._round = np.array([g.shape.size[0] if g.shape.kind in (SPHERE, CAPSULE) else 0.0 for g in scene.geoms()])
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
         self.surfaces = Surfaces(scene)
         starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]
@@ -304,6 +307,18 @@ class Dynamics:
         for t in self.trees:
             _trees.link_rows(*where[:-1], t.frames.start, t.support, t.J, start, h)
         return Blocks(self.offset, block, start, h, self.m_start, self.m, self.minv), frame
+
+    def carry_gaps(self, contacts: ContactSet, poses: tuple[Array, Array] | tuple[None, None], out: Array) -> None:
+        """Gaps of the contacts of links with the world when the frames, now placed, are at `poses`, into `out`, m.
+
+        The gap that a step leaves is linear in its motion; legs and rods turn fast enough for its square to matter.
+        """
+        x, quaternion = poses
+        if x is None or quaternion is None:  # no links
+            return
+        c = contacts
+        where = c.frame1, c.frame2, c.geom1, c.geom2, c.gap, c.point, c.normal, self._in_tree, self._round
+        _trees.carry_gaps(*where, self.x, self.R, x, quaternion, out)
 
     def held(self, contacts: ContactSet) -> NDArray[np.bool_]:
         """Which contacts are between the world and a link of a tree that hangs on it, shape (nc,)."""

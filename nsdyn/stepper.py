@@ -342,7 +342,8 @@ class Stepper:
         u_after = rows.full.relative_velocity(v) + drag_after
         u = u_after + theta * bend
         nc = contacts.gap.size
-        end, gap = moved, gap + theta * h * u[0::3]
+        end, gap, poses = moved, gap + theta * h * u[0::3], d.poses(moved)
+        d.carry_gaps(contacts, poses, gap)
         if _motion.smallest(gap) < -self.closed:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side, or a link of a mechanism in its guide.
@@ -354,6 +355,7 @@ class Stepper:
             if d.trees:
                 leaving[:nc] &= ~d.held(contacts)
             end, gap = self._project(moved, rows, gap, leaving)
+            poses = poses if end is moved else d.poses(end)
 
         # Certificate, ledger, record.
         normal, friction, works = energy.contact_works(met.u_before, u_after, impulse)
@@ -376,7 +378,7 @@ class Stepper:
         history = s.history.after(contacts, status, frame, change, r, u_after, met.turn, slots, solution.iterations > 0)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
         q_out, v_out = d.pinocchio_state(end, v)
-        x, quaternion = d.poses(end)
+        x, quaternion = poses
         certificate = gauss.certify(problem, solution.r, solution.u)
         times = (
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
