@@ -235,7 +235,8 @@ class Stepper:
         self.resting_speed = 2.0 * self.dt * float(np.linalg.norm(self.dynamics.gravity))
         # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
         self.closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
-        self._projection = Auto(tol=self.closed)
+        # Positions as exact as velocities: `closed` itself from 1e-8 on.
+        self._projection = Auto(tol=self.closed * max(1.0, self.solver.tol / 1e-8))
         self._failures = 0
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position)
