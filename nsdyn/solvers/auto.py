@@ -33,7 +33,7 @@ SWEEPS, PATIENCE = 400, 20
 """Sweeps of Gauss–Seidel a cold start may take, which cost about as much as the interior point method, and the number
 from which on it is foreseen whether they suffice."""
 
-HEAVY, LOOSE = 40.0, 1e-6
+HEAVY, LOOSE = 40.0, 1e-7
 """Where a factorisation costs more sweeps than that and the tolerance is no tighter than that, sweeps come first and
 the polish is left out."""
 
