@@ -37,7 +37,7 @@ HEAVY, LOOSE = 40.0, 1e-7
 """Where a factorisation costs more sweeps than that and the tolerance is no tighter than that, sweeps come first and
 the polish is left out."""
 
-TRAVEL = 10_000, 3000
+TRAVEL = 5000, 600
 """Sweeps with momentum for impulses to travel through such an island, and those it may spend without gain."""
 
 FINISH = 1e3, 3
@@ -65,9 +65,9 @@ def _cost(blocks: Blocks) -> float:
     return 1.2e-6 * blocks.n + 0.9e-10 * float(_newton.elimination_work(blocks.offset, blocks.block))
 
 
-def _heavy(blocks: Blocks) -> bool:
-    """Whether a factorisation costs more than HEAVY sweeps, 85 ns per contact, over free bodies."""
-    return bool((np.diff(blocks.offset) == 6).all()) and _cost(blocks) > HEAVY * 85e-9 * blocks.nc
+def _heavy(blocks: Blocks, cost: float) -> bool:
+    """Whether a factorisation of that cost outweighs HEAVY sweeps, 85 ns per contact, over free bodies."""
+    return bool((np.diff(blocks.offset) == 6).all()) and cost > HEAVY * 85e-9 * blocks.nc
 
 
 def _limits(cost: float) -> tuple[int, int]:
@@ -176,9 +176,10 @@ class Auto:
             _cones.solve_one(blocks.delassus().data[0], q, mu[0], r)
             return r, 1
         sharp, count = max(POLISH * tol, FLOOR), 0
-        if blocks.n > DENSE and self.tol >= LOOSE and _heavy(blocks):
+        cost = _cost(blocks)
+        if blocks.n > DENSE and self.tol >= LOOSE and _heavy(blocks, cost):
             count, best = solve_free(blocks, q, mu, scales, r, tol, q_norm, *TRAVEL)
-            if best <= tol:
+            if best <= tol or INTERIOR[0] * cost > EFFORT:
                 return r, count
         if r.any() and blocks.n > DENSE:
             used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, *WARM)
@@ -190,7 +191,7 @@ class Auto:
         count += used
         if best > tol:
             x = np.empty_like(r)
-            used, now = solve_by_factors(blocks, q, mu, scales, x, tol, q_norm, _limits(_cost(blocks)))
+            used, now = solve_by_factors(blocks, q, mu, scales, x, tol, q_norm, _limits(cost))
             count += used
             r = x if now < best else r
         count += solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, *FINISH)[0]
