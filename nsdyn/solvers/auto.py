@@ -14,6 +14,7 @@ from nsdyn._kernels import local as _local
 from nsdyn._kernels import newton as _newton
 from nsdyn._kernels import pgs as _pgs
 from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
+from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Local, solve_by_factors, solve_by_matrix
 from nsdyn.solvers.momentum import solve_free
 from nsdyn.solvers.newton import DENSE, island, rows, solve_blocks
@@ -46,9 +47,9 @@ FINISH = 1e3, 3
 INTERIOR = 40, 2500
 """Limits of the interior point method and of the Newton steps that finish it."""
 
-EFFORT = 3.0
-"""Seconds, by counts of operations, that those Newton steps may take: the same result whatever the machine is busy
-with."""
+EFFORT, LONGEST = 1.0, 10.0
+"""Seconds, by counts of operations, that those Newton steps may take, and that the interior point method may take to be
+tried after sweeps: the same result whatever the machine is busy with."""
 
 
 def _sweep(W: Any, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float) -> tuple[int, float]:
@@ -83,9 +84,9 @@ class Auto:
 
     An island with one contact is solved in closed form. A warm start first gets a few Newton steps, since the contact
     states of the last step mostly hold. Otherwise accelerated Gauss–Seidel finds the states and Newton finishes from
-    them; where it does not, the interior point method finds them and Newton finishes. A problem given by W alone is
-    solved on its impulses, so that W need not be symmetric. What is not solved is checked for a Slater point, without
-    which no solution is guaranteed, and its status says so.
+    them; where it does not, the interior point method finds them and Newton finishes, or Newton in the impulses as the
+    last resort. A problem given by W alone is solved on its impulses, so that W need not be symmetric. What is not
+    solved is checked for a Slater point, without which no solution is guaranteed, and its status says so.
 
     Parameters
     ----------
@@ -179,7 +180,7 @@ class Auto:
         cost = _cost(blocks)
         if blocks.n > DENSE and self.tol >= LOOSE and _heavy(blocks, cost):
             count, best = solve_free(blocks, q, mu, scales, r, tol, q_norm, *TRAVEL)
-            if best <= tol or INTERIOR[0] * cost > EFFORT:
+            if best <= tol or INTERIOR[0] * cost > LONGEST:
                 return r, count
         if r.any() and blocks.n > DENSE:
             used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, *WARM)
@@ -193,6 +194,10 @@ class Auto:
             x = np.empty_like(r)
             used, now = solve_by_factors(blocks, q, mu, scales, x, tol, q_norm, _limits(cost))
             count += used
-            r = x if now < best else r
+            r, best = (x, now) if now < best else (r, best)
+        if best > tol:
+            last = ImpulseNewton(tol)(FC3D.from_blocks(blocks, q, mu), r)
+            count += last.iterations
+            r = last.r if last.converged else r
         count += solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, *FINISH)[0]
         return r, count
