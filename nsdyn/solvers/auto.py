@@ -47,7 +47,10 @@ FINISH = 1e3, 3
 INTERIOR = 40, 2500
 """Limits of the interior point method and of the Newton steps that finish it."""
 
-EFFORT, LONGEST = 1.0, 10.0
+LAST = 60
+"""Newton steps in the impulses: where they converge they do so within these."""
+
+EFFORT, LONGEST = 3.0, 10.0
 """Seconds, by counts of operations, that those Newton steps may take, and that the interior point method may take to be
 tried after sweeps: the same result whatever the machine is busy with."""
 
@@ -196,7 +199,7 @@ class Auto:
             count += used
             r, best = (x, now) if now < best else (r, best)
         if best > tol:
-            last = ImpulseNewton(tol)(FC3D.from_blocks(blocks, q, mu), r)
+            last = ImpulseNewton(tol, LAST)(FC3D.from_blocks(blocks, q, mu), r)
             count += last.iterations
             r = last.r if last.converged else r
         count += solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, *FINISH)[0]
