@@ -30,6 +30,7 @@ def run(model, duration, dt=1e-3, gravity=(0, 0, -G), q=None, v=None, controller
 # -- smooth motion -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case(30)
 def test_double_pendulum_keeps_its_energy():
     total = run(pendulum(2), 10.0, q=(2.5, 1.0)).energy.total
     assert np.abs(total - total[0]).max() <= 1e-6  # of 36 J that go back and forth

@@ -27,6 +27,7 @@ def follow(scene, duration, dt):
     return np.array(q), gap, np.abs(kinetic + potential - start).max()
 
 
+@pytest.mark.case(31)
 def test_bricard_moves_and_keeps_its_energy():
     """Six rows of rank five leave the one degree of freedom; the energy drifts by some 1e-5 of 29 J."""
     model, loops = bricard()
@@ -37,6 +38,7 @@ def test_bricard_moves_and_keeps_its_energy():
     assert drift <= 1e-4  # 1.6e-5 at this step, falling with h²
 
 
+@pytest.mark.case(31)
 @pytest.mark.parametrize("windows", [1, 2])
 def test_four_bars_pass_their_singular_configurations(windows):
     """Rods turn all the way and lie flat twice a turn, where the loop loses rank; they stay parallel."""

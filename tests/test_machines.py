@@ -55,6 +55,7 @@ def block_in_its_guide(scene, q):
     return np.abs(block.shape.vertices @ pose.rotation[2] + pose.translation[2]).max() - 0.026
 
 
+@pytest.mark.case(32)
 def test_slider_crank_converges_and_stays_in_its_guide():
     """First order in the step through knocks and slides at both walls, three quarters of a turn; no penetration."""
     ends, walls, depth = {}, set(), {}
@@ -88,6 +89,7 @@ def pecks(dt, duration):
     return np.array(out)
 
 
+@pytest.mark.case(33)
 def test_woodpecker_pecks_periodically():
     """Each period it jams below, flies up, pecks the pole and falls a little: always the same."""
     found = pecks(4e-4, 0.85)
@@ -99,6 +101,7 @@ def test_woodpecker_pecks_periodically():
     assert np.ptp(spin) <= 0.01 * spin.mean()
 
 
+@pytest.mark.case(33)
 @pytest.mark.slow
 def test_woodpecker_return_map_converges():
     """Mean period and fall converge with the step, and so does what impacts inside a step make them scatter."""
