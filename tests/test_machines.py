@@ -104,14 +104,15 @@ def test_woodpecker_pecks_periodically():
 @pytest.mark.case(33)
 @pytest.mark.slow
 def test_woodpecker_return_map_converges():
-    """Mean period and fall converge with the step, and so does what impacts inside a step make them scatter."""
+    """Mean period and fall converge at first order, and so does what impacts inside a step make them scatter."""
     means, scatter = [], []
     for dt in (4e-4, 1e-4, 2.5e-5):
         found = pecks(dt, 1.2)[2:]
         means.append((np.diff(found[:, 0]).mean(), -np.diff(found[:, 1]).mean()))
         scatter.append(np.ptp(np.diff(found[:, 0])))
-    steps = np.abs(np.diff(means, axis=0))
-    assert (steps[1] <= 0.5 * steps[0]).all()
+    # A period has four impacts, each up to a step late; the bird falls at 0.11 m/s on the mean, but in jumps.
+    for dt, mean in ((4e-4, means[0]), (1e-4, means[1])):
+        assert (np.abs(np.subtract(mean, means[2])) <= (dt, 0.5 * dt)).all()
     assert scatter[2] <= 0.5 * scatter[0]
 
 
