@@ -123,7 +123,7 @@ def alone(kind: str, bodies: int) -> dict[str, float]:
 
 def growth(largest: int) -> None:
     """Print step time and memory against the number of bodies."""
-    print("scene, step time and memory at 100, 1000, 10000 bodies, exponents of time and memory")
+    print("scene, step time and memory at 100, 1000, ... bodies, exponents of time and memory")
     for kind, (*_, most) in SCENES.items():
         numbers = [n for n in (100, 1000, 10_000) if n <= min(largest, most)]
         found = [alone(kind, n) for n in numbers]
@@ -136,7 +136,7 @@ def growth(largest: int) -> None:
 
 
 def tolerances() -> None:
-    """Print the cost of a wall's step, kicked so that there is something to solve, against the tolerance."""
+    """Print the cost of a step of a resting wall against the tolerance."""
     scene = nd.scenes.load("wall")()
     times = {tol: median_step(scene, tol, settle=20, steps=40) for tol in (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)}
     print("wall, by tolerance: " + ", ".join(f"{tol:.0e} {1e3 * t:.2f} ms" for tol, t in times.items()))
