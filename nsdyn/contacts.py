@@ -206,10 +206,13 @@ class Detector:
             axis = int(np.argmax(self._t[solids].var(axis=0))) if len(solids) else 0
             order = solids[np.argsort(self._fat_lower[solids, axis], kind="stable")]
             codes = broadphase.candidates(geometry, self._R, self._t, *fat, self._excluded, order, axis)
-            self._set_pairs(np.sort(codes))
+            codes = np.sort(codes)
+            if not np.array_equal(codes, self._codes):
+                self._set_pairs(codes)
 
     def _set_pairs(self, codes: Index) -> None:
         """Everything that depends on the candidate list alone."""
+        self._codes = codes
         first, second = np.divmod(codes, len(self._cores))
         kind1, kind2 = self._geometry.kind[first], self._geometry.kind[second]
         round1, round2 = (kind1 == SPHERE) | (kind1 == CAPSULE), (kind2 == SPHERE) | (kind2 == CAPSULE)
