@@ -682,7 +682,3 @@ _CHECKS = {
     "qdldl solve": _check_qdldl,
     "sliding contact": _check_contact,
 }
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -52,6 +52,11 @@ def test_version(run):
     assert run("--version")[1] == f"nsdyn {nd.__version__}\n"
 
 
+def test_as_a_module():
+    command = [sys.executable, "-m", "nsdyn", "--version"]
+    assert nd.__version__ in subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
 def test_help_loads_no_heavy_package():
     code = """
 import sys
@@ -363,7 +368,7 @@ def test_interruption(run, monkeypatch):
 
 def test_reader_that_goes_away():
     root = str(Path(nd.__file__).parents[1])
-    command = [sys.executable, "-u", "-m", "nsdyn.cli", "scenes"]
+    command = [sys.executable, "-u", "-m", "nsdyn", "scenes"]
     with subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         err = process.stderr.read()
