@@ -324,11 +324,13 @@ class Stepper:
 
         # The frictional contact problem.
         solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
+        solved = solution.iterations > 0
         postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w) if elastic else None
         stopped = has_stopped(solution.u, solution.r + returned, contacts.mu, curve)
         if stopped or postponed is not None:
             problem = FC3D.from_blocks(rows.blocks, q + w + (0.0 if stopped else curve), mu)
             solution = self.solver(problem, solution.r)
+            solved = True
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
@@ -375,7 +377,7 @@ class Stepper:
         r = impulse.reshape(-1, 3)
         status = slip_status(solution.u, impulse, contacts.mu)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
-        history = s.history.after(contacts, status, frame, change, r, u_after, met.turn, slots, solution.iterations > 0)
+        history = s.history.after(contacts, status, frame, change, r, u_after, met.turn, slots, solved)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
         q_out, v_out = d.pinocchio_state(end, v)
         x, quaternion = poses
