@@ -19,7 +19,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from nsdyn import shapes
-from nsdyn._kernels import broadphase, manifold
+from nsdyn._kernels import broadphase, keys, manifold
 from nsdyn.scene import Geom
 from nsdyn.shapes import CAPSULE, HALFSPACE, SPHERE, Shape
 
@@ -249,7 +249,7 @@ class Detector:
         point, normal, local1, local2 = np.empty((4, count, 3))
         gap, mu, restitution = np.empty((3, count))
         old = self._memory
-        next_key = manifold.collect(
+        next_key = keys.collect(
             self._pair, self._first, self._second, self._frame, self._mu, self._restitution, self._point, self._normal,
             self._gap, geom1, geom2, frame1, frame2, mu, restitution, point, normal, gap,
             self._geometry.radius, self._R, self._t, TOLERANCE, self._reach, old.geom1, old.geom2, old.key, old.local1,

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels import encounter as _encounter
 from nsdyn._kernels import motion as _motion
 from nsdyn.dynamics import Dynamics, Loads, Position
 from nsdyn.problem import Array
@@ -55,7 +56,7 @@ class Ledger(NamedTuple):
 def contact_works(u_before: Array, u_after: Array, r: Array) -> tuple[Array, Array, tuple[float, float]]:
     """(normal, friction) work of every contact, each of shape (nc,), and their sums, in J."""
     normal, friction = np.empty((2, r.size // 3))
-    sums = _motion.contact_works(u_before, u_after, r, normal, friction)
+    sums = _encounter.contact_works(u_before, u_after, r, normal, friction)
     return normal, friction, sums
 
 

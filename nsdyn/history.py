@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn._kernels import motion as _motion
+from nsdyn._kernels import encounter as _encounter
 from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import Array, Index
@@ -125,7 +125,7 @@ class History:
         nc, full = contacts.key.size, rows.full
         u_before, u_free, guess = np.empty((3, 3 * full.nc))
         bend, turn, slides = np.zeros(3 * full.nc), np.empty((nc, 3)), np.empty(nc, np.bool_)
-        some = _motion.meet(
+        some = _encounter.meet(
             full.offset, full.block, full.start, full.h, *velocities, *drags, rows.press, self.key, self.status,
             self.normal, self.velocity, self.turn, self.impulse, contacts.key, frame, u_before, u_free, bend, turn,
             slides, guess,
@@ -148,7 +148,7 @@ class History:
     ) -> History:
         """History after a step with impulses r (rows, 3), their change of v, and relative velocities u at v_{k+1}."""
         (impulse, velocity), push = np.empty((2, *turn.shape)), np.empty_like(change)
-        _motion.leave(frame, r, u, change, self.change, impulse, velocity, push)
+        _encounter.leave(frame, r, u, change, self.change, impulse, velocity, push)
         return History(contacts.key, status, contacts.normal, impulse, velocity, turn, change, push, joints, solved)
 
 
@@ -168,17 +168,17 @@ def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, met: Encounter) -> A
         return 0.0
     curve = np.zeros_like(u_begin)
     u_end = u_free + rows.full.relative_velocity(rows.velocity_change(met.guess))
-    _motion.curve(u_begin, u_end, met.slides, curve)
+    _encounter.curve(u_begin, u_end, met.slides, curve)
     return curve
 
 
 def has_stopped(u: Array, r: Array, mu: Array, curve: Array | float) -> bool:
     """Whether a contact that was to slide on, with an offset in `curve`, has stopped."""
-    return not isinstance(curve, float) and bool(_motion.stopped(u, r, mu, curve))
+    return not isinstance(curve, float) and bool(_encounter.stopped(u, r, mu, curve))
 
 
 def slip_status(u: Array, r: Array, mu: Array) -> NDArray[np.int8]:
     """0 open, 1 stick, 2 slip of the contacts, those with a friction coefficient in mu (nc,)."""
     status = np.empty(mu.size, np.int8)
-    _motion.contact_status(u, r, mu, status)
+    _encounter.contact_status(u, r, mu, status)
     return status

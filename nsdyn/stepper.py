@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn import energy, fclib, gauss, impacts
-from nsdyn._kernels import motion as _motion
+from nsdyn._kernels import encounter as _encounter
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
@@ -346,7 +346,7 @@ class Stepper:
         nc = contacts.gap.size
         end, gap, poses = moved, gap + theta * h * u[0::3], d.poses(moved)
         d.carry_gaps(contacts, poses, gap)
-        if _motion.smallest(gap) < -self.closed:
+        if _encounter.smallest(gap) < -self.closed:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side, or a link of a mechanism in its guide.
             ahead = gap + h * (u + theta * (u_free - u_begin))[0::3]
@@ -403,7 +403,7 @@ class Stepper:
         # Where the gaps were looked for at the beginning they have moved since; else the rows have turned.
         moves, since = (u_begin, (1.0 - theta) * h) if fast else (bend, -0.5 * (1.0 - theta) ** 2 * h)
         gap, mu, w, struck = np.empty(nc), contacts.mu, np.zeros(u_begin.size), np.zeros(u_begin.size // 3, np.bool_)
-        some, elastic = _motion.impact_law(
+        some, elastic = _encounter.impact_law(
             u_begin, moves, since, contacts.gap, contacts.restitution, theta * h, self.resting_speed, self.closed, gap,
             w, struck,
         )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn._kernels import newton as _newton
+from nsdyn._kernels import sparse as _matrix
 from nsdyn.problem import Status
 
 
@@ -63,7 +63,7 @@ def test_refuses_what_is_not_made_of_free_bodies(pile: nd.FC3D) -> None:
 
 def graph(pairs: np.ndarray, count: int) -> float:
     """Work of eliminating `count` bodies with contacts between those pairs."""
-    return float(_newton.elimination_work(np.arange(0, 6 * count + 1, 6), pairs))
+    return float(_matrix.elimination_work(np.arange(0, 6 * count + 1, 6), pairs))
 
 
 def test_work_of_an_elimination() -> None:

@@ -13,6 +13,7 @@ from nsdyn._kernels import cones as _cones
 from nsdyn._kernels import local as _local
 from nsdyn._kernels import newton as _newton
 from nsdyn._kernels import pgs as _pgs
+from nsdyn._kernels import sparse as _matrix
 from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Local, solve_by_factors, solve_by_matrix
@@ -66,7 +67,7 @@ def _cost(blocks: Blocks) -> float:
 
     Measured: 1.2 us for a coordinate and 0.09 ns for a multiplication of `elimination_work`.
     """
-    return 1.2e-6 * blocks.n + 0.9e-10 * float(_newton.elimination_work(blocks.offset, blocks.block))
+    return 1.2e-6 * blocks.n + 0.9e-10 * float(_matrix.elimination_work(blocks.offset, blocks.block))
 
 
 def _heavy(blocks: Blocks, cost: float) -> bool:

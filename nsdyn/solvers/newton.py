@@ -16,6 +16,7 @@ from scipy.sparse.linalg import splu
 
 from nsdyn._kernels import blocks as _blocks
 from nsdyn._kernels import newton as _kernels
+from nsdyn._kernels import sparse as _matrix
 from nsdyn.problem import FC3D, Array, Blocks, Index, Solution, Status
 
 DENSE = 120
@@ -26,13 +27,13 @@ class Factor:
     """Sparse factorisations of K on one contact graph: Cholesky-like where K is symmetric, LU elsewhere."""
 
     def __init__(self, offset: Index, block: Index) -> None:
-        self.indptr, self.indices, self.slot, self.diagonal = _kernels.pattern(offset, block)
+        self.indptr, self.indices, self.slot, self.diagonal = _matrix.pattern(offset, block)
         n = int(offset[-1])
         self.K = sp.csc_matrix((np.empty(self.indices.size), self.indices, self.indptr), shape=(n, n))
         self.ldl: Any = None
 
     def _assemble(self, blocks: Blocks, A: Array) -> None:
-        _kernels.assemble_sparse(
+        _matrix.assemble_sparse(
             blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, A,
             self.indptr, self.slot, self.diagonal, self.K.data,
         )  # fmt: skip
@@ -45,7 +46,7 @@ class Factor:
 
     def solve(self, blocks: Blocks, A: Array, b: Array) -> Array:
         """K⁻¹ b, by LDLᵀ where K is symmetric."""
-        if not _kernels.symmetric(A):
+        if not _matrix.symmetric(A):
             return self.lu(blocks, A)(b)
         self._assemble(blocks, A)
         if self.ldl is None:

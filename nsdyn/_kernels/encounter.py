@@ -1,0 +1,203 @@
+"""What a step does at its contacts: what it remembers of them, the law of impact, slip to foresee, works.
+
+Rows come first for the contacts, three a contact (N, T1, T2), then for joint limits and joint friction.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from nsdyn._kernels.blocks import relative_velocity
+
+
+@njit(cache=True)
+def meet(
+    offset, block, start, h, v, v_free, drag, drag_after, press, old_key, status, old_normal, velocity, old_turn,
+    impulse, key, frame, u_before, u_free, foreseen, turn, slides, guess,
+):  # fmt: skip
+    """Relative velocities at v and at v_free, `turning` and `warm_start` of a step; whether any contact slides."""
+    relative_velocity(offset, block, start, h, v, u_before)
+    u_before += drag
+    relative_velocity(offset, block, start, h, v_free, u_free)
+    place = places(old_key, key)
+    warm_start(place, impulse, frame, guess)
+    turning(place, status, old_normal, velocity, old_turn, frame, u_before, foreseen, turn, slides)
+    for i in range(u_free.size):
+        u_free[i] += press[i] + drag_after[i]
+    return slides.any()
+
+
+@njit(cache=True)
+def places(old_key, new_key):
+    """Where every new key stands among the old ones, -1 where it does not."""
+    out = np.full(new_key.size, -1)
+    known = 0
+    while known < min(old_key.size, new_key.size) and old_key[known] == new_key[known]:
+        out[known] = known
+        known += 1
+    if known < new_key.size:
+        order = np.argsort(old_key)
+        keys = old_key[order]
+        place = np.searchsorted(keys, new_key)
+        for c in range(known, new_key.size):
+            if place[c] < order.size and keys[place[c]] == new_key[c]:
+                out[c] = order[place[c]]
+    return out
+
+
+@njit(cache=True)
+def warm_start(place, impulse, frame, r):
+    """World impulses of old contacts in the frames of those that continue them, 0 for new ones, into r (3 nc,)."""
+    for c in range(place.size):
+        for i in range(3):
+            r[3 * c + i] = 0.0
+            if place[c] >= 0:
+                p = impulse[place[c]]
+                r[3 * c + i] = frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2]
+
+
+@njit(cache=True)
+def turning(place, status, old_normal, velocity, old_turn, frame, u, foreseen, turn, slides):
+    """Change of relative velocity by the turning of the rows, in a step of the contacts that were not open in the last.
+
+    World axes: turn = Hᵀ v - (what it was with the rows of the last step, turned with the normal by the least
+    rotation), 0 for other contacts, into turn (nc, 3). In the contact frames: the shorter of it and the last one where
+    their angle is acute, into foreseen (3 nc,), 0 before. Which of them slid, into slides (nc,).
+    """
+    a = np.empty(3)
+    for c in range(place.size):
+        for i in range(3):
+            turn[c, i] = 0.0
+        slides[c] = False
+        k = place[c]
+        if k < 0 or status[k] == 0:
+            continue
+        slides[c] = status[k] == 2
+        n, m, x = frame[c, 0], old_normal[k], velocity[k]
+        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+        if cosine <= 0.0:
+            continue
+        normal = m[0] * x[0] + m[1] * x[1] + m[2] * x[2]
+        half = (normal + n[0] * x[0] + n[1] * x[1] + n[2] * x[2]) / (1.0 + cosine)
+        along, now, before = 0.0, 0.0, 0.0
+        for j in range(3):
+            a[j] = frame[c, 0, j] * u[3 * c] + frame[c, 1, j] * u[3 * c + 1] + frame[c, 2, j] * u[3 * c + 2]
+            a[j] -= x[j] - half * (n[j] + m[j]) + 2.0 * normal * n[j]
+            turn[c, j] = a[j]
+            along += a[j] * old_turn[k, j]
+            now += a[j] * a[j]
+            before += old_turn[k, j] * old_turn[k, j]
+        if along <= 0.0:
+            continue
+        if before < now:
+            a[:] = old_turn[k]
+        for i in range(3):
+            foreseen[3 * c + i] = frame[c, i, 0] * a[0] + frame[c, i, 1] * a[1] + frame[c, i, 2] * a[2]
+
+
+@njit(cache=True)
+def impact_law(u, moves, before, found, restitution, h_theta, resting_speed, closed, gap, w, struck):
+    """Gaps at the midpoint and the offsets w with u_N + w_N >= 0 at the end, into gap (nc,) and w (3 rows,).
+
+    The gaps were `found` (nc,), `before` seconds ago if they changed with the speeds `moves`. An impact (e > 0,
+    approach faster than resting_speed, closing by the end of the step) gets Newton's law, w_N = e u_N⁻, and is marked
+    in `struck`; an open contact may close its gap, w_N = gap / (theta h); one with gap <= closed has w_N = 0. Returns
+    whether any contact is struck, and whether any has e > 0.
+    """
+    some, elastic = False, False
+    for c in range(found.size):
+        approach = u[3 * c]
+        gap[c] = found[c] + before * moves[3 * c]
+        elastic = elastic or restitution[c] > 0.0
+        struck[c] = restitution[c] > 0.0 and approach < -resting_speed and gap[c] + h_theta * approach <= 0.0
+        some = some or struck[c]
+        if struck[c]:
+            w[3 * c] = restitution[c] * approach
+        elif gap[c] > closed:
+            w[3 * c] = gap[c] / h_theta
+    return some, elastic
+
+
+@njit(cache=True)
+def curve(u_begin, u_end, slides, w):
+    """Offset that turns the slip which friction opposes from that of the end to that of the middle, into w (3 nc,).
+
+    Half the foreseen change of u_T across its direction, of contacts that slide and will slide on: those whose slip
+    changes by less than half of itself.
+    """
+    for c in range(slides.size):
+        i = 3 * c
+        w[i] = w[i + 1] = w[i + 2] = 0.0
+        x, y = u_end[i + 1], u_end[i + 2]
+        dx, dy = x - u_begin[i + 1], y - u_begin[i + 2]
+        slip = u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2
+        if slides[c] and dx * dx + dy * dy < 0.25 * slip:
+            across = 0.5 * (x * dy - y * dx) / (x * x + y * y)
+            w[i + 1] = across * y
+            w[i + 2] = -across * x
+
+
+@njit(cache=True)
+def stopped(u, r, mu, curve):
+    """Whether a contact with an offset `curve` (3 rows,) sticks."""
+    status = np.empty(mu.size, np.int8)
+    contact_status(u, r, mu, status)
+    for c in range(mu.size):
+        if status[c] == 1 and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0):
+            return True
+    return False
+
+
+@njit(cache=True)
+def contact_status(u, r, mu, status):
+    """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary), into status (nc,)."""
+    for c in range(mu.size):
+        t = math.sqrt(r[3 * c + 1] ** 2 + r[3 * c + 2] ** 2)
+        if r[3 * c] <= 0.0:
+            status[c] = 0
+        elif t < mu[c] * r[3 * c] * (1.0 - 1e-9):
+            status[c] = 1
+        else:
+            status[c] = 2
+
+
+@njit(cache=True)
+def contact_works(u_before, u_after, r, normal, friction):
+    """Work of every contact impulse, ½ (u⁻ + u⁺)·r split in normal and tangential part, in J; returns their sums."""
+    total_normal, total_friction = 0.0, 0.0
+    for c in range(normal.size):
+        i = 3 * c
+        normal[c] = 0.5 * (u_before[i] + u_after[i]) * r[i]
+        friction[c] = 0.5 * (
+            (u_before[i + 1] + u_after[i + 1]) * r[i + 1] + (u_before[i + 2] + u_after[i + 2]) * r[i + 2]
+        )
+        total_normal += normal[c]
+        total_friction += friction[c]
+    return total_normal, total_friction
+
+
+@njit(cache=True)
+def smallest(x):
+    """The smallest entry, or 0 if none is negative; NumPy takes ten times as long for few."""
+    least = 0.0
+    for i in range(x.size):
+        least = min(least, x[i])
+    return least
+
+
+@njit(cache=True)
+def leave(frame, r, u, change, last_change, impulse, velocity, push):
+    """Impulses r (rows, 3) and velocities u (3 rows,) in world axes, into impulse and velocity (nc, 3).
+
+    What `change` and `last_change` (n,) agree on, the smaller of two of one sign, into push (n,).
+    """
+    for c in range(frame.shape[0]):
+        for j in range(3):
+            a, b, d = frame[c, 0, j], frame[c, 1, j], frame[c, 2, j]
+            impulse[c, j] = a * r[c, 0] + b * r[c, 1] + d * r[c, 2]
+            velocity[c, j] = a * u[3 * c] + b * u[3 * c + 1] + d * u[3 * c + 2]
+    for i in range(change.size):
+        push[i] = 0.0
+        if change[i] * last_change[i] > 0.0:
+            push[i] = change[i] if abs(change[i]) < abs(last_change[i]) else last_change[i]

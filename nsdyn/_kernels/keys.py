@@ -1,0 +1,79 @@
+"""Keys of contacts: which contact of one configuration goes on from the one before."""
+
+import numpy as np
+from numba import njit
+
+from nsdyn._kernels.manifold import dot, minus, put, row, to_local
+
+
+@njit(cache=True)
+def match(
+    radius, R, t, first, second, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key,
+    key, local1, local2,
+):  # fmt: skip
+    """Give contacts the keys of those they continue; new ones count up from next_key, which is returned.
+
+    Both lists are sorted by pair. Within a pair the closest old and new points are matched first, by the smaller of
+    the distances seen from geom 1 and from geom 2, up to `tolerance` times the radius of the smaller geom and the
+    `slack` (ngeoms,) of both, by which they may have moved; the only contact of a pair continues the only one before.
+    """
+    count = first.size
+    used = np.zeros(old1.size, dtype=np.bool_)
+    o = 0
+    a = 0
+    while a < count:
+        i, j = first[a], second[a]
+        b = a
+        while b < count and first[b] == i and second[b] == j:
+            put(local1, b, to_local(R, i, minus(row(point, b), row(t, i))))
+            put(local2, b, to_local(R, j, minus(row(point, b), row(t, j))))
+            key[b] = -1
+            b += 1
+        while o < old1.size and (old1[o] < i or (old1[o] == i and old2[o] < j)):
+            o += 1
+        q = o
+        while q < old1.size and old1[q] == i and old2[q] == j:
+            q += 1
+        reach = tolerance * min(radius[i], radius[j]) + slack[i] + slack[j]
+        if b - a == 1 and q - o == 1:
+            reach = np.inf
+        for _ in range(min(b - a, q - o)):
+            best, new, old = reach * reach, -1, -1
+            for c in range(a, b):
+                for e in range(o, q):
+                    if key[c] < 0 and not used[e]:
+                        d1 = minus(row(local1, c), row(old_local1, e))
+                        d2 = minus(row(local2, c), row(old_local2, e))
+                        square = min(dot(d1, d1), dot(d2, d2))
+                        if square < best:
+                            best, new, old = square, c, e
+            if new < 0:
+                break
+            key[new] = old_key[old]
+            used[old] = True
+        for c in range(a, b):
+            if key[c] < 0:
+                key[c] = next_key
+                next_key += 1
+        a, o = b, q
+    return next_key
+
+
+@njit(cache=True)
+def collect(
+    pair, first, second, frame, pair_mu, pair_restitution, points, normals, gaps, geom1, geom2, frame1, frame2, mu,
+    restitution, point, normal, gap, radius, R, t, tolerance, slack, old1, old2, old_key, old_local1, old_local2,
+    next_key, key, local1, local2,
+):  # fmt: skip
+    """What `manifolds` found and what contacts have from pairs and geoms, into arrays of their number; then `match`."""
+    for c in range(gap.size):
+        p = pair[c]
+        i, j = first[p], second[p]
+        geom1[c], geom2[c], frame1[c], frame2[c] = i, j, frame[i], frame[j]
+        mu[c], restitution[c], gap[c] = pair_mu[p], pair_restitution[p], gaps[c]
+        put(point, c, row(points, c))
+        put(normal, c, row(normals, c))
+    return match(
+        radius, R, t, geom1, geom2, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key, key,
+        local1, local2,
+    )  # fmt: skip

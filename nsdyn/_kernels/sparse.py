@@ -1,0 +1,148 @@
+"""The matrix K = M + Σ H_c A_c H_cᵀ of `newton` in compressed columns: its pattern, its entries, its elimination."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def pattern(offset, block):
+    """Sparsity of K, compressed columns: (indptr, indices, slot).
+
+    Entry (i, j) of the coupling of block[c, s] (rows) with block[c, t] (columns) is stored at
+    indptr[offset[block[c, t]] + j] + slot[c, s, t] + i; of a diagonal block k at indptr[offset[k] + j] +
+    diagonal[k] + i.
+    """
+    nb, nc = offset.size - 1, block.shape[0]
+    pairs = np.empty(nb + 2 * nc, np.int64)
+    count = 0
+    for k in range(nb):
+        pairs[count] = k * nb + k
+        count += 1
+    for c in range(nc):
+        a, b = block[c, 0], block[c, 1]
+        if a >= 0 and b >= 0 and a != b:
+            pairs[count] = a * nb + b
+            pairs[count + 1] = b * nb + a
+            count += 2
+    codes = np.unique(pairs[:count])  # ascending: column block first, then row block
+    indptr = np.zeros(offset[-1] + 1, np.int32)
+    place = np.empty(codes.size, np.int64)
+    diagonal = np.empty(nb, np.int64)
+    height = np.zeros(nb, np.int64)
+    for e in range(codes.size):
+        l, k = codes[e] // nb, codes[e] % nb
+        place[e] = height[l]
+        height[l] += offset[k + 1] - offset[k]
+        if k == l:
+            diagonal[k] = place[e]
+    for l in range(nb):
+        for j in range(offset[l], offset[l + 1]):
+            indptr[j + 1] = indptr[j] + height[l]
+    indices = np.empty(indptr[-1], np.int32)
+    for e in range(codes.size):
+        l, k = codes[e] // nb, codes[e] % nb
+        for j in range(offset[l], offset[l + 1]):
+            for i in range(offset[k + 1] - offset[k]):
+                indices[indptr[j] + place[e] + i] = offset[k] + i
+    slot = np.full((nc, 2, 2), -1, np.int64)
+    for c in range(nc):
+        for s in range(2):
+            for t in range(2):
+                if block[c, s] >= 0 and block[c, t] >= 0:
+                    slot[c, s, t] = place[np.searchsorted(codes, block[c, t] * nb + block[c, s])]
+    return indptr, indices, slot, diagonal
+
+
+@njit(cache=True)
+def elimination_work(offset, block):
+    """Multiplications that eliminating K takes in breadth-first order from a far end of the graph, about.
+
+    The sum over blocks of n w², w the coordinates in the front: a bound for the better orders that factorisations use,
+    and like them it grows with the square of the pile's cross section.
+    """
+    nb = offset.size - 1
+    pointer = np.zeros(nb + 1, np.int64)
+    for c in range(block.shape[0]):
+        if block[c, 0] >= 0 and block[c, 1] >= 0:
+            pointer[block[c, 0] + 1] += 1
+            pointer[block[c, 1] + 1] += 1
+    for k in range(nb):
+        pointer[k + 1] += pointer[k]
+    near, fill = np.empty(pointer[-1], np.int64), pointer[:-1].copy()
+    for c in range(block.shape[0]):
+        a, b = block[c, 0], block[c, 1]
+        if a >= 0 and b >= 0:
+            near[fill[a]], near[fill[b]] = b, a
+            fill[a] += 1
+            fill[b] += 1
+    order, width = np.zeros(nb, np.int64), np.zeros(nb + 1, np.int64)
+    for _ in range(2):  # the last block of the first search is a far end
+        seen = np.zeros(nb, np.bool_)
+        seen[order[0]] = True
+        found = 1
+        width[:] = 0
+        for e in range(nb):
+            if e == found:  # another component
+                order[e] = np.argmin(seen)
+                seen[order[e]] = True
+                found += 1
+            k = order[e]
+            for p in range(pointer[k], pointer[k + 1]):
+                l = near[p]
+                if not seen[l]:
+                    seen[l] = True
+                    # In the front from now until its own turn
+                    width[e] += offset[l + 1] - offset[l]
+                    width[found] -= offset[l + 1] - offset[l]
+                    order[found] = l
+                    found += 1
+        order[0] = order[nb - 1]
+    work, front = 0.0, 0
+    for e in range(nb):
+        front += width[e]
+        # The average of a block's own coordinates is about enough: which block has its turn does not matter here.
+        n = offset[nb] / nb
+        work += n * (front + n) ** 2
+    return work
+
+
+@njit(cache=True)
+def assemble_sparse(offset, block, start, h, m_start, m, A, indptr, slot, diagonal, data):
+    """K = M + Σ H_c A_c H_cᵀ in the layout of `pattern`, into data."""
+    data[:] = 0.0
+    for k in range(offset.size - 1):
+        o, n = offset[k], offset[k + 1] - offset[k]
+        for j in range(n):
+            for i in range(n):
+                data[indptr[o + j] + diagonal[k] + i] = m[m_start[k] + i * n + j]
+    for c in range(block.shape[0]):
+        a = A[c]
+        if a[0, 0] == 0.0 and a[1, 1] == 0.0 and a[2, 2] == 0.0:
+            continue
+        for t in range(2):
+            l = block[c, t]
+            if l < 0:
+                continue
+            ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
+            for j in range(nl):
+                x0, x1, x2 = h[hl + j], h[hl + nl + j], h[hl + 2 * nl + j]
+                y0 = a[0, 0] * x0 + a[0, 1] * x1 + a[0, 2] * x2
+                y1 = a[1, 0] * x0 + a[1, 1] * x1 + a[1, 2] * x2
+                y2 = a[2, 0] * x0 + a[2, 1] * x1 + a[2, 2] * x2
+                for s in range(2):
+                    k = block[c, s]
+                    if k < 0:
+                        continue
+                    nk, hk = offset[k + 1] - offset[k], start[c, s]
+                    base = indptr[ol + j] + slot[c, s, t]
+                    for i in range(nk):
+                        data[base + i] += h[hk + i] * y0 + h[hk + nk + i] * y1 + h[hk + 2 * nk + i] * y2
+
+
+@njit(cache=True)
+def symmetric(A):
+    """Whether every A_c is symmetric, so that K is symmetric positive definite."""
+    for c in range(A.shape[0]):
+        if A[c, 0, 1] != A[c, 1, 0] or A[c, 0, 2] != A[c, 2, 0] or A[c, 1, 2] != A[c, 2, 1]:
+            return False
+    return True
