@@ -19,7 +19,7 @@ from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import Array, Index
 
-__all__ = ["Encounter", "History", "foresee_slip", "has_stopped", "slip_status"]
+__all__ = ["Encounter", "History", "foresee_slip", "release_stopped", "slip_status"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,13 +172,13 @@ def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, met: Encounter) -> A
     return curve
 
 
-def has_stopped(u: Array, r: Array, mu: Array, curve: Array | float) -> bool:
-    """Whether a contact that was to slide on, with an offset in `curve`, has stopped."""
-    return not isinstance(curve, float) and bool(_encounter.stopped(u, r, mu, curve))
+def release_stopped(r: Array, mu: Array, curve: Array | float) -> bool:
+    """Drop what of the offsets in `curve` is of contacts that were to slide on and have stopped; whether any have."""
+    return not isinstance(curve, float) and bool(_encounter.release(r, mu, curve))
 
 
-def slip_status(u: Array, r: Array, mu: Array) -> NDArray[np.int8]:
+def slip_status(r: Array, mu: Array) -> NDArray[np.int8]:
     """0 open, 1 stick, 2 slip of the contacts, those with a friction coefficient in mu (nc,)."""
     status = np.empty(mu.size, np.int8)
-    _encounter.contact_status(u, r, mu, status)
+    _encounter.contact_status(r, mu, status)
     return status

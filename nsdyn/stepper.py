@@ -18,7 +18,7 @@ from nsdyn._kernels import encounter as _encounter
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.history import History, foresee_slip, has_stopped, slip_status
+from nsdyn.history import History, foresee_slip, release_stopped, slip_status
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
@@ -326,11 +326,11 @@ class Stepper:
         solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
         solved = solution.iterations > 0
         postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w) if elastic else None
-        stopped = has_stopped(solution.u, solution.r + returned, contacts.mu, curve)
-        if stopped or postponed is not None:
-            problem = FC3D.from_blocks(rows.blocks, q + w + (0.0 if stopped else curve), mu)
+        again = postponed is not None
+        while release_stopped(solution.r + returned, contacts.mu, curve) or again:
+            problem = problem.with_velocity(q + w + curve)
             solution = self.solver(problem, solution.r)
-            solved = True
+            solved, again = True, False
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
@@ -375,7 +375,7 @@ class Stepper:
         )
         created = max(0.0, float((normal + friction)[:nc].sum())) if struck is not None else 0.0
         r = impulse.reshape(-1, 3)
-        status = slip_status(solution.u, impulse, contacts.mu)
+        status = slip_status(impulse, contacts.mu)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
         history = s.history.after(contacts, status, frame, change, r, u_after, met.turn, slots, solved)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
@@ -460,8 +460,7 @@ class Stepper:
         if late.any():
             away = np.zeros_like(w)
             away[0::3][late] = 2.0 * np.abs(problem.q).max()
-            assert problem.blocks is not None
-            free = self.solver(FC3D.from_blocks(problem.blocks, problem.q + away, problem.mu), solution.r)
+            free = self.solver(problem.with_velocity(problem.q + away), solution.r)
             late &= (free.u - away - w)[0::3] < -self.resting_speed
             w[0::3][late] += away[0::3][late]
         return late if late.any() else None

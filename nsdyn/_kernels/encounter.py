@@ -139,18 +139,20 @@ def curve(u_begin, u_end, slides, w):
 
 
 @njit(cache=True)
-def stopped(u, r, mu, curve):
-    """Whether a contact with an offset `curve` (3 rows,) sticks."""
+def release(r, mu, curve):
+    """Drop the offsets in `curve` (3 rows,) of contacts that stick; whether there were any."""
     status = np.empty(mu.size, np.int8)
-    contact_status(u, r, mu, status)
+    contact_status(r, mu, status)
+    some = False
     for c in range(mu.size):
         if status[c] == 1 and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0):
-            return True
-    return False
+            curve[3 * c + 1] = curve[3 * c + 2] = 0.0
+            some = True
+    return some
 
 
 @njit(cache=True)
-def contact_status(u, r, mu, status):
+def contact_status(r, mu, status):
     """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary), into status (nc,)."""
     for c in range(mu.size):
         t = math.sqrt(r[3 * c + 1] ** 2 + r[3 * c + 2] ** 2)
