@@ -34,6 +34,10 @@ CLOSED = 1e-9
 that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
 body at rest in every step."""
 
+COARSE = 0.01
+"""Fraction of the deepest penetration that a projection may leave to that of the next step where sweeps do it, so that
+its effort does not depend on how deep that is."""
+
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
 
@@ -241,7 +245,6 @@ class Stepper:
         self.closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(self.closed, self.solver.tol * self.dt)
-        self._projection = Auto(tol=self.closed / self.dt)
         # What a warm start within the tolerance leaves of the velocities is part of the next impulses that are solved
         # for, which start the step after them as wrong as that. Accepted there, it would stay for ever.
         self._strict = replace(self.solver, accept=0.4) if isinstance(self.solver, Auto) else self.solver
@@ -494,7 +497,8 @@ class Stepper:
             return moved, gap
         g = np.zeros(3 * gap.size)
         g[0::3] = held / self.dt  # like the velocities of the step, in size and in tolerance
-        shift = self._projection(FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size)))
+        solver = Auto(tol=max(self.closed, -COARSE * float(held.min())) / self.dt)
+        shift = solver(FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size)))
         lifted = gap + self.dt * (shift.u - g)[0::3]
         # A body squeezed between others has no position without overlap: an answer that does not help may be anything.
         if not shift.converged and np.where(leaving, 0.0, lifted).min() < 0.5 * held.min():
