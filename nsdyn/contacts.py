@@ -32,9 +32,11 @@ MARGIN = 1e-3
 """Contacts start at a gap of this fraction of the smaller bounding radius, plus what the bodies may move in a step."""
 
 SKIN = 0.05
-"""The candidate pairs serve until a geom has moved this fraction of its bounding radius (and `AHEAD` steps)."""
+"""The candidate pairs serve until a geom has moved this fraction of its bounding radius, and beyond that as far as it
+may in as many steps as the pairs before them served, at most `AHEAD`: where bodies knock each other about, a list that
+looks far ahead is long and outlived in a step all the same."""
 
-AHEAD = 4.0
+AHEAD = 4
 
 TOLERANCE = 0.05
 """A contact keeps its key while it moves less than this fraction of the smaller bounding radius, on either geom, beyond
@@ -152,6 +154,7 @@ class Detector:
         for k in range(n):
             broadphase.bound(self._geometry, k, self._R[k], self._t[k], self._lower, self._upper)
         self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+        self._served = 0  # steps by the present candidates
         self._batches: list[_Batch] = []
         self._models: list[pin.GeometryModel] = []
         # Largest polygon: a face clipped by a face or by a circle, or all vertices against a half-space.
@@ -198,7 +201,8 @@ class Detector:
             geometry, x, R, reach, self._base, self._R, self._t, self._reach, self._lower, self._upper, *fat
         ):
             # The skin keeps the list for several steps; fixed geoms need none.
-            skin = self._base + self._reach + SKIN * geometry.radius + AHEAD * self._reach
+            skin = self._base + SKIN * geometry.radius + (1 + min(self._served, AHEAD)) * self._reach
+            self._served = 0
             skin = np.where(self._moving, skin, 0.0)[:, None]
             np.subtract(self._lower, skin, out=self._fat_lower)
             np.add(self._upper, skin, out=self._fat_upper)
@@ -209,6 +213,7 @@ class Detector:
             codes = np.sort(codes)
             if not np.array_equal(codes, self._codes):
                 self._set_pairs(codes)
+        self._served += 1
 
     def _set_pairs(self, codes: Index) -> None:
         """Everything that depends on the candidate list alone."""
@@ -322,6 +327,12 @@ def _empty_model(slots: int) -> pin.GeometryModel:
     return model
 
 
+@cache
+def _pair(a: int, b: int) -> pin.CollisionPair:
+    """A pair of slots; making one takes ten times as long as looking it up."""
+    return pin.CollisionPair(a, b)
+
+
 class _Batch:
     """Pairs whose distances are one call of `pin.computeDistances`.
 
@@ -337,15 +348,14 @@ class _Batch:
             model.geometryObjects[k].geometry = shapes[g]
         m = len(first)
         del model.collisionPairs[:]
-        model.collisionPairs.extend(
-            [pin.CollisionPair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)]
-        )
+        model.collisionPairs.extend([_pair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
         self._model, self._data, self._out = model, pin.GeometryData(model), out
         request = coal.DistanceRequest()
         request.gjk_tolerance = GJK_TOLERANCE
         request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
+        requests = self._data.distanceRequests
         for k in range(m):  # Pinocchio's own requests start from the last answer: not reproducible
-            self._data.distanceRequests[k] = request
+            requests[k] = request
         self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
 
     def run(self, R: Array, t: Array) -> None:
