@@ -172,9 +172,9 @@ def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, met: Encounter) -> A
     return curve
 
 
-def release_stopped(r: Array, mu: Array, curve: Array | float) -> bool:
-    """Drop what of the offsets in `curve` is of contacts that were to slide on and have stopped; whether any have."""
-    return not isinstance(curve, float) and bool(_encounter.release(r, mu, curve))
+def release_stopped(r: Array, mu: Array, curve: Array | float, every: bool) -> bool:
+    """Whether contacts that were to slide on, with offsets in `curve`, have stopped: theirs are dropped, or `every`."""
+    return not isinstance(curve, float) and bool(_encounter.release(r, mu, curve, every))
 
 
 def slip_status(r: Array, mu: Array) -> NDArray[np.int8]:

@@ -329,11 +329,11 @@ class Stepper:
         solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
         solved = solution.iterations > 0
         postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w) if elastic else None
-        again = postponed is not None
-        while release_stopped(solution.r + returned, contacts.mu, curve) or again:
-            problem = problem.with_velocity(q + w + curve)
-            solution = self.solver(problem, solution.r)
-            solved, again = True, False
+        for last in (False, True):
+            if release_stopped(solution.r + returned, contacts.mu, curve, last) or (postponed is not None and not last):
+                problem = problem.with_velocity(q + w + curve)
+                solution = self.solver(problem, solution.r)
+                solved = True
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)

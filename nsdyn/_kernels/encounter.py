@@ -139,8 +139,8 @@ def curve(u_begin, u_end, slides, w):
 
 
 @njit(cache=True)
-def release(r, mu, curve):
-    """Drop the offsets in `curve` (3 rows,) of contacts that stick; whether there were any."""
+def release(r, mu, curve, every):
+    """Drop the offsets in `curve` (3 rows,) of contacts that stick, or if there are any all of them; tells whether."""
     status = np.empty(mu.size, np.int8)
     contact_status(r, mu, status)
     some = False
@@ -148,6 +148,8 @@ def release(r, mu, curve):
         if status[c] == 1 and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0):
             curve[3 * c + 1] = curve[3 * c + 2] = 0.0
             some = True
+    if some and every:
+        curve[:] = 0.0
     return some
 
 
