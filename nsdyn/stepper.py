@@ -34,9 +34,9 @@ CLOSED = 1e-9
 that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
 body at rest in every step."""
 
-COARSE = 0.01
-"""Fraction of the deepest penetration that a projection may leave to that of the next step where sweeps do it, so that
-its effort does not depend on how deep that is."""
+COARSE, MANY = 0.01, 1000
+"""Fraction of the deepest penetration that the projection of a pile of that many contacts or more may leave to that of
+the next step, so that its effort does not depend on how deep it is."""
 
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
@@ -497,7 +497,8 @@ class Stepper:
             return moved, gap
         g = np.zeros(3 * gap.size)
         g[0::3] = held / self.dt  # like the velocities of the step, in size and in tolerance
-        solver = Auto(tol=max(self.closed, -COARSE * float(held.min())) / self.dt)
+        coarse = -COARSE * float(held.min()) / self.dt if gap.size >= MANY else 0.0
+        solver = Auto(tol=self.closed / self.dt, heavy_tol=coarse)
         shift = solver(FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size)))
         lifted = gap + self.dt * (shift.u - g)[0::3]
         # A body squeezed between others has no position without overlap: an answer that does not help may be anything.

@@ -103,10 +103,14 @@ class Auto:
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     accept : float
         Fraction of the tolerance within which a warm start is the solution of an island.
+    heavy_tol : float
+        Tolerance that is enough for islands whose factorisations cost too much, and by which the whole is judged, where
+        it is looser.
     """
 
     tol: float = 1e-8
     accept: float = 1.0
+    heavy_tol: float = 0.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
@@ -121,7 +125,8 @@ class Auto:
             if enough:
                 return Solution(r, u, Status.CONVERGED, error, residual, 0, time.perf_counter() - start)
             count = self._given_factors(problem, problem.blocks, r, u)
-        solution = Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+        tol = max(self.tol, self.heavy_tol)
+        solution = Solution.judge(problem, r, tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
         return solution if solution.converged else self._explained(problem, solution)
 
     @staticmethod
@@ -186,9 +191,10 @@ class Auto:
             _cones.solve_one(blocks.delassus().data[0], q, mu[0], r)
             return r, 1
         cost, count = _cost(blocks), 0
-        if blocks.n > DENSE and self.tol >= LOOSE and _heavy(blocks, cost):
-            count, best = self._sweep_and_mend(blocks, q, mu, scales, r, tol, q_norm)
-            if best <= tol or INTERIOR[0] * cost > LONGEST:
+        if blocks.n > DENSE and max(self.tol, self.heavy_tol) >= LOOSE and _heavy(blocks, cost):
+            enough = max(tol, self.heavy_tol)
+            count, best = self._sweep_and_mend(blocks, q, mu, scales, r, enough, q_norm)
+            if best <= enough or INTERIOR[0] * cost > LONGEST:
                 return r, count
         r, used = self._factorise(blocks, q, mu, scales, r, tol, q_norm)
         return r, count + used
