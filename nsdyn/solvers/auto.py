@@ -207,11 +207,12 @@ class Auto:
         def direct(part: Blocks, q: Array, mu: Array, scales: Array, r: Array) -> tuple[Array, int]:
             return self._factorise(part, q, mu, scales, r, 0.1 * tol, q_norm)
 
-        problem = FC3D.from_blocks(blocks, q, mu)
         count, best = solve_free(blocks, q, mu, scales, r, tol, q_norm, *TRAVEL)
-        x = r.copy()
+        if best <= tol:
+            return count, best
+        problem, x = FC3D.from_blocks(blocks, q, mu), r.copy()
         for _ in range(MENDS):
-            used = 0 if best <= tol else mend(problem, x, tol, direct)
+            used = mend(problem, x, tol, direct)
             if not used:
                 break
             more, now = solve_free(blocks, q, mu, scales, x, tol, q_norm, *AGAIN)
@@ -219,6 +220,8 @@ class Auto:
             if now < best:
                 best = now
                 r[:] = x
+            if best <= tol:
+                break
         return count, best
 
     def _factorise(
