@@ -54,7 +54,8 @@ INTERIOR = 40, 2500
 """Limits of the interior point method and of the Newton steps that finish it."""
 
 LAST = 60
-"""Newton steps in the impulses: where they converge they do so within these."""
+"""Newton steps in the impulses: where they converge they do so within these. They factorise W, whose size grows with
+the contacts, so that few of them are affordable where contacts are many, and then there are none."""
 
 EFFORT, LONGEST = 3.0, 10.0
 """Seconds, by counts of operations, that those Newton steps may take, and that the interior point method may take to be
@@ -242,7 +243,7 @@ class Auto:
             used, now = solve_by_factors(blocks, q, mu, scales, x, tol, q_norm, _limits(cost))
             count += used
             r, best = (x, now) if now < best else (r, best)
-        if best > tol:
+        if best > tol and LAST * cost * max(1.0, 3.0 * blocks.nc / blocks.n) ** 3 <= EFFORT:
             last = ImpulseNewton(tol, LAST)(FC3D.from_blocks(blocks, q, mu), r)
             count += last.iterations
             r = last.r if last.converged else r
