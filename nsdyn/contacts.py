@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -51,8 +50,7 @@ SLOTS = 256
 """Geoms per call of Pinocchio: its GeometryModel needs time and memory that grow with the square of their number."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ContactSet:
+class ContactSet(NamedTuple):
     """Contacts of one configuration, sorted by (geom1, geom2) with geom1 < geom2.
 
     Attributes
@@ -84,8 +82,7 @@ class ContactSet:
     key: Index
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ContactMemory:
+class ContactMemory(NamedTuple):
     """What a detector remembers of the last contacts to recognise them, all of it.
 
     Attributes

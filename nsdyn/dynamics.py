@@ -8,8 +8,7 @@ prescribed have a frame, but no block.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -32,8 +31,7 @@ __all__ = ["Dynamics", "Loads", "Position"]
 NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
 
 
-@dataclass(frozen=True, eq=False)
-class Position:
+class Position(NamedTuple):
     """Where everything is.
 
     Attributes
@@ -55,8 +53,7 @@ class Position:
     driven_quaternion: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Loads:
+class Loads(NamedTuple):
     """What acts during a step besides contacts.
 
     Attributes

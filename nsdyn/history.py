@@ -9,7 +9,7 @@ smaller of two changes in one direction and nothing otherwise, as slope limiters
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,7 @@ from nsdyn.problem import Array, Index
 __all__ = ["Encounter", "History", "foresee_slip", "has_stopped", "slip_status"]
 
 
-@dataclass(frozen=True, eq=False)
-class Encounter:
+class Encounter(NamedTuple):
     """What a step begins with at its contacts, in their frames, then at its joint rows.
 
     Attributes
@@ -48,8 +47,7 @@ class Encounter:
     guess: Array
 
 
-@dataclass(frozen=True, eq=False)
-class History:
+class History(NamedTuple):
     """Memory of the last step; world axes.
 
     Attributes
@@ -95,8 +93,8 @@ class History:
 
     def scaled(self, ratio: float) -> History:
         """For steps longer by `ratio`."""
-        return replace(
-            self, impulse=ratio * self.impulse, turn=ratio * self.turn, change=ratio * self.change,
+        return self._replace(
+            impulse=ratio * self.impulse, turn=ratio * self.turn, change=ratio * self.change,
             push=ratio * self.push, joints=ratio * self.joints,
         )  # fmt: skip
 

@@ -6,9 +6,9 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +38,7 @@ DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
 
 
-@dataclass(frozen=True, eq=False)
-class State:
+class State(NamedTuple):
     """Everything a run needs to go on bit for bit.
 
     Attributes
@@ -57,7 +56,7 @@ class State:
 
     origin: float
     dt: float
-    count: int
+    count: int  # type: ignore[assignment]  # tuple.count is of no use here
     position: Position
     v: Array
     history: History
@@ -74,8 +73,7 @@ class State:
         return self.origin + (self.count + 1) * self.dt
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
+class Step(NamedTuple):
     """What one step did.
 
     Attributes
@@ -137,8 +135,7 @@ class Step:
         return self.frame[:, 1]
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+class Start(NamedTuple):
     """The initial state as a recording shows it: a `Step` without what steps do."""
 
     t: float
