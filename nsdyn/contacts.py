@@ -133,6 +133,7 @@ class Detector:
         self._pair_material = pair_material
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
         self._geometry = _flatten(geoms)
+        self._fields = tuple(self._geometry)
         cores: dict[int, Any] = {id(g.shape): _core(g.shape) for g in geoms}
         for core in cores.values():
             core.computeLocalAABB()
@@ -192,7 +193,7 @@ class Detector:
         """First part of `detect`: place the geoms and renew the candidate pairs if one has left its fat box."""
         geometry, fat = self._geometry, (self._fat_lower, self._fat_upper)
         if broadphase.follow(
-            geometry, x, R, reach, self._base, self._R, self._t, self._reach, self._lower, self._upper, *fat
+            self._fields, x, R, reach, self._base, self._R, self._t, self._reach, self._lower, self._upper, *fat
         ):
             # The skin keeps the list for several steps; fixed geoms need none.
             skin = self._base + self._reach + SKIN * geometry.radius + AHEAD * self._reach
@@ -238,20 +239,20 @@ class Detector:
     def manifold(self) -> ContactSet:
         """Third part of `detect`: points, normals and gaps, and the keys of contacts that last."""
         count = manifold.manifolds(
-            self._geometry, self._R, self._t, self._slack, self._first, self._second, self._slot, self._coal,
+            self._fields, self._R, self._t, self._slack, self._first, self._second, self._slot, self._coal,
             self._pair_base, self._reach, self._max_points, *self._scratch, self._point, self._normal, self._gap,
             self._pair,
         )  # fmt: skip
-        geom1, geom2, frame1, frame2, key = np.empty((5, count), np.int64)
-        point, normal, local1, local2 = np.empty((4, count, 3))
-        gap, mu, restitution = np.empty((3, count))
+        names, points, scalars = np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))
         old = self._memory
         next_key = keys.collect(
             self._pair, self._first, self._second, self._frame, self._mu, self._restitution, self._point, self._normal,
-            self._gap, geom1, geom2, frame1, frame2, mu, restitution, point, normal, gap,
-            self._geometry.radius, self._R, self._t, TOLERANCE, self._reach, old.geom1, old.geom2, old.key, old.local1,
-            old.local2, old.next_key, key, local1, local2,
+            self._gap, self._geometry.radius, self._R, self._t, TOLERANCE, self._reach, old.geom1, old.geom2, old.key,
+            old.local1, old.local2, old.next_key, names, points, scalars,
         )  # fmt: skip
+        geom1, geom2, frame1, frame2, key = names
+        point, normal, local1, local2 = points
+        gap, mu, restitution = scalars
         self._memory = ContactMemory(geom1, geom2, key, local1, local2, next_key)
         return ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key)
 

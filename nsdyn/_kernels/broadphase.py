@@ -79,11 +79,13 @@ def bound(geometry, g, R, t, lower, upper):
 
 
 @njit(cache=True)
-def follow(geometry, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fat_lower, fat_upper):
+def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fat_lower, fat_upper):
     """World poses, reaches and bounds of the geoms on moving frames, into R, t, reach, lower and upper.
 
-    Returns whether one of them, inflated by its base and its reach, leaves its fat box.
+    Returns whether one of them, inflated by its base and its reach, leaves its fat box. `fields` are those of
+    `Geometry`, a plain tuple: from Python that is handed over in half the time.
     """
+    geometry = Geometry(*fields)
     place(geometry, x, R_frames, R, t)
     out = False
     for g in range(geometry.kind.size):
