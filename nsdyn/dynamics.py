@@ -172,18 +172,13 @@ class Dynamics:
 
         Driven bodies move with `twist` (surfaces, 2, 3), linear and angular velocities in world axes, or not at all.
         """
-        x, quaternion = position.x, position.quaternion
-        if self.free:
-            x, quaternion = np.empty_like(x), np.empty_like(quaternion)
-            _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
-        trees = tuple(
-            [
-                t.close(pin.integrate(t.model, q, h * v[t.coordinates]))
-                for t, q in zip(self.trees, position.trees, strict=True)
-            ]
-        )
-        driven = position.driven_x, position.driven_quaternion
-        if twist is not None and len(position.driven_x):
+        x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
+        _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
+        trees, driven = position.trees, (position.driven_x, position.driven_quaternion)
+        if trees:
+            moved = zip(self.trees, trees, strict=True)
+            trees = tuple([t.close(pin.integrate(t.model, q, h * v[t.coordinates])) for t, q in moved])
+        if twist is not None and driven[0].size:
             driven = self.surfaces.advance(*driven, h * twist)
         return Position(x, quaternion, trees, *driven)
 
@@ -200,13 +195,10 @@ class Dynamics:
             t.evaluate(q, self.x, self.R)
 
     def _place_bodies(self, position: Position) -> None:
-        if self.free:
-            self.x[: self.free] = position.x
-            _motion.rotations(position.quaternion, self.R)
+        _motion.place(position.x, position.quaternion, self.x, self.R)
         if position.driven_x.size:
             nd = len(position.driven_x)
-            self.x[-nd:] = position.driven_x
-            _motion.rotations(position.driven_quaternion, self.R[-nd:])
+            _motion.place(position.driven_x, position.driven_quaternion, self.x[-nd:], self.R[-nd:])
 
     def free_velocity(
         self,
@@ -244,14 +236,13 @@ class Dynamics:
         if unknown := given.keys() - self._tree_names.keys():
             raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
-        if self.free:
-            _motion.free_velocity(self.J, self._inverse_mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
-        loads = []
-        for k, (tree, blocks) in enumerate(zip(self.trees, self._tree_blocks, strict=True)):
+        _motion.free_velocity(self.J, self._inverse_mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
+        loads: tuple[TreeLoads, ...] = ()
+        for k, tree in enumerate(self.trees):
             where, control = (begin.trees[k], middle.trees[k]), (given.get(tree.name), applied.get(k))
-            out[tree.coordinates], load = tree.free_motion(*where, v, push, h, theta, t, *control, *blocks)
-            loads.append(load)
-        return out, Loads(force, torque, gyroscopic, tuple(loads))
+            motion = tree.free_motion(*where, v, push, h, theta, t, *control, *self._tree_blocks[k])
+            out[tree.coordinates], loads = motion[0], (*loads, motion[1])
+        return out, Loads(force, torque, gyroscopic, loads)
 
     def _applied(self, begin: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
@@ -293,16 +284,13 @@ class Dynamics:
     def blocks(self, contacts: ContactSet) -> tuple[Blocks, Array]:
         """Factors (M, H) of the contacts at the placed position, and their frames (nc, 3, 3), rows (n, t1, t2)."""
         nc = contacts.gap.size
-        frame = np.empty((nc, 3, 3))
-        block, start = np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
-        _motion.contact_frames(contacts.normal, frame)
-        size = _motion.contact_layout(contacts.frame1, contacts.frame2, self.block_of_frame, self.offset, block, start)
+        frame, block, start = np.empty((nc, 3, 3)), np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
+        hang, where = (contacts.frame1, contacts.frame2), (contacts.point, frame)
+        size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
         h = np.zeros(size)
-        where = contacts.frame1, contacts.frame2, contacts.point, frame, self.x
-        if self.free:
-            _motion.free_rows(*where, self.R, self.free, start, h)
+        _motion.free_rows(*hang, *where, self.x, self.R, self.free, start, h)
         for t in self.trees:
-            _trees.link_rows(*where[:-1], t.frames.start, t.support, t.J, start, h)
+            _trees.link_rows(*hang, *where, t.frames.start, t.support, t.J, start, h)
         return Blocks(self.offset, block, start, h, self.m_start, self.m, self.minv), frame
 
     def carry_gaps(self, contacts: ContactSet, poses: tuple[Array, Array] | tuple[None, None], out: Array) -> None:
@@ -325,7 +313,7 @@ class Dynamics:
 
     def rows(self, contacts: Blocks, joints: JointRows | None) -> Rows:
         """Contacts and joint rows, in v and in the coordinates that loops, driven joints and joint friction leave."""
-        bases = {self.free + k: t.Z for k, t in enumerate(self.trees) if t.constrained}
+        bases = {self.free + k: t.Z for k, t in enumerate(self.trees) if t.constrained} if self.constrained else {}
         if joints is None:
             return Rows(contacts, bases, *NOT_PRESSED)
         pressed = np.flatnonzero(joints.press)
@@ -357,12 +345,9 @@ class Dynamics:
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
         """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
-        q, out = np.concatenate((np.empty(7 * self.free), *position.trees)), v.copy()
-        if self.free:
-            R = np.empty((self.free, 3, 3))
-            _motion.rotations(position.quaternion, R)
-            _motion.pinocchio_layout(position.quaternion, R, position.x, v, q, out)
-        return q, out
+        q, out = np.empty(7 * self.free), np.empty(self.n)
+        _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)
+        return np.concatenate((q, *position.trees)) if position.trees else q, out
 
     def poses(self, position: Position) -> tuple[Array, Array] | tuple[None, None]:
         """Positions (frames, 3) and quaternions (frames, 4) of all frames; None where all are free bodies."""

@@ -83,7 +83,7 @@ class Blocks(NamedTuple):
     @property
     def nc(self) -> int:
         """Number of contacts."""
-        return int(self.block.shape[0])
+        return len(self.block)
 
     def relative_velocity(self, v: Array) -> Array:
         """u = Hᵀ v, shape (3 nc,)."""
