@@ -19,7 +19,9 @@ from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import Array, Index
 
-__all__ = ["Encounter", "History", "foresee_slip", "has_stopped", "slip_status"]
+__all__ = ["Departure", "Encounter", "History", "depart", "foresee_slip", "slip_status"]
+
+NOTHING = np.empty(0)
 
 
 class Encounter(NamedTuple):
@@ -27,8 +29,10 @@ class Encounter(NamedTuple):
 
     Attributes
     ----------
-    u_before, u_free : ndarray, shape (3 rows,)
-        Relative velocities at v_k, and without impulses at the end of the step, with the rows of now, m/s.
+    u_before : ndarray, shape (3 rows,)
+        Relative velocities at v_k with the rows of now, m/s.
+    u_begin, u_free : ndarray, shape (3 rows,)
+        At v_k with the rows of the beginning, and without impulses at the end of the step with the rows of the end.
     bend : ndarray, shape (3 rows,)
         h dHᵀ/dt v, what the rows turn in a step as far as it can be foreseen, m/s.
     turn : ndarray, shape (nc, 3)
@@ -40,11 +44,32 @@ class Encounter(NamedTuple):
     """
 
     u_before: Array
+    u_begin: Array
     u_free: Array
     bend: Array
     turn: Array
     slides: NDArray[np.bool_] | None
     guess: Array
+
+
+class Departure(NamedTuple):
+    """What a step ends with.
+
+    Attributes
+    ----------
+    v, v_theta : ndarray, shape (n,)
+        v_{k+1} and v_{k+θ}.
+    u_after, u : ndarray, shape (3 rows,)
+        Relative velocities at v_{k+1} with the rows of the midpoint, and with those of the end, m/s.
+    gap : ndarray, shape (rows,)
+        At the end, linear in the motion since the midpoint, m.
+    """
+
+    v: Array
+    v_theta: Array
+    u_after: Array
+    u: Array
+    gap: Array
 
 
 class History(NamedTuple):
@@ -106,6 +131,7 @@ class History(NamedTuple):
         frame: Array,
         velocities: tuple[Array, Array],
         drags: tuple[Array, Array],
+        theta: float,
     ) -> Encounter:
         """What a step begins with at its contacts and joint rows.
 
@@ -118,19 +144,20 @@ class History(NamedTuple):
         velocities : (v, v_free)
             At the beginning of the step, and at its end without impulses.
         drags : two ndarrays of shape (3 rows,)
-            What sliding surfaces add to the relative velocities then, m/s.
+            What sliding surfaces add to the relative velocities then, m/s; empty where there are none.
+        theta : float
         """
         nc, full = contacts.key.size, rows.full
-        u_before, u_free, guess = np.empty((3, 3 * full.nc))
-        bend, turn, slides = np.zeros(3 * full.nc), np.empty((nc, 3)), np.empty(nc, np.bool_)
+        rates, guess = np.empty((4, 3 * full.nc)), np.empty(3 * full.nc)
+        turn, slides = np.empty((nc, 3)), np.empty(nc, np.bool_)
         some = _encounter.meet(
-            full.offset, full.block, full.start, full.h, *velocities, *drags, rows.press, self.key, self.status,
-            self.normal, self.velocity, self.turn, self.impulse, contacts.key, frame, u_before, u_free, bend, turn,
-            slides, guess,
+            full.offset, full.block, full.start, full.h, *velocities, *drags, rows.press, theta, self.key, self.status,
+            self.normal, self.velocity, self.turn, self.impulse, contacts.key, frame, rates, guess, turn, slides,
         )  # fmt: skip
         if joints is not None:
             guess[3 * nc :] = self.joints[joints.slot].ravel()
-        return Encounter(u_before, u_free, bend, turn, slides if some else None, guess)
+        u_before, u_begin, u_free, bend = rates
+        return Encounter(u_before, u_begin, u_free, bend, turn, slides if some else None, guess)
 
     def after(
         self,
@@ -145,38 +172,65 @@ class History(NamedTuple):
         solved: bool,
     ) -> History:
         """History after a step with impulses r (rows, 3), their change of v, and relative velocities u at v_{k+1}."""
-        (impulse, velocity), push = np.empty((2, *turn.shape)), np.empty_like(change)
+        impulse, velocity, push = np.empty(turn.shape), np.empty(turn.shape), np.empty(change.size)
         _encounter.leave(frame, r, u, change, self.change, impulse, velocity, push)
         return History(contacts.key, status, contacts.normal, impulse, velocity, turn, change, push, joints, solved)
 
 
-def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, met: Encounter) -> Array | float:
+def foresee_slip(rows: Rows, u_free: Array, met: Encounter) -> Array | None:
     """Offset of tangential velocities that lets friction oppose the slip of the middle of the step, shape (3 rows,).
 
-    0 where nothing slides.
+    None where nothing slides.
 
     Parameters
     ----------
     rows : Rows
-    u_begin, u_free : ndarray, shape (3 rows,)
-        Relative velocities at the beginning of the step, and at its end without impulses, m/s.
+    u_free : ndarray, shape (3 rows,)
+        Relative velocities at the end of the step without impulses, m/s.
     met : Encounter
     """
     if met.slides is None:
-        return 0.0
-    curve = np.zeros_like(u_begin)
-    u_end = u_free + rows.full.relative_velocity(rows.velocity_change(met.guess))
-    _encounter.curve(u_begin, u_end, met.slides, curve)
+        return None
+    full, curve = rows.full, np.empty(u_free.size)
+    change = rows.velocity_change(met.guess)
+    _encounter.curve(full.offset, full.block, full.start, full.h, change, met.u_begin, u_free, met.slides, curve)
     return curve
 
 
-def has_stopped(u: Array, r: Array, mu: Array, curve: Array | float) -> bool:
-    """Whether a contact that was to slide on, with an offset in `curve`, has stopped."""
-    return not isinstance(curve, float) and bool(_encounter.stopped(u, r, mu, curve))
+def slip_status(r: Array, mu: Array, curve: Array | None = None) -> tuple[NDArray[np.int8], bool]:
+    """0 open, 1 stick, 2 slip of the contacts, those with a friction coefficient in mu (nc,), from the impulses.
 
-
-def slip_status(u: Array, r: Array, mu: Array) -> NDArray[np.int8]:
-    """0 open, 1 stick, 2 slip of the contacts, those with a friction coefficient in mu (nc,)."""
+    And whether one that was to slide on, with an offset in `curve`, has stopped.
+    """
     status = np.empty(mu.size, np.int8)
-    _encounter.contact_status(u, r, mu, status)
-    return status
+    return status, _encounter.contact_status(r, mu, NOTHING if curve is None else curve, status)
+
+
+def depart(
+    rows: Rows, velocities: tuple[Array, Array], change: Array, drag: Array, met: Encounter, gap: Array,
+    h: float, theta: float,
+) -> Departure:  # fmt: skip
+    """What a step ends with that the impulses change by `change`.
+
+    Parameters
+    ----------
+    rows : Rows
+    velocities : (v, v_free)
+        At the beginning of the step, and at its end without impulses.
+    change : ndarray, shape (n,)
+        Of v by the impulses.
+    drag : ndarray, shape (3 rows,)
+        What sliding surfaces add to the relative velocities at the end, m/s; empty where there are none.
+    met : Encounter
+    gap : ndarray, shape (rows,)
+        At the midpoint, m.
+    h, theta : float
+    """
+    full = rows.full
+    n, rates = change.size, met.bend.size
+    v, v_theta, u_after, u, after = np.empty(n), np.empty(n), np.empty(rates), np.empty(rates), np.empty(gap.size)
+    _encounter.depart(
+        full.offset, full.block, full.start, full.h, *velocities, change, drag, met.bend, gap, h, theta, v, v_theta,
+        u_after, u, after,
+    )  # fmt: skip
+    return Departure(v, v_theta, u_after, u, after)

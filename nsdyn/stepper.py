@@ -18,7 +18,7 @@ from nsdyn._kernels import encounter as _encounter
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.history import History, foresee_slip, has_stopped, slip_status
+from nsdyn.history import Encounter, History, depart, foresee_slip, slip_status
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
@@ -308,45 +308,40 @@ class Stepper:
         rows = d.rows(blocks, joints)
         where = contacts, frame, middle.driven_x, rows.full.nc
         drag, drag_after = d.surfaces.drag(*where, begun), d.surfaces.drag(*where, ended)
-        met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after))
-        # The rows turn by `bend` a step: velocities at its beginning and at its end have rows of their own.
-        bend = met.bend
-        u_begin = met.u_before - (1.0 - theta) * bend
-        u_free = met.u_free + theta * bend
-        gap, mu, w, struck, elastic = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
-        q, returned = self._expand(rows, contacts.restitution, mu, u_begin, u_free, w, struck)
-        curve = foresee_slip(rows, u_begin, q, met)
-        problem = FC3D.from_blocks(rows.blocks, q + w + curve, mu)
+        met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after), theta)
+        gap, mu, w, struck, elastic = self._impact_law(contacts, joints, met, fast)
+        q, returned = self._expand(rows, contacts.restitution, mu, met, w, struck)
+        curve = foresee_slip(rows, q, met)
+        problem = FC3D.from_blocks(rows.blocks, q + w if curve is None else q + w + curve, mu)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
         solved = solution.iterations > 0
-        postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w) if elastic else None
-        stopped = has_stopped(solution.u, solution.r + returned, contacts.mu, curve)
+        postponed = self._postpone(problem, solution, contacts.restitution, met.u_begin, w) if elastic else None
+        impulse = solution.r if returned is None else solution.r + returned
+        status, stopped = slip_status(impulse, contacts.mu, curve)
         if stopped or postponed is not None:
-            problem = FC3D.from_blocks(rows.blocks, q + w + (0.0 if stopped else curve), mu)
+            problem = FC3D.from_blocks(rows.blocks, q + w if stopped or curve is None else q + w + curve, mu)
             solution = self.solver(problem, solution.r)
             solved = True
+            impulse = solution.r if returned is None else solution.r + returned
+            status, _ = slip_status(impulse, contacts.mu)
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
-        impulse = solution.r + returned
-        change = rows.velocity_change(impulse)
-        v = v_free + change
 
-        # Positions, and what penetration is left in them.
-        v_theta = theta * v + (1.0 - theta) * s.v
+        # Velocities and positions, and what penetration is left in them.
+        change = rows.velocity_change(impulse)
+        v, v_theta, u_after, u, gap = depart(rows, (s.v, v_free), change, drag_after, met, gap, h, theta)
         moved = d.advance(s.position, v_theta, h, d.surfaces.mean(begun, ended, theta))
-        u_after = rows.full.relative_velocity(v) + drag_after
-        u = u_after + theta * bend
         nc = contacts.gap.size
-        end, gap, poses = moved, gap + theta * h * u[0::3], d.poses(moved)
+        end, poses = moved, d.poses(moved)
         d.carry_gaps(contacts, poses, gap)
         if _encounter.smallest(gap) < -self.closed:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side, or a link of a mechanism in its guide.
-            ahead = gap + h * (u + theta * (u_free - u_begin))[0::3]
+            ahead = gap + h * (u + theta * (met.u_free - met.u_begin))[0::3]
             leaving = np.zeros(gap.size, np.bool_) if struck is None else struck & (ahead >= 0.0)
             if postponed is not None:
                 leaving |= postponed
@@ -372,7 +367,6 @@ class Stepper:
         )
         created = max(0.0, float((normal + friction)[:nc].sum())) if struck is not None else 0.0
         r = impulse.reshape(-1, 3)
-        status = slip_status(solution.u, impulse, contacts.mu)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
         history = s.history.after(contacts, status, frame, change, r, u_after, met.turn, slots, solved)
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
@@ -389,23 +383,23 @@ class Stepper:
         )  # fmt: skip
 
     def _impact_law(
-        self, contacts: ContactSet, joints: JointRows | None, u_begin: Array, u_free: Array, bend: Array, fast: bool
+        self, contacts: ContactSet, joints: JointRows | None, met: Encounter, fast: bool
     ) -> tuple[Array, Array, Array, NDArray[np.bool_] | None, bool]:
         """(gap, mu, w, struck, elastic) of contacts, then joint rows.
 
         Gaps at the midpoint, offsets of the impact law, which contacts have an impact (None if none has), and whether
         any could have one.
         """
-        h, theta, nc = self.dt, self.theta, contacts.gap.size
+        h, theta, nc, u_begin = self.dt, self.theta, contacts.gap.size, met.u_begin
         # Where the gaps were looked for at the beginning they have moved since; else the rows have turned.
-        moves, since = (u_begin, (1.0 - theta) * h) if fast else (bend, -0.5 * (1.0 - theta) ** 2 * h)
+        moves, since = (u_begin, (1.0 - theta) * h) if fast else (met.bend, -0.5 * (1.0 - theta) ** 2 * h)
         gap, mu, w, struck = np.empty(nc), contacts.mu, np.zeros(u_begin.size), np.zeros(u_begin.size // 3, np.bool_)
         some, elastic = _encounter.impact_law(
             u_begin, moves, since, contacts.gap, contacts.restitution, theta * h, self.resting_speed, self.closed, gap,
             w, struck,
         )  # fmt: skip
         if joints is not None:  # a joint that rebounds half a step late is behind its limit, and counts as not struck
-            u, free = u_begin[3 * nc :], u_free[3 * nc :]
+            u, free = u_begin[3 * nc :], met.u_free[3 * nc :]
             _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, self.closed, w[3 * nc :: 3])
             gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
         if some:
@@ -417,17 +411,16 @@ class Stepper:
         rows: Rows,
         restitution: Array,
         mu: Array,
-        u_begin: Array,
-        u_free: Array,
+        met: Encounter,
         w: Array,
         struck: NDArray[np.bool_] | None,
-    ) -> tuple[Array, Array | float]:
-        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, 0) without."""
+    ) -> tuple[Array, Array | None]:
+        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, None) without."""
         if self.impact != "poisson" or struck is None:
-            return u_free, 0.0
-        compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (u_begin + u_free) + w, mu))
+            return met.u_free, None
+        compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (met.u_begin + met.u_free) + w, mu))
         r = impacts.returned(compression.r, np.append(restitution, np.zeros(mu.size - restitution.size)))
-        return u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r
+        return met.u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r
 
     def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
         """(wrenches, joint forces) of the user's callbacks at the midpoint."""

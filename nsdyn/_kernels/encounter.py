@@ -13,18 +13,29 @@ from nsdyn._kernels.blocks import relative_velocity
 
 @njit(cache=True)
 def meet(
-    offset, block, start, h, v, v_free, drag, drag_after, press, old_key, status, old_normal, velocity, old_turn,
-    impulse, key, frame, u_before, u_free, foreseen, turn, slides, guess,
+    offset, block, start, h, v, v_free, drag, drag_after, press, theta, old_key, status, old_normal, velocity, old_turn,
+    impulse, key, frame, rates, guess, turn, slides,
 ):  # fmt: skip
-    """Relative velocities at v and at v_free, `turning` and `warm_start` of a step; whether any contact slides."""
+    """Relative velocities of a step, `turning` and `warm_start`; whether any contact slides.
+
+    The `rates` (4, 3 rows): at v, the same with the rows of the beginning, at v_free with the rows of the end, what the
+    rows turn in the step. `drag`, `drag_after` and `press` are empty where there are none.
+    """
+    u_before, u_begin, u_free, bend = rates
     relative_velocity(offset, block, start, h, v, u_before)
-    u_before += drag
     relative_velocity(offset, block, start, h, v_free, u_free)
+    for i in range(drag.size):
+        u_before[i] += drag[i]
+        u_free[i] += drag_after[i]
+    for i in range(press.size):
+        u_free[i] += press[i]
     place = places(old_key, key)
     warm_start(place, impulse, frame, guess)
-    turning(place, status, old_normal, velocity, old_turn, frame, u_before, foreseen, turn, slides)
-    for i in range(u_free.size):
-        u_free[i] += press[i] + drag_after[i]
+    bend[:] = 0.0
+    turning(place, status, old_normal, velocity, old_turn, frame, u_before, bend, turn, slides)
+    for i in range(bend.size):
+        u_begin[i] = u_before[i] - (1.0 - theta) * bend[i]
+        u_free[i] += theta * bend[i]
     return slides.any()
 
 
@@ -120,16 +131,18 @@ def impact_law(u, moves, before, found, restitution, h_theta, resting_speed, clo
 
 
 @njit(cache=True)
-def curve(u_begin, u_end, slides, w):
-    """Offset that turns the slip which friction opposes from that of the end to that of the middle, into w (3 nc,).
+def curve(offset, block, start, h, change, u_begin, u_free, slides, w):
+    """Offset that turns the slip which friction opposes from that of the end to that of the middle, into w (3 rows,).
 
-    Half the foreseen change of u_T across its direction, of contacts that slide and will slide on: those whose slip
-    changes by less than half of itself.
+    Half the change of u_T across its direction that the `change` of v makes foresee, of contacts that slide and will
+    slide on: those whose slip changes by less than half of itself.
     """
+    relative_velocity(offset, block, start, h, change, w)
+    w[3 * slides.size :] = 0.0
     for c in range(slides.size):
         i = 3 * c
+        x, y = u_free[i + 1] + w[i + 1], u_free[i + 2] + w[i + 2]
         w[i] = w[i + 1] = w[i + 2] = 0.0
-        x, y = u_end[i + 1], u_end[i + 2]
         dx, dy = x - u_begin[i + 1], y - u_begin[i + 2]
         slip = u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2
         if slides[c] and dx * dx + dy * dy < 0.25 * slip:
@@ -139,27 +152,58 @@ def curve(u_begin, u_end, slides, w):
 
 
 @njit(cache=True)
-def stopped(u, r, mu, curve):
-    """Whether a contact with an offset `curve` (3 rows,) sticks."""
-    status = np.empty(mu.size, np.int8)
-    contact_status(u, r, mu, status)
-    for c in range(mu.size):
-        if status[c] == 1 and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0):
-            return True
-    return False
+def contact_status(r, mu, curve, status):
+    """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary), into status (nc,).
 
-
-@njit(cache=True)
-def contact_status(u, r, mu, status):
-    """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary), into status (nc,)."""
+    Returns whether a contact with an offset `curve` (3 rows,), empty for none, sticks.
+    """
+    stopped = False
     for c in range(mu.size):
         t = math.sqrt(r[3 * c + 1] ** 2 + r[3 * c + 2] ** 2)
         if r[3 * c] <= 0.0:
             status[c] = 0
         elif t < mu[c] * r[3 * c] * (1.0 - 1e-9):
             status[c] = 1
+            stopped = stopped or (curve.size > 0 and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0))
         else:
             status[c] = 2
+    return stopped
+
+
+@njit(cache=True)
+def depart(
+    offset,
+    block,
+    start,
+    h,
+    v_begin,
+    v_free,
+    change,
+    drag_after,
+    bend,
+    gap,
+    dt,
+    theta,
+    v,
+    v_theta,
+    u_after,
+    u,
+    gap_after,
+):
+    """Velocities of a step that contacts change by `change`, and the gaps after it, linear in the motion.
+
+    v and θ v + (1 - θ) v_begin, relative velocities with the rows of the midpoint and with those of the end, gaps.
+    """
+    for i in range(v.size):
+        v[i] = v_free[i] + change[i]
+        v_theta[i] = theta * v[i] + (1.0 - theta) * v_begin[i]
+    relative_velocity(offset, block, start, h, v, u_after)
+    for i in range(drag_after.size):
+        u_after[i] += drag_after[i]
+    for i in range(u.size):
+        u[i] = u_after[i] + theta * bend[i]
+    for c in range(gap.size):
+        gap_after[c] = gap[c] + theta * dt * u[3 * c]
 
 
 @njit(cache=True)

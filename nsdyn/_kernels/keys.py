@@ -78,6 +78,6 @@ def collect(
         put(points[0], c, row(point, c))
         put(points[1], c, row(normal, c))
     return match(
-        radius, R, t, geom1, geom2, points[0], tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key, key,
-        local1, local2,
+        radius, R, t, geom1, geom2, points[0], tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key,
+        key, local1, local2,
     )  # fmt: skip
