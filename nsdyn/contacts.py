@@ -191,20 +191,11 @@ class Detector:
 
     def candidates(self, x: Array, R: Array, reach: Array) -> None:
         """First part of `detect`: place the geoms and renew the candidate pairs if one has left its fat box."""
-        geometry, fat = self._geometry, (self._fat_lower, self._fat_upper)
-        if broadphase.follow(
-            self._fields, x, R, reach, self._base, self._R, self._t, self._reach, self._lower, self._upper, *fat
-        ):
-            # The skin keeps the list for several steps; fixed geoms need none.
-            skin = self._base + self._reach + SKIN * geometry.radius + AHEAD * self._reach
-            skin = np.where(self._moving, skin, 0.0)[:, None]
-            np.subtract(self._lower, skin, out=self._fat_lower)
-            np.add(self._upper, skin, out=self._fat_upper)
-            solids = np.flatnonzero(geometry.kind != HALFSPACE)
-            axis = int(np.argmax(self._t[solids].var(axis=0))) if len(solids) else 0
-            order = solids[np.argsort(self._fat_lower[solids, axis], kind="stable")]
-            codes = broadphase.candidates(geometry, self._R, self._t, *fat, self._excluded, order, axis)
-            codes = np.sort(codes)
+        fields, boxes = self._fields, (self._lower, self._upper)
+        fat = self._fat_lower, self._fat_upper
+        if broadphase.follow(fields, x, R, reach, self._base, self._R, self._t, self._reach, *boxes, *fat):
+            broadphase.fatten(fields, self._base, self._reach, SKIN, AHEAD, *boxes, *fat)
+            codes = broadphase.candidates(fields, self._R, self._t, *fat, self._excluded)
             if not np.array_equal(codes, self._codes):
                 self._set_pairs(codes)
 
