@@ -19,7 +19,7 @@ from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import Array, Index
 
-__all__ = ["Departure", "Encounter", "History", "depart", "foresee_slip", "slip_status"]
+__all__ = ["Departure", "Encounter", "History", "depart", "foresee_slip", "release_stopped"]
 
 NOTHING = np.empty(0)
 
@@ -197,13 +197,13 @@ def foresee_slip(rows: Rows, u_free: Array, met: Encounter) -> Array | None:
     return curve
 
 
-def slip_status(r: Array, mu: Array, curve: Array | None = None) -> tuple[NDArray[np.int8], bool]:
+def release_stopped(r: Array, mu: Array, curve: Array | None) -> tuple[NDArray[np.int8], bool]:
     """0 open, 1 stick, 2 slip of the contacts, those with a friction coefficient in mu (nc,), from the impulses.
 
-    And whether one that was to slide on, with an offset in `curve`, has stopped.
+    What of the offsets in `curve` is of contacts that were to slide on and have stopped is dropped; whether any have.
     """
     status = np.empty(mu.size, np.int8)
-    return status, _encounter.contact_status(r, mu, NOTHING if curve is None else curve, status)
+    return status, _encounter.release(r, mu, NOTHING if curve is None else curve, status)
 
 
 def depart(

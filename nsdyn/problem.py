@@ -7,6 +7,7 @@ in m/s, r in N·s. The judge is not the player: every solver's answer is measure
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -213,6 +214,14 @@ class FC3D:
             problem._check_values()
             problem._check_scales()
         problem.q_norm = q_norm or 1.0
+        return problem
+
+    def with_velocity(self, q: Any) -> FC3D:
+        """The same contacts with another q, without looking at W again."""
+        problem = copy(self)
+        problem.__dict__.pop("q_norm", None)
+        problem._set(q, self.mu)
+        problem._check_values()
         return problem
 
     def _set(self, q: Any, mu: Any) -> None:

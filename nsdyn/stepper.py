@@ -18,7 +18,7 @@ from nsdyn._kernels import encounter as _encounter
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.history import Encounter, History, depart, foresee_slip, slip_status
+from nsdyn.history import Encounter, History, depart, foresee_slip, release_stopped
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
@@ -319,14 +319,13 @@ class Stepper:
         solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
         solved = solution.iterations > 0
         postponed = self._postpone(problem, solution, contacts.restitution, met.u_begin, w) if elastic else None
-        impulse = solution.r if returned is None else solution.r + returned
-        status, stopped = slip_status(impulse, contacts.mu, curve)
-        if stopped or postponed is not None:
-            problem = FC3D.from_blocks(rows.blocks, q + w if stopped or curve is None else q + w + curve, mu)
+        impulse, again = solution.r + returned, postponed is not None
+        status, stopped = release_stopped(impulse, contacts.mu, curve)
+        while stopped or again:
+            problem = problem.with_velocity(q + w if curve is None else q + w + curve)
             solution = self.solver(problem, solution.r)
-            solved = True
-            impulse = solution.r if returned is None else solution.r + returned
-            status, _ = slip_status(impulse, contacts.mu)
+            solved, again, impulse = True, False, solution.r + returned
+            status, stopped = release_stopped(impulse, contacts.mu, curve)
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
@@ -414,10 +413,10 @@ class Stepper:
         met: Encounter,
         w: Array,
         struck: NDArray[np.bool_] | None,
-    ) -> tuple[Array, Array | None]:
-        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, None) without."""
+    ) -> tuple[Array, Array | float]:
+        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, 0) without."""
         if self.impact != "poisson" or struck is None:
-            return met.u_free, None
+            return met.u_free, 0.0
         compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (met.u_begin + met.u_free) + w, mu))
         r = impacts.returned(compression.r, np.append(restitution, np.zeros(mu.size - restitution.size)))
         return met.u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r
@@ -450,8 +449,7 @@ class Stepper:
         if late.any():
             away = np.zeros_like(w)
             away[0::3][late] = 2.0 * np.abs(problem.q).max()
-            assert problem.blocks is not None
-            free = self.solver(FC3D.from_blocks(problem.blocks, problem.q + away, problem.mu), solution.r)
+            free = self.solver(problem.with_velocity(problem.q + away), solution.r)
             late &= (free.u - away - w)[0::3] < -self.resting_speed
             w[0::3][late] += away[0::3][late]
         return late if late.any() else None

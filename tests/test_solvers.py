@@ -9,6 +9,7 @@ from test_problem import corner_box
 import nsdyn as nd
 from nsdyn._kernels import newton as kernels
 from nsdyn._kernels import pgs as sweeps
+from nsdyn._kernels import sparse as matrix
 
 FILES = Path(__file__).resolve().parents[2] / "shared" / "fc3d"
 
@@ -128,9 +129,9 @@ def test_newton_matrix_dense_and_sparse(rng):
     where = blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, A
     kernels.assemble_dense(*where, K)
     np.testing.assert_allclose(K, expected, atol=1e-12)
-    indptr, indices, slot, diagonal = kernels.pattern(blocks.offset, blocks.block)
+    indptr, indices, slot, diagonal = matrix.pattern(blocks.offset, blocks.block)
     data = np.empty(indices.size)
-    kernels.assemble_sparse(*where, indptr, slot, diagonal, data)
+    matrix.assemble_sparse(*where, indptr, slot, diagonal, data)
     import scipy.sparse as sp
 
     sparse = sp.csc_array((data, indices, indptr), shape=K.shape)

@@ -152,22 +152,24 @@ def curve(offset, block, start, h, change, u_begin, u_free, slides, w):
 
 
 @njit(cache=True)
-def contact_status(r, mu, curve, status):
+def release(r, mu, curve, status):
     """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary), into status (nc,).
 
-    Returns whether a contact with an offset `curve` (3 rows,), empty for none, sticks.
+    The offsets in `curve` (3 rows,), empty for none, of contacts that stick are dropped; returns whether there are any.
     """
-    stopped = False
+    some = False
     for c in range(mu.size):
         t = math.sqrt(r[3 * c + 1] ** 2 + r[3 * c + 2] ** 2)
         if r[3 * c] <= 0.0:
             status[c] = 0
         elif t < mu[c] * r[3 * c] * (1.0 - 1e-9):
             status[c] = 1
-            stopped = stopped or (curve.size > 0 and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0))
+            if curve.size and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0):
+                curve[3 * c + 1] = curve[3 * c + 2] = 0.0
+                some = True
         else:
             status[c] = 2
-    return stopped
+    return some
 
 
 @njit(cache=True)
