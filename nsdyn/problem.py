@@ -290,22 +290,23 @@ class FC3D:
         ----------
         V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 6.
         """
-        r = self._impulse(r)
+        r = self.impulse(r)
         u = self.velocity(r) if u is None else u
         return float(_cones.natural_error(u, r, self.mu)) / self.q_norm
 
     def residual(self, r: Any, u: Array | None = None) -> float:
         """Unit-invariant residual in m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ with ρ = 1/λ_max(W_aa)."""
-        r = self._impulse(r)
+        r = self.impulse(r)
         u = self.velocity(r) if u is None else u
         return float(_cones.natural_residual(self.scales, u, r, self.mu))
 
     def gap(self, r: Any) -> float:
         """Duality gap Σ r·(u + δ e_N + μ‖u_T‖ e_N) in J of the problem shifted by δ = max(0, -u_N): see `gauss`."""
-        r = self._impulse(r)
+        r = self.impulse(r)
         return float(_cones.duality_gap(self.velocity(r), r, self.mu)[0])
 
-    def _impulse(self, r: Any) -> Array:
+    def impulse(self, r: Any) -> Array:
+        """The array r (3 nc,) that is meant; ValueError if its shape does not fit."""
         out: Array = np.ascontiguousarray(r, dtype=float)
         if out.shape != self.q.shape:
             raise ValueError(f"r must have shape {self.q.shape} like q, got {out.shape}")
@@ -313,7 +314,7 @@ class FC3D:
 
     def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:
         """(both measures within tol, error, residual in m/s, u) of an impulse r."""
-        r = self._impulse(r)
+        r = self.impulse(r)
         if self.blocks is None:
             u = self.velocity(r)
             top, residual = _cones.measures(self.scales, u, r, self.mu)
@@ -370,11 +371,18 @@ class Solution:
         problem: FC3D, r: Array, tol: float, iterations: int, time: float, otherwise: Status = Status.STALLED
     ) -> Solution:
         """Solution of impulse r; converged only if the problem's own measures say so."""
-        ok, error, residual, u = problem.solved(r, tol)
-        if not (math.isfinite(error) and math.isfinite(residual)):
-            status = Status.NOT_FINITE
+        _, error, residual, u = problem.solved(r, tol)
+        return Solution.measured(r, u, error, residual, tol, iterations, time, otherwise)
+
+    @staticmethod
+    def measured(
+        r: Array, u: Array, error: float, residual: float, tol: float, iterations: int, time: float, otherwise: Status
+    ) -> Solution:
+        """Solution of an impulse with the velocity and the measures that its problem gives it."""
+        if error <= tol and residual <= tol:
+            status = Status.CONVERGED
         else:
-            status = Status.CONVERGED if ok else otherwise
+            status = otherwise if math.isfinite(error) and math.isfinite(residual) else Status.NOT_FINITE
         return Solution(r, u, status, error, residual, iterations, time)
 
 
