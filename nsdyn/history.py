@@ -19,7 +19,7 @@ from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import Array, Index
 
-__all__ = ["Departure", "Encounter", "History", "depart", "foresee_slip", "release_stopped"]
+__all__ = ["Departure", "Encounter", "History", "foresee_slip", "release_stopped"]
 
 NOTHING = np.empty(0)
 
@@ -57,19 +57,33 @@ class Departure(NamedTuple):
 
     Attributes
     ----------
+    change : ndarray, shape (n,)
+        M⁻¹ H r.
     v, v_theta : ndarray, shape (n,)
         v_{k+1} and v_{k+θ}.
-    u_after, u : ndarray, shape (3 rows,)
-        Relative velocities at v_{k+1} with the rows of the midpoint, and with those of the end, m/s.
+    u : ndarray, shape (3 rows,)
+        Relative velocities at v_{k+1} with the rows of the end, m/s.
     gap : ndarray, shape (rows,)
         At the end, linear in the motion since the midpoint, m.
+    normal, friction : ndarray, shape (rows,)
+        Works of the impulses, J.
+    works : (float, float)
+        Their sums.
+    impulse, velocity, push : ndarray
+        As in `History`.
     """
 
+    change: Array
     v: Array
     v_theta: Array
-    u_after: Array
     u: Array
     gap: Array
+    normal: Array
+    friction: Array
+    works: tuple[float, float]
+    impulse: Array
+    velocity: Array
+    push: Array
 
 
 class History(NamedTuple):
@@ -159,22 +173,45 @@ class History(NamedTuple):
         u_before, u_begin, u_free, bend = rates
         return Encounter(u_before, u_begin, u_free, bend, turn, slides if some else None, guess)
 
-    def after(
+    def leave(
         self,
-        contacts: ContactSet,
-        status: NDArray[np.int8],
+        rows: Rows,
         frame: Array,
-        change: Array,
+        velocities: tuple[Array, Array],
+        drag: Array,
+        met: Encounter,
+        gap: Array,
         r: Array,
-        u: Array,
-        turn: Array,
-        joints: Array,
-        solved: bool,
-    ) -> History:
-        """History after a step with impulses r (rows, 3), their change of v, and relative velocities u at v_{k+1}."""
-        impulse, velocity, push = np.empty(turn.shape), np.empty(turn.shape), np.empty(change.size)
-        _encounter.leave(frame, r, u, change, self.change, impulse, velocity, push)
-        return History(contacts.key, status, contacts.normal, impulse, velocity, turn, change, push, joints, solved)
+        h: float,
+        theta: float,
+    ) -> Departure:
+        """What a step ends with.
+
+        Parameters
+        ----------
+        rows : Rows
+        frame : ndarray, shape (nc, 3, 3)
+        velocities : (v, v_free)
+            At the beginning of the step, and at its end without impulses.
+        drag : ndarray, shape (3 rows,)
+            What sliding surfaces add to the relative velocities at the end, m/s; empty where there are none.
+        met : Encounter
+        gap : ndarray, shape (rows,)
+            At the midpoint, m.
+        r : ndarray, shape (3 rows,)
+            Impulses.
+        h, theta : float
+        """
+        full, change = rows.full, rows.velocity_change(r)
+        n, size, world = change.size, gap.size, (len(frame), 3)
+        v, v_theta, push, u = np.empty(n), np.empty(n), np.empty(n), np.empty(r.size)
+        after, normal, friction = np.empty(size), np.empty(size), np.empty(size)
+        impulse, velocity = np.empty(world), np.empty(world)
+        works = _encounter.leave(
+            full.offset, full.block, full.start, full.h, *velocities, change, self.change, drag, met.u_before, met.bend,
+            gap, frame, r, h, theta, v, v_theta, u, after, normal, friction, impulse, velocity, push,
+        )  # fmt: skip
+        return Departure(change, v, v_theta, u, after, normal, friction, works, impulse, velocity, push)
 
 
 def foresee_slip(rows: Rows, u_free: Array, met: Encounter) -> Array | None:
@@ -204,33 +241,3 @@ def release_stopped(r: Array, mu: Array, curve: Array | None) -> tuple[NDArray[n
     """
     status = np.empty(mu.size, np.int8)
     return status, _encounter.release(r, mu, NOTHING if curve is None else curve, status)
-
-
-def depart(
-    rows: Rows, velocities: tuple[Array, Array], change: Array, drag: Array, met: Encounter, gap: Array,
-    h: float, theta: float,
-) -> Departure:  # fmt: skip
-    """What a step ends with that the impulses change by `change`.
-
-    Parameters
-    ----------
-    rows : Rows
-    velocities : (v, v_free)
-        At the beginning of the step, and at its end without impulses.
-    change : ndarray, shape (n,)
-        Of v by the impulses.
-    drag : ndarray, shape (3 rows,)
-        What sliding surfaces add to the relative velocities at the end, m/s; empty where there are none.
-    met : Encounter
-    gap : ndarray, shape (rows,)
-        At the midpoint, m.
-    h, theta : float
-    """
-    full = rows.full
-    n, rates = change.size, met.bend.size
-    v, v_theta, u_after, u, after = np.empty(n), np.empty(n), np.empty(rates), np.empty(rates), np.empty(gap.size)
-    _encounter.depart(
-        full.offset, full.block, full.start, full.h, *velocities, change, drag, met.bend, gap, h, theta, v, v_theta,
-        u_after, u, after,
-    )  # fmt: skip
-    return Departure(v, v_theta, u_after, u, after)

@@ -18,7 +18,7 @@ from nsdyn._kernels import encounter as _encounter
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.history import Encounter, History, depart, foresee_slip, release_stopped
+from nsdyn.history import Encounter, History, foresee_slip, release_stopped
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
@@ -331,16 +331,16 @@ class Stepper:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
 
         # Velocities and positions, and what penetration is left in them.
-        change = rows.velocity_change(impulse)
-        v, v_theta, u_after, u, gap = depart(rows, (s.v, v_free), change, drag_after, met, gap, h, theta)
-        moved = d.advance(s.position, v_theta, h, d.surfaces.mean(begun, ended, theta))
+        left = s.history.leave(rows, frame, (s.v, v_free), drag_after, met, gap, impulse, h, theta)
+        v, gap = left.v, left.gap
+        moved = d.advance(s.position, left.v_theta, h, d.surfaces.mean(begun, ended, theta))
         nc = contacts.gap.size
         end, poses = moved, d.poses(moved)
         d.carry_gaps(contacts, poses, gap)
         if _encounter.smallest(gap) < -self.closed:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side, or a link of a mechanism in its guide.
-            ahead = gap + h * (u + theta * (met.u_free - met.u_begin))[0::3]
+            ahead = gap + h * (left.u + theta * (met.u_free - met.u_begin))[0::3]
             leaving = np.zeros(gap.size, np.bool_) if struck is None else struck & (ahead >= 0.0)
             if postponed is not None:
                 leaving |= postponed
@@ -351,23 +351,17 @@ class Stepper:
             poses = poses if end is moved else d.poses(end)
 
         # Certificate, ledger, record.
-        normal, friction, works = energy.contact_works(met.u_before, u_after, impulse)
         driving = -0.5 * float((drag + drag_after) @ impulse) if d.surfaces.count else 0.0
-        step_energy = energy.ledger(
-            d,
-            h,
-            theta,
-            loads,
-            (s.position, moved, end),
-            (s.v, v, v_theta),
-            rows.full.momentum(impulse) if d.constrained else None,
-            *works,
-            driving,
-        )
-        created = max(0.0, float((normal + friction)[:nc].sum())) if struck is not None else 0.0
-        r = impulse.reshape(-1, 3)
+        momentum = rows.full.momentum(impulse) if d.constrained else None
+        positions, velocities = (s.position, moved, end), (s.v, v, left.v_theta)
+        step_energy = energy.ledger(d, h, theta, loads, positions, velocities, momentum, *left.works, driving)
+        created = max(0.0, float((left.normal + left.friction)[:nc].sum())) if struck is not None else 0.0
+        r, u = impulse.reshape(-1, 3), left.u.reshape(-1, 3)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
-        history = s.history.after(contacts, status, frame, change, r, u_after, met.turn, slots, solved)
+        history = History(
+            contacts.key, status, contacts.normal, left.impulse, left.velocity, met.turn, left.change, left.push, slots,
+            solved,
+        )  # fmt: skip
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
         q_out, v_out = d.pinocchio_state(end, v)
         x, quaternion = poses
@@ -376,9 +370,9 @@ class Stepper:
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q_out, v_out, x, quaternion, contacts, gap[:nc], frame, u.reshape(-1, 3)[:nc], r[:nc],
-            status, normal[:nc], friction[:nc], joint_impulse, created, step_energy._asdict(), certificate, problem,
-            solution, times,
+            self._state.t, q_out, v_out, x, quaternion, contacts, gap[:nc], frame, u[:nc], r[:nc],
+            status, left.normal[:nc], left.friction[:nc], joint_impulse, created, step_energy._asdict(), certificate,
+            problem, solution, times,
         )  # fmt: skip
 
     def _impact_law(

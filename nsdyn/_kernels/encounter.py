@@ -173,42 +173,6 @@ def release(r, mu, curve, status):
 
 
 @njit(cache=True)
-def depart(
-    offset,
-    block,
-    start,
-    h,
-    v_begin,
-    v_free,
-    change,
-    drag_after,
-    bend,
-    gap,
-    dt,
-    theta,
-    v,
-    v_theta,
-    u_after,
-    u,
-    gap_after,
-):
-    """Velocities of a step that contacts change by `change`, and the gaps after it, linear in the motion.
-
-    v and θ v + (1 - θ) v_begin, relative velocities with the rows of the midpoint and with those of the end, gaps.
-    """
-    for i in range(v.size):
-        v[i] = v_free[i] + change[i]
-        v_theta[i] = theta * v[i] + (1.0 - theta) * v_begin[i]
-    relative_velocity(offset, block, start, h, v, u_after)
-    for i in range(drag_after.size):
-        u_after[i] += drag_after[i]
-    for i in range(u.size):
-        u[i] = u_after[i] + theta * bend[i]
-    for c in range(gap.size):
-        gap_after[c] = gap[c] + theta * dt * u[3 * c]
-
-
-@njit(cache=True)
 def contact_works(u_before, u_after, r, normal, friction):
     """Work of every contact impulse, ½ (u⁻ + u⁺)·r split in normal and tangential part, in J; returns their sums."""
     total_normal, total_friction = 0.0, 0.0
@@ -233,17 +197,44 @@ def smallest(x):
 
 
 @njit(cache=True)
-def leave(frame, r, u, change, last_change, impulse, velocity, push):
-    """Impulses r (rows, 3) and velocities u (3 rows,) in world axes, into impulse and velocity (nc, 3).
-
-    What `change` and `last_change` (n,) agree on, the smaller of two of one sign, into push (n,).
-    """
+def to_world(frame, x, out):
+    """Vectors x (3 rows,) of the contacts in world axes, into out (nc, 3)."""
     for c in range(frame.shape[0]):
         for j in range(3):
-            a, b, d = frame[c, 0, j], frame[c, 1, j], frame[c, 2, j]
-            impulse[c, j] = a * r[c, 0] + b * r[c, 1] + d * r[c, 2]
-            velocity[c, j] = a * u[3 * c] + b * u[3 * c + 1] + d * u[3 * c + 2]
+            out[c, j] = frame[c, 0, j] * x[3 * c] + frame[c, 1, j] * x[3 * c + 1] + frame[c, 2, j] * x[3 * c + 2]
+
+
+@njit(cache=True)
+def common(change, last_change, push):
+    """What two changes (n,) agree on, the smaller of two of one sign and 0 else, into push (n,)."""
     for i in range(change.size):
         push[i] = 0.0
         if change[i] * last_change[i] > 0.0:
             push[i] = change[i] if abs(change[i]) < abs(last_change[i]) else last_change[i]
+
+
+@njit(cache=True)
+def leave(
+    offset, block, start, h, v_begin, v_free, change, last_change, drag_after, u_before, bend, gap, frame, r, dt, theta,
+    v, v_theta, u, gap_after, normal, friction, impulse, velocity, push,
+):  # fmt: skip
+    """What a step ends with whose impulses r (3 rows,) change v by `change`; returns the sums of `contact_works`.
+
+    v and θ v + (1 - θ) v_begin; relative velocities with the rows of the end; gaps, linear in the motion; works; in
+    world axes impulses, and velocities with the rows of the midpoint; what the two last changes have in `common`.
+    """
+    for i in range(v.size):
+        v[i] = v_free[i] + change[i]
+        v_theta[i] = theta * v[i] + (1.0 - theta) * v_begin[i]
+    u_after = np.empty(u.size)
+    relative_velocity(offset, block, start, h, v, u_after)
+    for i in range(drag_after.size):
+        u_after[i] += drag_after[i]
+    for i in range(u.size):
+        u[i] = u_after[i] + theta * bend[i]
+    for c in range(gap.size):
+        gap_after[c] = gap[c] + theta * dt * u[3 * c]
+    to_world(frame, r, impulse)
+    to_world(frame, u_after, velocity)
+    common(change, last_change, push)
+    return contact_works(u_before, u_after, r, normal, friction)
