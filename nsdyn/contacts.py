@@ -87,17 +87,15 @@ class ContactMemory(NamedTuple):
 
     Attributes
     ----------
-    geom1, geom2, key : ndarray, shape (nc,)
-    local1, local2 : ndarray, shape (nc, 3)
-        The points in the frames of the two geoms, m.
+    names : ndarray, shape (5, nc)
+        Both geoms, both frames, the key.
+    points : ndarray, shape (4, nc, 3)
+        Point and normal in world axes, the point in the frames of the two geoms; m.
     next_key : int
     """
 
-    geom1: Index
-    geom2: Index
-    key: Index
-    local1: Array
-    local2: Array
+    names: Index
+    points: Array
     next_key: int
 
 
@@ -156,9 +154,8 @@ class Detector:
         loops = np.diff(self._geometry.loop_ptr).max(initial=max_points)
         room = int(max(4 * max(loops, max_points), np.diff(self._geometry.vertex_ptr).max(initial=0)))
         self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
-        none, no_points = np.empty(0, dtype=np.int64), np.empty((0, 3))
-        self._memory = ContactMemory(none, none, none, no_points, no_points, 0)
-        self._set_pairs(none)
+        self._memory = ContactMemory(np.empty((5, 0), dtype=np.int64), np.empty((4, 0, 3)), 0)
+        self._set_pairs(np.empty(0, dtype=np.int64))
 
     @property
     def memory(self) -> ContactMemory:
@@ -207,10 +204,9 @@ class Detector:
         round1, round2 = (kind1 == SPHERE) | (kind1 == CAPSULE), (kind2 == SPHERE) | (kind2 == CAPSULE)
         asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | (round1 & round2))
         self._first, self._second = first, second
-        self._slot = np.where(asked, np.cumsum(asked) - 1, -1)
+        slot = np.where(asked, np.cumsum(asked) - 1, -1)
         radius = np.where(self._moving, self._geometry.radius, np.inf)
-        self._pair_base = MARGIN * np.minimum(radius[first], radius[second])
-        self._mu, self._restitution = self._pair_material(first, second)
+        base = MARGIN * np.minimum(radius[first], radius[second])
         self._coal = np.empty((int(asked.sum()), 10))
         self._batches = []
         for k, (lo, hi) in enumerate(_split(first[asked], second[asked])):
@@ -219,8 +215,19 @@ class Detector:
             pairs = first[asked][lo:hi], second[asked][lo:hi]
             self._batches.append(_Batch(self._models[k], self._cores, *pairs, self._coal[lo:hi]))
         room = len(codes) * self._max_points
-        self._point, self._normal = np.empty((room, 3)), np.empty((room, 3))
-        self._gap, self._pair = np.empty(room), np.empty(room, dtype=np.int64)
+        point, normal, gap = np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
+        pair = np.empty(room, dtype=np.int64)
+        # What the kernels get in every step.
+        mu, restitution = self._pair_material(first, second)
+        pose = self._R, self._t
+        self._search = (
+            self._fields, *pose, self._slack, first, second, slot, self._coal, base, self._reach, self._max_points,
+            *self._scratch, point, normal, gap, pair,
+        )  # fmt: skip
+        self._found = (
+            pair, first, second, self._frame, mu, restitution, point, normal, gap, self._geometry.radius, *pose,
+            TOLERANCE, self._reach,
+        )  # fmt: skip
 
     def narrow(self) -> None:
         """Second part of `detect`: ask Coal for distance and direction of the pairs that have no closed form."""
@@ -229,23 +236,14 @@ class Detector:
 
     def manifold(self) -> ContactSet:
         """Third part of `detect`: points, normals and gaps, and the keys of contacts that last."""
-        count = manifold.manifolds(
-            self._fields, self._R, self._t, self._slack, self._first, self._second, self._slot, self._coal,
-            self._pair_base, self._reach, self._max_points, *self._scratch, self._point, self._normal, self._gap,
-            self._pair,
-        )  # fmt: skip
+        count = manifold.manifolds(*self._search)
         names, points, scalars = np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))
         old = self._memory
-        next_key = keys.collect(
-            self._pair, self._first, self._second, self._frame, self._mu, self._restitution, self._point, self._normal,
-            self._gap, self._geometry.radius, self._R, self._t, TOLERANCE, self._reach, old.geom1, old.geom2, old.key,
-            old.local1, old.local2, old.next_key, names, points, scalars,
-        )  # fmt: skip
+        next_key = keys.collect(*self._found, old.names, old.points, old.next_key, names, points, scalars)
+        self._memory = ContactMemory(names, points, next_key)
         geom1, geom2, frame1, frame2, key = names
-        point, normal, local1, local2 = points
         gap, mu, restitution = scalars
-        self._memory = ContactMemory(geom1, geom2, key, local1, local2, next_key)
-        return ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key)
+        return ContactSet(geom1, geom2, frame1, frame2, points[0], points[1], gap, mu, restitution, key)
 
 
 def _flatten(geoms: Sequence[Geom]) -> broadphase.Geometry:

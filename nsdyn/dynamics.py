@@ -233,7 +233,7 @@ class Dynamics:
         """
         force, torque, applied = self._applied(begin, _mapping(wrenches, "external_force"))
         given = _mapping(tau, "controller")
-        if unknown := given.keys() - self._tree_names.keys():
+        if given and (unknown := given.keys() - self._tree_names.keys()):
             raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
         _motion.free_velocity(self.J, self._inverse_mass, self.gravity, force, torque, h, v, push, out, gyroscopic)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -202,14 +201,12 @@ class FC3D:
         """Problem with W = Hᵀ M⁻¹ H given by its factors; W itself is assembled only when asked for."""
         problem = cls.__new__(cls)
         problem._set(q, mu)
-        if blocks.nc != problem.mu.size:
-            raise ValueError(f"blocks must have {problem.mu.size} contacts like mu, got {blocks.nc}")
-        problem.blocks = blocks
-        problem.scales = np.empty(problem.mu.size)
-        b = blocks
-        q_norm, good = _blocks.prepare(
-            b.offset, b.block, b.start, b.h, b.m_start, b.minv, problem.q, problem.mu, problem.scales
-        )
+        offset, block, start, h, m_start, _, minv = problem.blocks = blocks
+        nc = len(problem.mu)
+        if len(block) != nc:
+            raise ValueError(f"blocks must have {nc} contacts like mu, got {len(block)}")
+        scales = problem.scales = np.empty(nc)
+        q_norm, good = _blocks.prepare(offset, block, start, h, m_start, minv, problem.q, problem.mu, scales)
         if not good:
             problem._check_values()
             problem._check_scales()
@@ -269,7 +266,7 @@ class FC3D:
     @property
     def nc(self) -> int:
         """Number of contacts."""
-        return int(self.mu.size)
+        return len(self.mu)
 
     def velocity(self, r: Array) -> Array:
         """u = W r + q, shape (3 nc,), m/s."""
@@ -332,8 +329,7 @@ def _csr(W: sp.bsr_array) -> tuple[Index, Index, Array]:
     return W.indptr.astype(np.int64, copy=False), W.indices.astype(np.int64, copy=False), data
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(NamedTuple):
     """What a solver returns, measured by the problem itself.
 
     Attributes

@@ -98,8 +98,8 @@ class Step(NamedTuple):
         Of joint limits and dry joint friction on each coordinate, N m s or N s.
     created : float
         Energy that the contacts of a step with an impact created, J: 0 but for the paradox of Newton's law (`impacts`).
-    energy : dict
-        The terms of `nsdyn.energy.Ledger`, J.
+    ledger : Ledger
+        Energies at the end and works of the step, J.
     gauss : Certificate
     problem : FC3D
     solution : Solution
@@ -123,7 +123,7 @@ class Step(NamedTuple):
     work_friction: Array
     joint_impulse: Array
     created: float
-    energy: dict[str, float]
+    ledger: energy.Ledger
     gauss: gauss.Certificate
     problem: FC3D
     solution: Solution
@@ -133,6 +133,11 @@ class Step(NamedTuple):
     def tangent(self) -> Array:
         """First tangent t1 of every contact, shape (nc, 3); t2 = n × t1."""
         return self.frame[:, 1]
+
+    @property
+    def energy(self) -> dict[str, float]:
+        """The terms of the ledger by their names, J."""
+        return self.ledger._asdict()
 
 
 class Start(NamedTuple):
@@ -306,8 +311,7 @@ class Stepper:
         blocks, frame = d.blocks(contacts)
         joints = d.joint_rows(middle, s.v, v_free, h)
         rows = d.rows(blocks, joints)
-        where = contacts, frame, middle.driven_x, rows.full.nc
-        drag, drag_after = d.surfaces.drag(*where, begun), d.surfaces.drag(*where, ended)
+        drag, drag_after = d.surfaces.drags(contacts, frame, middle.driven_x, rows.full.nc, begun, ended)
         met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after), theta)
         gap, mu, w, struck, elastic = self._impact_law(contacts, joints, met, fast)
         q, returned = self._expand(rows, contacts.restitution, mu, met, w, struck)
@@ -354,7 +358,7 @@ class Stepper:
         driving = -0.5 * float((drag + drag_after) @ impulse) if d.surfaces.count else 0.0
         momentum = rows.full.momentum(impulse) if d.constrained else None
         positions, velocities = (s.position, moved, end), (s.v, v, left.v_theta)
-        step_energy = energy.ledger(d, h, theta, loads, positions, velocities, momentum, *left.works, driving)
+        ledger = energy.ledger(d, h, theta, loads, positions, velocities, momentum, *left.works, driving)
         created = max(0.0, float((left.normal + left.friction)[:nc].sum())) if struck is not None else 0.0
         r, u = impulse.reshape(-1, 3), left.u.reshape(-1, 3)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
@@ -371,7 +375,7 @@ class Stepper:
         )  # fmt: skip
         return Step(
             self._state.t, q_out, v_out, x, quaternion, contacts, gap[:nc], frame, u[:nc], r[:nc],
-            status, left.normal[:nc], left.friction[:nc], joint_impulse, created, step_energy._asdict(), certificate,
+            status, left.normal[:nc], left.friction[:nc], joint_impulse, created, ledger, certificate,
             problem, solution, times,
         )  # fmt: skip
 

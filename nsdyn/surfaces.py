@@ -60,13 +60,19 @@ class Surfaces:
             length = np.linalg.norm(step[: self._driven], axis=2)
             out[-self._driven :] = length[:, 0] + length[:, 1] * self._radius
 
-    def drag(self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, twist: Array) -> Array:
-        """What the surfaces add to the relative velocities of the contacts, shape (3 rows,), 0 beyond them, m/s.
+    def drags(
+        self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, begun: Array, ended: Array
+    ) -> tuple[Array, Array]:
+        """What the surfaces add to the relative velocities of the contacts at the beginning and the end of a step.
 
-        Empty in a scene without surfaces.
+        Shapes (3 rows,), 0 beyond the contacts, m/s; empty in a scene without surfaces.
         """
         if not self.count:
-            return NOTHING
+            return NOTHING, NOTHING
+        where = contacts, frame, driven_x, rows
+        return self._drag(*where, begun), self._drag(*where, ended)
+
+    def _drag(self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, twist: Array) -> Array:
         w = np.zeros(3 * rows)
         origin = self._origin.copy()
         origin[: self._driven] = driven_x

@@ -177,7 +177,6 @@ _CONTACT = {
 # What is read of every state, and of every step besides, at once.
 _read_state = attrgetter("t", "q", "v", "frames_x", "frames_quat", "energy")
 _read_step = attrgetter(
-    "energy",
     *(f"gauss.{name}" for name in _GAUSS),
     *(f"solution.{name}" for name in _SOLVER),
     *(path for path, _, _ in _CONTACT.values()),
@@ -333,9 +332,8 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
     for name in _ENERGIES:
         out[f"energy/{name}"] = np.array([energy[name] for energy in energies], dtype=float)
     columns: Iterator[Any] = zip(*steps, strict=True) if steps else repeat(())
-    works = next(columns)
     for name in _WORKS:
-        out[f"energy/{name}"] = np.array([work[name] for work in works], dtype=float)
+        out[f"energy/{name}"] = np.array([energy[name] for energy in energies if steps], dtype=float)
     for name in _GAUSS:
         out[f"gauss/{name}"] = np.array(next(columns), dtype=float)
     for name, kind in _SOLVER.items():

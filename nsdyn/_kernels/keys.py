@@ -61,8 +61,8 @@ def match(
 
 @njit(cache=True)
 def collect(
-    pair, first, second, frame, mu, restitution, point, normal, gap, radius, R, t, tolerance, slack, old1, old2,
-    old_key, old_local1, old_local2, next_key, names, points, scalars,
+    pair, first, second, frame, mu, restitution, point, normal, gap, radius, R, t, tolerance, slack, old_names,
+    old_points, next_key, names, points, scalars,
 ):  # fmt: skip
     """What `manifolds` found and what contacts have from pairs and geoms, into arrays of their number; then `match`.
 
@@ -78,6 +78,6 @@ def collect(
         put(points[0], c, row(point, c))
         put(points[1], c, row(normal, c))
     return match(
-        radius, R, t, geom1, geom2, points[0], tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key,
-        key, local1, local2,
+        radius, R, t, geom1, geom2, points[0], tolerance, slack, old_names[0], old_names[1], old_names[4],
+        old_points[2], old_points[3], next_key, key, local1, local2,
     )  # fmt: skip

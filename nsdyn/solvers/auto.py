@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -120,7 +120,7 @@ class Auto:
         from nsdyn.formulations import has_slater_point  # rarely needed, and its imports take long
 
         if solution.status is Status.MAX_ITERATIONS and has_slater_point(problem) is False:
-            return replace(solution, status=Status.NO_SLATER_POINT)
+            return solution._replace(status=Status.NO_SLATER_POINT)
         return solution
 
     def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, start: float) -> Solution:
@@ -128,9 +128,8 @@ class Auto:
         q_norm, enough, nc = problem.q_norm, max(POLISH * self.tol, FLOOR), problem.nc
         u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
         found, left, count, error, residual = _warm.improve(
-            blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, blocks.minv, problem.q,
-            problem.mu, problem.scales, r, u, label, islands, enough, 0.9 * self.accept * self.tol, q_norm, DENSE,
-            *WARM,
+            *blocks, problem.q, problem.mu, problem.scales, r, u, label, islands, enough, 0.9 * self.accept * self.tol,
+            q_norm, DENSE, *WARM,
         )  # fmt: skip
         if not left:
             spent = time.perf_counter() - start
