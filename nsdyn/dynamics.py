@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 __all__ = ["Dynamics", "Loads", "Position"]
 
+NOTHING: Mapping[Any, Any] = {}
+
 NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
 
 
@@ -78,9 +80,7 @@ def _rotation(quaternion: Array) -> Array:
 
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:
-    """What a callback returned; None is nothing."""
-    if given is None:
-        return {}
+    """What a callback returned, checked."""
     if not isinstance(given, Mapping):
         raise ValueError(f"{what} must return a mapping of names or None, got {given!r}")
     return given
@@ -185,14 +185,14 @@ class Dynamics:
     def place(self, position: Position) -> None:
         """Put the poses of all frames at `position` into x and R, and the Jacobians of the trees there."""
         self._place_bodies(position)
-        for t, q in zip(self.trees, position.trees, strict=True):
-            t.place(q, self.x, self.R)
+        for k, t in enumerate(self.trees):
+            t.place(position.trees[k], self.x, self.R)
 
     def evaluate(self, position: Position) -> None:
         """Put what `place` does and the mass matrices of the trees at `position`."""
         self._place_bodies(position)
-        for t, q in zip(self.trees, position.trees, strict=True):
-            t.evaluate(q, self.x, self.R)
+        for k, t in enumerate(self.trees):
+            t.evaluate(position.trees[k], self.x, self.R)
 
     def _place_bodies(self, position: Position) -> None:
         _motion.place(position.x, position.quaternion, self.x, self.R)
@@ -231,10 +231,13 @@ class Dynamics:
         tau : mapping, optional
             Articulation name to its joint forces (nv,), or to a `PD`.
         """
-        force, torque, applied = self._applied(begin, _mapping(wrenches, "external_force"))
-        given = _mapping(tau, "controller")
-        if given and (unknown := given.keys() - self._tree_names.keys()):
-            raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
+        force, torque, applied, given = self._no_load, self._no_load, NOTHING, NOTHING
+        if wrenches is not None:
+            force, torque, applied = self._applied(begin, _mapping(wrenches, "external_force"))
+        if tau is not None:
+            given = _mapping(tau, "controller")
+            if unknown := given.keys() - self._tree_names.keys():
+                raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
         _motion.free_velocity(self.J, self._inverse_mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
         loads: tuple[TreeLoads, ...] = ()
@@ -246,8 +249,6 @@ class Dynamics:
 
     def _applied(self, begin: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
-        if not wrenches:
-            return self._no_load, self._no_load, {}
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
         applied: dict[int, Array] = {}
         for name, wrench in wrenches.items():

@@ -323,13 +323,15 @@ class Stepper:
         solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
         solved = solution.iterations > 0
         postponed = self._postpone(problem, solution, contacts.restitution, met.u_begin, w) if elastic else None
-        impulse, again = solution.r + returned, postponed is not None
-        status, stopped = release_stopped(impulse, contacts.mu, curve)
-        while stopped or again:
+        again = postponed is not None
+        while True:
+            impulse = solution.r if returned is None else solution.r + returned
+            status, stopped = release_stopped(impulse, contacts.mu, curve)
+            if not (stopped or again):
+                break
             problem = problem.with_velocity(q + w if curve is None else q + w + curve)
             solution = self.solver(problem, solution.r)
-            solved, again, impulse = True, False, solution.r + returned
-            status, stopped = release_stopped(impulse, contacts.mu, curve)
+            solved, again = True, False
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
@@ -411,10 +413,10 @@ class Stepper:
         met: Encounter,
         w: Array,
         struck: NDArray[np.bool_] | None,
-    ) -> tuple[Array, Array | float]:
-        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, 0) without."""
+    ) -> tuple[Array, Array | None]:
+        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, None) without."""
         if self.impact != "poisson" or struck is None:
-            return met.u_free, 0.0
+            return met.u_free, None
         compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (met.u_begin + met.u_free) + w, mu))
         r = impacts.returned(compression.r, np.append(restitution, np.zeros(mu.size - restitution.size)))
         return met.u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r

@@ -326,9 +326,9 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
     """Arrays of the file from what was read of states and steps, without the offsets of the contacts."""
     out: Columns = {}
     t, q, v, x, quaternion, energies = zip(*states, strict=True)
-    out |= {"t": np.array(t, dtype=float), "q": np.array(q, dtype=float), "v": np.array(v, dtype=float)}
+    out |= {"t": np.array(t, dtype=float), "q": _stack(q), "v": _stack(v)}
     if x[0] is not None:
-        out |= {"frames/x": np.array(x, dtype=float), "frames/quat": np.array(quaternion, dtype=float)}
+        out |= {"frames/x": _stack(x), "frames/quat": _stack(quaternion)}
     for name in _ENERGIES:
         out[f"energy/{name}"] = np.array([energy[name] for energy in energies], dtype=float)
     columns: Iterator[Any] = zip(*steps, strict=True) if steps else repeat(())
@@ -342,6 +342,11 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
         empty = np.empty((0, components) if components > 1 else 0, dtype=kind)
         out[f"contacts/{name}"] = np.concatenate([empty, *next(columns)], dtype=kind, casting="same_kind")
     return out
+
+
+def _stack(rows: tuple[Array, ...]) -> Array:
+    """Rows of one shape as an array; NumPy's own function takes five times as long for short ones."""
+    return np.concatenate(rows, dtype=float).reshape(len(rows), *rows[0].shape)
 
 
 def _concatenate(blocks: list[Columns]) -> Columns:
