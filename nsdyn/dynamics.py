@@ -174,6 +174,12 @@ class Dynamics:
         """
         x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
         _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
+        return self._advanced(x, quaternion, position, v, h, twist)
+
+    def _advanced(
+        self, x: Array, quaternion: Array, position: Position, v: Array, h: float, twist: Array | None
+    ) -> Position:
+        """What `advance` gives, whose free bodies are at x and quaternion."""
         trees, driven = position.trees, (position.driven_x, position.driven_quaternion)
         if trees:
             moved = zip(self.trees, trees, strict=True)
@@ -184,18 +190,23 @@ class Dynamics:
 
     def place(self, position: Position) -> None:
         """Put the poses of all frames at `position` into x and R, and the Jacobians of the trees there."""
-        self._place_bodies(position)
+        _motion.place(position.x, position.quaternion, self.x, self.R)
+        self._place_driven(position)
         for k, t in enumerate(self.trees):
             t.place(position.trees[k], self.x, self.R)
 
     def evaluate(self, position: Position) -> None:
         """Put what `place` does and the mass matrices of the trees at `position`."""
-        self._place_bodies(position)
+        _motion.place(position.x, position.quaternion, self.x, self.R)
+        self._evaluate_others(position)
+
+    def _evaluate_others(self, position: Position) -> None:
+        """What `evaluate` does besides free bodies."""
+        self._place_driven(position)
         for k, t in enumerate(self.trees):
             t.evaluate(position.trees[k], self.x, self.R)
 
-    def _place_bodies(self, position: Position) -> None:
-        _motion.place(position.x, position.quaternion, self.x, self.R)
+    def _place_driven(self, position: Position) -> None:
         if position.driven_x.size:
             nd = len(position.driven_x)
             _motion.place(position.driven_x, position.driven_quaternion, self.x[-nd:], self.R[-nd:])
@@ -329,12 +340,32 @@ class Dynamics:
         """
         out = np.zeros(self.frames)
         fast = _motion.reach(v, self.gravity, h, self.radius, self._inscribed, out)
+        self._reach_others(v, h, begun, ended, out)
+        return out, fast
+
+    def _reach_others(self, v: Array, h: float, begun: Array, ended: Array, out: Array) -> None:
+        """What `reach` gives besides free bodies, into `out`."""
         for t in self.trees:
             part = self.x[t.frames], t.support, t.J, v[t.coordinates], h, t.radius, h * h * self._fall, out[t.frames]
             _trees.link_reach(*part)
         if self.surfaces.count:
             self.surfaces.reach(h * np.maximum(np.abs(begun), np.abs(ended)), out)
-        return out, fast
+
+    def midpoint(
+        self, position: Position, v: Array, h: float, theta: float, begun: Array, ended: Array
+    ) -> tuple[Position, Array, bool]:
+        """The position after (1 - θ) h, as `advance` gives it, where `evaluate` is called; what `reach` gives."""
+        x, quaternion, out = np.empty((self.free, 3)), np.empty((self.free, 4)), np.zeros(self.frames)
+        fast = _motion.midpoint(
+            position.x, position.quaternion, v, self.gravity, self.radius, self._inscribed, h, theta, x, quaternion,
+            self.x, self.R, out,
+        )  # fmt: skip
+        if not (self.trees or position.driven_x.size):
+            return Position(x, quaternion, (), position.driven_x, position.driven_quaternion), out, fast
+        middle = self._advanced(x, quaternion, position, v, (1.0 - theta) * h, begun)
+        self._evaluate_others(middle)
+        self._reach_others(v, h, begun, ended, out)
+        return middle, out, fast
 
     def energies(self, position: Position, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy, J; potential energy is 0 at the world's origin."""

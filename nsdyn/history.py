@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels import encounter as _encounter
+from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import Array, Index
@@ -41,6 +42,14 @@ class Encounter(NamedTuple):
         Contacts that slid in the last step, None if there are none.
     guess : ndarray, shape (3 rows,)
         Last impulses of the contacts that are still there and of the joint rows, N·s.
+    gap, mu : ndarray, shape (rows,)
+        At the midpoint, m, and friction coefficients.
+    w : ndarray, shape (3 rows,)
+        Offsets of Newton's impact law, u_N + w_N ≥ 0, m/s.
+    struck : ndarray of bool, shape (rows,), or None
+        Contacts that have an impact, None if there are none.
+    elastic : bool
+        Whether any could have one.
     """
 
     u_before: Array
@@ -50,6 +59,11 @@ class Encounter(NamedTuple):
     turn: Array
     slides: NDArray[np.bool_] | None
     guess: Array
+    gap: Array
+    mu: Array
+    w: Array
+    struck: NDArray[np.bool_] | None
+    elastic: bool
 
 
 class Departure(NamedTuple):
@@ -145,7 +159,8 @@ class History(NamedTuple):
         frame: Array,
         velocities: tuple[Array, Array],
         drags: tuple[Array, Array],
-        theta: float,
+        law: tuple[float, float, float, float],
+        fast: bool,
     ) -> Encounter:
         """What a step begins with at its contacts and joint rows.
 
@@ -159,19 +174,30 @@ class History(NamedTuple):
             At the beginning of the step, and at its end without impulses.
         drags : two ndarrays of shape (3 rows,)
             What sliding surfaces add to the relative velocities then, m/s; empty where there are none.
-        theta : float
+        law : (h, theta, resting speed, largest gap that counts as closed)
+        fast : bool
+            Whether the contacts were looked for where the step begins, and not at its midpoint.
         """
-        nc, full = contacts.key.size, rows.full
-        rates, guess = np.empty((4, 3 * full.nc)), np.empty(3 * full.nc)
-        turn, slides = np.empty((nc, 3)), np.empty(nc, np.bool_)
-        some = _encounter.meet(
-            full.offset, full.block, full.start, full.h, *velocities, *drags, rows.press, theta, self.key, self.status,
-            self.normal, self.velocity, self.turn, self.impulse, contacts.key, frame, rates, guess, turn, slides,
+        nc, full, mu = len(frame), rows.full, contacts.mu
+        size = 3 * full.nc
+        rates, guess, turn, slides = np.empty((4, size)), np.empty(size), np.empty((nc, 3)), np.empty(nc, np.bool_)
+        gap, w, struck = np.empty(nc), np.empty(size), np.empty(full.nc, np.bool_)
+        sliding, some, elastic = _encounter.meet(
+            full.offset, full.block, full.start, full.h, *velocities, *drags, rows.press, *law, fast, self.key,
+            self.status, self.normal, self.velocity, self.turn, self.impulse, contacts.key, frame, contacts.gap,
+            contacts.restitution, rates, guess, turn, slides, gap, w, struck,
         )  # fmt: skip
-        if joints is not None:
-            guess[3 * nc :] = self.joints[joints.slot].ravel()
         u_before, u_begin, u_free, bend = rates
-        return Encounter(u_before, u_begin, u_free, bend, turn, slides if some else None, guess)
+        if joints is not None:  # one that rebounds half a step late is behind its limit, and counts as not struck
+            guess[3 * nc :] = self.joints[joints.slot].ravel()
+            h, theta, _, closed = law
+            u, free = u_begin[3 * nc :], u_free[3 * nc :]
+            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, closed, w[3 * nc :: 3])
+            gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
+        return Encounter(
+            u_before, u_begin, u_free, bend, turn, slides if sliding else None, guess, gap, mu, w,
+            struck if some else None, elastic,
+        )  # fmt: skip
 
     def leave(
         self,
@@ -180,7 +206,6 @@ class History(NamedTuple):
         velocities: tuple[Array, Array],
         drag: Array,
         met: Encounter,
-        gap: Array,
         r: Array,
         h: float,
         theta: float,
@@ -196,20 +221,18 @@ class History(NamedTuple):
         drag : ndarray, shape (3 rows,)
             What sliding surfaces add to the relative velocities at the end, m/s; empty where there are none.
         met : Encounter
-        gap : ndarray, shape (rows,)
-            At the midpoint, m.
         r : ndarray, shape (3 rows,)
             Impulses.
         h, theta : float
         """
         full, change = rows.full, rows.velocity_change(r)
-        n, size, world = change.size, gap.size, (len(frame), 3)
+        n, size, world = change.size, full.nc, (len(frame), 3)
         v, v_theta, push, u = np.empty(n), np.empty(n), np.empty(n), np.empty(r.size)
         after, normal, friction = np.empty(size), np.empty(size), np.empty(size)
         impulse, velocity = np.empty(world), np.empty(world)
         works = _encounter.leave(
             full.offset, full.block, full.start, full.h, *velocities, change, self.change, drag, met.u_before, met.bend,
-            gap, frame, r, h, theta, v, v_theta, u, after, normal, friction, impulse, velocity, push,
+            met.gap, frame, r, h, theta, v, v_theta, u, after, normal, friction, impulse, velocity, push,
         )  # fmt: skip
         return Departure(change, v, v_theta, u, after, normal, friction, works, impulse, velocity, push)
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from nsdyn import energy, fclib, gauss, impacts
 from nsdyn._kernels import encounter as _encounter
-from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.history import Encounter, History, foresee_slip, release_stopped
-from nsdyn.joints import JointRows, Rows
+from nsdyn.joints import Rows
 from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
@@ -243,6 +242,7 @@ class Stepper:
         self.closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(self.closed, self.solver.tol * self.dt)
+        self._law = self.dt, self.theta, self.resting_speed, self.closed
         self._projection = Auto(tol=self.closed / self.dt)
         # What a warm start within the tolerance leaves of the velocities is part of the next impulses that are solved
         # for, which start the step after them as wrong as that. Accepted there, it would stay for ever.
@@ -294,13 +294,11 @@ class Stepper:
 
         # Free motion, with the coefficients of the midpoint.
         begun, ended = d.surfaces.twists(s.t), d.surfaces.twists(s.next_t)
-        middle = d.advance(s.position, s.v, (1.0 - theta) * h, begun)
-        d.evaluate(middle)
+        middle, reach, fast = d.midpoint(s.position, s.v, h, theta, begun, ended)
         callbacks = self._callbacks(middle)
         v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, s.history.push, *callbacks)
 
         # Contacts, joint limits and joint friction, and their impact law.
-        reach, fast = d.reach(s.v, h, begun, ended)
         if fast:  # then contacts are looked for where the step begins, and their gaps extrapolated to the midpoint
             d.place(s.position)
         self.detector.candidates(d.x, d.R, reach)
@@ -312,17 +310,19 @@ class Stepper:
         joints = d.joint_rows(middle, s.v, v_free, h)
         rows = d.rows(blocks, joints)
         drag, drag_after = d.surfaces.drags(contacts, frame, middle.driven_x, rows.full.nc, begun, ended)
-        met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after), theta)
-        gap, mu, w, struck, elastic = self._impact_law(contacts, joints, met, fast)
-        q, returned = self._expand(rows, contacts.restitution, mu, met, w, struck)
+        met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after), self._law, fast)
+        w, struck = met.w, met.struck
+        if struck is not None:
+            impacts.apply(self.impact, met.u_begin, struck, w)
+        q, returned = self._expand(rows, contacts.restitution, met)
         curve = foresee_slip(rows, q, met)
-        problem = FC3D.from_blocks(rows.blocks, q + w if curve is None else q + w + curve, mu)
+        problem = FC3D.from_blocks(rows.blocks, q + w if curve is None else q + w + curve, met.mu)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
         solved = solution.iterations > 0
-        postponed = self._postpone(problem, solution, contacts.restitution, met.u_begin, w) if elastic else None
+        postponed = self._postpone(problem, solution, contacts.restitution, met.u_begin, w) if met.elastic else None
         again = postponed is not None
         while True:
             impulse = solution.r if returned is None else solution.r + returned
@@ -337,7 +337,7 @@ class Stepper:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
 
         # Velocities and positions, and what penetration is left in them.
-        left = s.history.leave(rows, frame, (s.v, v_free), drag_after, met, gap, impulse, h, theta)
+        left = s.history.leave(rows, frame, (s.v, v_free), drag_after, met, impulse, h, theta)
         v, gap = left.v, left.gap
         moved = d.advance(s.position, left.v_theta, h, d.surfaces.mean(begun, ended, theta))
         nc = contacts.gap.size
@@ -381,44 +381,12 @@ class Stepper:
             problem, solution, times,
         )  # fmt: skip
 
-    def _impact_law(
-        self, contacts: ContactSet, joints: JointRows | None, met: Encounter, fast: bool
-    ) -> tuple[Array, Array, Array, NDArray[np.bool_] | None, bool]:
-        """(gap, mu, w, struck, elastic) of contacts, then joint rows.
-
-        Gaps at the midpoint, offsets of the impact law, which contacts have an impact (None if none has), and whether
-        any could have one.
-        """
-        h, theta, nc, u_begin = self.dt, self.theta, contacts.gap.size, met.u_begin
-        # Where the gaps were looked for at the beginning they have moved since; else the rows have turned.
-        moves, since = (u_begin, (1.0 - theta) * h) if fast else (met.bend, -0.5 * (1.0 - theta) ** 2 * h)
-        gap, mu, w, struck = np.empty(nc), contacts.mu, np.zeros(u_begin.size), np.zeros(u_begin.size // 3, np.bool_)
-        some, elastic = _encounter.impact_law(
-            u_begin, moves, since, contacts.gap, contacts.restitution, theta * h, self.resting_speed, self.closed, gap,
-            w, struck,
-        )  # fmt: skip
-        if joints is not None:  # a joint that rebounds half a step late is behind its limit, and counts as not struck
-            u, free = u_begin[3 * nc :], met.u_free[3 * nc :]
-            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, self.closed, w[3 * nc :: 3])
-            gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
-        if some:
-            impacts.apply(self.impact, u_begin, struck, w)
-        return gap, mu, w, struck if some else None, elastic
-
-    def _expand(
-        self,
-        rows: Rows,
-        restitution: Array,
-        mu: Array,
-        met: Encounter,
-        w: Array,
-        struck: NDArray[np.bool_] | None,
-    ) -> tuple[Array, Array | None]:
+    def _expand(self, rows: Rows, restitution: Array, met: Encounter) -> tuple[Array, Array | None]:
         """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, None) without."""
-        if self.impact != "poisson" or struck is None:
+        if self.impact != "poisson" or met.struck is None:
             return met.u_free, None
-        compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (met.u_begin + met.u_free) + w, mu))
-        r = impacts.returned(compression.r, np.append(restitution, np.zeros(mu.size - restitution.size)))
+        compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (met.u_begin + met.u_free) + met.w, met.mu))
+        r = impacts.returned(compression.r, np.append(restitution, np.zeros(met.mu.size - restitution.size)))
         return met.u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r
 
     def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:

@@ -13,13 +13,15 @@ from nsdyn._kernels.blocks import relative_velocity
 
 @njit(cache=True)
 def meet(
-    offset, block, start, h, v, v_free, drag, drag_after, press, theta, old_key, status, old_normal, velocity, old_turn,
-    impulse, key, frame, rates, guess, turn, slides,
+    offset, block, start, h, v, v_free, drag, drag_after, press, dt, theta, resting_speed, closed, fast, old_key,
+    status, old_normal, velocity, old_turn, impulse, key, frame, found, restitution, rates, guess, turn, slides, gap,
+    w, struck,
 ):  # fmt: skip
-    """Relative velocities of a step, `turning` and `warm_start`; whether any contact slides.
+    """Relative velocities of a step, `turning`, `warm_start` and `impact_law`.
 
     The `rates` (4, 3 rows): at v, the same with the rows of the beginning, at v_free with the rows of the end, what the
-    rows turn in the step. `drag`, `drag_after` and `press` are empty where there are none.
+    rows turn in the step. `drag`, `drag_after` and `press` are empty where there are none. Returns whether any contact
+    slides, and what `impact_law` does. The gaps were `found` at the midpoint or, in a `fast` step, at the beginning.
     """
     u_before, u_begin, u_free, bend = rates
     relative_velocity(offset, block, start, h, v, u_before)
@@ -36,7 +38,13 @@ def meet(
     for i in range(bend.size):
         u_begin[i] = u_before[i] - (1.0 - theta) * bend[i]
         u_free[i] += theta * bend[i]
-    return slides.any()
+    # Where the gaps were looked for at the beginning they have moved since; else the rows have turned.
+    moves, before = (u_begin, (1.0 - theta) * dt) if fast else (bend, -0.5 * (1.0 - theta) ** 2 * dt)
+    w[:], struck[:] = 0.0, False
+    some, elastic = impact_law(
+        u_begin, moves, before, found, restitution, theta * dt, resting_speed, closed, gap, w, struck
+    )
+    return slides.any(), some, elastic
 
 
 @njit(cache=True)

@@ -200,6 +200,16 @@ def reach(v, gravity, h, radius, inscribed, out):
 
 
 @njit(cache=True)
+def midpoint(
+    x, quaternion, v, gravity, radius, inscribed, h, theta, x_middle, quaternion_middle, x_frames, R_frames, out
+):
+    """`integrate` to the midpoint of a step of h, `place` there, and the `reach` of the step."""
+    integrate(x, quaternion, v, (1.0 - theta) * h, x_middle, quaternion_middle)
+    place(x_middle, quaternion_middle, x_frames, R_frames)
+    return reach(v, gravity, h, radius, inscribed, out)
+
+
+@njit(cache=True)
 def contact_frames(normal, frame):
     """Contact frames with rows (n, t1, t2), into frame (nc, 3, 3).
 
