@@ -241,9 +241,10 @@ class Detector:
         old = self._memory
         next_key = keys.collect(*self._found, old.names, old.points, old.next_key, names, points, scalars)
         self._memory = ContactMemory(names, points, next_key)
-        geom1, geom2, frame1, frame2, key = names
-        gap, mu, restitution = scalars
-        return ContactSet(geom1, geom2, frame1, frame2, points[0], points[1], gap, mu, restitution, key)
+        # By index: to unpack an array takes twice as long.
+        return ContactSet(
+            names[0], names[1], names[2], names[3], points[0], points[1], scalars[0], scalars[1], scalars[2], names[4]
+        )
 
 
 def _flatten(geoms: Sequence[Geom]) -> broadphase.Geometry:

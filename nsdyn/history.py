@@ -187,7 +187,7 @@ class History(NamedTuple):
             self.status, self.normal, self.velocity, self.turn, self.impulse, contacts.key, frame, contacts.gap,
             contacts.restitution, rates, guess, turn, slides, gap, w, struck,
         )  # fmt: skip
-        u_before, u_begin, u_free, bend = rates
+        u_before, u_begin, u_free, bend = rates[0], rates[1], rates[2], rates[3]
         if joints is not None:  # one that rebounds half a step late is behind its limit, and counts as not struck
             guess[3 * nc :] = self.joints[joints.slot].ravel()
             h, theta, _, closed = law
