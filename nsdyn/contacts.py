@@ -31,9 +31,11 @@ MARGIN = 1e-3
 """Contacts start at a gap of this fraction of the smaller bounding radius, plus what the bodies may move in a step."""
 
 SKIN = 0.05
-"""The candidate pairs serve until a geom has moved this fraction of its bounding radius (and `AHEAD` steps)."""
+"""The candidate pairs serve until a geom has moved this fraction of its bounding radius, and beyond that as far as it
+may in as many steps as the pairs before them served, at most `AHEAD`: where bodies knock each other about, a list that
+looks far ahead is long and outlived in a step all the same."""
 
-AHEAD = 4.0
+AHEAD = 4
 
 TOLERANCE = 0.05
 """A contact keeps its key while it moves less than this fraction of the smaller bounding radius, on either geom, beyond
@@ -148,6 +150,7 @@ class Detector:
         for k in range(n):
             broadphase.bound(self._geometry, k, self._R[k], self._t[k], self._lower, self._upper)
         self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+        self._served = 0  # steps by the present candidates
         self._batches: list[_Batch] = []
         self._models: list[pin.GeometryModel] = []
         # Largest polygon: a face clipped by a face or by a circle, or all vertices against a half-space.
@@ -191,10 +194,13 @@ class Detector:
         fields, boxes = self._fields, (self._lower, self._upper)
         fat = self._fat_lower, self._fat_upper
         if broadphase.follow(fields, x, R, reach, self._base, self._R, self._t, self._reach, *boxes, *fat):
-            broadphase.fatten(fields, self._base, self._reach, SKIN, AHEAD, *boxes, *fat)
+            ahead = 1 + min(self._served, AHEAD)
+            broadphase.fatten(fields, self._base, self._reach, SKIN, ahead, *boxes, *fat)
+            self._served = 0
             codes = broadphase.candidates(fields, self._R, self._t, *fat, self._excluded)
             if not np.array_equal(codes, self._codes):
                 self._set_pairs(codes)
+        self._served += 1
 
     def _set_pairs(self, codes: Index) -> None:
         """Everything that depends on the candidate list alone."""
@@ -310,6 +316,12 @@ def _empty_model(slots: int) -> pin.GeometryModel:
     return model
 
 
+@cache
+def _pair(a: int, b: int) -> pin.CollisionPair:
+    """A pair of slots; making one takes ten times as long as looking it up."""
+    return pin.CollisionPair(a, b)
+
+
 class _Batch:
     """Pairs whose distances are one call of `pin.computeDistances`.
 
@@ -325,15 +337,14 @@ class _Batch:
             model.geometryObjects[k].geometry = shapes[g]
         m = len(first)
         del model.collisionPairs[:]
-        model.collisionPairs.extend(
-            [pin.CollisionPair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)]
-        )
+        model.collisionPairs.extend([_pair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
         self._model, self._data, self._out = model, pin.GeometryData(model), out
         request = coal.DistanceRequest()
         request.gjk_tolerance = GJK_TOLERANCE
         request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
+        requests = self._data.distanceRequests
         for k in range(m):  # Pinocchio's own requests start from the last answer: not reproducible
-            self._data.distanceRequests[k] = request
+            requests[k] = request
         self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
 
     def run(self, R: Array, t: Array) -> None:

@@ -257,10 +257,10 @@ def foresee_slip(rows: Rows, u_free: Array, met: Encounter) -> Array | None:
     return curve
 
 
-def release_stopped(r: Array, mu: Array, curve: Array | None) -> tuple[NDArray[np.int8], bool]:
+def release_stopped(r: Array, mu: Array, curve: Array | None, every: bool) -> tuple[NDArray[np.int8], bool]:
     """0 open, 1 stick, 2 slip of the contacts, those with a friction coefficient in mu (nc,), from the impulses.
 
-    What of the offsets in `curve` is of contacts that were to slide on and have stopped is dropped; whether any have.
+    And whether any that were to slide on, with offsets in `curve`, have stopped: theirs are dropped, or `every`.
     """
     status = np.empty(mu.size, np.int8)
-    return status, _encounter.release(r, mu, NOTHING if curve is None else curve, status)
+    return status, _encounter.release(r, mu, NOTHING if curve is None else curve, every, status)

@@ -33,6 +33,10 @@ CLOSED = 1e-9
 that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
 body at rest in every step."""
 
+COARSE = 0.01
+"""Fraction of the deepest penetration that a projection may leave to that of the next step where sweeps do it, so that
+its effort does not depend on how deep that is."""
+
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
 
@@ -243,7 +247,6 @@ class Stepper:
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(self.closed, self.solver.tol * self.dt)
         self._law = self.dt, self.theta, self.resting_speed, self.closed
-        self._projection = Auto(tol=self.closed / self.dt)
         # What a warm start within the tolerance leaves of the velocities is part of the next impulses that are solved
         # for, which start the step after them as wrong as that. Accepted there, it would stay for ever.
         self._strict = replace(self.solver, accept=0.4) if isinstance(self.solver, Auto) else self.solver
@@ -323,15 +326,15 @@ class Stepper:
         solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
         solved = solution.iterations > 0
         postponed = self._postpone(problem, solution, contacts.restitution, met.u_begin, w) if met.elastic else None
-        again = postponed is not None
+        again, every = postponed is not None, False
         while True:
             impulse = solution.r if returned is None else solution.r + returned
-            status, stopped = release_stopped(impulse, contacts.mu, curve)
+            status, stopped = release_stopped(impulse, contacts.mu, curve, every)
             if not (stopped or again):
                 break
             problem = problem.with_velocity(q + w if curve is None else q + w + curve)
             solution = self.solver(problem, solution.r)
-            solved, again = True, False
+            solved, again, every = True, False, True
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
@@ -451,7 +454,8 @@ class Stepper:
             return moved, gap
         g = np.zeros(3 * gap.size)
         g[0::3] = held / self.dt  # like the velocities of the step, in size and in tolerance
-        shift = self._projection(FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size)))
+        solver = Auto(tol=max(self.closed, -COARSE * float(held.min())) / self.dt)
+        shift = solver(FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size)))
         lifted = gap + self.dt * (shift.u - g)[0::3]
         # A body squeezed between others has no position without overlap: an answer that does not help may be anything.
         if not shift.converged and np.where(leaving, 0.0, lifted).min() < 0.5 * held.min():

@@ -79,3 +79,14 @@ def test_work_of_an_elimination() -> None:
     assert 600 * (60 / 3) ** 2 < graph(square, 100) < 600 * 72**2
     apart = np.stack([np.arange(100), np.full(100, -1)], axis=1)
     assert graph(apart, 100) == 600 * 6**2
+
+
+def test_frictionless_contacts_have_one_row(pile: nd.FC3D) -> None:
+    assert pile.blocks is not None
+    mu = np.where(np.arange(pile.nc) % 2, 0.0, pile.mu)
+    problem = nd.FC3D.from_blocks(pile.blocks, pile.q, mu)
+    guess = np.ones(3 * pile.nc)  # with friction that such contacts do not have
+    solution = nd.solvers.Momentum(tol=1e-6)(problem, guess)
+    assert solution.converged
+    assert not solution.r.reshape(-1, 3)[mu == 0.0, 1:].any()
+    assert np.abs(solution.u - nd.solve(problem, tol=1e-10).u).max() < 1e-4  # as above

@@ -135,16 +135,15 @@ def append(codes, count, code):
 
 @njit(cache=True)
 def fatten(fields, base, reach, skin, ahead, lower, upper, fat_lower, fat_upper):
-    """Boxes that serve for several steps, into fat_lower and fat_upper: grown by their base and reach and beyond.
+    """Boxes that serve for several steps, into fat_lower and fat_upper; `fields` as in `follow`.
 
-    That is, by `skin` times the bounding radius and `ahead` times the reach. Fixed geoms need none of it. `fields` as
-    in `follow`.
+    They are grown by the base, `skin` times the bounding radius and `ahead` times the reach; fixed geoms need none.
     """
     geometry = Geometry(*fields)
     for g in range(geometry.kind.size):
         more = 0.0
         if geometry.frame[g] >= 0:
-            more = base[g] + reach[g] + skin * geometry.radius[g] + ahead * reach[g]
+            more = base[g] + skin * geometry.radius[g] + ahead * reach[g]
         for i in range(3):
             fat_lower[g, i], fat_upper[g, i] = lower[g, i] - more, upper[g, i] + more
 

@@ -49,25 +49,36 @@ def projection_jacobian(zn, z1, z2, mu, D):
         D[1, 2] = D[2, 1] = e * a * b
 
 
-@njit(cache=True)
-def natural_residual(W_diagonal, u, r, mu):
-    """Largest over contacts of |r - P_K(r - rho u_hat)| / rho with rho = 1 / W_diagonal[c], in m/s.
+@njit(cache=True, inline="always")
+def _residual(scale, u, r, mu, i):
+    """|r - P_K(r - rho u_hat)| / rho with rho = 1 / scale, in m/s, of the contact whose rows begin at i.
 
     At least the rounding of W_cc r_c: impulses so large that q drowns in u = W r + q solve nothing.
     """
+    rho = 1.0 / scale
+    s = mu * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+    pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu)
+    e = math.sqrt((r[i] - pn) ** 2 + (r[i + 1] - p1) ** 2 + (r[i + 2] - p2) ** 2) / rho
+    floor = ROUNDING * math.sqrt(r[i] ** 2 + r[i + 1] ** 2 + r[i + 2] ** 2) / rho
+    return floor if e < floor else e
+
+
+@njit(cache=True)
+def natural_residual(W_diagonal, u, r, mu):
+    """Largest residual over contacts, with rho = 1 / W_diagonal[c], in m/s."""
     worst = 0.0
     for c in range(mu.size):
-        i = 3 * c
-        rho = 1.0 / W_diagonal[c]
-        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
-        pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu[c])
-        e = math.sqrt((r[i] - pn) ** 2 + (r[i + 1] - p1) ** 2 + (r[i + 2] - p2) ** 2) / rho
-        floor = ROUNDING * math.sqrt(r[i] ** 2 + r[i + 1] ** 2 + r[i + 2] ** 2) / rho
-        if e < floor:
-            e = floor
+        e = _residual(W_diagonal[c], u, r, mu[c], 3 * c)
         if not e <= worst:  # a NaN is the worst
             worst = e
     return worst
+
+
+@njit(cache=True)
+def natural_residuals(W_diagonal, u, r, mu, out):
+    """The residual of every contact, with rho = 1 / W_diagonal[c], in m/s, into out (nc,)."""
+    for c in range(mu.size):
+        out[c] = _residual(W_diagonal[c], u, r, mu[c], 3 * c)
 
 
 @njit(cache=True)

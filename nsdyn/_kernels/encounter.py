@@ -160,10 +160,11 @@ def curve(offset, block, start, h, change, u_begin, u_free, slides, w):
 
 
 @njit(cache=True)
-def release(r, mu, curve, status):
+def release(r, mu, curve, every, status):
     """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary), into status (nc,).
 
-    The offsets in `curve` (3 rows,), empty for none, of contacts that stick are dropped; returns whether there are any.
+    The offsets in `curve` (3 rows,), empty for none, of contacts that stick are dropped, or all of them if there are
+    any and `every`; tells whether there are any.
     """
     some = False
     for c in range(mu.size):
@@ -177,6 +178,8 @@ def release(r, mu, curve, status):
                 some = True
         else:
             status[c] = 2
+    if some and every:
+        curve[:] = 0.0
     return some
 
 

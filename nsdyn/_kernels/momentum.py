@@ -1,7 +1,8 @@
 """Projected Gauss–Seidel with momentum on free bodies, where W is given by its factors.
 
 The rows of Hᵀ are taken in coordinates where M = I, Ĥ = Gᵀ H with M⁻¹ = G Gᵀ, so that one array serves to read the
-velocity of a contact, u = Ĥᵀ v̂ + q, and to apply its impulse, v̂ += Ĥ_c dr: six coordinates a body, unrolled.
+velocity of a contact, u = Ĥᵀ v̂ + q, and to apply its impulse, v̂ += Ĥ_c dr: six coordinates a body, unrolled. A
+frictionless contact has one row.
 """
 
 import math
@@ -15,8 +16,8 @@ CYCLE = 200  # sweeps without a better impulse after which contacts pass their m
 
 
 @njit(cache=True)
-def rows_in_unit_mass(offset, block, start, h, m_start, minv):
-    """Rows of Ĥᵀ, shape (nc, 2, 18), zeros for a missing body, and bodies (nc, 2), 0 for a missing one."""
+def rows_in_unit_mass(offset, block, start, h, m_start, minv, mu):
+    """Rows of Ĥᵀ, shape (nc, 2, 18), zeros for a missing body or row, and bodies (nc, 2), 0 for a missing one."""
     G = np.zeros_like(minv)
     for k in range(offset.size - 1):
         b = m_start[k]
@@ -32,7 +33,7 @@ def rows_in_unit_mass(offset, block, start, h, m_start, minv):
             k = block[c, s]
             if k >= 0:
                 body[c, s] = k
-                for i in range(3):
+                for i in range(3 if mu[c] > 0.0 else 1):
                     for l in range(6):
                         x = h[start[c, s] + 6 * i + l]
                         for j in range(l + 1):
@@ -41,20 +42,23 @@ def rows_in_unit_mass(offset, block, start, h, m_start, minv):
 
 
 @njit(cache=True)
-def local_steps(rows, body):
-    """1/W_NN, W_TN and 1/lambda_max(W_TT) of every contact, shape (nc, 4)."""
-    out = np.empty((rows.shape[0], 4))
+def local_steps(rows, mu):
+    """1/W_NN, W_TN and 1/lambda_max(W_TT) of every contact, shape (nc, 4); zeros for a missing row."""
+    out = np.zeros((rows.shape[0], 4))
     w = np.empty((3, 3))
     for c in range(rows.shape[0]):
         x, y = rows[c, 0], rows[c, 1]
-        for i in range(3):
+        for i in range(3 if mu[c] > 0.0 else 1):
             for j in range(i + 1):
                 total = 0.0
                 for l in range(6):
                     total += x[6 * i + l] * x[6 * j + l] + y[6 * i + l] * y[6 * j + l]
                 w[i, j] = total
+        out[c, 0] = 1.0 / w[0, 0]
+        if mu[c] == 0.0:
+            continue
         mean, half = 0.5 * (w[1, 1] + w[2, 2]), 0.5 * (w[1, 1] - w[2, 2])
-        out[c, 0], out[c, 1], out[c, 2] = 1.0 / w[0, 0], w[1, 0], w[2, 0]
+        out[c, 1], out[c, 2] = w[1, 0], w[2, 0]
         out[c, 3] = 1.0 / (mean + math.sqrt(half * half + w[2, 1] * w[2, 1]))
     return out
 
@@ -72,6 +76,13 @@ def apply(x, z0, z1, z2, v):
         v[l] += x[l] * z0 + x[6 + l] * z1 + x[12 + l] * z2
 
 
+@njit(cache=True, inline="always")
+def apply_normal(x, z0, v):
+    """v += Ĥ_c z for an impulse along the normal."""
+    for l in range(6):
+        v[l] += x[l] * z0
+
+
 @njit(cache=True)
 def sweep(rows, body, steps, scales, q, mu, v, r, x, t, keep):
     """One sweep in place of r = y and of v = Ĥ y.
@@ -86,6 +97,15 @@ def sweep(rows, body, steps, scales, q, mu, v, r, x, t, keep):
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
         z0 = max(-r0, -(q[c, 0] + dot(X, 0, V) + dot(Y, 0, U)) * d[0])
         x0 = r0 + z0
+        if mu[c] == 0.0:
+            if z0 != 0.0:
+                apply_normal(X, z0, V)
+                apply_normal(Y, z0, U)
+                r[c, 0] = x0
+                size += scales[c] * z0 * z0
+                if z0 * (x0 - x[c, 0]) < 0.0:
+                    t[c] = max(1.0, keep * t[c])
+            continue
         x1 = r1 - (q[c, 1] + dot(X, 6, V) + dot(Y, 6, U) + d[1] * z0) * d[3]
         x2 = r2 - (q[c, 2] + dot(X, 12, V) + dot(Y, 12, U) + d[2] * z0) * d[3]
         slip, limit = x1 * x1 + x2 * x2, mu[c] * x0
@@ -113,7 +133,12 @@ def extrapolate(rows, body, mu, v, r, x, t):
         t[c] += 0.5
         z0, z1, z2 = b * (r0 - x[c, 0]), b * (r1 - x[c, 1]), b * (r2 - x[c, 2])
         x[c, 0], x[c, 1], x[c, 2] = r0, r1, r2
-        if z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
+        if mu[c] == 0.0:
+            if z0 != 0.0:
+                r[c, 0] = max(0.0, r0 + z0)
+                apply_normal(rows[c, 0], r[c, 0] - r0, v[body[c, 0]])
+                apply_normal(rows[c, 1], r[c, 0] - r0, v[body[c, 1]])
+        elif z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
             y0, y1, y2 = project(r0 + z0, r1 + z1, r2 + z2, mu[c])
             r[c, 0], r[c, 1], r[c, 2] = y0, y1, y2
             y0, y1, y2 = y0 - r0, y1 - r1, y2 - r2
@@ -137,7 +162,7 @@ def measure(rows, body, q, mu, scales, q_norm, r, v, u):
     """Larger of the literature's error and the residual in m/s of an impulse r, given v = Ĥ r."""
     for c in range(mu.size):
         X, Y, V, U = rows[c, 0], rows[c, 1], v[body[c, 0]], v[body[c, 1]]
-        for i in range(3):
+        for i in range(3 if mu[c] > 0.0 else 1):
             u[c, i] = q[c, i] + dot(X, 6 * i, V) + dot(Y, 6 * i, U)
     flat, own = u.reshape(-1), r.reshape(-1)
     return max(natural_residual(scales, flat, own, mu), natural_error(flat, own, mu) / q_norm)
@@ -155,10 +180,13 @@ def solve(offset, block, start, h, m_start, minv, q, mu, scales, r, tol, q_norm,
     better one the method gives up. Returns (sweeps, measure of r).
     """
     nc = mu.size
-    rows, body = rows_in_unit_mass(offset, block, start, h, m_start, minv)
-    steps = local_steps(rows, body)
+    rows, body = rows_in_unit_mass(offset, block, start, h, m_start, minv, mu)
+    steps = local_steps(rows, mu)
     q3, best_r = q.reshape(-1, 3), r.reshape(-1, 3)
-    y, x, u = best_r.copy(), best_r.copy(), np.empty((nc, 3))
+    for c in range(nc):
+        if mu[c] == 0.0:
+            best_r[c, 1] = best_r[c, 2] = 0.0
+    y, x, u = best_r.copy(), best_r.copy(), np.zeros((nc, 3))
     v, t = np.zeros((offset.size - 1, 6)), np.ones(nc)
     refresh(rows, body, y, v)
     best = measure(rows, body, q3, mu, scales, q_norm, y, v, u)

@@ -76,7 +76,8 @@ def assemble_dense(offset, block, start, h, m_start, m, A, K):
                 K[o + i, o + j] = m[m_start[k] + i * n + j]
     for c in range(block.shape[0]):
         a = A[c]
-        if a[0, 0] == 0.0 and a[1, 1] == 0.0 and a[2, 2] == 0.0:
+        rubs = a[1, 1] != 0.0 or a[2, 2] != 0.0  # else it has one row
+        if a[0, 0] == 0.0 and not rubs:
             continue
         for s in range(2):
             k = block[c, s]
@@ -89,6 +90,11 @@ def assemble_dense(offset, block, start, h, m_start, m, A, K):
                     continue
                 ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
                 for i in range(nk):
+                    if not rubs:
+                        y0 = h[hk + i] * a[0, 0]
+                        for j in range(nl):
+                            K[ok + i, ol + j] += y0 * h[hl + j]
+                        continue
                     x0, x1, x2 = h[hk + i], h[hk + nk + i], h[hk + 2 * nk + i]
                     y0 = x0 * a[0, 0] + x1 * a[1, 0] + x2 * a[2, 0]
                     y1 = x0 * a[0, 1] + x1 * a[1, 1] + x2 * a[2, 1]

@@ -117,7 +117,8 @@ def assemble_sparse(offset, block, start, h, m_start, m, A, indptr, slot, diagon
                 data[indptr[o + j] + diagonal[k] + i] = m[m_start[k] + i * n + j]
     for c in range(block.shape[0]):
         a = A[c]
-        if a[0, 0] == 0.0 and a[1, 1] == 0.0 and a[2, 2] == 0.0:
+        rubs = a[1, 1] != 0.0 or a[2, 2] != 0.0  # else it has one row
+        if a[0, 0] == 0.0 and not rubs:
             continue
         for t in range(2):
             l = block[c, t]
@@ -125,6 +126,15 @@ def assemble_sparse(offset, block, start, h, m_start, m, A, indptr, slot, diagon
                 continue
             ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
             for j in range(nl):
+                if not rubs:
+                    y0 = a[0, 0] * h[hl + j]
+                    for s in range(2):
+                        k = block[c, s]
+                        if k >= 0:
+                            base, hk = indptr[ol + j] + slot[c, s, t], start[c, s]
+                            for i in range(offset[k + 1] - offset[k]):
+                                data[base + i] += h[hk + i] * y0
+                    continue
                 x0, x1, x2 = h[hl + j], h[hl + nl + j], h[hl + 2 * nl + j]
                 y0 = a[0, 0] * x0 + a[0, 1] * x1 + a[0, 2] * x2
                 y1 = a[1, 0] * x0 + a[1, 1] * x1 + a[1, 2] * x2

@@ -17,6 +17,7 @@ from nsdyn._kernels import warm as _warm
 from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Local, solve_by_factors, solve_by_matrix
+from nsdyn.solvers.mending import mend
 from nsdyn.solvers.momentum import solve_free
 from nsdyn.solvers.newton import DENSE, island, rows, solve_blocks
 
@@ -39,8 +40,12 @@ HEAVY, LOOSE = 40.0, 1e-7
 """Where a factorisation costs more sweeps than that and the tolerance is no tighter than that, sweeps come first and
 the polish is left out."""
 
-TRAVEL = 5000, 600
-"""Sweeps with momentum for impulses to travel through such an island, and those it may spend without gain."""
+TRAVEL, AGAIN = (8000, 2500), (300, 300)
+"""Sweeps with momentum for impulses to travel through such an island, and those it may spend without gain: at first,
+and after a region where they were stuck has been solved by itself."""
+
+MENDS = 10
+"""Regions solved by themselves in turn."""
 
 FINISH = 1e3, 3
 """Penalty and Newton steps of the polish."""
@@ -180,12 +185,41 @@ class Auto:
         if blocks.nc == 1:
             _cones.solve_one(blocks.delassus().data[0], q, mu[0], r)
             return r, 1
-        sharp, count = max(POLISH * tol, FLOOR), 0
-        cost = _cost(blocks)
+        cost, count = _cost(blocks), 0
         if blocks.n > DENSE and self.tol >= LOOSE and _heavy(blocks, cost):
-            count, best = solve_free(blocks, q, mu, scales, r, tol, q_norm, *TRAVEL)
+            count, best = self._sweep_and_mend(blocks, q, mu, scales, r, tol, q_norm)
             if best <= tol or INTERIOR[0] * cost > LONGEST:
                 return r, count
+        r, used = self._factorise(blocks, q, mu, scales, r, tol, q_norm)
+        return r, count + used
+
+    def _sweep_and_mend(
+        self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float
+    ) -> tuple[int, float]:
+        """Sweeps with momentum in place of r, and direct solves of the regions where they are stuck."""
+
+        def direct(part: Blocks, q: Array, mu: Array, scales: Array, r: Array) -> tuple[Array, int]:
+            return self._factorise(part, q, mu, scales, r, 0.1 * tol, q_norm)
+
+        problem = FC3D.from_blocks(blocks, q, mu)
+        count, best = solve_free(blocks, q, mu, scales, r, tol, q_norm, *TRAVEL)
+        x = r.copy()
+        for _ in range(MENDS):
+            used = 0 if best <= tol else mend(problem, x, tol, direct)
+            if not used:
+                break
+            more, now = solve_free(blocks, q, mu, scales, x, tol, q_norm, *AGAIN)
+            count += used + more
+            if now < best:
+                best = now
+                r[:] = x
+        return count, best
+
+    def _factorise(
+        self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float
+    ) -> tuple[Array, int]:
+        """Impulse by warm Newton, sweeps, interior point, Newton, and the iterations used."""
+        sharp, cost, count = max(POLISH * tol, FLOOR), _cost(blocks), 0
         if r.any() and blocks.n > DENSE:
             used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, *WARM)
             count += used
