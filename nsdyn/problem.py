@@ -213,11 +213,11 @@ class FC3D:
         problem.q_norm = q_norm or 1.0
         return problem
 
-    def with_velocity(self, q: Any) -> FC3D:
-        """The same contacts with another q, without looking at W again."""
+    def with_velocity(self, q: Any, mu: Any = None) -> FC3D:
+        """The same contacts with another q (and μ), without looking at W again."""
         problem = copy(self)
         problem.__dict__.pop("q_norm", None)
-        problem._set(q, self.mu)
+        problem._set(q, self.mu if mu is None else mu)
         problem._check_values()
         return problem
 

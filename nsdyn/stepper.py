@@ -33,9 +33,9 @@ CLOSED = 1e-9
 that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
 body at rest in every step."""
 
-COARSE = 0.01
-"""Fraction of the deepest penetration that a projection may leave to that of the next step where sweeps do it, so that
-its effort does not depend on how deep that is."""
+COARSE, MANY = 0.01, 1000
+"""Fraction of the deepest penetration that the projection of a pile of that many contacts or more may leave to that of
+the next step, so that its effort does not depend on how deep it is."""
 
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
@@ -356,7 +356,7 @@ class Stepper:
             leaving &= not fast
             if d.trees:
                 leaving[:nc] &= ~d.held(contacts)
-            end, gap = self._project(moved, rows, gap, leaving)
+            end, gap = self._project(moved, rows, problem, gap, leaving)
             poses = poses if end is moved else d.poses(end)
 
         # Certificate, ledger, record.
@@ -442,7 +442,9 @@ class Stepper:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
         self._failures += 1
 
-    def _project(self, moved: Position, rows: Rows, gap: Array, leaving: NDArray[np.bool_]) -> tuple[Position, Array]:
+    def _project(
+        self, moved: Position, rows: Rows, problem: FC3D, gap: Array, leaving: NDArray[np.bool_]
+    ) -> tuple[Position, Array]:
         """Positions without penetration, the closest in the kinetic metric, and their gaps.
 
         min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0: a frictionless contact problem for δ/h, on the gaps g at the end of the
@@ -454,8 +456,9 @@ class Stepper:
             return moved, gap
         g = np.zeros(3 * gap.size)
         g[0::3] = held / self.dt  # like the velocities of the step, in size and in tolerance
-        solver = Auto(tol=max(self.closed, -COARSE * float(held.min())) / self.dt)
-        shift = solver(FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size)))
+        coarse = -COARSE * float(held.min()) / self.dt if gap.size >= MANY else 0.0
+        solver = Auto(tol=self.closed / self.dt, heavy_tol=coarse)
+        shift = solver(problem.with_velocity(g, np.zeros(gap.size)))
         lifted = gap + self.dt * (shift.u - g)[0::3]
         # A body squeezed between others has no position without overlap: an answer that does not help may be anything.
         if not shift.converged and np.where(leaving, 0.0, lifted).min() < 0.5 * held.min():

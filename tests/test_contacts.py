@@ -412,7 +412,7 @@ def test_candidates_equal_brute_force(rng):
         low, high = np.zeros((n, 3)), np.zeros((n, 3))
         for g in range(1, n):
             radius = CROWD[g].bounding_radius
-            skin = contacts.MARGIN * radius + contacts.SKIN * radius + (1.0 + contacts.AHEAD) * reach[g - 1]
+            skin = contacts.MARGIN * radius + contacts.SKIN * radius + reach[g - 1]  # no list before to go by
             for k, e in enumerate(np.eye(3)):
                 high[g, k] = x[g - 1, k] + e @ support(CROWD[g], R[g - 1], e) + skin
                 low[g, k] = x[g - 1, k] + e @ support(CROWD[g], R[g - 1], -e) - skin

@@ -12,7 +12,7 @@ from numba import njit
 
 from nsdyn._kernels.cones import natural_error, natural_residual, project
 
-CYCLE = 200  # sweeps without a better impulse after which contacts pass their momentum around
+CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
 
 
 @njit(cache=True)
@@ -84,14 +84,12 @@ def apply_normal(x, z0, v):
 
 
 @njit(cache=True)
-def sweep(rows, body, steps, scales, q, mu, v, r, x, t, keep):
+def sweep(rows, body, steps, q, mu, v, r, x, t, keep):
     """One sweep in place of r = y and of v = Ĥ y.
 
     x is the last sweep's result; t shrinks to `keep` of itself where momentum was wrong. A contact takes its normal
-    impulse exactly and its friction by a projected gradient step. Returns the squared change of r in the norm of the
-    lambda_max(W_cc).
+    impulse exactly and its friction by a projected gradient step.
     """
-    size = 0.0
     for c in range(mu.size):
         X, Y, V, U, d = rows[c, 0], rows[c, 1], v[body[c, 0]], v[body[c, 1]], steps[c]
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
@@ -102,7 +100,6 @@ def sweep(rows, body, steps, scales, q, mu, v, r, x, t, keep):
                 apply_normal(X, z0, V)
                 apply_normal(Y, z0, U)
                 r[c, 0] = x0
-                size += scales[c] * z0 * z0
                 if z0 * (x0 - x[c, 0]) < 0.0:
                     t[c] = max(1.0, keep * t[c])
             continue
@@ -118,10 +115,8 @@ def sweep(rows, body, steps, scales, q, mu, v, r, x, t, keep):
             apply(X, z0, z1, z2, V)
             apply(Y, z0, z1, z2, U)
             r[c, 0], r[c, 1], r[c, 2] = x0, x1, x2
-            size += scales[c] * (z0 * z0 + z1 * z1 + z2 * z2)
             if z0 * (x0 - x[c, 0]) + z1 * (x1 - x[c, 1]) + z2 * (x2 - x[c, 2]) < 0.0:
                 t[c] = max(1.0, keep * t[c])
-    return size
 
 
 @njit(cache=True)
@@ -173,11 +168,10 @@ def solve(offset, block, start, h, m_start, minv, q, mu, scales, r, tol, q_norm,
     """Sweeps with Nesterov's momentum, which every contact loses by itself, in place of r (3 nc,).
 
     x' = sweep(y), y = P_K(x' + b (x' - x)) with b = (t - 1)/(t + 1), t growing by 1/2 a sweep. A contact whose
-    momentum points against its own step, (y - x')·(x' - x) > 0, halves its t, or loses it all once that cycles; when
-    a sweep changes r by 1.4 times the least change so far, all contacts start anew. Unlike combinations of past
-    iterates this survives contacts that change their state one after the other, as a pile's do while impulses travel
-    through it. Every `check` sweeps both measures are tested; r keeps the best. After `patience` sweeps without a
-    better one the method gives up. Returns (sweeps, measure of r).
+    momentum points against its own step, (y - x')·(x' - x) > 0, halves its t, or loses it all once that cycles. Unlike
+    a restart of all contacts or combinations of past iterates this survives contacts that change their state one after
+    the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested; r keeps
+    the best. After `patience` sweeps without a better one the method gives up. Returns (sweeps, measure of r).
     """
     nc = mu.size
     rows, body = rows_in_unit_mass(offset, block, start, h, m_start, minv, mu)
@@ -190,10 +184,10 @@ def solve(offset, block, start, h, m_start, minv, q, mu, scales, r, tol, q_norm,
     v, t = np.zeros((offset.size - 1, 6)), np.ones(nc)
     refresh(rows, body, y, v)
     best = measure(rows, body, q3, mu, scales, q_norm, y, v, u)
-    k, last, least, keep = 0, 0, np.inf, 0.5
+    k, last, keep = 0, 0, 0.5
     while best > tol and k < max_sweeps and k - last < patience:
         k += 1
-        size = sweep(rows, body, steps, scales, q3, mu, v, y, x, t, keep)
+        sweep(rows, body, steps, q3, mu, v, y, x, t, keep)
         if k % check == 0:
             refresh(rows, body, y, v)  # what the updates leave of round-off
             now = measure(rows, body, q3, mu, scales, q_norm, y, v, u)
@@ -202,9 +196,5 @@ def solve(offset, block, start, h, m_start, minv, q, mu, scales, r, tol, q_norm,
                 best_r[:] = y
         if k - last > CYCLE:
             keep = 0.0
-        if size > 2.0 * least:
-            t[:] = 1.0
-            least = size
-        least = min(least, size)
         extrapolate(rows, body, mu, v, y, x, t)
     return k, best

@@ -103,20 +103,25 @@ class Auto:
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     accept : float
         Fraction of the tolerance within which a warm start is the solution of an island.
+    heavy_tol : float
+        Tolerance that is enough for islands whose factorisations cost too much, and by which the whole is judged, where
+        it is looser.
     """
 
     tol: float = 1e-8
     accept: float = 1.0
+    heavy_tol: float = 0.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         start = time.perf_counter()
         r = np.zeros(problem.q.size) if r0 is None else problem.impulse(r0).copy()
+        tol = max(self.tol, self.heavy_tol)
         if problem.nc and problem.blocks is not None:
-            solution = self._given_factors(problem, problem.blocks, r, start)
+            solution = self._given_factors(problem, problem.blocks, r, tol, start)
         else:
             count = 0 if not problem.nc or problem.solved(r, self.tol)[0] else self._given_matrix(problem, r)
-            solution = Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+            solution = Solution.judge(problem, r, tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
         return solution if solution.converged else self._explained(problem, solution)
 
     @staticmethod
@@ -128,8 +133,8 @@ class Auto:
             return solution._replace(status=Status.NO_SLATER_POINT)
         return solution
 
-    def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, start: float) -> Solution:
-        """Solve a problem with factors from r, in place of r, since the time `start`."""
+    def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, tol: float, start: float) -> Solution:
+        """Solve a problem with factors from r, in place of r, since the time `start`; judged by `tol`."""
         q_norm, enough, nc = problem.q_norm, max(POLISH * self.tol, FLOOR), problem.nc
         u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
         found, left, count, error, residual = _warm.improve(
@@ -138,7 +143,7 @@ class Auto:
         )  # fmt: skip
         if not left:
             spent = time.perf_counter() - start
-            return Solution.measured(r, u, error, residual, self.tol, count, spent, Status.MAX_ITERATIONS)
+            return Solution.measured(r, u, error, residual, tol, count, spent, Status.MAX_ITERATIONS)
         measures, share = islands[:, :found]
         for k in (~(measures <= enough)).nonzero()[0].tolist():
             contacts, part = island(blocks, label, k)
@@ -146,7 +151,7 @@ class Auto:
             given = problem.q[i], problem.mu[contacts], problem.scales[contacts]
             r[i], used = self._island(part, *given, r[i].copy(), 0.9 * self.tol * float(share[k]), q_norm)
             count += used
-        return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+        return Solution.judge(problem, r, tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
 
     def _given_matrix(self, problem: FC3D, r: Array) -> int:
         """Solve a problem given by W alone in place of r; iterations used."""
@@ -186,9 +191,10 @@ class Auto:
             _cones.solve_one(blocks.delassus().data[0], q, mu[0], r)
             return r, 1
         cost, count = _cost(blocks), 0
-        if blocks.n > DENSE and self.tol >= LOOSE and _heavy(blocks, cost):
-            count, best = self._sweep_and_mend(blocks, q, mu, scales, r, tol, q_norm)
-            if best <= tol or INTERIOR[0] * cost > LONGEST:
+        if blocks.n > DENSE and max(self.tol, self.heavy_tol) >= LOOSE and _heavy(blocks, cost):
+            enough = max(tol, self.heavy_tol)
+            count, best = self._sweep_and_mend(blocks, q, mu, scales, r, enough, q_norm)
+            if best <= enough or INTERIOR[0] * cost > LONGEST:
                 return r, count
         r, used = self._factorise(blocks, q, mu, scales, r, tol, q_norm)
         return r, count + used
@@ -201,11 +207,12 @@ class Auto:
         def direct(part: Blocks, q: Array, mu: Array, scales: Array, r: Array) -> tuple[Array, int]:
             return self._factorise(part, q, mu, scales, r, 0.1 * tol, q_norm)
 
-        problem = FC3D.from_blocks(blocks, q, mu)
         count, best = solve_free(blocks, q, mu, scales, r, tol, q_norm, *TRAVEL)
-        x = r.copy()
+        if best <= tol:
+            return count, best
+        problem, x = FC3D.from_blocks(blocks, q, mu), r.copy()
         for _ in range(MENDS):
-            used = 0 if best <= tol else mend(problem, x, tol, direct)
+            used = mend(problem, x, tol, direct)
             if not used:
                 break
             more, now = solve_free(blocks, q, mu, scales, x, tol, q_norm, *AGAIN)
@@ -213,6 +220,8 @@ class Auto:
             if now < best:
                 best = now
                 r[:] = x
+            if best <= tol:
+                break
         return count, best
 
     def _factorise(
