@@ -276,7 +276,7 @@ def least_constraint(
     slip = np.where(np.linalg.norm(u[:, 1:], axis=1, keepdims=True) > still, u[:, 1:], 0.0)
     slip /= np.linalg.norm(slip, axis=1, keepdims=True) + (slip == 0.0).all(axis=1, keepdims=True)
     columns = (3 * keep[:, None] + np.arange(3)).ravel()
-    chosen = ContactSet(*(getattr(found, name)[keep] for name in ContactSet.__slots__))
+    chosen = ContactSet(*(getattr(found, name)[keep] for name in ContactSet._fields))
     return LeastConstraint(chosen, frame[keep], M, f, H[:, columns], p[keep].ravel(), slip[keep])
 
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -53,8 +52,7 @@ SLOTS = 256
 """Geoms per call of Pinocchio: its GeometryModel needs time and memory that grow with the square of their number."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ContactSet:
+class ContactSet(NamedTuple):
     """Contacts of one configuration, sorted by (geom1, geom2) with geom1 < geom2.
 
     Attributes
@@ -86,23 +84,20 @@ class ContactSet:
     key: Index
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ContactMemory:
+class ContactMemory(NamedTuple):
     """What a detector remembers of the last contacts to recognise them, all of it.
 
     Attributes
     ----------
-    geom1, geom2, key : ndarray, shape (nc,)
-    local1, local2 : ndarray, shape (nc, 3)
-        The points in the frames of the two geoms, m.
+    names : ndarray, shape (5, nc)
+        Both geoms, both frames, the key.
+    points : ndarray, shape (4, nc, 3)
+        Point and normal in world axes, the point in the frames of the two geoms; m.
     next_key : int
     """
 
-    geom1: Index
-    geom2: Index
-    key: Index
-    local1: Array
-    local2: Array
+    names: Index
+    points: Array
     next_key: int
 
 
@@ -138,6 +133,7 @@ class Detector:
         self._pair_material = pair_material
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
         self._geometry = _flatten(geoms)
+        self._fields = tuple(self._geometry)
         cores: dict[int, Any] = {id(g.shape): _core(g.shape) for g in geoms}
         for core in cores.values():
             core.computeLocalAABB()
@@ -161,9 +157,8 @@ class Detector:
         loops = np.diff(self._geometry.loop_ptr).max(initial=max_points)
         room = int(max(4 * max(loops, max_points), np.diff(self._geometry.vertex_ptr).max(initial=0)))
         self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
-        none, no_points = np.empty(0, dtype=np.int64), np.empty((0, 3))
-        self._memory = ContactMemory(none, none, none, no_points, no_points, 0)
-        self._set_pairs(none)
+        self._memory = ContactMemory(np.empty((5, 0), dtype=np.int64), np.empty((4, 0, 3)), 0)
+        self._set_pairs(np.empty(0, dtype=np.int64))
 
     @property
     def memory(self) -> ContactMemory:
@@ -196,21 +191,13 @@ class Detector:
 
     def candidates(self, x: Array, R: Array, reach: Array) -> None:
         """First part of `detect`: place the geoms and renew the candidate pairs if one has left its fat box."""
-        geometry, fat = self._geometry, (self._fat_lower, self._fat_upper)
-        if broadphase.follow(
-            geometry, x, R, reach, self._base, self._R, self._t, self._reach, self._lower, self._upper, *fat
-        ):
-            # The skin keeps the list for several steps; fixed geoms need none.
-            skin = self._base + SKIN * geometry.radius + (1 + min(self._served, AHEAD)) * self._reach
+        fields, boxes = self._fields, (self._lower, self._upper)
+        fat = self._fat_lower, self._fat_upper
+        if broadphase.follow(fields, x, R, reach, self._base, self._R, self._t, self._reach, *boxes, *fat):
+            ahead = 1 + min(self._served, AHEAD)
+            broadphase.fatten(fields, self._base, self._reach, SKIN, ahead, *boxes, *fat)
             self._served = 0
-            skin = np.where(self._moving, skin, 0.0)[:, None]
-            np.subtract(self._lower, skin, out=self._fat_lower)
-            np.add(self._upper, skin, out=self._fat_upper)
-            solids = np.flatnonzero(geometry.kind != HALFSPACE)
-            axis = int(np.argmax(self._t[solids].var(axis=0))) if len(solids) else 0
-            order = solids[np.argsort(self._fat_lower[solids, axis], kind="stable")]
-            codes = broadphase.candidates(geometry, self._R, self._t, *fat, self._excluded, order, axis)
-            codes = np.sort(codes)
+            codes = broadphase.candidates(fields, self._R, self._t, *fat, self._excluded)
             if not np.array_equal(codes, self._codes):
                 self._set_pairs(codes)
         self._served += 1
@@ -223,10 +210,9 @@ class Detector:
         round1, round2 = (kind1 == SPHERE) | (kind1 == CAPSULE), (kind2 == SPHERE) | (kind2 == CAPSULE)
         asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | (round1 & round2))
         self._first, self._second = first, second
-        self._slot = np.where(asked, np.cumsum(asked) - 1, -1)
+        slot = np.where(asked, np.cumsum(asked) - 1, -1)
         radius = np.where(self._moving, self._geometry.radius, np.inf)
-        self._pair_base = MARGIN * np.minimum(radius[first], radius[second])
-        self._mu, self._restitution = self._pair_material(first, second)
+        base = MARGIN * np.minimum(radius[first], radius[second])
         self._coal = np.empty((int(asked.sum()), 10))
         self._batches = []
         for k, (lo, hi) in enumerate(_split(first[asked], second[asked])):
@@ -235,8 +221,19 @@ class Detector:
             pairs = first[asked][lo:hi], second[asked][lo:hi]
             self._batches.append(_Batch(self._models[k], self._cores, *pairs, self._coal[lo:hi]))
         room = len(codes) * self._max_points
-        self._point, self._normal = np.empty((room, 3)), np.empty((room, 3))
-        self._gap, self._pair = np.empty(room), np.empty(room, dtype=np.int64)
+        point, normal, gap = np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
+        pair = np.empty(room, dtype=np.int64)
+        # What the kernels get in every step.
+        mu, restitution = self._pair_material(first, second)
+        pose = self._R, self._t
+        self._search = (
+            self._fields, *pose, self._slack, first, second, slot, self._coal, base, self._reach, self._max_points,
+            *self._scratch, point, normal, gap, pair,
+        )  # fmt: skip
+        self._found = (
+            pair, first, second, self._frame, mu, restitution, point, normal, gap, self._geometry.radius, *pose,
+            TOLERANCE, self._reach,
+        )  # fmt: skip
 
     def narrow(self) -> None:
         """Second part of `detect`: ask Coal for distance and direction of the pairs that have no closed form."""
@@ -245,23 +242,15 @@ class Detector:
 
     def manifold(self) -> ContactSet:
         """Third part of `detect`: points, normals and gaps, and the keys of contacts that last."""
-        count = manifold.manifolds(
-            self._geometry, self._R, self._t, self._slack, self._first, self._second, self._slot, self._coal,
-            self._pair_base, self._reach, self._max_points, *self._scratch, self._point, self._normal, self._gap,
-            self._pair,
-        )  # fmt: skip
-        geom1, geom2, frame1, frame2, key = np.empty((5, count), np.int64)
-        point, normal, local1, local2 = np.empty((4, count, 3))
-        gap, mu, restitution = np.empty((3, count))
+        count = manifold.manifolds(*self._search)
+        names, points, scalars = np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))
         old = self._memory
-        next_key = keys.collect(
-            self._pair, self._first, self._second, self._frame, self._mu, self._restitution, self._point, self._normal,
-            self._gap, geom1, geom2, frame1, frame2, mu, restitution, point, normal, gap,
-            self._geometry.radius, self._R, self._t, TOLERANCE, self._reach, old.geom1, old.geom2, old.key, old.local1,
-            old.local2, old.next_key, key, local1, local2,
-        )  # fmt: skip
-        self._memory = ContactMemory(geom1, geom2, key, local1, local2, next_key)
-        return ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key)
+        next_key = keys.collect(*self._found, old.names, old.points, old.next_key, names, points, scalars)
+        self._memory = ContactMemory(names, points, next_key)
+        # By index: to unpack an array takes twice as long.
+        return ContactSet(
+            names[0], names[1], names[2], names[3], points[0], points[1], scalars[0], scalars[1], scalars[2], names[4]
+        )
 
 
 def _flatten(geoms: Sequence[Geom]) -> broadphase.Geometry:

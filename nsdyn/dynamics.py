@@ -8,8 +8,7 @@ prescribed have a frame, but no block.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -29,11 +28,12 @@ Array = NDArray[np.float64]
 
 __all__ = ["Dynamics", "Loads", "Position"]
 
+NOTHING: Mapping[Any, Any] = {}
+
 NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
 
 
-@dataclass(frozen=True, eq=False)
-class Position:
+class Position(NamedTuple):
     """Where everything is.
 
     Attributes
@@ -55,8 +55,7 @@ class Position:
     driven_quaternion: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Loads:
+class Loads(NamedTuple):
     """What acts during a step besides contacts.
 
     Attributes
@@ -81,9 +80,7 @@ def _rotation(quaternion: Array) -> Array:
 
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:
-    """What a callback returned; None is nothing."""
-    if given is None:
-        return {}
+    """What a callback returned, checked."""
     if not isinstance(given, Mapping):
         raise ValueError(f"{what} must return a mapping of names or None, got {given!r}")
     return given
@@ -175,41 +172,44 @@ class Dynamics:
 
         Driven bodies move with `twist` (surfaces, 2, 3), linear and angular velocities in world axes, or not at all.
         """
-        x, quaternion = position.x, position.quaternion
-        if self.free:
-            x, quaternion = np.empty_like(x), np.empty_like(quaternion)
-            _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
-        trees = tuple(
-            [
-                t.close(pin.integrate(t.model, q, h * v[t.coordinates]))
-                for t, q in zip(self.trees, position.trees, strict=True)
-            ]
-        )
-        driven = position.driven_x, position.driven_quaternion
-        if twist is not None and len(position.driven_x):
+        x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
+        _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
+        return self._advanced(x, quaternion, position, v, h, twist)
+
+    def _advanced(
+        self, x: Array, quaternion: Array, position: Position, v: Array, h: float, twist: Array | None
+    ) -> Position:
+        """What `advance` gives, whose free bodies are at x and quaternion."""
+        trees, driven = position.trees, (position.driven_x, position.driven_quaternion)
+        if trees:
+            moved = zip(self.trees, trees, strict=True)
+            trees = tuple([t.close(pin.integrate(t.model, q, h * v[t.coordinates])) for t, q in moved])
+        if twist is not None and driven[0].size:
             driven = self.surfaces.advance(*driven, h * twist)
         return Position(x, quaternion, trees, *driven)
 
     def place(self, position: Position) -> None:
         """Put the poses of all frames at `position` into x and R, and the Jacobians of the trees there."""
-        self._place_bodies(position)
-        for t, q in zip(self.trees, position.trees, strict=True):
-            t.place(q, self.x, self.R)
+        _motion.place(position.x, position.quaternion, self.x, self.R)
+        self._place_driven(position)
+        for k, t in enumerate(self.trees):
+            t.place(position.trees[k], self.x, self.R)
 
     def evaluate(self, position: Position) -> None:
         """Put what `place` does and the mass matrices of the trees at `position`."""
-        self._place_bodies(position)
-        for t, q in zip(self.trees, position.trees, strict=True):
-            t.evaluate(q, self.x, self.R)
+        _motion.place(position.x, position.quaternion, self.x, self.R)
+        self._evaluate_others(position)
 
-    def _place_bodies(self, position: Position) -> None:
-        if self.free:
-            self.x[: self.free] = position.x
-            _motion.rotations(position.quaternion, self.R)
+    def _evaluate_others(self, position: Position) -> None:
+        """What `evaluate` does besides free bodies."""
+        self._place_driven(position)
+        for k, t in enumerate(self.trees):
+            t.evaluate(position.trees[k], self.x, self.R)
+
+    def _place_driven(self, position: Position) -> None:
         if position.driven_x.size:
             nd = len(position.driven_x)
-            self.x[-nd:] = position.driven_x
-            _motion.rotations(position.driven_quaternion, self.R[-nd:])
+            _motion.place(position.driven_x, position.driven_quaternion, self.x[-nd:], self.R[-nd:])
 
     def free_velocity(
         self,
@@ -242,24 +242,24 @@ class Dynamics:
         tau : mapping, optional
             Articulation name to its joint forces (nv,), or to a `PD`.
         """
-        force, torque, applied = self._applied(begin, _mapping(wrenches, "external_force"))
-        given = _mapping(tau, "controller")
-        if unknown := given.keys() - self._tree_names.keys():
-            raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
+        force, torque, applied, given = self._no_load, self._no_load, NOTHING, NOTHING
+        if wrenches is not None:
+            force, torque, applied = self._applied(begin, _mapping(wrenches, "external_force"))
+        if tau is not None:
+            given = _mapping(tau, "controller")
+            if unknown := given.keys() - self._tree_names.keys():
+                raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
-        if self.free:
-            _motion.free_velocity(self.J, self._inverse_mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
-        loads = []
-        for k, (tree, blocks) in enumerate(zip(self.trees, self._tree_blocks, strict=True)):
+        _motion.free_velocity(self.J, self._inverse_mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
+        loads: tuple[TreeLoads, ...] = ()
+        for k, tree in enumerate(self.trees):
             where, control = (begin.trees[k], middle.trees[k]), (given.get(tree.name), applied.get(k))
-            out[tree.coordinates], load = tree.free_motion(*where, v, push, h, theta, t, *control, *blocks)
-            loads.append(load)
-        return out, Loads(force, torque, gyroscopic, tuple(loads))
+            motion = tree.free_motion(*where, v, push, h, theta, t, *control, *self._tree_blocks[k])
+            out[tree.coordinates], loads = motion[0], (*loads, motion[1])
+        return out, Loads(force, torque, gyroscopic, loads)
 
     def _applied(self, begin: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
-        if not wrenches:
-            return self._no_load, self._no_load, {}
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
         applied: dict[int, Array] = {}
         for name, wrench in wrenches.items():
@@ -296,16 +296,13 @@ class Dynamics:
     def blocks(self, contacts: ContactSet) -> tuple[Blocks, Array]:
         """Factors (M, H) of the contacts at the placed position, and their frames (nc, 3, 3), rows (n, t1, t2)."""
         nc = contacts.gap.size
-        frame = np.empty((nc, 3, 3))
-        block, start = np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
-        _motion.contact_frames(contacts.normal, frame)
-        size = _motion.contact_layout(contacts.frame1, contacts.frame2, self.block_of_frame, self.offset, block, start)
+        frame, block, start = np.empty((nc, 3, 3)), np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
+        hang, where = (contacts.frame1, contacts.frame2), (contacts.point, frame)
+        size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
         h = np.zeros(size)
-        where = contacts.frame1, contacts.frame2, contacts.point, frame, self.x
-        if self.free:
-            _motion.free_rows(*where, self.R, self.free, start, h)
+        _motion.free_rows(*hang, *where, self.x, self.R, self.free, start, h)
         for t in self.trees:
-            _trees.link_rows(*where[:-1], t.frames.start, t.support, t.J, start, h)
+            _trees.link_rows(*hang, *where, t.frames.start, t.support, t.J, start, h)
         return Blocks(self.offset, block, start, h, self.m_start, self.m, self.minv), frame
 
     def carry_gaps(self, contacts: ContactSet, poses: tuple[Array, Array] | tuple[None, None], out: Array) -> None:
@@ -328,7 +325,7 @@ class Dynamics:
 
     def rows(self, contacts: Blocks, joints: JointRows | None) -> Rows:
         """Contacts and joint rows, in v and in the coordinates that loops, driven joints and joint friction leave."""
-        bases = {self.free + k: t.Z for k, t in enumerate(self.trees) if t.constrained}
+        bases = {self.free + k: t.Z for k, t in enumerate(self.trees) if t.constrained} if self.constrained else {}
         if joints is None:
             return Rows(contacts, bases, *NOT_PRESSED)
         pressed = np.flatnonzero(joints.press)
@@ -343,12 +340,32 @@ class Dynamics:
         """
         out = np.zeros(self.frames)
         fast = _motion.reach(v, self.gravity, h, self.radius, self._inscribed, out)
+        self._reach_others(v, h, begun, ended, out)
+        return out, fast
+
+    def _reach_others(self, v: Array, h: float, begun: Array, ended: Array, out: Array) -> None:
+        """What `reach` gives besides free bodies, into `out`."""
         for t in self.trees:
             part = self.x[t.frames], t.support, t.J, v[t.coordinates], h, t.radius, h * h * self._fall, out[t.frames]
             _trees.link_reach(*part)
         if self.surfaces.count:
             self.surfaces.reach(h * np.maximum(np.abs(begun), np.abs(ended)), out)
-        return out, fast
+
+    def midpoint(
+        self, position: Position, v: Array, h: float, theta: float, begun: Array, ended: Array
+    ) -> tuple[Position, Array, bool]:
+        """The position after (1 - θ) h, as `advance` gives it, where `evaluate` is called; what `reach` gives."""
+        x, quaternion, out = np.empty((self.free, 3)), np.empty((self.free, 4)), np.zeros(self.frames)
+        fast = _motion.midpoint(
+            position.x, position.quaternion, v, self.gravity, self.radius, self._inscribed, h, theta, x, quaternion,
+            self.x, self.R, out,
+        )  # fmt: skip
+        if not (self.trees or position.driven_x.size):
+            return Position(x, quaternion, (), position.driven_x, position.driven_quaternion), out, fast
+        middle = self._advanced(x, quaternion, position, v, (1.0 - theta) * h, begun)
+        self._evaluate_others(middle)
+        self._reach_others(v, h, begun, ended, out)
+        return middle, out, fast
 
     def energies(self, position: Position, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy, J; potential energy is 0 at the world's origin."""
@@ -360,12 +377,9 @@ class Dynamics:
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
         """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
-        q, out = np.concatenate((np.empty(7 * self.free), *position.trees)), v.copy()
-        if self.free:
-            R = np.empty((self.free, 3, 3))
-            _motion.rotations(position.quaternion, R)
-            _motion.pinocchio_layout(position.quaternion, R, position.x, v, q, out)
-        return q, out
+        q, out = np.empty(7 * self.free), np.empty(self.n)
+        _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)
+        return np.concatenate((q, *position.trees)) if position.trees else q, out
 
     def poses(self, position: Position) -> tuple[Array, Array] | tuple[None, None]:
         """Positions (frames, 3) and quaternions (frames, 4) of all frames; None where all are free bodies."""

@@ -14,13 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn._kernels import encounter as _encounter
 from nsdyn._kernels import motion as _motion
 from nsdyn.dynamics import Dynamics, Loads, Position
 from nsdyn.problem import Array
 from nsdyn.trees import Tree, TreeLoads
 
-__all__ = ["Ledger", "contact_works", "ledger"]
+__all__ = ["Ledger", "ledger"]
 
 
 class Ledger(NamedTuple):
@@ -51,13 +50,6 @@ class Ledger(NamedTuple):
     """Of the position projection."""
     defect: float
     """What is left: round-off."""
-
-
-def contact_works(u_before: Array, u_after: Array, r: Array) -> tuple[Array, Array, tuple[float, float]]:
-    """(normal, friction) work of every contact, each of shape (nc,), and their sums, in J."""
-    normal, friction = np.empty((2, r.size // 3))
-    sums = _encounter.contact_works(u_before, u_after, r, normal, friction)
-    return normal, friction, sums
 
 
 def ledger(

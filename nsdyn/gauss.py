@@ -9,7 +9,7 @@ by δ = max(0, -u_N), so ‖δ‖ is reported beside the bound.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from nsdyn._kernels import cones as _cones
 from nsdyn.problem import FC3D, Array
@@ -17,8 +17,7 @@ from nsdyn.problem import FC3D, Array
 __all__ = ["Certificate", "certify"]
 
 
-@dataclass(frozen=True)
-class Certificate:
+class Certificate(NamedTuple):
     """Error bound of one solve.
 
     Attributes

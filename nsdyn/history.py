@@ -9,27 +9,31 @@ smaller of two changes in one direction and nothing otherwise, as slope limiters
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels import encounter as _encounter
+from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import Array, Index
 
-__all__ = ["Encounter", "History", "foresee_slip", "release_stopped", "slip_status"]
+__all__ = ["Departure", "Encounter", "History", "foresee_slip", "release_stopped"]
+
+NOTHING = np.empty(0)
 
 
-@dataclass(frozen=True, eq=False)
-class Encounter:
+class Encounter(NamedTuple):
     """What a step begins with at its contacts, in their frames, then at its joint rows.
 
     Attributes
     ----------
-    u_before, u_free : ndarray, shape (3 rows,)
-        Relative velocities at v_k, and without impulses at the end of the step, with the rows of now, m/s.
+    u_before : ndarray, shape (3 rows,)
+        Relative velocities at v_k with the rows of now, m/s.
+    u_begin, u_free : ndarray, shape (3 rows,)
+        At v_k with the rows of the beginning, and without impulses at the end of the step with the rows of the end.
     bend : ndarray, shape (3 rows,)
         h dHᵀ/dt v, what the rows turn in a step as far as it can be foreseen, m/s.
     turn : ndarray, shape (nc, 3)
@@ -38,18 +42,65 @@ class Encounter:
         Contacts that slid in the last step, None if there are none.
     guess : ndarray, shape (3 rows,)
         Last impulses of the contacts that are still there and of the joint rows, N·s.
+    gap, mu : ndarray, shape (rows,)
+        At the midpoint, m, and friction coefficients.
+    w : ndarray, shape (3 rows,)
+        Offsets of Newton's impact law, u_N + w_N ≥ 0, m/s.
+    struck : ndarray of bool, shape (rows,), or None
+        Contacts that have an impact, None if there are none.
+    elastic : bool
+        Whether any could have one.
     """
 
     u_before: Array
+    u_begin: Array
     u_free: Array
     bend: Array
     turn: Array
     slides: NDArray[np.bool_] | None
     guess: Array
+    gap: Array
+    mu: Array
+    w: Array
+    struck: NDArray[np.bool_] | None
+    elastic: bool
 
 
-@dataclass(frozen=True, eq=False)
-class History:
+class Departure(NamedTuple):
+    """What a step ends with.
+
+    Attributes
+    ----------
+    change : ndarray, shape (n,)
+        M⁻¹ H r.
+    v, v_theta : ndarray, shape (n,)
+        v_{k+1} and v_{k+θ}.
+    u : ndarray, shape (3 rows,)
+        Relative velocities at v_{k+1} with the rows of the end, m/s.
+    gap : ndarray, shape (rows,)
+        At the end, linear in the motion since the midpoint, m.
+    normal, friction : ndarray, shape (rows,)
+        Works of the impulses, J.
+    works : (float, float)
+        Their sums.
+    impulse, velocity, push : ndarray
+        As in `History`.
+    """
+
+    change: Array
+    v: Array
+    v_theta: Array
+    u: Array
+    gap: Array
+    normal: Array
+    friction: Array
+    works: tuple[float, float]
+    impulse: Array
+    velocity: Array
+    push: Array
+
+
+class History(NamedTuple):
     """Memory of the last step; world axes.
 
     Attributes
@@ -95,8 +146,8 @@ class History:
 
     def scaled(self, ratio: float) -> History:
         """For steps longer by `ratio`."""
-        return replace(
-            self, impulse=ratio * self.impulse, turn=ratio * self.turn, change=ratio * self.change,
+        return self._replace(
+            impulse=ratio * self.impulse, turn=ratio * self.turn, change=ratio * self.change,
             push=ratio * self.push, joints=ratio * self.joints,
         )  # fmt: skip
 
@@ -108,6 +159,8 @@ class History:
         frame: Array,
         velocities: tuple[Array, Array],
         drags: tuple[Array, Array],
+        law: tuple[float, float, float, float],
+        fast: bool,
     ) -> Encounter:
         """What a step begins with at its contacts and joint rows.
 
@@ -120,65 +173,94 @@ class History:
         velocities : (v, v_free)
             At the beginning of the step, and at its end without impulses.
         drags : two ndarrays of shape (3 rows,)
-            What sliding surfaces add to the relative velocities then, m/s.
+            What sliding surfaces add to the relative velocities then, m/s; empty where there are none.
+        law : (h, theta, resting speed, largest gap that counts as closed)
+        fast : bool
+            Whether the contacts were looked for where the step begins, and not at its midpoint.
         """
-        nc, full = contacts.key.size, rows.full
-        u_before, u_free, guess = np.empty((3, 3 * full.nc))
-        bend, turn, slides = np.zeros(3 * full.nc), np.empty((nc, 3)), np.empty(nc, np.bool_)
-        some = _encounter.meet(
-            full.offset, full.block, full.start, full.h, *velocities, *drags, rows.press, self.key, self.status,
-            self.normal, self.velocity, self.turn, self.impulse, contacts.key, frame, u_before, u_free, bend, turn,
-            slides, guess,
+        nc, full, mu = len(frame), rows.full, contacts.mu
+        size = 3 * full.nc
+        rates, guess, turn, slides = np.empty((4, size)), np.empty(size), np.empty((nc, 3)), np.empty(nc, np.bool_)
+        gap, w, struck = np.empty(nc), np.empty(size), np.empty(full.nc, np.bool_)
+        sliding, some, elastic = _encounter.meet(
+            full.offset, full.block, full.start, full.h, *velocities, *drags, rows.press, *law, fast, self.key,
+            self.status, self.normal, self.velocity, self.turn, self.impulse, contacts.key, frame, contacts.gap,
+            contacts.restitution, rates, guess, turn, slides, gap, w, struck,
         )  # fmt: skip
-        if joints is not None:
+        u_before, u_begin, u_free, bend = rates[0], rates[1], rates[2], rates[3]
+        if joints is not None:  # one that rebounds half a step late is behind its limit, and counts as not struck
             guess[3 * nc :] = self.joints[joints.slot].ravel()
-        return Encounter(u_before, u_free, bend, turn, slides if some else None, guess)
+            h, theta, _, closed = law
+            u, free = u_begin[3 * nc :], u_free[3 * nc :]
+            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, closed, w[3 * nc :: 3])
+            gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
+        return Encounter(
+            u_before, u_begin, u_free, bend, turn, slides if sliding else None, guess, gap, mu, w,
+            struck if some else None, elastic,
+        )  # fmt: skip
 
-    def after(
+    def leave(
         self,
-        contacts: ContactSet,
-        status: NDArray[np.int8],
+        rows: Rows,
         frame: Array,
-        change: Array,
+        velocities: tuple[Array, Array],
+        drag: Array,
+        met: Encounter,
         r: Array,
-        u: Array,
-        turn: Array,
-        joints: Array,
-        solved: bool,
-    ) -> History:
-        """History after a step with impulses r (rows, 3), their change of v, and relative velocities u at v_{k+1}."""
-        (impulse, velocity), push = np.empty((2, *turn.shape)), np.empty_like(change)
-        _encounter.leave(frame, r, u, change, self.change, impulse, velocity, push)
-        return History(contacts.key, status, contacts.normal, impulse, velocity, turn, change, push, joints, solved)
+        h: float,
+        theta: float,
+    ) -> Departure:
+        """What a step ends with.
+
+        Parameters
+        ----------
+        rows : Rows
+        frame : ndarray, shape (nc, 3, 3)
+        velocities : (v, v_free)
+            At the beginning of the step, and at its end without impulses.
+        drag : ndarray, shape (3 rows,)
+            What sliding surfaces add to the relative velocities at the end, m/s; empty where there are none.
+        met : Encounter
+        r : ndarray, shape (3 rows,)
+            Impulses.
+        h, theta : float
+        """
+        full, change = rows.full, rows.velocity_change(r)
+        n, size, world = change.size, full.nc, (len(frame), 3)
+        v, v_theta, push, u = np.empty(n), np.empty(n), np.empty(n), np.empty(r.size)
+        after, normal, friction = np.empty(size), np.empty(size), np.empty(size)
+        impulse, velocity = np.empty(world), np.empty(world)
+        works = _encounter.leave(
+            full.offset, full.block, full.start, full.h, *velocities, change, self.change, drag, met.u_before, met.bend,
+            met.gap, frame, r, h, theta, v, v_theta, u, after, normal, friction, impulse, velocity, push,
+        )  # fmt: skip
+        return Departure(change, v, v_theta, u, after, normal, friction, works, impulse, velocity, push)
 
 
-def foresee_slip(rows: Rows, u_begin: Array, u_free: Array, met: Encounter) -> Array | float:
+def foresee_slip(rows: Rows, u_free: Array, met: Encounter) -> Array | None:
     """Offset of tangential velocities that lets friction oppose the slip of the middle of the step, shape (3 rows,).
 
-    0 where nothing slides.
+    None where nothing slides.
 
     Parameters
     ----------
     rows : Rows
-    u_begin, u_free : ndarray, shape (3 rows,)
-        Relative velocities at the beginning of the step, and at its end without impulses, m/s.
+    u_free : ndarray, shape (3 rows,)
+        Relative velocities at the end of the step without impulses, m/s.
     met : Encounter
     """
     if met.slides is None:
-        return 0.0
-    curve = np.zeros_like(u_begin)
-    u_end = u_free + rows.full.relative_velocity(rows.velocity_change(met.guess))
-    _encounter.curve(u_begin, u_end, met.slides, curve)
+        return None
+    full, curve = rows.full, np.empty(u_free.size)
+    change = rows.velocity_change(met.guess)
+    _encounter.curve(full.offset, full.block, full.start, full.h, change, met.u_begin, u_free, met.slides, curve)
     return curve
 
 
-def release_stopped(r: Array, mu: Array, curve: Array | float, every: bool) -> bool:
-    """Whether contacts that were to slide on, with offsets in `curve`, have stopped: theirs are dropped, or `every`."""
-    return not isinstance(curve, float) and bool(_encounter.release(r, mu, curve, every))
+def release_stopped(r: Array, mu: Array, curve: Array | None, every: bool) -> tuple[NDArray[np.int8], bool]:
+    """0 open, 1 stick, 2 slip of the contacts, those with a friction coefficient in mu (nc,), from the impulses.
 
-
-def slip_status(r: Array, mu: Array) -> NDArray[np.int8]:
-    """0 open, 1 stick, 2 slip of the contacts, those with a friction coefficient in mu (nc,)."""
+    And whether any that were to slide on, with offsets in `curve`, have stopped: theirs are dropped, or `every`.
+    """
     status = np.empty(mu.size, np.int8)
-    _encounter.contact_status(r, mu, status)
-    return status
+    return status, _encounter.release(r, mu, NOTHING if curve is None else curve, every, status)

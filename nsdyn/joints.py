@@ -23,6 +23,8 @@ Index = NDArray[np.int64]
 
 __all__ = ["JointLaws", "JointRows", "Rows"]
 
+NOTHING = np.empty(0)
+
 NEAR = 1e-2
 """A limit takes part in a step when the joint is this fraction of its range away from it, plus what it moves."""
 
@@ -130,12 +132,12 @@ class Rows:
     full, blocks : Blocks
         `blocks` is `full` itself where nothing restricts or presses.
     press : ndarray, shape (3 nc,)
-        Normal velocities without impulses on the coordinates of joint friction, m/s.
+        Normal velocities without impulses on the coordinates of joint friction, m/s; empty where nothing presses.
     """
 
     def __init__(self, full: Blocks, bases: Mapping[int, Array], pressed: Index, press: Array) -> None:
         self.full = self.blocks = full
-        self.press = np.zeros(3 * full.nc)
+        self.press = NOTHING
         if not bases and not pressed.size:
             return
         z_start = np.cumsum([0, *(Z.size for Z in bases.values())])

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -49,8 +48,7 @@ class Status(IntEnum):
         }[self]
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
+class Blocks(NamedTuple):
     """Factors of W = Hᵀ M⁻¹ H in blocks of coordinates.
 
     Attributes
@@ -85,7 +83,7 @@ class Blocks:
     @property
     def nc(self) -> int:
         """Number of contacts."""
-        return int(self.block.shape[0])
+        return len(self.block)
 
     def relative_velocity(self, v: Array) -> Array:
         """u = Hᵀ v, shape (3 nc,)."""
@@ -203,14 +201,12 @@ class FC3D:
         """Problem with W = Hᵀ M⁻¹ H given by its factors; W itself is assembled only when asked for."""
         problem = cls.__new__(cls)
         problem._set(q, mu)
-        if blocks.nc != problem.mu.size:
-            raise ValueError(f"blocks must have {problem.mu.size} contacts like mu, got {blocks.nc}")
-        problem.blocks = blocks
-        problem.scales = np.empty(problem.mu.size)
-        b = blocks
-        q_norm, good = _blocks.prepare(
-            b.offset, b.block, b.start, b.h, b.m_start, b.minv, problem.q, problem.mu, problem.scales
-        )
+        offset, block, start, h, m_start, _, minv = problem.blocks = blocks
+        nc = len(problem.mu)
+        if len(block) != nc:
+            raise ValueError(f"blocks must have {nc} contacts like mu, got {len(block)}")
+        scales = problem.scales = np.empty(nc)
+        q_norm, good = _blocks.prepare(offset, block, start, h, m_start, minv, problem.q, problem.mu, scales)
         if not good:
             problem._check_values()
             problem._check_scales()
@@ -270,7 +266,7 @@ class FC3D:
     @property
     def nc(self) -> int:
         """Number of contacts."""
-        return int(self.mu.size)
+        return len(self.mu)
 
     def velocity(self, r: Array) -> Array:
         """u = W r + q, shape (3 nc,), m/s."""
@@ -291,22 +287,23 @@ class FC3D:
         ----------
         V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 6.
         """
-        r = self._impulse(r)
+        r = self.impulse(r)
         u = self.velocity(r) if u is None else u
         return float(_cones.natural_error(u, r, self.mu)) / self.q_norm
 
     def residual(self, r: Any, u: Array | None = None) -> float:
         """Unit-invariant residual in m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ with ρ = 1/λ_max(W_aa)."""
-        r = self._impulse(r)
+        r = self.impulse(r)
         u = self.velocity(r) if u is None else u
         return float(_cones.natural_residual(self.scales, u, r, self.mu))
 
     def gap(self, r: Any) -> float:
         """Duality gap Σ r·(u + δ e_N + μ‖u_T‖ e_N) in J of the problem shifted by δ = max(0, -u_N): see `gauss`."""
-        r = self._impulse(r)
+        r = self.impulse(r)
         return float(_cones.duality_gap(self.velocity(r), r, self.mu)[0])
 
-    def _impulse(self, r: Any) -> Array:
+    def impulse(self, r: Any) -> Array:
+        """The array r (3 nc,) that is meant; ValueError if its shape does not fit."""
         out: Array = np.ascontiguousarray(r, dtype=float)
         if out.shape != self.q.shape:
             raise ValueError(f"r must have shape {self.q.shape} like q, got {out.shape}")
@@ -314,7 +311,7 @@ class FC3D:
 
     def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:
         """(both measures within tol, error, residual in m/s, u) of an impulse r."""
-        r = self._impulse(r)
+        r = self.impulse(r)
         if self.blocks is None:
             u = self.velocity(r)
             top, residual = _cones.measures(self.scales, u, r, self.mu)
@@ -332,8 +329,7 @@ def _csr(W: sp.bsr_array) -> tuple[Index, Index, Array]:
     return W.indptr.astype(np.int64, copy=False), W.indices.astype(np.int64, copy=False), data
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(NamedTuple):
     """What a solver returns, measured by the problem itself.
 
     Attributes
@@ -371,11 +367,18 @@ class Solution:
         problem: FC3D, r: Array, tol: float, iterations: int, time: float, otherwise: Status = Status.STALLED
     ) -> Solution:
         """Solution of impulse r; converged only if the problem's own measures say so."""
-        ok, error, residual, u = problem.solved(r, tol)
-        if not (math.isfinite(error) and math.isfinite(residual)):
-            status = Status.NOT_FINITE
+        _, error, residual, u = problem.solved(r, tol)
+        return Solution.measured(r, u, error, residual, tol, iterations, time, otherwise)
+
+    @staticmethod
+    def measured(
+        r: Array, u: Array, error: float, residual: float, tol: float, iterations: int, time: float, otherwise: Status
+    ) -> Solution:
+        """Solution of an impulse with the velocity and the measures that its problem gives it."""
+        if error <= tol and residual <= tol:
+            status = Status.CONVERGED
         else:
-            status = Status.CONVERGED if ok else otherwise
+            status = otherwise if math.isfinite(error) and math.isfinite(residual) else Status.NOT_FINITE
         return Solution(r, u, status, error, residual, iterations, time)
 
 

@@ -6,20 +6,19 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn import energy, fclib, gauss, impacts
 from nsdyn._kernels import encounter as _encounter
-from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.history import History, foresee_slip, release_stopped, slip_status
-from nsdyn.joints import JointRows, Rows
+from nsdyn.history import Encounter, History, foresee_slip, release_stopped
+from nsdyn.joints import Rows
 from nsdyn.problem import FC3D, Array, NotConverged, Solution
 from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
@@ -42,8 +41,7 @@ DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
 
 
-@dataclass(frozen=True, eq=False)
-class State:
+class State(NamedTuple):
     """Everything a run needs to go on bit for bit.
 
     Attributes
@@ -61,7 +59,7 @@ class State:
 
     origin: float
     dt: float
-    count: int
+    count: int  # type: ignore[assignment]  # tuple.count is of no use here
     position: Position
     v: Array
     history: History
@@ -78,8 +76,7 @@ class State:
         return self.origin + (self.count + 1) * self.dt
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
+class Step(NamedTuple):
     """What one step did.
 
     Attributes
@@ -104,8 +101,8 @@ class Step:
         Of joint limits and dry joint friction on each coordinate, N m s or N s.
     created : float
         Energy that the contacts of a step with an impact created, J: 0 but for the paradox of Newton's law (`impacts`).
-    energy : dict
-        The terms of `nsdyn.energy.Ledger`, J.
+    ledger : Ledger
+        Energies at the end and works of the step, J.
     gauss : Certificate
     problem : FC3D
     solution : Solution
@@ -129,7 +126,7 @@ class Step:
     work_friction: Array
     joint_impulse: Array
     created: float
-    energy: dict[str, float]
+    ledger: energy.Ledger
     gauss: gauss.Certificate
     problem: FC3D
     solution: Solution
@@ -140,9 +137,13 @@ class Step:
         """First tangent t1 of every contact, shape (nc, 3); t2 = n × t1."""
         return self.frame[:, 1]
 
+    @property
+    def energy(self) -> dict[str, float]:
+        """The terms of the ledger by their names, J."""
+        return self.ledger._asdict()
 
-@dataclass(frozen=True, eq=False)
-class Start:
+
+class Start(NamedTuple):
     """The initial state as a recording shows it: a `Step` without what steps do."""
 
     t: float
@@ -245,6 +246,7 @@ class Stepper:
         self.closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(self.closed, self.solver.tol * self.dt)
+        self._law = self.dt, self.theta, self.resting_speed, self.closed
         # What a warm start within the tolerance leaves of the velocities is part of the next impulses that are solved
         # for, which start the step after them as wrong as that. Accepted there, it would stay for ever.
         self._strict = replace(self.solver, accept=0.4) if isinstance(self.solver, Auto) else self.solver
@@ -295,13 +297,11 @@ class Stepper:
 
         # Free motion, with the coefficients of the midpoint.
         begun, ended = d.surfaces.twists(s.t), d.surfaces.twists(s.next_t)
-        middle = d.advance(s.position, s.v, (1.0 - theta) * h, begun)
-        d.evaluate(middle)
+        middle, reach, fast = d.midpoint(s.position, s.v, h, theta, begun, ended)
         callbacks = self._callbacks(middle)
         v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, s.history.push, *callbacks)
 
         # Contacts, joint limits and joint friction, and their impact law.
-        reach, fast = d.reach(s.v, h, begun, ended)
         if fast:  # then contacts are looked for where the step begins, and their gaps extrapolated to the midpoint
             d.place(s.position)
         self.detector.candidates(d.x, d.R, reach)
@@ -312,47 +312,44 @@ class Stepper:
         blocks, frame = d.blocks(contacts)
         joints = d.joint_rows(middle, s.v, v_free, h)
         rows = d.rows(blocks, joints)
-        where = contacts, frame, middle.driven_x, rows.full.nc
-        drag, drag_after = d.surfaces.drag(*where, begun), d.surfaces.drag(*where, ended)
-        met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after))
-        # The rows turn by `bend` a step: velocities at its beginning and at its end have rows of their own.
-        bend = met.bend
-        u_begin = met.u_before - (1.0 - theta) * bend
-        u_free = met.u_free + theta * bend
-        gap, mu, w, struck, elastic = self._impact_law(contacts, joints, u_begin, u_free, bend, fast)
-        q, returned = self._expand(rows, contacts.restitution, mu, u_begin, u_free, w, struck)
-        curve = foresee_slip(rows, u_begin, q, met)
-        problem = FC3D.from_blocks(rows.blocks, q + w + curve, mu)
+        drag, drag_after = d.surfaces.drags(contacts, frame, middle.driven_x, rows.full.nc, begun, ended)
+        met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after), self._law, fast)
+        w, struck = met.w, met.struck
+        if struck is not None:
+            impacts.apply(self.impact, met.u_begin, struck, w)
+        q, returned = self._expand(rows, contacts.restitution, met)
+        curve = foresee_slip(rows, q, met)
+        problem = FC3D.from_blocks(rows.blocks, q + w if curve is None else q + w + curve, met.mu)
         t_assembly = clock()
 
         # The frictional contact problem.
         solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
         solved = solution.iterations > 0
-        postponed = self._postpone(problem, solution, contacts.restitution, u_begin, w) if elastic else None
-        for last in (False, True):
-            if release_stopped(solution.r + returned, contacts.mu, curve, last) or (postponed is not None and not last):
-                problem = problem.with_velocity(q + w + curve)
-                solution = self.solver(problem, solution.r)
-                solved = True
+        postponed = self._postpone(problem, solution, contacts.restitution, met.u_begin, w) if met.elastic else None
+        again, every = postponed is not None, False
+        while True:
+            impulse = solution.r if returned is None else solution.r + returned
+            status, stopped = release_stopped(impulse, contacts.mu, curve, every)
+            if not (stopped or again):
+                break
+            problem = problem.with_velocity(q + w if curve is None else q + w + curve)
+            solution = self.solver(problem, solution.r)
+            solved, again, every = True, False, True
         t_solve = clock()
         if not solution.converged:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
-        impulse = solution.r + returned
-        change = rows.velocity_change(impulse)
-        v = v_free + change
 
-        # Positions, and what penetration is left in them.
-        v_theta = theta * v + (1.0 - theta) * s.v
-        moved = d.advance(s.position, v_theta, h, d.surfaces.mean(begun, ended, theta))
-        u_after = rows.full.relative_velocity(v) + drag_after
-        u = u_after + theta * bend
+        # Velocities and positions, and what penetration is left in them.
+        left = s.history.leave(rows, frame, (s.v, v_free), drag_after, met, impulse, h, theta)
+        v, gap = left.v, left.gap
+        moved = d.advance(s.position, left.v_theta, h, d.surfaces.mean(begun, ended, theta))
         nc = contacts.gap.size
-        end, gap, poses = moved, gap + theta * h * u[0::3], d.poses(moved)
+        end, poses = moved, d.poses(moved)
         d.carry_gaps(contacts, poses, gap)
         if _encounter.smallest(gap) < -self.closed:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side, or a link of a mechanism in its guide.
-            ahead = gap + h * (u + theta * (u_free - u_begin))[0::3]
+            ahead = gap + h * (left.u + theta * (met.u_free - met.u_begin))[0::3]
             leaving = np.zeros(gap.size, np.bool_) if struck is None else struck & (ahead >= 0.0)
             if postponed is not None:
                 leaving |= postponed
@@ -363,24 +360,17 @@ class Stepper:
             poses = poses if end is moved else d.poses(end)
 
         # Certificate, ledger, record.
-        normal, friction, works = energy.contact_works(met.u_before, u_after, impulse)
         driving = -0.5 * float((drag + drag_after) @ impulse) if d.surfaces.count else 0.0
-        step_energy = energy.ledger(
-            d,
-            h,
-            theta,
-            loads,
-            (s.position, moved, end),
-            (s.v, v, v_theta),
-            rows.full.momentum(impulse) if d.constrained else None,
-            *works,
-            driving,
-        )
-        created = max(0.0, float((normal + friction)[:nc].sum())) if struck is not None else 0.0
-        r = impulse.reshape(-1, 3)
-        status = slip_status(impulse, contacts.mu)
+        momentum = rows.full.momentum(impulse) if d.constrained else None
+        positions, velocities = (s.position, moved, end), (s.v, v, left.v_theta)
+        ledger = energy.ledger(d, h, theta, loads, positions, velocities, momentum, *left.works, driving)
+        created = max(0.0, float((left.normal + left.friction)[:nc].sum())) if struck is not None else 0.0
+        r, u = impulse.reshape(-1, 3), left.u.reshape(-1, 3)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
-        history = s.history.after(contacts, status, frame, change, r, u_after, met.turn, slots, solved)
+        history = History(
+            contacts.key, status, contacts.normal, left.impulse, left.velocity, met.turn, left.change, left.push, slots,
+            solved,
+        )  # fmt: skip
         self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
         q_out, v_out = d.pinocchio_state(end, v)
         x, quaternion = poses
@@ -389,51 +379,18 @@ class Stepper:
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
         return Step(
-            self._state.t, q_out, v_out, x, quaternion, contacts, gap[:nc], frame, u.reshape(-1, 3)[:nc], r[:nc],
-            status, normal[:nc], friction[:nc], joint_impulse, created, step_energy._asdict(), certificate, problem,
-            solution, times,
+            self._state.t, q_out, v_out, x, quaternion, contacts, gap[:nc], frame, u[:nc], r[:nc],
+            status, left.normal[:nc], left.friction[:nc], joint_impulse, created, ledger, certificate,
+            problem, solution, times,
         )  # fmt: skip
 
-    def _impact_law(
-        self, contacts: ContactSet, joints: JointRows | None, u_begin: Array, u_free: Array, bend: Array, fast: bool
-    ) -> tuple[Array, Array, Array, NDArray[np.bool_] | None, bool]:
-        """(gap, mu, w, struck, elastic) of contacts, then joint rows.
-
-        Gaps at the midpoint, offsets of the impact law, which contacts have an impact (None if none has), and whether
-        any could have one.
-        """
-        h, theta, nc = self.dt, self.theta, contacts.gap.size
-        # Where the gaps were looked for at the beginning they have moved since; else the rows have turned.
-        moves, since = (u_begin, (1.0 - theta) * h) if fast else (bend, -0.5 * (1.0 - theta) ** 2 * h)
-        gap, mu, w, struck = np.empty(nc), contacts.mu, np.zeros(u_begin.size), np.zeros(u_begin.size // 3, np.bool_)
-        some, elastic = _encounter.impact_law(
-            u_begin, moves, since, contacts.gap, contacts.restitution, theta * h, self.resting_speed, self.closed, gap,
-            w, struck,
-        )  # fmt: skip
-        if joints is not None:  # a joint that rebounds half a step late is behind its limit, and counts as not struck
-            u, free = u_begin[3 * nc :], u_free[3 * nc :]
-            _trees.joint_impact_law(u, free, joints.gap, joints.restitution, theta * h, self.closed, w[3 * nc :: 3])
-            gap, mu = np.concatenate((gap, joints.gap)), np.concatenate((mu, joints.mu))
-        if some:
-            impacts.apply(self.impact, u_begin, struck, w)
-        return gap, mu, w, struck if some else None, elastic
-
-    def _expand(
-        self,
-        rows: Rows,
-        restitution: Array,
-        mu: Array,
-        u_begin: Array,
-        u_free: Array,
-        w: Array,
-        struck: NDArray[np.bool_] | None,
-    ) -> tuple[Array, Array | float]:
-        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, 0) without."""
-        if self.impact != "poisson" or struck is None:
-            return u_free, 0.0
-        compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (u_begin + u_free) + w, mu))
-        r = impacts.returned(compression.r, np.append(restitution, np.zeros(mu.size - restitution.size)))
-        return u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r
+    def _expand(self, rows: Rows, restitution: Array, met: Encounter) -> tuple[Array, Array | None]:
+        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, None) without."""
+        if self.impact != "poisson" or met.struck is None:
+            return met.u_free, None
+        compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (met.u_begin + met.u_free) + met.w, met.mu))
+        r = impacts.returned(compression.r, np.append(restitution, np.zeros(met.mu.size - restitution.size)))
+        return met.u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r
 
     def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
         """(wrenches, joint forces) of the user's callbacks at the midpoint."""

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 __all__ = ["Surfaces"]
 
-NONE = np.empty((0, 2, 3))
+NONE, NOTHING = np.empty((0, 2, 3)), np.empty(0)
 
 
 class Surfaces:
@@ -60,11 +60,20 @@ class Surfaces:
             length = np.linalg.norm(step[: self._driven], axis=2)
             out[-self._driven :] = length[:, 0] + length[:, 1] * self._radius
 
-    def drag(self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, twist: Array) -> Array:
-        """What the surfaces add to the relative velocities of the contacts, shape (3 rows,), 0 beyond them, m/s."""
-        w = np.zeros(3 * rows)
+    def drags(
+        self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, begun: Array, ended: Array
+    ) -> tuple[Array, Array]:
+        """What the surfaces add to the relative velocities of the contacts at the beginning and the end of a step.
+
+        Shapes (3 rows,), 0 beyond the contacts, m/s; empty in a scene without surfaces.
+        """
         if not self.count:
-            return w
+            return NOTHING, NOTHING
+        where = contacts, frame, driven_x, rows
+        return self._drag(*where, begun), self._drag(*where, ended)
+
+    def _drag(self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, twist: Array) -> Array:
+        w = np.zeros(3 * rows)
         origin = self._origin.copy()
         origin[: self._driven] = driven_x
         fields = self._motion_of_geom, origin, twist[:, 0].copy(), twist[:, 1].copy(), self._slides

@@ -79,11 +79,13 @@ def bound(geometry, g, R, t, lower, upper):
 
 
 @njit(cache=True)
-def follow(geometry, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fat_lower, fat_upper):
+def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fat_lower, fat_upper):
     """World poses, reaches and bounds of the geoms on moving frames, into R, t, reach, lower and upper.
 
-    Returns whether one of them, inflated by its base and its reach, leaves its fat box.
+    Returns whether one of them, inflated by its base and its reach, leaves its fat box. `fields` are those of
+    `Geometry`, a plain tuple: from Python that is handed over in half the time.
     """
+    geometry = Geometry(*fields)
     place(geometry, x, R_frames, R, t)
     out = False
     for g in range(geometry.kind.size):
@@ -132,12 +134,47 @@ def append(codes, count, code):
 
 
 @njit(cache=True)
-def candidates(geometry, R, t, lower, upper, excluded, order, axis):
-    """Codes n i + j (i < j) of all pairs of geoms whose boxes meet, in no particular order.
+def fatten(fields, base, reach, skin, ahead, lower, upper, fat_lower, fat_upper):
+    """Boxes that serve for several steps, into fat_lower and fat_upper; `fields` as in `follow`.
 
-    Left out: both fixed, both on one frame, excluded (sorted codes). `order` holds the geoms that are not half-spaces
-    sorted by ``lower[:, axis]``; they are swept along that axis. Half-spaces are tested against every moving box.
+    They are grown by the base, `skin` times the bounding radius and `ahead` times the reach; fixed geoms need none.
     """
+    geometry = Geometry(*fields)
+    for g in range(geometry.kind.size):
+        more = 0.0
+        if geometry.frame[g] >= 0:
+            more = base[g] + skin * geometry.radius[g] + ahead * reach[g]
+        for i in range(3):
+            fat_lower[g, i], fat_upper[g, i] = lower[g, i] - more, upper[g, i] + more
+
+
+@njit(cache=True)
+def widest(geometry, t):
+    """The axis along which the geoms that are not half-spaces are spread most."""
+    best, axis = -1.0, 0
+    for i in range(3):
+        count, mean, square = 0, 0.0, 0.0
+        for g in range(geometry.kind.size):
+            if geometry.kind[g] != HALFSPACE:
+                count += 1
+                away = t[g, i] - mean
+                mean += away / count
+                square += away * (t[g, i] - mean)
+        if square > best:
+            best, axis = square, i
+    return axis
+
+
+@njit(cache=True)
+def candidates(fields, R, t, lower, upper, excluded):
+    """Codes n i + j (i < j) of all pairs of geoms whose boxes meet, sorted; `fields` as in `follow`.
+
+    Left out: both fixed, both on one frame, excluded (sorted codes). Geoms that are not half-spaces are swept along the
+    axis of their greatest spread. Half-spaces are tested against every moving box.
+    """
+    geometry = Geometry(*fields)
+    axis, solids = widest(geometry, t), np.flatnonzero(geometry.kind != HALFSPACE)
+    order = solids[np.argsort(lower[solids, axis], kind="mergesort")]
     n, m = geometry.kind.size, order.size
     codes = np.empty(64, dtype=np.int64)
     count = 0
@@ -169,4 +206,4 @@ def candidates(geometry, R, t, lower, upper, excluded, order, axis):
                 if not contains(excluded, code):
                     codes = append(codes, count, code)
                     count += 1
-    return codes[:count]
+    return np.sort(codes[:count])

@@ -13,19 +13,38 @@ from nsdyn._kernels.blocks import relative_velocity
 
 @njit(cache=True)
 def meet(
-    offset, block, start, h, v, v_free, drag, drag_after, press, old_key, status, old_normal, velocity, old_turn,
-    impulse, key, frame, u_before, u_free, foreseen, turn, slides, guess,
+    offset, block, start, h, v, v_free, drag, drag_after, press, dt, theta, resting_speed, closed, fast, old_key,
+    status, old_normal, velocity, old_turn, impulse, key, frame, found, restitution, rates, guess, turn, slides, gap,
+    w, struck,
 ):  # fmt: skip
-    """Relative velocities at v and at v_free, `turning` and `warm_start` of a step; whether any contact slides."""
+    """Relative velocities of a step, `turning`, `warm_start` and `impact_law`.
+
+    The `rates` (4, 3 rows): at v, the same with the rows of the beginning, at v_free with the rows of the end, what the
+    rows turn in the step. `drag`, `drag_after` and `press` are empty where there are none. Returns whether any contact
+    slides, and what `impact_law` does. The gaps were `found` at the midpoint or, in a `fast` step, at the beginning.
+    """
+    u_before, u_begin, u_free, bend = rates
     relative_velocity(offset, block, start, h, v, u_before)
-    u_before += drag
     relative_velocity(offset, block, start, h, v_free, u_free)
+    for i in range(drag.size):
+        u_before[i] += drag[i]
+        u_free[i] += drag_after[i]
+    for i in range(press.size):
+        u_free[i] += press[i]
     place = places(old_key, key)
     warm_start(place, impulse, frame, guess)
-    turning(place, status, old_normal, velocity, old_turn, frame, u_before, foreseen, turn, slides)
-    for i in range(u_free.size):
-        u_free[i] += press[i] + drag_after[i]
-    return slides.any()
+    bend[:] = 0.0
+    turning(place, status, old_normal, velocity, old_turn, frame, u_before, bend, turn, slides)
+    for i in range(bend.size):
+        u_begin[i] = u_before[i] - (1.0 - theta) * bend[i]
+        u_free[i] += theta * bend[i]
+    # Where the gaps were looked for at the beginning they have moved since; else the rows have turned.
+    moves, before = (u_begin, (1.0 - theta) * dt) if fast else (bend, -0.5 * (1.0 - theta) ** 2 * dt)
+    w[:], struck[:] = 0.0, False
+    some, elastic = impact_law(
+        u_begin, moves, before, found, restitution, theta * dt, resting_speed, closed, gap, w, struck
+    )
+    return slides.any(), some, elastic
 
 
 @njit(cache=True)
@@ -120,16 +139,18 @@ def impact_law(u, moves, before, found, restitution, h_theta, resting_speed, clo
 
 
 @njit(cache=True)
-def curve(u_begin, u_end, slides, w):
-    """Offset that turns the slip which friction opposes from that of the end to that of the middle, into w (3 nc,).
+def curve(offset, block, start, h, change, u_begin, u_free, slides, w):
+    """Offset that turns the slip which friction opposes from that of the end to that of the middle, into w (3 rows,).
 
-    Half the foreseen change of u_T across its direction, of contacts that slide and will slide on: those whose slip
-    changes by less than half of itself.
+    Half the change of u_T across its direction that the `change` of v makes foresee, of contacts that slide and will
+    slide on: those whose slip changes by less than half of itself.
     """
+    relative_velocity(offset, block, start, h, change, w)
+    w[3 * slides.size :] = 0.0
     for c in range(slides.size):
         i = 3 * c
+        x, y = u_free[i + 1] + w[i + 1], u_free[i + 2] + w[i + 2]
         w[i] = w[i + 1] = w[i + 2] = 0.0
-        x, y = u_end[i + 1], u_end[i + 2]
         dx, dy = x - u_begin[i + 1], y - u_begin[i + 2]
         slip = u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2
         if slides[c] and dx * dx + dy * dy < 0.25 * slip:
@@ -139,31 +160,27 @@ def curve(u_begin, u_end, slides, w):
 
 
 @njit(cache=True)
-def release(r, mu, curve, every):
-    """Drop the offsets in `curve` (3 rows,) of contacts that stick, or if there are any all of them; tells whether."""
-    status = np.empty(mu.size, np.int8)
-    contact_status(r, mu, status)
+def release(r, mu, curve, every, status):
+    """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary), into status (nc,).
+
+    The offsets in `curve` (3 rows,), empty for none, of contacts that stick are dropped, or all of them if there are
+    any and `every`; tells whether there are any.
+    """
     some = False
-    for c in range(mu.size):
-        if status[c] == 1 and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0):
-            curve[3 * c + 1] = curve[3 * c + 2] = 0.0
-            some = True
-    if some and every:
-        curve[:] = 0.0
-    return some
-
-
-@njit(cache=True)
-def contact_status(r, mu, status):
-    """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary), into status (nc,)."""
     for c in range(mu.size):
         t = math.sqrt(r[3 * c + 1] ** 2 + r[3 * c + 2] ** 2)
         if r[3 * c] <= 0.0:
             status[c] = 0
         elif t < mu[c] * r[3 * c] * (1.0 - 1e-9):
             status[c] = 1
+            if curve.size and (curve[3 * c + 1] != 0.0 or curve[3 * c + 2] != 0.0):
+                curve[3 * c + 1] = curve[3 * c + 2] = 0.0
+                some = True
         else:
             status[c] = 2
+    if some and every:
+        curve[:] = 0.0
+    return some
 
 
 @njit(cache=True)
@@ -191,17 +208,44 @@ def smallest(x):
 
 
 @njit(cache=True)
-def leave(frame, r, u, change, last_change, impulse, velocity, push):
-    """Impulses r (rows, 3) and velocities u (3 rows,) in world axes, into impulse and velocity (nc, 3).
-
-    What `change` and `last_change` (n,) agree on, the smaller of two of one sign, into push (n,).
-    """
+def to_world(frame, x, out):
+    """Vectors x (3 rows,) of the contacts in world axes, into out (nc, 3)."""
     for c in range(frame.shape[0]):
         for j in range(3):
-            a, b, d = frame[c, 0, j], frame[c, 1, j], frame[c, 2, j]
-            impulse[c, j] = a * r[c, 0] + b * r[c, 1] + d * r[c, 2]
-            velocity[c, j] = a * u[3 * c] + b * u[3 * c + 1] + d * u[3 * c + 2]
+            out[c, j] = frame[c, 0, j] * x[3 * c] + frame[c, 1, j] * x[3 * c + 1] + frame[c, 2, j] * x[3 * c + 2]
+
+
+@njit(cache=True)
+def common(change, last_change, push):
+    """What two changes (n,) agree on, the smaller of two of one sign and 0 else, into push (n,)."""
     for i in range(change.size):
         push[i] = 0.0
         if change[i] * last_change[i] > 0.0:
             push[i] = change[i] if abs(change[i]) < abs(last_change[i]) else last_change[i]
+
+
+@njit(cache=True)
+def leave(
+    offset, block, start, h, v_begin, v_free, change, last_change, drag_after, u_before, bend, gap, frame, r, dt, theta,
+    v, v_theta, u, gap_after, normal, friction, impulse, velocity, push,
+):  # fmt: skip
+    """What a step ends with whose impulses r (3 rows,) change v by `change`; returns the sums of `contact_works`.
+
+    v and θ v + (1 - θ) v_begin; relative velocities with the rows of the end; gaps, linear in the motion; works; in
+    world axes impulses, and velocities with the rows of the midpoint; what the two last changes have in `common`.
+    """
+    for i in range(v.size):
+        v[i] = v_free[i] + change[i]
+        v_theta[i] = theta * v[i] + (1.0 - theta) * v_begin[i]
+    u_after = np.empty(u.size)
+    relative_velocity(offset, block, start, h, v, u_after)
+    for i in range(drag_after.size):
+        u_after[i] += drag_after[i]
+    for i in range(u.size):
+        u[i] = u_after[i] + theta * bend[i]
+    for c in range(gap.size):
+        gap_after[c] = gap[c] + theta * dt * u[3 * c]
+    to_world(frame, r, impulse)
+    to_world(frame, u_after, velocity)
+    common(change, last_change, push)
+    return contact_works(u_before, u_after, r, normal, friction)

@@ -61,19 +61,23 @@ def match(
 
 @njit(cache=True)
 def collect(
-    pair, first, second, frame, pair_mu, pair_restitution, points, normals, gaps, geom1, geom2, frame1, frame2, mu,
-    restitution, point, normal, gap, radius, R, t, tolerance, slack, old1, old2, old_key, old_local1, old_local2,
-    next_key, key, local1, local2,
+    pair, first, second, frame, mu, restitution, point, normal, gap, radius, R, t, tolerance, slack, old_names,
+    old_points, next_key, names, points, scalars,
 ):  # fmt: skip
-    """What `manifolds` found and what contacts have from pairs and geoms, into arrays of their number; then `match`."""
-    for c in range(gap.size):
+    """What `manifolds` found and what contacts have from pairs and geoms, into arrays of their number; then `match`.
+
+    Rows of the arrays: `names` (5, nc), both geoms, both frames, key; `points` (4, nc, 3), point, normal, the point in
+    the frames of both geoms; `scalars` (3, nc), gap, mu, restitution. Returns the next key.
+    """
+    geom1, geom2, key, local1, local2 = names[0], names[1], names[4], points[2], points[3]
+    for c in range(key.size):
         p = pair[c]
         i, j = first[p], second[p]
-        geom1[c], geom2[c], frame1[c], frame2[c] = i, j, frame[i], frame[j]
-        mu[c], restitution[c], gap[c] = pair_mu[p], pair_restitution[p], gaps[c]
-        put(point, c, row(points, c))
-        put(normal, c, row(normals, c))
+        geom1[c], geom2[c], names[2, c], names[3, c] = i, j, frame[i], frame[j]
+        scalars[0, c], scalars[1, c], scalars[2, c] = gap[c], mu[p], restitution[p]
+        put(points[0], c, row(point, c))
+        put(points[1], c, row(normal, c))
     return match(
-        radius, R, t, geom1, geom2, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key, key,
-        local1, local2,
+        radius, R, t, geom1, geom2, points[0], tolerance, slack, old_names[0], old_names[1], old_names[4],
+        old_points[2], old_points[3], next_key, key, local1, local2,
     )  # fmt: skip

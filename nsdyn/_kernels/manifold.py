@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numba import njit
 
-from nsdyn._kernels.broadphase import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, POLYTOPE, SPHERE
+from nsdyn._kernels.broadphase import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, POLYTOPE, SPHERE, Geometry
 
 ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
 SHARP = 1e-6  # rad; the same for corners and edges beside such a face
@@ -843,15 +843,16 @@ def pair_contacts(
 
 @njit(cache=True)
 def manifolds(
-    geometry, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, heights, point, normal, gap,
-    pair,
-):  # fmt: skip
+    fields, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, heights, point, normal, gap, pair
+):
     """Contacts of all candidate pairs (first, second), into point, normal, gap and pair; returns their number.
 
+    `fields` are those of `Geometry`, a plain tuple: from Python that is handed over in half the time.
     ``coal[slot[p]]`` is the distance and normal of the cores of pair p, where slot[p] ≥ 0; ``slack[g]`` bounds how
     far the surface of geom g is from that of its core. ``base[p]`` plus the reach of both geoms is the largest gap
     of interest. The outputs have room for `limit` contacts per pair.
     """
+    geometry = Geometry(*fields)
     total = 0
     for p in range(first.size):
         i, j = first[p], second[p]

@@ -45,6 +45,15 @@ def rotations(quaternion, R):
 
 
 @njit(cache=True)
+def place(x, quaternion, x_out, R):
+    """Positions into x_out and `rotations` into R, which may have room for more."""
+    for b in range(x.shape[0]):
+        for i in range(3):
+            x_out[b, i] = x[b, i]
+    rotations(quaternion, R)
+
+
+@njit(cache=True)
 def _solve3(A, b, x):
     """x = A⁻¹ b by Cramer's rule."""
     c0 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
@@ -191,6 +200,16 @@ def reach(v, gravity, h, radius, inscribed, out):
 
 
 @njit(cache=True)
+def midpoint(
+    x, quaternion, v, gravity, radius, inscribed, h, theta, x_middle, quaternion_middle, x_frames, R_frames, out
+):
+    """`integrate` to the midpoint of a step of h, `place` there, and the `reach` of the step."""
+    integrate(x, quaternion, v, (1.0 - theta) * h, x_middle, quaternion_middle)
+    place(x_middle, quaternion_middle, x_frames, R_frames)
+    return reach(v, gravity, h, radius, inscribed, out)
+
+
+@njit(cache=True)
 def contact_frames(normal, frame):
     """Contact frames with rows (n, t1, t2), into frame (nc, 3, 3).
 
@@ -208,11 +227,12 @@ def contact_frames(normal, frame):
 
 
 @njit(cache=True)
-def contact_layout(frame1, frame2, block_of_frame, offset, block, start):
-    """Blocks of every contact (side 0: minus, side 1: plus) and where their rows begin; returns the size of h.
+def contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block, start):
+    """`contact_frames`, blocks of every contact (side 0: minus, side 1: plus) and where their rows begin.
 
-    Two links of one tree share its block and are merged into side 0.
+    Two links of one tree share its block and are merged into side 0. Returns the size of h.
     """
+    contact_frames(normal, frame)
     size = 0
     for c in range(frame1.size):
         a = block_of_frame[frame1[c]] if frame1[c] >= 0 else -1
@@ -282,8 +302,12 @@ def free_works(mass, J, gravity, force, torque, gyroscopic, h, v0, v1, v_theta, 
 
 
 @njit(cache=True)
-def pinocchio_layout(quaternion, R, x, v, q_out, v_out):
-    """Free bodies in Pinocchio's layout: q = (x, quaternion), v = (Rᵀ v, omega), into q_out and v_out."""
+def pinocchio_layout(x, quaternion, v, q_out, v_out):
+    """Free bodies in Pinocchio's layout: q = (x, quaternion), v = (Rᵀ v, omega), into q_out; all of v into v_out."""
+    R = np.empty((x.shape[0], 3, 3))
+    rotations(quaternion, R)
+    for i in range(6 * x.shape[0], v.size):
+        v_out[i] = v[i]
     for b in range(x.shape[0]):
         for i in range(3):
             q_out[7 * b + i] = x[b, i]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,9 @@ import scipy.sparse as sp
 
 from nsdyn._kernels import cones as _cones
 from nsdyn._kernels import local as _local
-from nsdyn._kernels import newton as _newton
 from nsdyn._kernels import pgs as _pgs
 from nsdyn._kernels import sparse as _matrix
+from nsdyn._kernels import warm as _warm
 from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Local, solve_by_factors, solve_by_matrix
@@ -116,18 +116,13 @@ class Auto:
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         start = time.perf_counter()
-        r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
-        count = 0
-        if problem.nc and problem.blocks is None:
-            if not problem.solved(r, self.tol)[0]:
-                count = self._given_matrix(problem, r)
-        elif problem.blocks is not None and problem.nc:
-            enough, error, residual, u = problem.solved(r, max(POLISH * self.tol, FLOOR))
-            if enough:
-                return Solution(r, u, Status.CONVERGED, error, residual, 0, time.perf_counter() - start)
-            count = self._given_factors(problem, problem.blocks, r, u)
+        r = np.zeros(problem.q.size) if r0 is None else problem.impulse(r0).copy()
         tol = max(self.tol, self.heavy_tol)
-        solution = Solution.judge(problem, r, tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+        if problem.nc and problem.blocks is not None:
+            solution = self._given_factors(problem, problem.blocks, r, tol, start)
+        else:
+            count = 0 if not problem.nc or problem.solved(r, self.tol)[0] else self._given_matrix(problem, r)
+            solution = Solution.judge(problem, r, tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
         return solution if solution.converged else self._explained(problem, solution)
 
     @staticmethod
@@ -136,23 +131,28 @@ class Auto:
         from nsdyn.formulations import has_slater_point  # rarely needed, and its imports take long
 
         if solution.status is Status.MAX_ITERATIONS and has_slater_point(problem) is False:
-            return replace(solution, status=Status.NO_SLATER_POINT)
+            return solution._replace(status=Status.NO_SLATER_POINT)
         return solution
 
-    def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, u: Array) -> int:
-        """Solve a problem with factors from r, whose velocity is u, in place of r; iterations used."""
-        q_norm, enough, label = problem.q_norm, max(POLISH * self.tol, FLOOR), np.empty(problem.nc, np.int64)
-        measures, share, count = _newton.warm_islands(
-            blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, blocks.minv, problem.q,
-            problem.mu, problem.scales, r, u, label, enough, 0.9 * self.accept * self.tol, q_norm, DENSE, *WARM,
+    def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, tol: float, start: float) -> Solution:
+        """Solve a problem with factors from r, in place of r, since the time `start`; judged by `tol`."""
+        q_norm, enough, nc = problem.q_norm, max(POLISH * self.tol, FLOOR), problem.nc
+        u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
+        found, left, count, error, residual = _warm.improve(
+            *blocks, problem.q, problem.mu, problem.scales, r, u, label, islands, enough, 0.9 * self.accept * self.tol,
+            q_norm, DENSE, *WARM,
         )  # fmt: skip
+        if not left:
+            spent = time.perf_counter() - start
+            return Solution.measured(r, u, error, residual, tol, count, spent, Status.MAX_ITERATIONS)
+        measures, share = islands[:, :found]
         for k in (~(measures <= enough)).nonzero()[0].tolist():
             contacts, part = island(blocks, label, k)
             i = rows(contacts, problem.nc)
             given = problem.q[i], problem.mu[contacts], problem.scales[contacts]
             r[i], used = self._island(part, *given, r[i].copy(), 0.9 * self.tol * float(share[k]), q_norm)
             count += used
-        return int(count)
+        return Solution.judge(problem, r, tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
 
     def _given_matrix(self, problem: FC3D, r: Array) -> int:
         """Solve a problem given by W alone in place of r; iterations used."""
