@@ -173,13 +173,11 @@ def features() -> None:
     print(f"stack of 10: {1e6 * plain:.0f} us; with restitution x {cost(stack(restitution=0.5)) / plain:.2f}")
     beside = stack()
     beside.add_sphere("bird", 0.1, 1.0, position=(5, 0, 100))
-    print(
-        f"with a body that touches nothing x {cost(beside) / plain:.2f}; without friction x {cost(stack(0.0)) / plain:.2f}"
-    )
+    flight, smooth = cost(beside) / plain, cost(stack(mu=0.0)) / plain
+    print(f"with a body that touches nothing x {flight:.2f}; without friction x {smooth:.2f}")
     problem = settled(spheres(200), 1e-4).step().problem
-    smooth = problem.with_velocity(problem.q, np.zeros(problem.nc))
     sweeps = []
-    for given in (problem, smooth):
+    for given in (problem, problem.with_velocity(problem.q, np.zeros(problem.nc))):
         start = time.perf_counter()
         found = nd.solvers.Momentum(tol=1e-14, max_iter=2000)(given)
         sweeps.append((time.perf_counter() - start) / found.iterations)
