@@ -36,9 +36,13 @@ SWEEPS, PATIENCE = 400, 20
 """Sweeps of Gauss–Seidel a cold start may take, which cost about as much as the interior point method, and the number
 from which on it is foreseen whether they suffice."""
 
-HEAVY, LOOSE = 40.0, 1e-7
-"""Where a factorisation costs more sweeps than that and the tolerance is no tighter than that, sweeps come first and
-the polish is left out."""
+HEAVY, LOOSE = (40.0, 1e-7), (10.0, 1e-5)
+"""Where a factorisation costs more sweeps than the first number and the tolerance is no tighter than the second, sweeps
+come first and the polish is left out: in any island, and in one that is in motion."""
+
+MOTION = 5.0
+"""An island is in motion where the largest velocity without impulses is so many times the median: at rest all are those
+that the weight gives in a step, and an impulse is worth polishing, since it will last."""
 
 TRAVEL, AGAIN = (8000, 2500), (300, 300)
 """Sweeps with momentum for impulses to travel through such an island, and those it may spend without gain: at first,
@@ -76,9 +80,13 @@ def _cost(blocks: Blocks) -> float:
     return 1.2e-6 * blocks.n + 0.9e-10 * float(_matrix.elimination_work(blocks.offset, blocks.block))
 
 
-def _heavy(blocks: Blocks, cost: float) -> bool:
-    """Whether a factorisation of that cost outweighs HEAVY sweeps, 85 ns per contact, over free bodies."""
-    return bool((np.diff(blocks.offset) == 6).all()) and cost > HEAVY * 85e-9 * blocks.nc
+def _sweeps_first(blocks: Blocks, q: Array, cost: float, tol: float) -> bool:
+    """Whether a factorisation of that cost outweighs too many sweeps, 85 ns per contact, over free bodies."""
+    worth = cost / (85e-9 * blocks.nc)
+    if worth < LOOSE[0] or tol < HEAVY[1] or blocks.n <= DENSE or (np.diff(blocks.offset) != 6).any():
+        return False
+    speed = np.abs(q).reshape(-1, 3).max(axis=1)
+    return worth > HEAVY[0] or (tol >= LOOSE[1] and bool(speed.max() > MOTION * np.median(speed)))
 
 
 def _limits(cost: float) -> tuple[int, int]:
@@ -192,7 +200,7 @@ class Auto:
             _cones.solve_one(blocks.delassus().data[0], q, mu[0], r)
             return r, 1
         cost, count = _cost(blocks), 0
-        if blocks.n > DENSE and max(self.tol, self.heavy_tol) >= LOOSE and _heavy(blocks, cost):
+        if _sweeps_first(blocks, q, cost, max(self.tol, self.heavy_tol)):
             enough = max(tol, self.heavy_tol)
             count, best = self._sweep_and_mend(blocks, q, mu, scales, r, enough, q_norm)
             if best <= enough or INTERIOR[0] * cost > LONGEST:
