@@ -6,6 +6,7 @@ import pytest
 import nsdyn as nd
 from nsdyn._kernels import sparse as _matrix
 from nsdyn.problem import Status
+from nsdyn.solvers import auto
 
 
 def settling(steps: int = 60) -> nd.FC3D:
@@ -90,3 +91,30 @@ def test_frictionless_contacts_have_one_row(pile: nd.FC3D) -> None:
     assert solution.converged
     assert not solution.r.reshape(-1, 3)[mu == 0.0, 1:].any()
     assert np.abs(solution.u - nd.solve(problem, tol=1e-10).u).max() < 1e-4  # as above
+
+
+def test_sweeps_come_first_where_factorisations_fill_in(pile: nd.FC3D) -> None:
+    assert pile.blocks is not None
+    assert pile.blocks.n > auto.DENSE
+    sweep = 85e-9 * pile.nc  # s
+    rest, motion = np.ones_like(pile.q), np.ones_like(pile.q)
+    motion[0] = 10.0
+
+    def first(q: np.ndarray, sweeps: float, tol: float) -> bool:
+        return auto._sweeps_first(pile.blocks, q, sweeps * sweep, tol)
+
+    assert first(rest, 100.0, 1e-6)  # a factorisation costs a hundred sweeps
+    assert not first(rest, 100.0, 1e-8)  # where sweeps would take for ever
+    assert not first(rest, 20.0, 1e-4)  # impulses at rest last: they are worth Newton's accuracy
+    assert first(motion, 20.0, 1e-4)
+    assert not first(motion, 20.0, 1e-6)
+    assert not first(motion, 5.0, 1e-4)
+
+
+def test_a_heavy_island_may_be_solved_coarsely(pile: nd.FC3D, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(auto, "HEAVY", (0.0, 1e-7))
+    fine = nd.solvers.Auto(tol=1e-9)(pile)
+    coarse = nd.solvers.Auto(tol=1e-9, heavy_tol=1e-3)(pile)
+    assert coarse.converged
+    assert 1e-8 < max(coarse.error, coarse.residual) <= 1e-3
+    assert coarse.iterations < fine.iterations

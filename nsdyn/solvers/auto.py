@@ -36,7 +36,7 @@ SWEEPS, PATIENCE = 400, 20
 """Sweeps of Gauss–Seidel a cold start may take, which cost about as much as the interior point method, and the number
 from which on it is foreseen whether they suffice."""
 
-HEAVY, LOOSE = (40.0, 1e-7), (10.0, 1e-5)
+HEAVY, MOVING = (40.0, 1e-7), (10.0, 1e-5)
 """Where a factorisation costs more sweeps than the first number and the tolerance is no tighter than the second, sweeps
 come first and the polish is left out: in any island, and in one that is in motion."""
 
@@ -83,10 +83,10 @@ def _cost(blocks: Blocks) -> float:
 def _sweeps_first(blocks: Blocks, q: Array, cost: float, tol: float) -> bool:
     """Whether a factorisation of that cost outweighs too many sweeps, 85 ns per contact, over free bodies."""
     worth = cost / (85e-9 * blocks.nc)
-    if worth < LOOSE[0] or tol < HEAVY[1] or blocks.n <= DENSE or (np.diff(blocks.offset) != 6).any():
+    if worth < MOVING[0] or tol < HEAVY[1] or blocks.n <= DENSE or (np.diff(blocks.offset) != 6).any():
         return False
     speed = np.abs(q).reshape(-1, 3).max(axis=1)
-    return worth > HEAVY[0] or (tol >= LOOSE[1] and bool(speed.max() > MOTION * np.median(speed)))
+    return worth > HEAVY[0] or (tol >= MOVING[1] and bool(speed.max() > MOTION * np.median(speed)))
 
 
 def _limits(cost: float) -> tuple[int, int]:
@@ -98,7 +98,8 @@ def _limits(cost: float) -> tuple[int, int]:
 class Auto:
     """Portfolio, island by island: closed form, warm Newton, accelerated Gauss–Seidel, Newton, interior point, Newton.
 
-    Piles of free bodies whose factorisations fill in first try sweeps with momentum, unless the tolerance is tight.
+    Piles of free bodies whose factorisations fill in first try sweeps with momentum, unless the tolerance is tight, and
+    regions where those are stuck are solved by themselves, the impulses elsewhere frozen.
 
     An island with one contact is solved in closed form. A warm start first gets a few Newton steps, since the contact
     states of the last step mostly hold. Otherwise accelerated Gauss–Seidel finds the states and Newton finishes from
