@@ -277,8 +277,14 @@ def warm_islands(
     count = 0
     if not r.any():
         return measures, share, count
+    alone = found == 1 and offset.size == 2  # one body, nothing to extract
     for k in range(found):
         if measures[k] <= tol:
+            continue
+        if alone and offset[-1] <= largest:
+            count, measures[k] = dense(
+                offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_norm, penalty, max_iter
+            )  # fmt: skip
             continue
         contacts, o, b, st, hh, ms, mm, mi = extract(offset, block, start, h, m_start, m, minv, label, k)
         if o[-1] > largest:
