@@ -1,0 +1,77 @@
+"""Spheres dropped into a container, from the drop to rest: the mean cost of a step, beside MuJoCo's.
+
+    python demos/bench/drop.py [--spheres 200] [--time 2] [--dt 5e-3] [--tol 1e-4]
+
+MuJoCo (extra `peers`) runs at its defaults. The mean counts: piles are cheap in the air and at rest, and dear between.
+"""
+
+import argparse
+import statistics
+import time
+
+from scaling import spheres
+
+import nsdyn as nd
+from nsdyn import bench
+
+
+def line(name: str, times: list[float], deepest: float, more: str = "") -> float:
+    """Print a line of the table and return the mean in s."""
+    mean = statistics.mean(times)
+    print(
+        f"{name:<16} mean {1e3 * mean:6.2f} ms  median {1e3 * statistics.median(times):6.2f}  "
+        f"longest {1e3 * max(times):7.1f}  penetration {deepest:.1e} m{more}"
+    )
+    return mean
+
+
+def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> float:
+    """Mean seconds of a step."""
+    stepper = nd.Stepper(scene, dt=dt, solver=nd.solvers.Auto(tol=tol), on_fail="ignore")
+    times, deepest, missed = [], 0.0, 0
+    stepper.step()  # loads the kernels
+    for _ in range(steps):
+        start = time.perf_counter()
+        step = stepper.step()
+        times.append(time.perf_counter() - start)
+        deepest = max(deepest, float(-step.gap.min(initial=0.0)))
+        missed += not step.solution.converged
+    return line("nsdyn", times, deepest, f"  {missed} of {steps} steps missed {tol:g}")
+
+
+def peer(scene: nd.Scene, dt: float, steps: int) -> float:
+    """Mean seconds of MuJoCo's step."""
+    import mujoco
+
+    from nsdyn._peers.bench_mujoco import mjcf
+
+    model = mujoco.MjModel.from_xml_string(mjcf(bench.describe(scene), "default", dt))
+    data = mujoco.MjData(model)
+    times, deepest = [], 0.0
+    for _ in range(steps):
+        start = time.perf_counter()
+        mujoco.mj_step(model, data)
+        times.append(time.perf_counter() - start)
+        if data.ncon:
+            deepest = max(deepest, -float(data.contact.dist.min()))
+    return line(f"MuJoCo {mujoco.__version__}", times, deepest)
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--spheres", type=int, default=200)
+    parser.add_argument("--time", type=float, default=2.0)
+    parser.add_argument("--dt", type=float, default=5e-3)
+    parser.add_argument("--tol", type=float, default=1e-4)
+    arguments = parser.parse_args()
+    scene, steps = spheres(arguments.spheres), round(arguments.time / arguments.dt)
+    mean = ours(scene, arguments.dt, arguments.tol, steps)
+    try:
+        print(f"nsdyn/MuJoCo {mean / peer(scene, arguments.dt, steps):.2f}")
+    except ImportError:
+        print("MuJoCo is not installed: pip install 'nsdyn[peers]'")
+
+
+if __name__ == "__main__":
+    main()
