@@ -17,7 +17,7 @@ CYCLE = 400  # sweeps without a better impulse after which contacts pass their m
 
 @njit(cache=True)
 def rows_in_unit_mass(offset, block, start, h, m_start, minv, mu):
-    """Rows of Ĥᵀ, shape (nc, 2, 18), zeros for a missing body or row, and bodies (nc, 2), 0 for a missing one."""
+    """Rows of Ĥᵀ, (nc, 2, 18) made flat, zeros for a missing body or row, and bodies (nc, 2), 0 for a missing one."""
     G = np.zeros_like(minv)
     for k in range(offset.size - 1):
         b = m_start[k]
@@ -38,16 +38,16 @@ def rows_in_unit_mass(offset, block, start, h, m_start, minv, mu):
                         x = h[start[c, s] + 6 * i + l]
                         for j in range(l + 1):
                             out[c, s, 6 * i + j] += x * G[m_start[k] + 6 * l + j]
-    return out, body
+    return out.reshape(-1), body
 
 
 @njit(cache=True)
 def local_steps(rows, mu):
     """1/W_NN, W_TN and 1/lambda_max(W_TT) of every contact, shape (nc, 4); zeros for a missing row."""
-    out = np.zeros((rows.shape[0], 4))
+    out = np.zeros((mu.size, 4))
     w = np.empty((3, 3))
-    for c in range(rows.shape[0]):
-        x, y = rows[c, 0], rows[c, 1]
+    for c in range(mu.size):
+        x, y = rows[36 * c : 36 * c + 18], rows[36 * c + 18 : 36 * c + 36]
         for i in range(3 if mu[c] > 0.0 else 1):
             for j in range(i + 1):
                 total = 0.0
@@ -64,23 +64,48 @@ def local_steps(rows, mu):
 
 
 @njit(cache=True, inline="always")
-def dot(x, a, v):
-    """Six products of x from a on with the vector v."""
-    return (x[a] * v[0] + x[a + 1] * v[1] + x[a + 2] * v[2]) + (x[a + 3] * v[3] + x[a + 4] * v[4] + x[a + 5] * v[5])
+def read(rows, c, body, v):
+    """Ĥ_cᵀ v: normal, first and second tangent."""
+    u0, u1, u2 = 0.0, 0.0, 0.0
+    for s in range(2):
+        # Unsigned and flat: the compiler need not ask whether an index counts from the end, nor make views.
+        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
+        for l in range(6):
+            e, z = o + np.uint64(l), v[a + np.uint64(l)]
+            u0 += rows[e] * z
+            u1 += rows[e + np.uint64(6)] * z
+            u2 += rows[e + np.uint64(12)] * z
+    return u0, u1, u2
 
 
 @njit(cache=True, inline="always")
-def apply(x, z0, z1, z2, v):
+def apply(rows, c, body, z0, z1, z2, v):
     """v += Ĥ_c z."""
-    for l in range(6):
-        v[l] += x[l] * z0 + x[6 + l] * z1 + x[12 + l] * z2
+    for s in range(2):
+        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
+        for l in range(6):
+            e = o + np.uint64(l)
+            v[a + np.uint64(l)] += rows[e] * z0 + rows[e + np.uint64(6)] * z1 + rows[e + np.uint64(12)] * z2
 
 
 @njit(cache=True, inline="always")
-def apply_normal(x, z0, v):
+def read_normal(rows, c, body, v):
+    """The normal component of Ĥ_cᵀ v."""
+    u0 = 0.0
+    for s in range(2):
+        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
+        for l in range(6):
+            u0 += rows[o + np.uint64(l)] * v[a + np.uint64(l)]
+    return u0
+
+
+@njit(cache=True, inline="always")
+def apply_normal(rows, c, body, z0, v):
     """v += Ĥ_c z for an impulse along the normal."""
-    for l in range(6):
-        v[l] += x[l] * z0
+    for s in range(2):
+        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
+        for l in range(6):
+            v[a + np.uint64(l)] += rows[o + np.uint64(l)] * z0
 
 
 @njit(cache=True)
@@ -91,20 +116,20 @@ def sweep(rows, body, steps, q, mu, v, r, x, t, keep):
     impulse exactly and its friction by a projected gradient step.
     """
     for c in range(mu.size):
-        X, Y, V, U, d = rows[c, 0], rows[c, 1], v[body[c, 0]], v[body[c, 1]], steps[c]
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
-        z0 = max(-r0, -(q[c, 0] + dot(X, 0, V) + dot(Y, 0, U)) * d[0])
-        x0 = r0 + z0
         if mu[c] == 0.0:
+            z0 = max(-r0, -(q[c, 0] + read_normal(rows, c, body, v)) * steps[c, 0])
             if z0 != 0.0:
-                apply_normal(X, z0, V)
-                apply_normal(Y, z0, U)
-                r[c, 0] = x0
-                if z0 * (x0 - x[c, 0]) < 0.0:
+                apply_normal(rows, c, body, z0, v)
+                r[c, 0] = r0 + z0
+                if z0 * (r0 + z0 - x[c, 0]) < 0.0:
                     t[c] = max(1.0, keep * t[c])
             continue
-        x1 = r1 - (q[c, 1] + dot(X, 6, V) + dot(Y, 6, U) + d[1] * z0) * d[3]
-        x2 = r2 - (q[c, 2] + dot(X, 12, V) + dot(Y, 12, U) + d[2] * z0) * d[3]
+        u0, u1, u2 = read(rows, c, body, v)
+        z0 = max(-r0, -(q[c, 0] + u0) * steps[c, 0])
+        x0 = r0 + z0
+        x1 = r1 - (q[c, 1] + u1 + steps[c, 1] * z0) * steps[c, 3]
+        x2 = r2 - (q[c, 2] + u2 + steps[c, 2] * z0) * steps[c, 3]
         slip, limit = x1 * x1 + x2 * x2, mu[c] * x0
         if slip > limit * limit:
             f = limit / math.sqrt(slip)
@@ -112,8 +137,7 @@ def sweep(rows, body, steps, q, mu, v, r, x, t, keep):
             x2 *= f
         z1, z2 = x1 - r1, x2 - r2
         if z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
-            apply(X, z0, z1, z2, V)
-            apply(Y, z0, z1, z2, U)
+            apply(rows, c, body, z0, z1, z2, v)
             r[c, 0], r[c, 1], r[c, 2] = x0, x1, x2
             if z0 * (x0 - x[c, 0]) + z1 * (x1 - x[c, 1]) + z2 * (x2 - x[c, 2]) < 0.0:
                 t[c] = max(1.0, keep * t[c])
@@ -131,14 +155,11 @@ def extrapolate(rows, body, mu, v, r, x, t):
         if mu[c] == 0.0:
             if z0 != 0.0:
                 r[c, 0] = max(0.0, r0 + z0)
-                apply_normal(rows[c, 0], r[c, 0] - r0, v[body[c, 0]])
-                apply_normal(rows[c, 1], r[c, 0] - r0, v[body[c, 1]])
+                apply_normal(rows, c, body, r[c, 0] - r0, v)
         elif z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
             y0, y1, y2 = project(r0 + z0, r1 + z1, r2 + z2, mu[c])
             r[c, 0], r[c, 1], r[c, 2] = y0, y1, y2
-            y0, y1, y2 = y0 - r0, y1 - r1, y2 - r2
-            apply(rows[c, 0], y0, y1, y2, v[body[c, 0]])
-            apply(rows[c, 1], y0, y1, y2, v[body[c, 1]])
+            apply(rows, c, body, y0 - r0, y1 - r1, y2 - r2, v)
 
 
 @njit(cache=True)
@@ -146,19 +167,16 @@ def refresh(rows, body, r, v):
     """v = Ĥ r."""
     v[:] = 0.0
     for c in range(r.shape[0]):
-        r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
-        if r0 != 0.0:
-            apply(rows[c, 0], r0, r1, r2, v[body[c, 0]])
-            apply(rows[c, 1], r0, r1, r2, v[body[c, 1]])
+        if r[c, 0] != 0.0:
+            apply(rows, c, body, r[c, 0], r[c, 1], r[c, 2], v)
 
 
 @njit(cache=True)
 def measure(rows, body, q, mu, scales, q_norm, r, v, u):
     """Larger of the literature's error and the residual in m/s of an impulse r, given v = Ĥ r."""
     for c in range(mu.size):
-        X, Y, V, U = rows[c, 0], rows[c, 1], v[body[c, 0]], v[body[c, 1]]
-        for i in range(3 if mu[c] > 0.0 else 1):
-            u[c, i] = q[c, i] + dot(X, 6 * i, V) + dot(Y, 6 * i, U)
+        u0, u1, u2 = read(rows, c, body, v)
+        u[c, 0], u[c, 1], u[c, 2] = q[c, 0] + u0, q[c, 1] + u1, q[c, 2] + u2
     flat, own = u.reshape(-1), r.reshape(-1)
     return max(natural_residual(scales, flat, own, mu), natural_error(flat, own, mu) / q_norm)
 
@@ -181,7 +199,7 @@ def solve(offset, block, start, h, m_start, minv, q, mu, scales, r, tol, q_norm,
         if mu[c] == 0.0:
             best_r[c, 1] = best_r[c, 2] = 0.0
     y, x, u = best_r.copy(), best_r.copy(), np.zeros((nc, 3))
-    v, t = np.zeros((offset.size - 1, 6)), np.ones(nc)
+    v, t = np.zeros(6 * (offset.size - 1)), np.ones(nc)
     refresh(rows, body, y, v)
     best = measure(rows, body, q3, mu, scales, q_norm, y, v, u)
     k, last, keep = 0, 0, 0.5
