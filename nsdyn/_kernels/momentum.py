@@ -182,37 +182,41 @@ def measure(rows, body, q, mu, scales, q_norm, r, v, u):
 
 
 @njit(cache=True)
-def solve(offset, block, start, h, m_start, minv, q, mu, scales, r, tol, q_norm, max_sweeps, check, patience):
-    """Sweeps with Nesterov's momentum, which every contact loses by itself, in place of r (3 nc,).
+def solve(
+    rows, body, steps, q, mu, scales, q_norm, tol, best_r, y, x, v, t, count, last, best, keep, most, check, patience
+):
+    """Sweeps with Nesterov's momentum, which every contact loses by itself, from where the last call stopped.
 
     x' = sweep(y), y = P_K(x' + b (x' - x)) with b = (t - 1)/(t + 1), t growing by 1/2 a sweep. A contact whose
     momentum points against its own step, (y - x')·(x' - x) > 0, halves its t, or loses it all once that cycles. Unlike
     a restart of all contacts or combinations of past iterates this survives contacts that change their state one after
-    the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested; r keeps
-    the best. After `patience` sweeps without a better one the method gives up. Returns (sweeps, measure of r).
+    the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested; best_r
+    keeps the best. Stops after `most` sweeps in all, or `patience` without a better one. Returns (sweeps, the one of
+    the best, its measure, keep).
     """
-    nc = mu.size
-    rows, body = rows_in_unit_mass(offset, block, start, h, m_start, minv, mu)
-    steps = local_steps(rows, mu)
-    q3, best_r = q.reshape(-1, 3), r.reshape(-1, 3)
-    for c in range(nc):
-        if mu[c] == 0.0:
-            best_r[c, 1] = best_r[c, 2] = 0.0
-    y, x, u = best_r.copy(), best_r.copy(), np.zeros((nc, 3))
-    v, t = np.zeros(6 * (offset.size - 1)), np.ones(nc)
-    refresh(rows, body, y, v)
-    best = measure(rows, body, q3, mu, scales, q_norm, y, v, u)
-    k, last, keep = 0, 0, 0.5
-    while best > tol and k < max_sweeps and k - last < patience:
-        k += 1
-        sweep(rows, body, steps, q3, mu, v, y, x, t, keep)
-        if k % check == 0:
+    u = np.zeros((mu.size, 3))
+    while best > tol and count < most and count - last < patience:
+        count += 1
+        sweep(rows, body, steps, q, mu, v, y, x, t, keep)
+        if count % check == 0:
             refresh(rows, body, y, v)  # what the updates leave of round-off
-            now = measure(rows, body, q3, mu, scales, q_norm, y, v, u)
+            now = measure(rows, body, q, mu, scales, q_norm, y, v, u)
             if now < best:
-                best, last = now, k
+                best, last = now, count
                 best_r[:] = y
-        if k - last > CYCLE:
+        if count - last > CYCLE:
             keep = 0.0
         extrapolate(rows, body, mu, v, y, x, t)
-    return k, best
+    return count, last, best, keep
+
+
+@njit(cache=True)
+def begin(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, v):
+    """Rows, bodies and steps of the contacts, v = Ĥ r, and the measure of r (nc, 3), whose missing rows become 0."""
+    rows, body = rows_in_unit_mass(offset, block, start, h, m_start, minv, mu)
+    for c in range(mu.size):
+        if mu[c] == 0.0:
+            r[c, 1] = r[c, 2] = 0.0
+    refresh(rows, body, r, v)
+    best = measure(rows, body, q, mu, scales, q_norm, r, v, np.empty((mu.size, 3)))
+    return rows, body, local_steps(rows, mu), best

@@ -18,7 +18,7 @@ from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Local, solve_by_factors, solve_by_matrix
 from nsdyn.solvers.mending import mend
-from nsdyn.solvers.momentum import solve_free
+from nsdyn.solvers.momentum import Sweeps, solve_free
 from nsdyn.solvers.newton import DENSE, island, rows, solve_blocks
 
 POLISH, FLOOR = 1e-5, 1e-14
@@ -47,6 +47,10 @@ that the weight gives in a step, and an impulse is worth polishing, since it wil
 TRAVEL, AGAIN = (8000, 2500), (300, 300)
 """Sweeps with momentum for impulses to travel through such an island, and those it may spend without gain: at first,
 and after a region where they were stuck has been solved by itself."""
+
+PAUSE, BRIEF = (500, 9.0), (1e2, 3)
+"""Sweeps after which a few Newton steps may already do, at least so many and that many times what a factorisation is
+worth; penalty and Newton steps."""
 
 MENDS = 10
 """Regions solved by themselves in turn."""
@@ -80,9 +84,13 @@ def _cost(blocks: Blocks) -> float:
     return 1.2e-6 * blocks.n + 0.9e-10 * float(_matrix.elimination_work(blocks.offset, blocks.block))
 
 
-def _sweeps_first(blocks: Blocks, q: Array, cost: float, tol: float) -> bool:
-    """Whether a factorisation of that cost outweighs too many sweeps, 85 ns per contact, over free bodies."""
-    worth = cost / (85e-9 * blocks.nc)
+def _worth(blocks: Blocks, cost: float) -> float:
+    """How many sweeps, 85 ns per contact, a factorisation of that cost is worth."""
+    return cost / (85e-9 * blocks.nc)
+
+
+def _sweeps_first(blocks: Blocks, q: Array, worth: float, tol: float) -> bool:
+    """Whether a factorisation worth so many sweeps outweighs too many of them, over free bodies."""
     if worth < MOVING[0] or tol < HEAVY[1] or blocks.n <= DENSE or (np.diff(blocks.offset) != 6).any():
         return False
     speed = np.abs(q).reshape(-1, 3).max(axis=1)
@@ -201,23 +209,34 @@ class Auto:
             _cones.solve_one(blocks.delassus().data[0], q, mu[0], r)
             return r, 1
         cost, count = _cost(blocks), 0
-        if _sweeps_first(blocks, q, cost, max(self.tol, self.heavy_tol)):
+        worth = _worth(blocks, cost)
+        if _sweeps_first(blocks, q, worth, max(self.tol, self.heavy_tol)):
             enough = max(tol, self.heavy_tol)
-            count, best = self._sweep_and_mend(blocks, q, mu, scales, r, enough, q_norm)
+            count, best = self._sweep_and_mend(blocks, q, mu, scales, r, enough, q_norm, worth)
             if best <= enough or INTERIOR[0] * cost > LONGEST:
                 return r, count
         r, used = self._factorise(blocks, q, mu, scales, r, tol, q_norm)
         return r, count + used
 
     def _sweep_and_mend(
-        self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float
+        self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, worth: float
     ) -> tuple[int, float]:
-        """Sweeps with momentum in place of r, and direct solves of the regions where they are stuck."""
+        """Sweeps with momentum in place of r, Newton now and then, and direct solves of regions that are stuck."""
 
         def direct(part: Blocks, q: Array, mu: Array, scales: Array, r: Array) -> tuple[Array, int]:
             return self._factorise(part, q, mu, scales, r, 0.1 * tol, q_norm)
 
-        count, best = solve_free(blocks, q, mu, scales, r, tol, q_norm, *TRAVEL)
+        sweeps, pause = Sweeps(blocks, q, mu, scales, r, q_norm), max(PAUSE[0], int(PAUSE[1] * worth))
+        most, patience = TRAVEL
+        count = 0
+        while sweeps.run(tol, min(most, sweeps.count + pause), patience) and sweeps.count < most:
+            x = r.copy()
+            used, now = solve_blocks(blocks, q, mu, scales, x, tol, q_norm, *BRIEF)
+            count += used
+            if now <= tol:
+                r[:] = x
+                return count + sweeps.count, now
+        count, best = count + sweeps.count, sweeps.best
         if best <= tol:
             return count, best
         problem, x = FC3D.from_blocks(blocks, q, mu), r.copy()

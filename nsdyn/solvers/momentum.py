@@ -14,6 +14,37 @@ CHECK = 10
 """Sweeps between two measurements."""
 
 
+class Sweeps:
+    """Sweeps with momentum on a problem of free bodies, which may be interrupted; the best impulse so far is in r.
+
+    Attributes
+    ----------
+    count : int
+        Sweeps so far.
+    best : float
+        Measure of r.
+    """
+
+    def __init__(self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, q_norm: float) -> None:
+        self._best_r, self._v = r.reshape(-1, 3), np.empty(blocks.n)
+        given = q.reshape(-1, 3), mu, scales, q_norm
+        offset, block, start, h, m_start, _, minv = blocks
+        rows, body, steps, self.best = _kernels.begin(
+            offset, block, start, h, m_start, minv, *given, self._best_r, self._v
+        )
+        self._given = rows, body, steps, *given
+        self._y, self._x, self._t = self._best_r.copy(), self._best_r.copy(), np.ones(mu.size)
+        self.count, self._last, self._keep = 0, 0, 0.5
+
+    def run(self, tol: float, most: int, patience: int) -> bool:
+        """Go on to the tolerance, to so many sweeps in all or so many without gain; whether it is worth going on."""
+        self.count, self._last, self.best, self._keep = _kernels.solve(
+            *self._given, tol, self._best_r, self._y, self._x, self._v, self._t, self.count, self._last, self.best,
+            self._keep, most, CHECK, patience,
+        )  # fmt: skip
+        return bool(self.best > tol and self.count - self._last < patience)
+
+
 def solve_free(
     blocks: Blocks,
     q: Array,
@@ -26,11 +57,9 @@ def solve_free(
     patience: int,
 ) -> tuple[int, float]:
     """Sweeps with momentum on a problem of free bodies, in place of r; (sweeps, measure)."""
-    count, best = _kernels.solve(
-        blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.minv,
-        q, mu, scales, r, tol, q_norm, max_iter, CHECK, patience,
-    )  # fmt: skip
-    return int(count), float(best)
+    sweeps = Sweeps(blocks, q, mu, scales, r, q_norm)
+    sweeps.run(tol, max_iter, patience)
+    return sweeps.count, sweeps.best
 
 
 @dataclass(frozen=True)
