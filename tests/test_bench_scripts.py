@@ -1,0 +1,32 @@
+"""The benchmarks of the README run, on the smallest scenes, and print what they promise."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SCRIPTS = {
+    "step_time.py": (["--scene", "stack", "--steps", "5"], r"nsdyn, tol 1e-06: +\d+ us"),
+    "drop.py": (["--spheres", "8", "--time", "0.1"], r"nsdyn +mean +[\d.]+ ms.* 0 of 20 steps missed"),
+    "collision.py": (["--boxes", "20"], r"18 pairs that touch, 72 contacts(.*\n)+.*pin.computeDistances"),
+    "scaling.py": (["--only", "boxes", "2"], r'{"time": [\d.e-]+, "memory": [\d.]+}'),
+    "quadruped.py": (["--time", "0.05", "--robots", "1"], r"nsdyn +0.005 +1 +\d+"),
+}
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_script_runs(script):
+    arguments, expected = SCRIPTS[script]
+    command = [sys.executable, str(ROOT / "demos" / "bench" / script), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert re.search(expected, done.stdout), done.stdout
+
+
+def test_every_script_is_in_the_readme():
+    text = (ROOT / "README.md").read_text()
+    for script in (ROOT / "demos" / "bench").glob("*.py"):
+        assert script.name in text
+        assert script.name in SCRIPTS
