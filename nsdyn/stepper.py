@@ -1,4 +1,8 @@
-"""The Moreau–Jean time-stepper: one readable step, and the loop around it."""
+"""The Moreau–Jean time-stepper: one readable step, and the loop around it.
+
+A step makes a dozen immutable values. They are named tuples, where the rest of the package has frozen dataclasses,
+which take three times as long to make: in a small scene that is a fifth of the step.
+"""
 
 from __future__ import annotations
 
