@@ -27,7 +27,7 @@ class _Announce(event.Listener):  # type: ignore[misc]  # numba is not typed
         if not module.startswith(__name__) or module in self.seen:
             return
         if not self.seen:
-            _log.warning("compiling the kernels, once on this machine: up to a minute")
+            _log.warning("compiling the kernels, once on this machine: about a minute")
         self.seen.add(module)
         _log.info("compiling %s", module.removeprefix(__name__ + "."))
 
