@@ -34,23 +34,26 @@ def flying(bodies: int) -> nd.Scene:
     return scene
 
 
-def resting(bodies: int) -> nd.Scene:
-    """Boxes that stand apart on the ground, four contacts each."""
+def on_the_ground(bodies: int) -> tuple[nd.Scene, list[tuple[float, float, float]]]:
+    """(scene with a ground, places 0.4 m apart on a square grid, 0.1 m above it)."""
     scene = nd.Scene()
     scene.add_halfspace("ground")
     side = math.ceil(math.sqrt(bodies))
-    for k in range(bodies):
-        scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, position=(0.4 * (k % side), 0.4 * (k // side), 0.1))
+    return scene, [(0.4 * (k % side), 0.4 * (k // side), 0.1) for k in range(bodies)]
+
+
+def resting(bodies: int) -> nd.Scene:
+    """Boxes that stand apart on the ground, four contacts each."""
+    scene, places = on_the_ground(bodies)
+    for k, at in enumerate(places):
+        scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, position=at)
     return scene
 
 
 def rolling(bodies: int) -> nd.Scene:
     """Spheres that roll apart on the ground: every contact is solved in every step."""
-    scene = nd.Scene()
-    scene.add_halfspace("ground")
-    side = math.ceil(math.sqrt(bodies))
-    for k in range(bodies):
-        at = 0.4 * (k % side), 0.4 * (k // side), 0.1
+    scene, places = on_the_ground(bodies)
+    for k, at in enumerate(places):
         scene.add_sphere(f"ball{k}", 0.1, 1.0, position=at, linear_velocity=(1, 0, 0))
     return scene
 
