@@ -48,9 +48,12 @@ TRAVEL, AGAIN = (8000, 2500), (300, 300)
 """Sweeps with momentum for impulses to travel through such an island, and those it may spend without gain: at first,
 and after a region where they were stuck has been solved by itself."""
 
-PAUSE, BRIEF = (500, 9.0), (1e2, 3)
+PAUSE, BRIEF = (500, 9.0), (10.0, 3)
 """Sweeps after which a few Newton steps may already do, at least so many and that many times what a factorisation is
 worth; penalty and Newton steps."""
+
+PATIENT = 10.0, 80
+"""Penalty and Newton steps from where sweeps are stuck: near the solution, but on the wrong side of many kinks."""
 
 MENDS = 10
 """Regions solved by themselves in turn."""
@@ -214,6 +217,10 @@ class Auto:
             enough = max(tol, self.heavy_tol)
             count, best = self._sweep_and_mend(blocks, q, mu, scales, r, enough, q_norm, worth)
             if best <= enough or INTERIOR[0] * cost > LONGEST:
+                return r, count
+            used, best = solve_blocks(blocks, q, mu, scales, r, enough, q_norm, *PATIENT)
+            count += used
+            if best <= enough:
                 return r, count
         r, used = self._factorise(blocks, q, mu, scales, r, tol, q_norm)
         return r, count + used
