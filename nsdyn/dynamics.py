@@ -1,4 +1,4 @@
-"""Mass matrices, free motion and contact Jacobians of a scene.
+"""Mass matrices, flows, forces and contact Jacobians of a scene: functions of values, which keep nothing.
 
 Free bodies are batched in arrays; each articulated tree has its own Pinocchio model. The velocity is one vector v
 (n,) in blocks: 6 per free body (linear in world axes, angular in body axes), then nv per tree. Bodies that move as
@@ -20,13 +20,13 @@ from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointLaws, JointRows, Rows
 from nsdyn.problem import Blocks
 from nsdyn.scene import Scene
-from nsdyn.shapes import CAPSULE, SPHERE
 from nsdyn.surfaces import Surfaces
 from nsdyn.trees import Tree, TreeLoads
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
-__all__ = ["Dynamics", "Loads", "Position"]
+__all__ = ["Dynamics", "Forces", "Placement", "Position"]
 
 NOTHING: Mapping[Any, Any] = {}
 
@@ -55,22 +55,42 @@ class Position(NamedTuple):
     driven_quaternion: Array
 
 
-class Loads(NamedTuple):
-    """What acts during a step besides contacts.
+class Placement(NamedTuple):
+    """All frames at a position.
 
     Attributes
     ----------
+    x, R : ndarray, shapes (frames, 3), (frames, 3, 3)
+        Origins [m] and rotations to the world.
+    J : tuple of ndarray, shapes (6, nv)
+        Jacobian of every tree: column j is the velocity field of coordinate j in world axes, linear at the world's
+        origin, then angular.
+    """
+
+    x: Array
+    R: Array
+    J: tuple[Array, ...]
+
+
+class Forces(NamedTuple):
+    """What acts during a step besides contacts and joint rows, at the configuration of the impulses.
+
+    Attributes
+    ----------
+    v : ndarray, shape (n,)
+        Velocity after the step without impulses, v⁻ + M̃⁻¹ h f̃.
     force, torque : ndarray, shape (nf, 3)
-        On free bodies; force in world axes [N], torque about the centre of mass in the body axes of the beginning of
-        the step [N m].
-    gyroscopic : ndarray, shape (nf, 3)
-        Mean gyroscopic torque of the step, J (ω_f - ω)/h - torque, body axes, N m.
+        Applied to free bodies; force in world axes [N], torque about the centre of mass in body axes [N m].
+    m, minv : ndarray
+        M̃ and its inverse in the layout of `Blocks`.
     trees : tuple of TreeLoads
     """
 
+    v: Array
     force: Array
     torque: Array
-    gyroscopic: Array
+    m: Array
+    minv: Array
     trees: tuple[TreeLoads, ...]
 
 
@@ -103,7 +123,6 @@ class Dynamics:
         self._inverse_mass, self._no_load = 1.0 / self.mass, np.zeros((self.free, 3))
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
         self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
-        self._inscribed = np.array([b.shape.inscribed_radius for b in bodies])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self.trees: list[Tree] = []
         start, first = 6 * self.free, self.free
@@ -128,23 +147,11 @@ class Dynamics:
             m[k, :3, :3], m[k, 3:, 3:] = self.mass[k] * np.eye(3), self.J[k]
             inverse = np.linalg.inv(self.J[k])
             minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / self.mass[k], 0.5 * (inverse + inverse.T)
-        tail = np.zeros(sum(s * s for s in sizes[self.free :]))
-        self.m, self.minv = np.append(m.ravel(), tail), np.append(minv.ravel(), tail)
-        # The blocks of the trees in m and minv, written in each step.
-        self._tree_blocks = [
-            tuple(a[at : at + t.model.nv**2].reshape(t.model.nv, t.model.nv) for a in (self.m, self.minv))
-            for at, t in zip(self.m_start[self.free :], self.trees, strict=True)
-        ]
+        self._m, self._minv = m.ravel(), minv.ravel()
+        self._inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
         self._fall = float(np.linalg.norm(self.gravity))
-        self.x, self.R = np.zeros((self.frames, 3)), np.zeros((self.frames, 3, 3))
         self.constrained = any(t.constrained for t in self.trees)
-        # Links of trees with a fixed base; index -1 is the world's.
-        self._held = np.zeros(self.frames + 1, dtype=bool)
-        for t in self.trees:
-            self._held[t.frames] = "JointModelFreeFlyer" not in [joint.shortname() for joint in t.model.joints]
-        self._in_tree = self.block_of_frame >= self.free
-        self._round = np.array([g.shape.size[0] if g.shape.kind in (SPHERE, CAPSULE) else 0.0 for g in scene.geoms()])
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
         self.surfaces = Surfaces(scene)
         starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]
@@ -167,19 +174,28 @@ class Dynamics:
         """Initial position and velocity of the scene."""
         return self._start
 
-    def advance(self, position: Position, v: Array, h: float, twist: Array | None = None) -> Position:
-        """Q ⊕ h v: x + h v, R exp([h ω]x) for free bodies, Pinocchio's integrate for trees, loops closed.
+    # -- configurations ----------------------------------------------------------------------------------------
 
+    def flow(self, position: Position, v: Array, h: float, twist: Array | None = None) -> tuple[Position, Array]:
+        """(position, velocity) after h seconds without forces, Φ_h: x + h v and torque-free rotation of free bodies.
+
+        Trees move with constant joint velocities, their loops closed: what bends their motion is among the forces.
         Driven bodies move with `twist` (surfaces, 2, 3), linear and angular velocities in world axes, or not at all.
         """
-        x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
-        _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
-        return self._advanced(x, quaternion, position, v, h, twist)
+        x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), np.empty(self.n)
+        _motion.flow(self.J, position.x, position.quaternion, v, h, x, quaternion, after)
+        return self._with_others(x, quaternion, position, v, h, twist), after
 
-    def _advanced(
+    def shift(self, position: Position, step: Array) -> Position:
+        """Position ⊕ a small displacement `step` (n,) in the coordinates of velocities, loops closed."""
+        x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
+        _motion.integrate(position.x, position.quaternion, step, 1.0, x, quaternion)
+        return self._with_others(x, quaternion, position, step, 1.0, None)
+
+    def _with_others(
         self, x: Array, quaternion: Array, position: Position, v: Array, h: float, twist: Array | None
     ) -> Position:
-        """What `advance` gives, whose free bodies are at x and quaternion."""
+        """The position whose free bodies are at x and quaternion, the others where h v or `twist` brings them."""
         trees, driven = position.trees, (position.driven_x, position.driven_quaternion)
         if trees:
             moved = zip(self.trees, trees, strict=True)
@@ -188,30 +204,46 @@ class Dynamics:
             driven = self.surfaces.advance(*driven, h * twist)
         return Position(x, quaternion, trees, *driven)
 
-    def place(self, position: Position) -> None:
-        """Put the poses of all frames at `position` into x and R, and the Jacobians of the trees there."""
-        _motion.place(position.x, position.quaternion, self.x, self.R)
-        self._place_driven(position)
-        for k, t in enumerate(self.trees):
-            t.place(position.trees[k], self.x, self.R)
-
-    def evaluate(self, position: Position) -> None:
-        """Put what `place` does and the mass matrices of the trees at `position`."""
-        _motion.place(position.x, position.quaternion, self.x, self.R)
-        self._evaluate_others(position)
-
-    def _evaluate_others(self, position: Position) -> None:
-        """What `evaluate` does besides free bodies."""
-        self._place_driven(position)
-        for k, t in enumerate(self.trees):
-            t.evaluate(position.trees[k], self.x, self.R)
-
-    def _place_driven(self, position: Position) -> None:
+    def place(self, position: Position) -> Placement:
+        """Frames and Jacobians at a position."""
+        x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
+        _motion.place(position.x, position.quaternion, x, R)
         if position.driven_x.size:
             nd = len(position.driven_x)
-            _motion.place(position.driven_x, position.driven_quaternion, self.x[-nd:], self.R[-nd:])
+            _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])
+        J = []
+        for t, q in zip(self.trees, position.trees, strict=True):
+            x[t.frames], R[t.frames], jacobian = t.kinematics(q)
+            J.append(jacobian)
+        return Placement(x, R, tuple(J))
 
-    def free_velocity(
+    def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
+        """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
+        linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
+        _motion.twists(place.R, v, self.free, linear, angular)
+        for t, J in zip(self.trees, place.J, strict=True):
+            at = place.x[t.frames], t.support, J, v[t.coordinates]
+            _trees.link_twists(*at, linear[t.frames], angular[t.frames])
+        return linear, angular
+
+    def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
+        """How far any point of each frame's shapes moves in h seconds, m, shape (frames,); `dt` of them under gravity.
+
+        Driven bodies move with `twist` (surfaces, 2, 3).
+        """
+        out = np.zeros(self.frames)
+        fall = h * dt * self._fall
+        _motion.reach(v, h, fall, self.radius, out)
+        for t, J in zip(self.trees, place.J, strict=True):
+            at = place.x[t.frames], t.support, J, v[t.coordinates], h, t.radius, fall
+            _trees.link_reach(*at, out[t.frames])
+        if self.surfaces.count:
+            self.surfaces.reach(h * np.abs(twist), out)
+        return out
+
+    # -- forces ------------------------------------------------------------------------------------------------
+
+    def forces(
         self,
         begin: Position,
         middle: Position,
@@ -219,23 +251,19 @@ class Dynamics:
         t: float,
         h: float,
         theta: float,
-        push: Array,
         wrenches: Mapping[str, Any] | None,
         tau: Mapping[str, Any] | None,
-    ) -> tuple[Array, Loads]:
-        """Velocity after a step without contact, M̃ (v_f - v) = h f̃, and the loads that made it.
+    ) -> Forces:
+        """What acts in a step: M̃ (v_f - v⁻) = h f̃ at the configuration `middle`.
 
         Parameters
         ----------
         begin, middle : Position
-            Where the step begins, and its midpoint, where `evaluate` has been called.
+            Where the step begins, and where the forces and impulses act.
         v : ndarray, shape (n,)
-            Velocity at the beginning of the step.
+            v⁻, the velocity there before they act.
         t, h, theta : float
             Time at the end of the step, step [s], and θ.
-        push : ndarray, shape (n,)
-            Change of velocity expected of contacts and joint rows: gyroscopic and Coriolis terms belong to the motion
-            with it.
         wrenches : mapping, optional
             Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes. For a
             body of an articulation, "articulation/body", the force acts at the origin of its frame.
@@ -244,21 +272,25 @@ class Dynamics:
         """
         force, torque, applied, given = self._no_load, self._no_load, NOTHING, NOTHING
         if wrenches is not None:
-            force, torque, applied = self._applied(begin, _mapping(wrenches, "external_force"))
+            force, torque, applied = self._applied(middle, _mapping(wrenches, "external_force"))
         if tau is not None:
             given = _mapping(tau, "controller")
             if unknown := given.keys() - self._tree_names.keys():
                 raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
-        out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
-        _motion.free_velocity(self.J, self._inverse_mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
-        loads: tuple[TreeLoads, ...] = ()
+        out = np.empty(self.n)
+        _motion.accelerate(self._inverse_mass, self._inverse_J, self.gravity, force, torque, h, v, out)
+        if not self.trees:
+            return Forces(out, force, torque, self._m, self._minv, ())
+        loads, m, minv = [], [self._m], [self._minv]
         for k, tree in enumerate(self.trees):
             where, control = (begin.trees[k], middle.trees[k]), (given.get(tree.name), applied.get(k))
-            motion = tree.free_motion(*where, v, push, h, theta, t, *control, *self._tree_blocks[k])
-            out[tree.coordinates], loads = motion[0], (*loads, motion[1])
-        return out, Loads(force, torque, gyroscopic, loads)
+            out[tree.coordinates], load = tree.free_motion(*where, v[tree.coordinates], h, theta, t, *control)
+            loads.append(load)
+            m.append(load.m.ravel())
+            minv.append(load.minv.ravel())
+        return Forces(out, force, torque, np.concatenate(m), np.concatenate(minv), tuple(loads))
 
-    def _applied(self, begin: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
+    def _applied(self, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
         applied: dict[int, Array] = {}
@@ -273,16 +305,18 @@ class Dynamics:
             owner, _, body = name.partition("/")
             if name in self.names:
                 k = self.names[name]
-                force[k], torque[k] = pull, _rotation(begin.quaternion[k]).T @ turn
+                force[k], torque[k] = pull, _rotation(middle.quaternion[k]).T @ turn
             elif body and owner in self._tree_names:
                 k = self._tree_names[owner]
-                applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(body, pull, turn)
+                applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(middle.trees[k], body, pull, turn)
             else:
                 raise ValueError(
                     f"external_force names {name!r}, which is no free body and no 'articulation/body'; free bodies are "
                     f"{list(self.names)}, articulations {list(self._tree_names)}"
                 )
         return force, torque, applied
+
+    # -- rows --------------------------------------------------------------------------------------------------
 
     def joint_rows(self, middle: Position, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""
@@ -293,86 +327,36 @@ class Dynamics:
             angle[t.coordinates] = t.angle(q)
         return self.joints.rows(angle, v, v_free, h)
 
-    def blocks(self, contacts: ContactSet) -> tuple[Blocks, Array]:
-        """Factors (M, H) of the contacts at the placed position, and their frames (nc, 3, 3), rows (n, t1, t2)."""
+    def rows(
+        self, contacts: ContactSet, place: Placement, forces: Forces, joints: JointRows | None
+    ) -> tuple[Rows, Array]:
+        """Factors of contacts and joint rows where the frames are placed; frames (nc, 3, 3), rows (n, t1, t2)."""
         nc = contacts.gap.size
         frame, block, start = np.empty((nc, 3, 3)), np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
         hang, where = (contacts.frame1, contacts.frame2), (contacts.point, frame)
         size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
         h = np.zeros(size)
-        _motion.free_rows(*hang, *where, self.x, self.R, self.free, start, h)
-        for t in self.trees:
-            _trees.link_rows(*hang, *where, t.frames.start, t.support, t.J, start, h)
-        return Blocks(self.offset, block, start, h, self.m_start, self.m, self.minv), frame
-
-    def carry_gaps(self, contacts: ContactSet, poses: tuple[Array, Array] | tuple[None, None], out: Array) -> None:
-        """Gaps of the contacts of links with the world when the frames, now placed, are at `poses`, into `out`, m.
-
-        The gap that a step leaves is linear in its motion; legs and rods turn fast enough for its square to matter.
-        """
-        x, quaternion = poses
-        if x is None or quaternion is None:  # no links
-            return
-        c = contacts
-        where = c.frame1, c.frame2, c.geom1, c.geom2, c.gap, c.point, c.normal, self._in_tree, self._round
-        _trees.carry_gaps(*where, self.x, self.R, x, quaternion, out)
-
-    def held(self, contacts: ContactSet) -> NDArray[np.bool_]:
-        """Which contacts are between the world and a link of a tree that hangs on it, shape (nc,)."""
-        one, two = contacts.frame1, contacts.frame2
-        out: NDArray[np.bool_] = (self._held[one] & (two < 0)) | (self._held[two] & (one < 0))
-        return out
-
-    def rows(self, contacts: Blocks, joints: JointRows | None) -> Rows:
-        """Contacts and joint rows, in v and in the coordinates that loops, driven joints and joint friction leave."""
-        bases = {self.free + k: t.Z for k, t in enumerate(self.trees) if t.constrained} if self.constrained else {}
+        _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, h)
+        for t, J in zip(self.trees, place.J, strict=True):
+            _trees.link_rows(*hang, *where, t.frames.start, t.support, J, start, h)
+        full = Blocks(self.offset, block, start, h, self.m_start, forces.m, forces.minv)
+        bases = {}
+        if self.constrained:
+            pairs = zip(self.trees, forces.trees, strict=True)
+            bases = {self.free + k: load.Z for k, (t, load) in enumerate(pairs) if t.constrained}
         if joints is None:
-            return Rows(contacts, bases, *NOT_PRESSED)
+            return Rows(full, bases, *NOT_PRESSED), frame
         pressed = np.flatnonzero(joints.press)
-        return Rows(self.joints.append(joints, contacts), bases, contacts.nc + pressed, joints.press[pressed])
+        return Rows(self.joints.append(joints, full), bases, nc + pressed, joints.press[pressed]), frame
 
-    def reach(self, v: Array, h: float, begun: Array, ended: Array) -> tuple[Array, bool]:
-        """How far any point of each frame's shapes may move in a step of h, m, shape (frames,); whether one is fast.
-
-        A free body that moves farther than its inscribed radius may pass through another within half a step.
-
-        Driven bodies have the velocities `begun` and `ended` (surfaces, 2, 3) at its beginning and its end.
-        """
-        out = np.zeros(self.frames)
-        fast = _motion.reach(v, self.gravity, h, self.radius, self._inscribed, out)
-        self._reach_others(v, h, begun, ended, out)
-        return out, fast
-
-    def _reach_others(self, v: Array, h: float, begun: Array, ended: Array, out: Array) -> None:
-        """What `reach` gives besides free bodies, into `out`."""
-        for t in self.trees:
-            part = self.x[t.frames], t.support, t.J, v[t.coordinates], h, t.radius, h * h * self._fall, out[t.frames]
-            _trees.link_reach(*part)
-        if self.surfaces.count:
-            self.surfaces.reach(h * np.maximum(np.abs(begun), np.abs(ended)), out)
-
-    def midpoint(
-        self, position: Position, v: Array, h: float, theta: float, begun: Array, ended: Array
-    ) -> tuple[Position, Array, bool]:
-        """The position after (1 - θ) h, as `advance` gives it, where `evaluate` is called; what `reach` gives."""
-        x, quaternion, out = np.empty((self.free, 3)), np.empty((self.free, 4)), np.zeros(self.frames)
-        fast = _motion.midpoint(
-            position.x, position.quaternion, v, self.gravity, self.radius, self._inscribed, h, theta, x, quaternion,
-            self.x, self.R, out,
-        )  # fmt: skip
-        if not (self.trees or position.driven_x.size):
-            return Position(x, quaternion, (), position.driven_x, position.driven_quaternion), out, fast
-        middle = self._advanced(x, quaternion, position, v, (1.0 - theta) * h, begun)
-        self._evaluate_others(middle)
-        self._reach_others(v, h, begun, ended, out)
-        return middle, out, fast
+    # -- what is shown -----------------------------------------------------------------------------------------
 
     def energies(self, position: Position, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy, J; potential energy is 0 at the world's origin."""
         kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
         for t, q in zip(self.trees, position.trees, strict=True):
-            more = t.energies(q, v)
-            kinetic, potential = kinetic + more[0], potential + more[1] + t.spring_energy(q)
+            more = t.energies(q, v[t.coordinates])
+            kinetic, potential = kinetic + more[0], potential + more[1]
         return kinetic, potential
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
@@ -381,18 +365,13 @@ class Dynamics:
         _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)
         return np.concatenate((q, *position.trees)) if position.trees else q, out
 
-    def poses(self, position: Position) -> tuple[Array, Array] | tuple[None, None]:
+    def poses(self, position: Position, place: Placement) -> tuple[Array, Array] | tuple[None, None]:
         """Positions (frames, 3) and quaternions (frames, 4) of all frames; None where all are free bodies."""
         if self.frames == self.free:
             return None, None
-        x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
-        for t, q in zip(self.trees, position.trees, strict=True):
-            t.poses(q, x, R)
         quaternion = np.empty((self.frames, 4))
         links = slice(self.free, self.frames - len(position.driven_x))
-        _trees.quaternions(R[links], quaternion[links])
-        if self.free:
-            x[: self.free], quaternion[: self.free] = position.x, position.quaternion
-        if links.stop < self.frames:
-            x[links.stop :], quaternion[links.stop :] = position.driven_x, position.driven_quaternion
-        return x, quaternion
+        _trees.quaternions(place.R[links], quaternion[links])
+        quaternion[: self.free] = position.quaternion
+        quaternion[links.stop :] = position.driven_quaternion
+        return place.x, quaternion

@@ -1,57 +1,153 @@
-"""Laws of impact: what a contact that strikes gives back.
+"""Laws of impact: what contacts that strike give back, in no time and at one configuration.
 
-With U⁻ and U⁺ before and after, and per contact the restitution e:
+With U⁻ and U⁺ before and after, U⁺ = U⁻ + W r, and per contact the restitution e:
 
 newton
     U_N⁺ ≥ -e U_N⁻, friction opposes U_T⁺. The common law. With friction, or in chains of contacts, it may create
-    energy (T. R. Kane, D. A. Levinson, Dynamics: theory and applications, 1985); `Step.created` says how much.
+    energy (T. R. Kane, D. A. Levinson, Dynamics: theory and applications, 1985); `Step.created` says how much. Contacts
+    that rest and have a restitution of their own follow in a round of their own, so that the balls of Newton's cradle
+    strike one after the other.
 poisson
     Compression with e = 0 gives r_c; expansion gives back e r_c, and more where bodies would meet else: r = r_c + e r_c
-    + r', with K* ∋ U⁺ + μ‖U_T⁺‖ e_N ⟂ r' ∈ K. Half of the other forces of the step act before the impact. It never
-    creates energy if all contacts have one e: the change is at most -½ ‖r_e - e r_c‖²_W - ½ (1 - e²) ‖r_c‖²_W with
-    r_e = e r_c + r'. (F. Pfeiffer, C. Glocker, Multibody dynamics with unilateral contacts, 1996, chapter 8, with
-    ε_T = ε_N.)
+    + r', with K* ∋ U⁺ + μ‖U_T⁺‖ e_N ⟂ r' ∈ K. It never creates energy if all contacts have one e: the change is at
+    most -½ ‖r_e - e r_c‖²_W - ½ (1 - e²) ‖r_c‖²_W with r_e = e r_c + r'. (F. Pfeiffer, C. Glocker, Multibody dynamics
+    with unilateral contacts, 1996, chapter 8, with ε_T = ε_N.)
 fremond
-    U_N⁺ ≥ -e U_N⁻, friction opposes the mean ½ (U_T⁺ + U_T⁻), so that its work, and that of the normal impulses of
-    contacts with U_N⁻ ≤ 0, are never positive. Sticking turns U_T round, as a superball does. (M. Frémond,
-    Rigid bodies collisions, Physics Letters A 204, 1995.)
+    U_N⁺ ≥ -e U_N⁻ where bodies approach, U_N⁺ ≥ -U_N⁻ where they part, friction opposes the mean ½ (U_T⁺ + U_T⁻), so
+    that no work is ever positive. Every closed contact takes part. Sticking turns U_T round, as a superball does.
+    (M. Frémond, Rigid bodies collisions, Physics Letters A 204, 1995.)
 
-On a single frictionless contact all three agree.
+On a single frictionless contact all three agree. Impacts that others provoke follow in rounds, until nothing strikes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn.problem import Array
+from nsdyn._kernels import blocks as _blocks
+from nsdyn.problem import FC3D, Array, Blocks, Solution
 
-__all__ = ["LAWS", "apply", "returned"]
+__all__ = ["LAWS", "Impact", "strike"]
 
 LAWS = ("newton", "poisson", "fremond")
 
+ROUNDS = 60
+"""Most rounds of impacts in no time; what then still approaches is caught without restitution by the step."""
 
-def apply(law: str, u: Array, struck: NDArray[np.bool_], w: Array) -> None:
-    """Change Newton's offsets w at the contacts that are struck into those of the law.
+Bools = NDArray[np.bool_]
+Solve = Callable[[FC3D, Array | None], Solution]
+
+
+class Impact(NamedTuple):
+    """What a series of impacts did.
+
+    Attributes
+    ----------
+    r : ndarray, shape (3 rows,)
+        Sum of the impulses, N·s.
+    u : ndarray, shape (3 rows,)
+        Relative velocities after it, m/s.
+    normal, friction : ndarray, shape (rows,)
+        Works of the impulses, J.
+    created : float
+        Energy created, J: the sum over rounds and islands of contacts whose impulses together did positive work.
+    last : Solution or None
+        The worst solution of a round.
+    problem : FC3D or None
+        Its problem.
+    """
+
+    r: Array
+    u: Array
+    normal: Array
+    friction: Array
+    created: float
+    last: Solution | None
+    problem: FC3D | None
+
+
+def struck(u: Array, restitution: Array, closed: Bools, resting: Array) -> Bools:
+    """Which contacts have an impact: closed, with restitution, closing faster than what rests does."""
+    out: Bools = closed & (restitution > 0.0) & (u[0::3] < -resting)
+    return out
+
+
+def strike(
+    law: str,
+    solver: Solve,
+    blocks: Blocks,
+    u: Array,
+    mu: Array,
+    restitution: Array,
+    closed: Bools,
+    resting: Array,
+) -> Impact:
+    """Impacts at one configuration until nothing strikes.
 
     Parameters
     ----------
     law : str
         One of `LAWS`.
+    solver : callable
+    blocks : Blocks
+        Factors of W.
     u : ndarray, shape (3 rows,)
-        Relative velocity before, m/s.
-    struck : ndarray of bool, shape (rows,)
-    w : ndarray, shape (3 rows,)
-        So that u⁺ + w obeys the contact law, m/s; written.
+        Relative velocities before, m/s.
+    mu, restitution : ndarray, shape (rows,)
+    closed : ndarray of bool, shape (rows,)
+        Rows that may carry an impulse.
+    resting : ndarray, shape (rows,)
+        Speeds of approach [m/s] below which a contact rests.
     """
+    nc = mu.size
+    label = np.empty(nc, np.int64)
+    islands = int(_blocks.islands(blocks.block, blocks.offset.size - 1, label))
+    total, normal, friction = np.zeros(3 * nc), np.zeros(nc), np.zeros(nc)
+    created, worst, where = 0.0, None, None
+    for _ in range(ROUNDS):
+        hit = struck(u, restitution, closed, resting)
+        if not hit.any():
+            break
+        # An island without an impact is not concerned.
+        concerned = closed & np.isin(label, label[hit])
+        part = concerned & (hit | (restitution == 0.0)) if law == "newton" else concerned
+        problem, r, solution = _round(law, solver, blocks, u, mu, restitution, hit, part)
+        after = u + blocks.relative_velocity(blocks.velocity_change(r))
+        work = 0.5 * (u + after) * r
+        normal += work[0::3]
+        friction += work[1::3] + work[2::3]
+        gained = np.bincount(label, work[0::3] + work[1::3] + work[2::3], islands)
+        created += float(gained[gained > 0.0].sum())
+        total += r
+        u = after
+        if worst is None or solution.error > worst.error:
+            worst, where = solution, problem
+    return Impact(total, u, normal, friction, created, worst, where)
+
+
+def _round(
+    law: str, solver: Solve, blocks: Blocks, u: Array, mu: Array, restitution: Array, hit: Bools, part: Bools
+) -> tuple[FC3D, Array, Solution]:
+    """(problem, impulses, solution) of one impact of all contacts that take part."""
+    rows, own = np.repeat(part, 3), blocks._replace(block=blocks.block[part], start=blocks.start[part])
+    before, mu, hit = u[rows], mu[part], hit[part]
+    e = np.where(hit, restitution[part], 0.0)
+    r, b = np.zeros_like(u), before.copy()
     if law == "poisson":
-        w[0::3][struck] = 0.0
-    elif law == "fremond":
-        for i in (1, 2):
-            w[i::3][struck] = u[i::3][struck]
-
-
-def returned(r: Array, restitution: Array) -> Array:
-    """Impulses r_c + e r_c of compression and expansion in Poisson's law, from those of compression, (3 nc,)."""
-    out: Array = r * (1.0 + np.repeat(restitution, 3))
-    return out
+        given = np.repeat(1.0 + e, 3) * solver(FC3D.from_blocks(own, b, mu), None).r
+        b += own.relative_velocity(own.velocity_change(given))
+    else:
+        given = 0.0
+        b[0::3] += e * before[0::3]
+    if law == "fremond":
+        b[0::3] += np.where(hit, 0.0, np.maximum(before[0::3], 0.0))
+        b[1::3] += before[1::3]
+        b[2::3] += before[2::3]
+    problem = FC3D.from_blocks(own, b, mu)
+    solution = solver(problem, None)
+    r[rows] = given + solution.r
+    return problem, r, solution

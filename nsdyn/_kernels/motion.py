@@ -144,69 +144,54 @@ def _turn(I, w, h, torque, kick, new, gyroscopic):
 
 
 @njit(cache=True)
-def free_velocity(J, inverse_mass, gravity, force, torque, h, v, kick, v_free, gyroscopic):
-    """Velocity of free bodies after a step without contact, into v_free; their gyroscopic torque into gyroscopic.
-
-    Linear: v + h (g + f/m). Angular, in body axes: J (w' - w) = h (torque + γ), with the γ of `_turn` for a motion on
-    which contacts change the velocity by `kick`. A step too long for Newton is cut in parts, each of which keeps the
-    energy.
-    """
-    w, new, part, g = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+def flow(J, x, quaternion, v, h, x_out, quaternion_out, v_out):
+    """placeholder"""
+    v_out[:] = v
+    w, new, zero, g = np.empty(3), np.empty(3), np.zeros(3), np.empty(3)
+    mid = v.copy()
     for b in range(J.shape[0]):
-        first = 6 * b + 3
-        spin = 0.0
-        for i in range(3):
-            v_free[6 * b + i] = v[6 * b + i] + h * (gravity[i] + inverse_mass[b] * force[b, i])
-            spin += abs(v[first + i]) + abs(torque[b, i]) + abs(kick[first + i])
-            gyroscopic[b, i] = 0.0
-        if spin == 0.0:
-            v_free[first], v_free[first + 1], v_free[first + 2] = 0.0, 0.0, 0.0
+        f = 6 * b + 3
+        if v[f] == 0.0 and v[f+1] == 0.0 and v[f+2] == 0.0:
             continue
-        parts = 1
-        while True:
-            for i in range(3):
-                w[i] = new[i] = v[first + i]
-                part[i] = kick[first + i] / parts
-                g[i] = 0.0
-            good = True
-            for _ in range(parts):
-                good = _turn(J[b], w, h / parts, torque[b], part, new, g)
-                if not good:
-                    break
-                w[:] = new
-            if good or parts == PARTS:
-                break
-            parts *= 2
         for i in range(3):
-            v_free[first + i] = new[i] - kick[first + i]
-            gyroscopic[b, i] = g[i] / parts
+            w[i] = new[i] = v[f + i]
+        g[:] = 0.0
+        _turn(J[b], w, h, zero, zero, new, g)
+        for i in range(3):
+            v_out[f + i] = new[i]
+            mid[f + i] = 0.5 * (w[i] + new[i])
+    integrate(x, quaternion, mid, h, x_out, quaternion_out)
 
 
 @njit(cache=True)
-def reach(v, gravity, h, radius, inscribed, out):
-    """Bound on how far any point of each free body moves in a step of h, m, into out (n,); whether one is too fast.
+def accelerate(inverse_mass, inverse_J, gravity, force, torque, h, v, out):
+    """v + h M⁻¹ f of free bodies under gravity, forces (world axes) and torques (body axes), into out."""
+    for b in range(inverse_mass.size):
+        for i in range(3):
+            out[6 * b + i] = v[6 * b + i] + h * (gravity[i] + inverse_mass[b] * force[b, i])
+            spin = 0.0
+            for j in range(3):
+                spin += inverse_J[b, i, j] * torque[b, j]
+            out[6 * b + 3 + i] = v[6 * b + 3 + i] + h * spin
 
-    That is, moves farther than the radius of the ball `inscribed` in it.
-    """
-    fast = False
-    fall = h * h * math.sqrt(gravity[0] ** 2 + gravity[1] ** 2 + gravity[2] ** 2)
+
+@njit(cache=True)
+def twists(R, v, free, linear, angular):
+    """Velocities of the centres of mass and angular velocities of free bodies in world axes, into (n, 3) each."""
+    for b in range(free):
+        for i in range(3):
+            linear[b, i] = v[6 * b + i]
+            angular[b, i] = R[b, i, 0] * v[6 * b + 3] + R[b, i, 1] * v[6 * b + 4] + R[b, i, 2] * v[6 * b + 5]
+
+
+@njit(cache=True)
+def reach(v, h, fall, radius, out):
+    """How far any point of each free body moves in h seconds, and by `fall`, m, into out (n,)."""
     for b in range(radius.size):
         i = 6 * b
         speed = math.sqrt(v[i] ** 2 + v[i + 1] ** 2 + v[i + 2] ** 2)
         spin = math.sqrt(v[i + 3] ** 2 + v[i + 4] ** 2 + v[i + 5] ** 2)
         out[b] = h * (speed + spin * radius[b]) + fall
-        fast = fast or out[b] > inscribed[b]
-    return fast
-
-
-@njit(cache=True)
-def midpoint(
-    x, quaternion, v, gravity, radius, inscribed, h, theta, x_middle, quaternion_middle, x_frames, R_frames, out
-):
-    """`integrate` to the midpoint of a step of h, `place` there, and the `reach` of the step."""
-    integrate(x, quaternion, v, (1.0 - theta) * h, x_middle, quaternion_middle)
-    place(x_middle, quaternion_middle, x_frames, R_frames)
-    return reach(v, gravity, h, radius, inscribed, out)
 
 
 @njit(cache=True)
@@ -279,29 +264,6 @@ def free_energies(mass, J, gravity, x, v):
 
 
 @njit(cache=True)
-def free_works(mass, J, gravity, force, torque, gyroscopic, h, v0, v1, v_theta, x0, x1, end, out):
-    """Increments of a step over the free bodies, in J, into out (7,); x0 and x1 where it begins and ends.
-
-    Kinetic energy, potential energy, work of external forces, of the gyroscopic torque, and of gravity on the
-    difference between the mean velocity and the one that moved the body; then their energies at `end`.
-    """
-    out[:] = 0.0
-    out[5], out[6] = free_energies(mass, J, gravity, end, v1)
-    for b in range(mass.size):
-        i = 6 * b
-        for j in range(3):
-            mean = 0.5 * (v0[i + j] + v1[i + j])
-            spin = 0.5 * (v0[i + 3 + j] + v1[i + 3 + j])
-            out[0] += mass[b] * mean * (v1[i + j] - v0[i + j])
-            for k in range(3):
-                out[0] += spin * J[b, j, k] * (v1[i + 3 + k] - v0[i + 3 + k])
-            out[1] -= mass[b] * gravity[j] * (x1[b, j] - x0[b, j])
-            out[2] += h * (mean * force[b, j] + spin * torque[b, j])
-            out[3] += h * spin * gyroscopic[b, j]
-            out[4] += h * mass[b] * gravity[j] * (mean - v_theta[i + j])
-
-
-@njit(cache=True)
 def pinocchio_layout(x, quaternion, v, q_out, v_out):
     """Free bodies in Pinocchio's layout: q = (x, quaternion), v = (Rᵀ v, omega), into q_out; all of v into v_out."""
     R = np.empty((x.shape[0], 3, 3))
@@ -315,3 +277,20 @@ def pinocchio_layout(x, quaternion, v, q_out, v_out):
             v_out[6 * b + 3 + i] = v[6 * b + 3 + i]
         for i in range(4):
             q_out[7 * b + 3 + i] = quaternion[b, i]
+
+
+@njit(cache=True)
+def free_works(mass, gravity, force, torque, h, theta, v0, v1):
+    """Works of a step on the free bodies, J: of forces and torques, and what gravity does beyond its potential.
+
+    v0 and v1 are the velocities before and after them at the configuration where they act; the bodies move on with
+    (1 - θ) v0 + θ v1, and the forces do their work on the mean.
+    """
+    external, beyond = 0.0, 0.0
+    for b in range(mass.size):
+        i = 6 * b
+        for j in range(3):
+            mean, spin = 0.5 * (v0[i + j] + v1[i + j]), 0.5 * (v0[i + 3 + j] + v1[i + 3 + j])
+            external += h * (mean * force[b, j] + spin * torque[b, j])
+            beyond += h * mass[b] * gravity[j] * (0.5 - theta) * (v1[i + j] - v0[i + j])
+    return external, beyond

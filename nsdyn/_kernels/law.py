@@ -1,0 +1,220 @@
+"""The contact law of a step: relative velocities and their offsets, slip, works.
+
+Rows come first for the contacts, three a contact (N, T1, T2), then for joint limits and joint friction. Names are those
+of `nsdyn.encounter`.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from nsdyn._kernels.blocks import relative_velocity
+from nsdyn._kernels.manifold import along, cross, dot, minus, row
+
+
+@njit(cache=True)
+def places(old_key, new_key):
+    """Where every new key stands among the old ones, -1 where it does not."""
+    out = np.full(new_key.size, -1)
+    known = 0
+    while known < min(old_key.size, new_key.size) and old_key[known] == new_key[known]:
+        out[known] = known
+        known += 1
+    if known < new_key.size:
+        order = np.argsort(old_key)
+        keys = old_key[order]
+        place = np.searchsorted(keys, new_key)
+        for c in range(known, new_key.size):
+            if place[c] < order.size and keys[place[c]] == new_key[c]:
+                out[c] = order[place[c]]
+    return out
+
+
+@njit(cache=True)
+def warm_start(place, impulse, frame, r):
+    """World impulses of old contacts in the frames of those that continue them, 0 for new ones, into r (3 nc,)."""
+    for c in range(place.size):
+        for i in range(3):
+            r[3 * c + i] = 0.0
+            if place[c] >= 0:
+                p = impulse[place[c]]
+                r[3 * c + i] = frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2]
+
+
+@njit(cache=True)
+def begin_velocities(
+    place, old_point, old_normal, x_old, linear, angular, reach, frame1, frame2, point, frame, x, u
+):  # fmt: skip
+    """Relative velocities of the contacts where the step begins, with the rows that they have there, into u (3 nc,).
+
+    Frame f moves there with linear[f] + angular[f] x (p - x_old[f]). A contact that was found there too, at a point
+    from which the motion may have carried it here, has that point and that normal, and its tangents are those of here
+    turned by the least rotation from normal to normal; any other one has the arms and the frame of here.
+    """
+    for c in range(place.size):
+        f1, f2, n = frame1[c], frame2[c], row(frame[c], 0)
+        p, k = row(point, c), place[c]
+        m, there = n, False
+        if k >= 0:
+            d, m = minus(p, row(old_point, k)), row(old_normal, k)
+            far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
+            there = dot(d, d) <= 4.0 * far * far and dot(m, n) > 0.5
+        w = (0.0, 0.0, 0.0)
+        for s in range(2):
+            f = f1 if s == 0 else f2
+            if f >= 0:
+                arm = minus(row(old_point, k), row(x_old, f)) if there else minus(p, row(x, f))
+                w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
+        if there:  # turned back by the rotation from n to m
+            total = along(n, 1.0, m)
+            w = along(along(w, -dot(total, w) / (1.0 + dot(n, m)), total), 2.0 * dot(m, w), n)
+        for i in range(3):
+            u[3 * c + i] = dot(row(frame[c], i), w)
+
+
+@njit(cache=True)
+def meet(
+    offset, block, start, h, v, v_free, drag, drag_end, press, old_key, impulse, old_point, old_normal, x_old, linear,
+    angular, reach, key, frame1, frame2, point, frame, x, gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
+):  # fmt: skip
+    """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
+
+    u at v and u_free at v_free, `turn` = u - u_begin, with surfaces that move (`drag`, empty for none) and the normal
+    velocities of joint friction (`press`, the same). end_gap = gap - ahead/2 turn_N: the parabola whose speed at the
+    end of the step, `ahead` seconds later, is 0. Returns the places of the contacts among the old ones.
+    """
+    nc = key.size
+    relative_velocity(offset, block, start, h, v, u)
+    relative_velocity(offset, block, start, h, v_free, u_free)
+    place = places(old_key, key)
+    warm_start(place, impulse, frame, guess)
+    u_begin[:] = u
+    begin_velocities(
+        place, old_point, old_normal, x_old, linear, angular, reach, frame1, frame2, point, frame, x, u_begin
+    )  # fmt: skip
+    for i in range(u.size):
+        turn[i] = u[i] - u_begin[i]
+    for i in range(drag.size):
+        u_begin[i] += drag[i]
+        u[i] += drag[i]
+        u_free[i] += drag[i]
+        turn[i] += drag_end[i] - drag[i]
+    for i in range(press.size):
+        u_free[i] += press[i]
+    for c in range(nc):
+        end_gap[c] = gap[c] - 0.5 * ahead * turn[3 * c]
+    return place
+
+
+@njit(cache=True)
+def foresee(offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn, guess, slides):
+    """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen."""
+    some = False
+    for c in range(slides.size):
+        i = 3 * c
+        slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
+        slides[c] = False
+        if slip <= 2.0 * math.sqrt(turn[i + 1] ** 2 + turn[i + 2] ** 2) or mu[c] == 0.0:
+            continue
+        normal, tangential = 0.0, 0.0
+        for s in range(2):
+            k = block[c, s]
+            if k < 0:
+                continue
+            n = offset[k + 1] - offset[k]
+            for j in range(3):
+                a = start[c, s] + j * n
+                total = 0.0
+                for l in range(n):
+                    if h[a + l] != 0.0:
+                        for m in range(n):
+                            total += h[a + l] * minv[m_start[k] + l * n + m] * h[a + m]
+                if j == 0:
+                    normal += total
+                else:
+                    tangential += total
+        press = max(0.0, -(u_free[i] + turn[i])) / normal if normal > 0.0 else 0.0
+        slides[c] = slip > mu[c] * max(press, guess[i]) * tangential
+        some = some or slides[c]
+    return some
+
+
+@njit(cache=True)
+def offsets(u, u_free, turn, end_gap, slides, ahead, closed, b):
+    """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
+
+    Normal: u_free + turn, plus end_gap / ahead where it is open. Tangential: the same for slip at the end of the step,
+    u + u_free, twice the mean slip without impulses, where a contact slides through.
+    """
+    for c in range(end_gap.size):
+        i = 3 * c
+        b[i] = u_free[i] + turn[i]
+        if end_gap[c] > closed:
+            b[i] += end_gap[c] / ahead
+        if slides.size > c and slides[c]:
+            b[i + 1], b[i + 2] = u[i + 1] + u_free[i + 1], u[i + 2] + u_free[i + 2]
+        else:
+            b[i + 1], b[i + 2] = u_free[i + 1] + turn[i + 1], u_free[i + 2] + turn[i + 2]
+
+
+@njit(cache=True)
+def reconsider(r, mu, u_begin, u, u_plus, turn, slides, fixed):
+    """Change `slides` (nc,) where the impulses show otherwise; each contact once each way, in `fixed`; tells if any.
+
+    One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
+    stop but slips on in the direction it had slides through.
+    """
+    some = False
+    for c in range(slides.size):
+        i = 3 * c
+        x, y = u_plus[i + 1] + turn[i + 1], u_plus[i + 2] + turn[i + 2]
+        sticks = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu[c] * r[i] * (1.0 - 1e-9)
+        if slides[c]:
+            mean = (u[i + 1] + u_plus[i + 1]) * x + (u[i + 2] + u_plus[i + 2]) * y
+            if r[i] > 0.0 and (sticks or mean <= 0.0):
+                slides[c] = False
+                fixed[c] = True
+                some = True
+        elif not fixed[c] and r[i] > 0.0 and mu[c] > 0.0 and not sticks and u_begin[i + 1] * x + u_begin[i + 2] * y > 0.0:
+            slides[c] = True
+            fixed[c] = True
+            some = True
+    return some
+
+
+@njit(cache=True)
+def outcome(r, mu, place, old_status, struck, u, u_plus, turn, frame, status, normal, friction, u_end, world):
+    """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
+
+    Status (nc,): 0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary). Works (rows,) are
+    those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns the sums of what they are in
+    the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact that stays closed, normal,
+    and sticks, tangential; joint rows always do work.
+    """
+    nc = status.size
+    impact, slip, rest = 0.0, 0.0, 0.0
+    for c in range(normal.size):
+        i = 3 * c
+        normal[c] = 0.5 * (u[i] + u_plus[i]) * r[i]
+        friction[c] = 0.5 * ((u[i + 1] + u_plus[i + 1]) * r[i + 1] + (u[i + 2] + u_plus[i + 2]) * r[i + 2])
+        for j in range(3):
+            u_end[i + j] = u_plus[i + j] + turn[i + j]
+        stays, sticks = False, False
+        if c < nc:
+            t = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2)
+            status[c] = 0 if r[i] <= 0.0 else (1 if t < mu[c] * r[i] * (1.0 - 1e-9) else 2)
+            if place[c] >= 0 and not (struck.size > c and struck[c]):
+                old = old_status[place[c]]
+                stays, sticks = old > 0, old == 1 and status[c] == 1
+            for j in range(3):
+                world[c, j] = frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]
+        if stays:
+            rest += normal[c]
+        else:
+            impact += normal[c]
+        if sticks:
+            rest += friction[c]
+        else:
+            slip += friction[c]
+    return impact, slip, rest

@@ -1,0 +1,188 @@
+"""What a step meets at its contacts: relative velocities, and the law they obey at its end.
+
+Impulses act at one configuration, between two flows. Until there the contacts' relative velocities have changed from
+u_k to u⁻ though nothing acted, for rows turn with their bodies; the second half of the motion adds as much once more,
+to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is remembered of earlier steps:
+
+    K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K,   y = W r + b,
+    b_N = u_f + c_N + [G > closed] G / h₂        u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
+    b_T = u_f + c_T       of a contact that sticks, or stops: slip of the end
+        = u⁻ + u_f        of one that slides through: twice the mean slip, exactly
+
+where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels import law as _law
+from nsdyn.contacts import ContactSet
+from nsdyn.dynamics import Dynamics, Forces, Placement
+from nsdyn.joints import JointRows, Rows
+from nsdyn.problem import FC3D, Array, Index, Solution
+from nsdyn.solvers import Solver
+
+__all__ = ["Encounter", "Warm", "meet", "solve"]
+
+SOLVES = 3
+"""Most solves more for contacts that slide through, or stop, against what was foreseen."""
+
+NOTHING = np.empty(0)
+
+Bools = NDArray[np.bool_]
+
+
+class Warm(NamedTuple):
+    """What a step leaves to the next besides its end: a start for the solver, and what was closed.
+
+    Attributes
+    ----------
+    key : ndarray of int, shape (nc,)
+        Names of the contacts.
+    impulse : ndarray, shape (nc, 3)
+        World axes, N·s.
+    status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    joints : ndarray, shape (slots, 3)
+        Impulses of joint limits and joint friction, by the slots of `nsdyn.joints.JointLaws`.
+    """
+
+    key: Index
+    impulse: Array
+    status: NDArray[np.int8]
+    joints: Array
+
+
+class Encounter(NamedTuple):
+    """The contacts of a step, then its joint rows, where the impulses act.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    joints : JointRows or None
+    rows : Rows
+    frame : ndarray, shape (nc, 3, 3)
+        Rows (n, t1, t2), world axes.
+    mu, restitution : ndarray, shape (rows,)
+    place : ndarray of int, shape (nc,)
+        Where the contacts stand in the warm start, -1 for new ones.
+    u_begin, u, u_free : ndarray, shape (3 rows,)
+        u_k, u⁻ and u_f, m/s.
+    turn : ndarray, shape (3 rows,)
+        c, m/s.
+    end_gap : ndarray, shape (rows,)
+        G, m or rad.
+    guess : ndarray, shape (3 rows,)
+        Last impulses, N·s.
+    """
+
+    contacts: ContactSet
+    joints: JointRows | None
+    rows: Rows
+    frame: Array
+    mu: Array
+    restitution: Array
+    place: Index
+    u_begin: Array
+    u: Array
+    u_free: Array
+    turn: Array
+    end_gap: Array
+    guess: Array
+
+    def changed(self, dv: Array) -> Encounter:
+        """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
+        du = self.rows.full.relative_velocity(dv)
+        turn = np.where(np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3), 0.0, self.turn)
+        return self._replace(u=self.u + du, u_free=self.u_free + du, turn=turn)
+
+
+def meet(
+    dynamics: Dynamics,
+    contacts: ContactSet,
+    joints: JointRows | None,
+    forces: Forces,
+    v: Array,
+    middle: Placement,
+    begin: tuple[ContactSet, Placement, tuple[Array, Array], Warm],
+    reach: Array,
+    drags: tuple[Array, Array],
+    ahead: float,
+) -> Encounter:
+    """Relative velocities of a step at its contacts and joint rows.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+    contacts : ContactSet
+        Where the impulses act.
+    joints : JointRows, optional
+    forces : Forces
+    v : ndarray, shape (n,)
+        v⁻.
+    middle : Placement
+        Of the frames where the impulses act.
+    begin : (contacts, placement, twists, warm start)
+        Where the step begins.
+    reach : ndarray, shape (frames,)
+        How far points of the frames move in the step, m.
+    drags : two ndarrays of shape (3 nc,)
+        What surfaces that move add to the relative velocities, with the impulses and at the end, m/s; empty if none do.
+    ahead : float
+        h₂, s.
+    """
+    rows, frame = dynamics.rows(contacts, middle, forces, joints)
+    full, nc = rows.full, contacts.gap.size
+    nr = full.nc
+    u_begin, u, u_free, turn, guess = np.empty((5, 3 * nr))
+    end_gap = np.empty(nr)
+    old, place, twists, warm = begin
+    where = _law.meet(
+        full.offset, full.block, full.start, full.h, v, forces.v, *drags, rows.press, warm.key, warm.impulse, old.point,
+        old.normal, place.x, *twists, reach, contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame,
+        middle.x, contacts.gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
+    )  # fmt: skip
+    mu, restitution = contacts.mu, contacts.restitution
+    if joints is not None:
+        guess[3 * nc :] = warm.joints[joints.slot].ravel()
+        end_gap[nc:] = joints.gap
+        mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
+    return Encounter(
+        contacts, joints, rows, frame, mu, restitution, where, u_begin, u, u_free, turn, end_gap, guess
+    )  # fmt: skip
+
+
+def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[FC3D, Solution]:
+    """Impulses that make the motion obey the contact law, and their problem.
+
+    Parameters
+    ----------
+    met : Encounter
+    solver : Solver
+    ahead, closed : float
+        h₂ [s], and the largest gap [m] that counts as closed.
+    """
+    full, blocks, nc = met.rows.full, met.rows.blocks, met.frame.shape[0]
+    slides, b = np.empty(nc, np.bool_), np.empty(3 * full.nc)
+    velocities = met.u_begin, met.u, met.u_free, met.turn
+    some = _law.foresee(
+        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, *velocities, met.guess, slides
+    )  # fmt: skip
+    law = met.u, met.u_free, met.turn, met.end_gap
+    _law.offsets(*law, slides, ahead, closed, b)
+    problem = FC3D.from_blocks(blocks, b, met.mu)
+    solution = solver(problem, met.guess)
+    fixed = np.zeros(nc, np.bool_)
+    for _ in range(SOLVES):
+        u_plus = solution.u - b + met.u_free
+        if not _law.reconsider(solution.r, met.mu, met.u_begin, met.u, u_plus, met.turn, slides, fixed):
+            break
+        b = np.empty(3 * full.nc)
+        _law.offsets(*law, slides, ahead, closed, b)
+        problem = problem.with_velocity(b)
+        solution = solver(problem, solution.r)
+    return problem, solution

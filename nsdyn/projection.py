@@ -1,0 +1,86 @@
+"""Positions without overlap: what a step leaves is removed on the shapes themselves, and no velocity is touched."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn.contacts import ContactMemory, ContactSet, Detector
+from nsdyn.dynamics import Dynamics, Forces, Placement, Position
+from nsdyn.problem import FC3D
+from nsdyn.solvers import Auto
+
+__all__ = ["Placed", "place", "project"]
+
+PASSES = 20
+"""Most projections in a row; each leaves what is of second order in it, so that two or three do."""
+
+COARSE = 0.01
+"""Fraction of the deepest overlap that one projection may leave to the next."""
+
+
+class Placed(NamedTuple):
+    """A position, its frames, and the contacts found there.
+
+    Attributes
+    ----------
+    position : Position
+    place : Placement
+    contacts : ContactSet
+        With the true gaps of the shapes.
+    memory : ContactMemory
+    clear : bool
+        Whether no shapes overlap by more than what counts as closed.
+    """
+
+    position: Position
+    place: Placement
+    contacts: ContactSet
+    memory: ContactMemory
+    clear: bool
+
+
+def place(dynamics: Dynamics, detector: Detector, position: Position, memory: ContactMemory) -> Placed:
+    """The contacts at a position, whatever overlaps."""
+    at = dynamics.place(position)
+    contacts, memory = detector.find(at.x, at.R, np.zeros(dynamics.frames), memory)
+    return Placed(position, at, contacts, memory, True)
+
+
+def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forces, closed: float) -> Placed:
+    """The closest position without overlap, in the kinetic metric: min ½‖δ‖²_M̃ under g + H_Nᵀ δ ≥ 0.
+
+    Each pass is a frictionless contact problem for the shift δ, on the gaps g of the shapes where the last one has
+    brought them.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+    detector : Detector
+    placed : Placed
+        Where the motion ends.
+    forces : Forces
+        Whose mass matrices are the metric.
+    closed : float
+        Largest overlap [m] that is left.
+
+    Returns
+    -------
+    Placed
+        `placed` itself where nothing overlaps; not `clear` where bodies are squeezed so that nothing helps.
+    """
+    for _ in range(PASSES):
+        gap = placed.contacts.gap
+        deepest = float(gap.min(initial=0.0))
+        if deepest >= -closed:
+            return placed
+        rows, _ = dynamics.rows(placed.contacts, placed.place, forces, None)
+        g = np.zeros(3 * gap.size)
+        g[0::3] = gap
+        problem = FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size))
+        tol = max(0.1 * closed, -COARSE * deepest)
+        shift = rows.velocity_change(Auto(tol=tol)(problem).r)
+        moved = dynamics.shift(placed.position, shift)
+        placed = place(dynamics, detector, moved, placed.memory)
+    return placed._replace(clear=bool(placed.contacts.gap.min(initial=0.0) >= -closed))
