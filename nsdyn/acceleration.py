@@ -29,7 +29,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from nsdyn.contacts import ContactSet, Detector
+from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.problem import Array
 from nsdyn.scene import Scene
@@ -244,7 +244,7 @@ def least_constraint(
     if joints is not None and (joints.mu.any() or joints.gap.min() <= closed):
         raise ValueError("scene must have no dry joint friction, and no joint at its limit")
     reach = np.full(d.frames, closed)
-    found = detector.detect(d.x, d.R, reach)
+    found, memory = detector.find(d.x, d.R, reach, ContactMemory.empty())
     blocks, frame = d.blocks(found)
     u = blocks.relative_velocity(v).reshape(-1, 3)
     touching = found.gap <= closed
@@ -267,7 +267,9 @@ def least_constraint(
     p = np.zeros((found.key.size, 3))
     if rate > 0.0 and v.any():
         step = REACH * size / rate
-        ahead, behind = (_along(d, detector, position, v, s, reach + 10 * REACH * size, found) for s in (step, -step))
+        ahead, behind = (
+            _along(d, detector, position, v, s, reach + 10 * REACH * size, found, memory) for s in (step, -step)
+        )
         if not np.isfinite(ahead[keep] - behind[keep]).all():
             raise ValueError("a closed contact ends or begins at this very state: its acceleration is not defined")
         change = (ahead - behind) / (2.0 * step)
@@ -281,11 +283,18 @@ def least_constraint(
 
 
 def _along(
-    d: Dynamics, detector: Detector, position: Position, v: Array, s: float, reach: Array, found: ContactSet
+    d: Dynamics,
+    detector: Detector,
+    position: Position,
+    v: Array,
+    s: float,
+    reach: Array,
+    found: ContactSet,
+    memory: ContactMemory,
 ) -> Array:
     """Relative velocities (nc, 4) of the found contacts at position ⊕ s v: world axes, then normal; NaN if gone."""
     d.evaluate(d.advance(position, v, s))
-    there = detector.detect(d.x, d.R, reach)
+    there, _ = detector.find(d.x, d.R, reach, memory)
     blocks, frame = d.blocks(there)
     u = blocks.relative_velocity(v).reshape(-1, 3)
     out = np.full((found.key.size, 4), np.nan)

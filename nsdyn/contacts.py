@@ -85,7 +85,7 @@ class ContactSet(NamedTuple):
 
 
 class ContactMemory(NamedTuple):
-    """What a detector remembers of the last contacts to recognise them, all of it.
+    """What it takes to recognise contacts in the next configuration, all of it.
 
     Attributes
     ----------
@@ -100,9 +100,16 @@ class ContactMemory(NamedTuple):
     points: Array
     next_key: int
 
+    @classmethod
+    def empty(cls) -> ContactMemory:
+        """Of no contacts: keys start at 0."""
+        return cls(np.empty((5, 0), dtype=np.int64), np.empty((4, 0, 3)), 0)
+
 
 class Detector:
-    """Finds the contacts of a fixed list of geoms, configuration after configuration.
+    """Finds the contacts of a fixed list of geoms in any configuration.
+
+    A function of its arguments: what it keeps between calls (candidate pairs, models of Coal) changes no result.
 
     Parameters
     ----------
@@ -150,31 +157,21 @@ class Detector:
         for k in range(n):
             broadphase.bound(self._geometry, k, self._R[k], self._t[k], self._lower, self._upper)
         self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
-        self._served = 0  # steps by the present candidates
+        self._served = 0  # calls served by the present candidates
         self._batches: list[_Batch] = []
         self._models: list[pin.GeometryModel] = []
         # Largest polygon: a face clipped by a face or by a circle, or all vertices against a half-space.
         loops = np.diff(self._geometry.loop_ptr).max(initial=max_points)
         room = int(max(4 * max(loops, max_points), np.diff(self._geometry.vertex_ptr).max(initial=0)))
         self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
-        self._memory = ContactMemory(np.empty((5, 0), dtype=np.int64), np.empty((4, 0, 3)), 0)
         self._set_pairs(np.empty(0, dtype=np.int64))
-
-    @property
-    def memory(self) -> ContactMemory:
-        """The last contacts; setting it makes the next detection continue from there, bit for bit."""
-        return self._memory
-
-    @memory.setter
-    def memory(self, memory: ContactMemory) -> None:
-        self._memory = memory
 
     @property
     def pairs(self) -> tuple[Index, Index]:
         """The candidate pairs of geoms, sorted."""
         return self._first, self._second
 
-    def detect(self, x: Array, R: Array, reach: Array) -> ContactSet:
+    def find(self, x: Array, R: Array, reach: Array, memory: ContactMemory) -> tuple[ContactSet, ContactMemory]:
         """Contacts of a configuration.
 
         Parameters
@@ -182,15 +179,31 @@ class Detector:
         x, R : ndarray, shapes (nframes, 3), (nframes, 3, 3)
             Poses of the moving frames, body to world; m.
         reach : ndarray, shape (nframes,)
-            How far any point of the frame's geoms may move in the coming step, m. Contacts up to a gap of the sum of
-            both reaches (and `MARGIN` of the size) are found.
-        """
-        self.candidates(x, R, reach)
-        self.narrow()
-        return self.manifold()
+            How far any point of the frame's geoms may still move, m. Contacts up to a gap of the sum of both reaches
+            (and `MARGIN` of the size) are found.
+        memory : ContactMemory
+            Of the configuration whose contacts go on: those found again keep their keys.
 
-    def candidates(self, x: Array, R: Array, reach: Array) -> None:
-        """First part of `detect`: place the geoms and renew the candidate pairs if one has left its fat box."""
+        Returns
+        -------
+        ContactSet
+        ContactMemory
+            To go on from these contacts.
+        """
+        self._renew(x, R, reach)
+        for batch in self._batches:
+            batch.run(self._R, self._t)
+        count = manifold.manifolds(*self._search)
+        names, points, scalars = np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))
+        next_key = keys.collect(*self._found, memory.names, memory.points, memory.next_key, names, points, scalars)
+        # By index: to unpack an array takes twice as long.
+        found = ContactSet(
+            names[0], names[1], names[2], names[3], points[0], points[1], scalars[0], scalars[1], scalars[2], names[4]
+        )
+        return found, ContactMemory(names, points, next_key)
+
+    def _renew(self, x: Array, R: Array, reach: Array) -> None:
+        """Place the geoms, and renew the candidate pairs if one has left its fat box."""
         fields, boxes = self._fields, (self._lower, self._upper)
         fat = self._fat_lower, self._fat_upper
         if broadphase.follow(fields, x, R, reach, self._base, self._R, self._t, self._reach, *boxes, *fat):
@@ -234,23 +247,6 @@ class Detector:
             pair, first, second, self._frame, mu, restitution, point, normal, gap, self._geometry.radius, *pose,
             TOLERANCE, self._reach,
         )  # fmt: skip
-
-    def narrow(self) -> None:
-        """Second part of `detect`: ask Coal for distance and direction of the pairs that have no closed form."""
-        for batch in self._batches:
-            batch.run(self._R, self._t)
-
-    def manifold(self) -> ContactSet:
-        """Third part of `detect`: points, normals and gaps, and the keys of contacts that last."""
-        count = manifold.manifolds(*self._search)
-        names, points, scalars = np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))
-        old = self._memory
-        next_key = keys.collect(*self._found, old.names, old.points, old.next_key, names, points, scalars)
-        self._memory = ContactMemory(names, points, next_key)
-        # By index: to unpack an array takes twice as long.
-        return ContactSet(
-            names[0], names[1], names[2], names[3], points[0], points[1], scalars[0], scalars[1], scalars[2], names[4]
-        )
 
 
 def _flatten(geoms: Sequence[Geom]) -> broadphase.Geometry:

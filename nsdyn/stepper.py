@@ -258,7 +258,7 @@ class Stepper:
         position, v = self.dynamics.start()
         self._check_overlap(geoms, position)
         history = History.empty(v.size, self.dynamics.joints.size)
-        self._state = State(0.0, self.dt, 0, position, v, history, self.detector.memory)
+        self._state = State(0.0, self.dt, 0, position, v, history, ContactMemory.empty())
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -280,7 +280,6 @@ class Stepper:
         if state.dt != self.dt:
             history = state.history.scaled(self.dt / state.dt)
             state = State(state.t, self.dt, 0, state.position, state.v, history, state.memory)
-        self.detector.memory = state.memory
         self._state = state
 
     def start(self) -> Start:
@@ -308,11 +307,9 @@ class Stepper:
         # Contacts, joint limits and joint friction, and their impact law.
         if fast:  # then contacts are looked for where the step begins, and their gaps extrapolated to the midpoint
             d.place(s.position)
-        self.detector.candidates(d.x, d.R, reach)
         t_broad = clock()
-        self.detector.narrow()
+        contacts, memory = self.detector.find(d.x, d.R, reach, s.memory)
         t_narrow = clock()
-        contacts = self.detector.manifold()
         blocks, frame = d.blocks(contacts)
         joints = d.joint_rows(middle, s.v, v_free, h)
         rows = d.rows(blocks, joints)
@@ -375,7 +372,7 @@ class Stepper:
             contacts.key, status, contacts.normal, left.impulse, left.velocity, met.turn, left.change, left.push, slots,
             solved,
         )  # fmt: skip
-        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
+        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, memory)
         q_out, v_out = d.pinocchio_state(end, v)
         x, quaternion = poses
         certificate = gauss.certify(problem, solution.r, solution.u)
@@ -440,7 +437,6 @@ class Stepper:
             fclib.write(path, problem, guesses=[guess], v_free=v_free, description=message, overwrite=True)
             message += f"; its problem is in {path}"
         if self.on_fail == "raise":
-            self.detector.memory = self._state.memory
             raise NotConverged(message, problem, solution)
         if self.on_fail == "warn" and not self._failures:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
@@ -473,7 +469,7 @@ class Stepper:
         """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
         d = self.dynamics
         d.place(position)
-        contacts = self.detector.detect(d.x, d.R, np.zeros(d.frames))
+        contacts, _ = self.detector.find(d.x, d.R, np.zeros(d.frames), ContactMemory.empty())
         if not contacts.gap.size:
             return
         k = int(contacts.gap.argmin())

@@ -6,7 +6,7 @@ import pinocchio as pin
 import pytest
 
 from nsdyn import contacts, shapes
-from nsdyn.contacts import Detector
+from nsdyn.contacts import ContactMemory, Detector
 from nsdyn.scene import Geom, Material
 from nsdyn.shapes import HALFSPACE
 
@@ -58,7 +58,12 @@ def contacts_of(*placed, reach=0.0, **options):
     moving = [p for p in placed if p[0].kind != HALFSPACE]
     x = np.array([p[1] for p in moving], dtype=float)
     R = np.array([p[2] for p in moving], dtype=float)
-    return detector(*(p[0] for p in placed), **options).detect(x, R, np.full(len(moving), reach))
+    return alone(detector(*(p[0] for p in placed), **options), x, R, np.full(len(moving), reach))
+
+
+def alone(detector, x, R, reach):
+    """Contacts of a configuration that continues no other."""
+    return detector.find(x, R, reach, ContactMemory.empty())[0]
 
 
 def support(shape, R, n):
@@ -95,7 +100,7 @@ def test_flat_ends_on_each_other(lower, upper, gap, rng):
         offset = rng.uniform(-0.3, 0.3, size=2) * (k % 3 != 0)
         R2 = Q @ about((0, 0, 1), rng.uniform(0, 6) * (k % 4 != 0)) @ (TURNED if k % 2 else UPRIGHT)
         x = np.array([origin, origin + Q @ [*offset, 0.6 + gap]])
-        c = pair.detect(x, np.array([Q, R2]), np.zeros(2))
+        c = alone(pair, x, np.array([Q, R2]), np.zeros(2))
         assert 3 <= len(c.gap) <= 8
         # A few roundings of coordinates of size 3.
         assert np.abs(c.normal - Q[:, 2]).max() < 1e-14
@@ -277,7 +282,7 @@ def test_smooth_contact_is_exact(first, second, gap, rng):
         R1, R2, n, o = random_rotation(rng), random_rotation(rng), rng.normal(size=3), rng.normal(size=3)
         n /= np.linalg.norm(n)
         p = o + support(A, R1, n)
-        c = pair.detect(np.array([o, p + gap * n - support(B, R2, -n)]), np.array([R1, R2]), np.zeros(2))
+        c = alone(pair, np.array([o, p + gap * n - support(B, R2, -n)]), np.array([R1, R2]), np.zeros(2))
         assert len(c.gap) == 1
         # Roundings of 1e-16 over the smallest radius of curvature, 0.08, of the ellipsoid and of Newton's last step.
         np.testing.assert_allclose(c.normal[0], n, rtol=0, atol=1e-12)
@@ -348,14 +353,14 @@ def test_pairs_that_are_never_tested():
     fixed = [geom(GROUND, -1), geom(GROUND, -1), geom(cube, -1)]
     geoms = [*fixed, geom(cube, 0), geom(cube, 0, (0.9, 0.0, 0.0)), geom(cube, 1)]
     d = Detector(geoms, rule, {(5, 3)})
-    c = d.detect(np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.zeros(2))
+    c = alone(d, np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.zeros(2))
     expected = {(0, 3), (0, 4), (0, 5), (1, 3), (1, 4), (1, 5), (2, 3), (2, 4), (2, 5), (4, 5)}
     assert set(zip(c.geom1.tolist(), c.geom2.tolist(), strict=True)) == expected
     assert {(-1, 0), (-1, 1), (0, 1)} == set(zip(c.frame1.tolist(), c.frame2.tolist(), strict=True))
 
 
 def test_no_geoms_and_one_geom():
-    assert Detector([], rule).detect(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0)).gap.shape == (0,)
+    assert alone(Detector([], rule), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0)).gap.shape == (0,)
     assert len(contacts_of((BOX, np.zeros(3), UPRIGHT)).gap) == 0
 
 
@@ -389,7 +394,7 @@ def rows(c):
 
 def test_order_materials_and_frames(rng):
     d, x, R = pile(rng)
-    c = d.detect(x, R, np.zeros(len(x)))
+    c = alone(d, x, R, np.zeros(len(x)))
     assert len(c.gap) > 100
     code = c.geom1 * 1000 + c.geom2
     assert (np.diff(code) >= 0).all()
@@ -407,7 +412,7 @@ def test_candidates_equal_brute_force(rng):
     for _ in range(5):
         d, x, R = pile(rng)
         reach = rng.uniform(0, 0.05, size=len(x))
-        d.detect(x, R, reach)
+        alone(d, x, R, reach)
         n = len(CROWD)
         low, high = np.zeros((n, 3)), np.zeros((n, 3))
         for g in range(1, n):
@@ -432,9 +437,9 @@ def test_reused_candidates_give_the_contacts_of_fresh_ones(rng):
     renewed, last = 0, None
     for _ in range(30):
         x = x + velocity
-        c = d.detect(x, R, reach)
+        c = alone(d, x, R, reach)
         fresh = detector(*CROWD)
-        for a, b in zip(rows(c), rows(fresh.detect(x, R, reach)), strict=True):
+        for a, b in zip(rows(c), rows(alone(fresh, x, R, reach)), strict=True):
             assert a.tobytes() == b.tobytes()
         renewed += d.pairs[0] is not last
         last = d.pairs[0]
@@ -476,11 +481,12 @@ def test_gap_changes_at_the_normal_velocity_of_the_point(first, second, flat, rn
         x[1] = n * (n @ x[1])
     v, w = rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
     d, h, reach = detector(A, B), 1e-6, np.full(2, 1e-2)
-    c = d.detect(x, np.array([R1, R2]), reach)
+    c, memory = d.find(x, np.array([R1, R2]), reach, ContactMemory.empty())
     assert c.gap.min() == pytest.approx(1e-2, abs=1e-6)
     gaps = {}
     for s in (-h, h):
-        moved = d.detect(x + s * v, np.array([about(w[0], s) @ R1, about(w[1], s) @ R2]), reach)
+        turned = np.array([about(w[0], s) @ R1, about(w[1], s) @ R2])
+        moved, _ = d.find(x + s * v, turned, reach, memory)
         gaps[s] = dict(zip(moved.key.tolist(), moved.gap.tolist(), strict=True))
     arm1, arm2 = c.point - x[0], c.point - x[1]
     speed = np.sum(c.normal * (v[1] + np.cross(w[1], arm2) - v[0] - np.cross(w[0], arm1)), axis=1)
@@ -532,9 +538,9 @@ def test_keys_last_while_a_box_slides_off_the_edge():
     cube = shapes.box((1, 1, 1))
     d = detector(shapes.box((1.2, 3, 1)), cube)
     R = np.tile(np.eye(3), (2, 1, 1))
-    seen = []
+    seen, memory = [], ContactMemory.empty()
     for k in range(100):
-        c = d.detect(np.array([[0, 0, 0], [0.005 * k, 0, 1.0]]), R, np.zeros(2))
+        c, memory = d.find(np.array([[0, 0, 0], [0.005 * k, 0, 1.0]]), R, np.zeros(2), memory)
         assert len(c.gap) == 4
         seen.append(dict(zip(c.key.tolist(), c.point.tolist(), strict=True)))
     trailing = [key for key, point in seen[0].items() if point[0] < 0]
@@ -547,33 +553,38 @@ def test_keys_last_while_a_box_slides_off_the_edge():
 def test_keys_of_a_lasting_contact_do_not_depend_on_the_order_of_points(rng):
     """A cylinder that rocks about a line through its centre: the rim points turn, keys never come back."""
     d = detector(GROUND, CYLINDER)
-    highest = -1
+    highest, memory = -1, ContactMemory.empty()
     for k in range(50):
         R = about((np.cos(0.1 * k), np.sin(0.1 * k), 0), 1e-5)
-        c = d.detect(np.array([[0, 0, 0.3]]), R[None], np.array([1e-3]))
+        c, memory = d.find(np.array([[0, 0, 0.3]]), R[None], np.array([1e-3]), memory)
         assert len(set(c.key.tolist())) == len(c.gap) == 8
         new = c.key[c.key > highest]
         assert set(new.tolist()) == set(range(highest + 1, highest + 1 + len(new)))
         highest = max(highest, int(c.key.max()))
 
 
-def test_memory_resumes_bit_for_bit(rng):
-    """A new detector given the memory of another continues with the same keys."""
+def everything(found, memory):
+    return b"".join(a.tobytes() for a in (*found, memory.names, memory.points)), memory.next_key
+
+
+def test_find_is_a_function_of_its_arguments(rng):
+    """Whatever configurations were seen in between, by this or another detector; and what it returned stays."""
     d, x, R = pile(rng)
     reach = np.full(len(x), 1e-3)
     velocity = 1e-3 * rng.uniform(-1, 1, size=x.shape)
-    for k in range(5):
-        d.detect(x + k * velocity, R, reach)
-    saved = d.memory
+    memory, run = ContactMemory.empty(), []
+    for k in range(8):
+        found, after = d.find(x + k * velocity, R, reach, memory)
+        run.append((memory, found, after, everything(found, after)))
+        memory = after
+    assert memory.next_key > len(run[0][1].key)
     fresh = detector(*CROWD)
-    fresh.memory = saved
-    for k in range(5, 10):
-        a, b = (each.detect(x + k * velocity, R, reach) for each in (d, fresh))
-        assert a.key.tobytes() == b.key.tobytes()
-        assert a.point.tobytes() == b.point.tobytes()
-    d.memory = saved
-    assert d.detect(x + 5 * velocity, R, reach).key.max() >= 0
-    assert saved.next_key <= d.memory.next_key
+    for k in reversed(range(8)):
+        before, found, after, was = run[k]
+        assert everything(found, after) == was
+        alone(d, x + rng.normal(size=x.shape), R, 9 * reach)
+        for each in (d, fresh):
+            assert everything(*each.find(x + k * velocity, R, reach, before)) == was
 
 
 # -- Coal ---------------------------------------------------------------------------------------------------
@@ -582,10 +593,10 @@ def test_memory_resumes_bit_for_bit(rng):
 def test_many_geoms_are_asked_in_batches(rng, monkeypatch):
     """The answer does not depend on how many geoms share a model."""
     d, x, R = pile(rng)
-    c = d.detect(x, R, np.zeros(len(x)))
+    c = alone(d, x, R, np.zeros(len(x)))
     monkeypatch.setattr(contacts, "SLOTS", 5)
     small = detector(*CROWD)
-    b = small.detect(x, R, np.zeros(len(x)))
+    b = alone(small, x, R, np.zeros(len(x)))
     for one, two in zip(rows(c), rows(b), strict=True):
         assert one.tobytes() == two.tobytes()
 

@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 
 import nsdyn as nd
+from nsdyn.contacts import ContactMemory
 from nsdyn.dynamics import Dynamics
 
 
@@ -97,13 +98,14 @@ def test_rows_are_gap_rates(rng):
     d = stepper.dynamics
     position, _ = d.start()
     v = rng.normal(size=d.n)
-    h = 1e-6
+    h, reach = 1e-6, np.full(3, 1e-3)
+    d.evaluate(position)
+    contacts, memory = stepper.detector.find(d.x, d.R, reach, ContactMemory.empty())
     gaps = []
     for s in (-h, h):
         d.evaluate(d.advance(position, v, s))
-        gaps.append(stepper.detector.detect(d.x, d.R, np.full(3, 1e-3)))
+        gaps.append(stepper.detector.find(d.x, d.R, reach, memory)[0])
     d.evaluate(position)
-    contacts = stepper.detector.detect(d.x, d.R, np.full(3, 1e-3))
     blocks, _ = d.blocks(contacts)
     same = (gaps[0].key[:, None] == contacts.key).any(axis=0) & (gaps[1].key[:, None] == contacts.key).any(axis=0)
     assert same.sum() >= 5

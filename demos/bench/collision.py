@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 import nsdyn as nd
-from nsdyn.contacts import Detector
+from nsdyn.contacts import ContactMemory, Detector
 from nsdyn.dynamics import Dynamics
 
 ALL_PAIRS = 200
@@ -94,7 +94,7 @@ def main() -> None:
     dynamics.place(dynamics.start()[0])
     detector = Detector(geoms, scene.pair_material(geoms))
     still = np.zeros(dynamics.frames)
-    contacts = detector.detect(dynamics.x, dynamics.R, still)
+    contacts, memory = detector.find(dynamics.x, dynamics.R, still, ContactMemory.empty())
     pairs = sorted(set(zip(contacts.geom1.tolist(), contacts.geom2.tolist(), strict=True)))
     touching = len(pairs)
     print(f"{boxes} boxes, {touching} pairs that touch, {contacts.gap.size} contacts{'a step':>34} {'a pair':>15}")
@@ -122,19 +122,19 @@ def main() -> None:
 
     report(f"pin.computeCollisions over its broad phase, {some}", median(managed), touch)
 
+    def find() -> object:
+        return detector.find(dynamics.x, dynamics.R, still, memory)
+
     def renew() -> None:
         detector._fat_lower[:] = np.inf
-        detector.candidates(dynamics.x, dynamics.R, still)
+        find()
 
     def rebuild() -> None:
         detector._set_pairs(detector._codes)
 
-    same = median(lambda: detector.candidates(dynamics.x, dynamics.R, still))
-    report("nsdyn: boxes followed, candidates as before", same, touching)
-    report("nsdyn: candidates renewed, the same as before", median(renew), touching)
+    report("nsdyn: all of it, candidates as before", median(find), touching)
+    report("nsdyn: all of it, candidates renewed, the same as before", median(renew), touching)
     report("nsdyn: batches for Coal rebuilt for other candidates", median(rebuild), touching)
-    report("nsdyn: distances and directions, pin.computeDistances", median(detector.narrow), touching)
-    report("nsdyn: points, normals, gaps and keys from the features", median(detector.manifold), touching)
 
 
 if __name__ == "__main__":
