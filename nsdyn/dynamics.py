@@ -290,6 +290,15 @@ class Dynamics:
             minv.append(load.minv.ravel())
         return Forces(out, force, torque, np.concatenate(m), np.concatenate(minv), tuple(loads))
 
+    def inertia(self, position: Position, v: Array) -> Forces:
+        """Mass matrices at a position, where no forces act: what impacts meet."""
+        if not self.trees:
+            return Forces(v, self._no_load, self._no_load, self._m, self._minv, ())
+        loads = tuple(t.inertia(q) for t, q in zip(self.trees, position.trees, strict=True))
+        m = np.concatenate([self._m, *(load.m.ravel() for load in loads)])
+        minv = np.concatenate([self._minv, *(load.minv.ravel() for load in loads)])
+        return Forces(v, self._no_load, self._no_load, m, minv, loads)
+
     def _applied(self, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))

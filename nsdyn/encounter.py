@@ -70,6 +70,8 @@ class Encounter(NamedTuple):
     mu, restitution : ndarray, shape (rows,)
     place : ndarray of int, shape (nc,)
         Where the contacts stand in the warm start, -1 for new ones.
+    status : ndarray of int8
+        Of the contacts of the warm start.
     u_begin, u, u_free : ndarray, shape (3 rows,)
         u_k, u⁻ and u_f, m/s.
     turn : ndarray, shape (3 rows,)
@@ -78,6 +80,8 @@ class Encounter(NamedTuple):
         G, m or rad.
     guess : ndarray, shape (3 rows,)
         Last impulses, N·s.
+    drag : ndarray, shape (3 rows,)
+        What surfaces that move add to u⁻ and u⁺, m/s; empty if none do.
     """
 
     contacts: ContactSet
@@ -87,12 +91,14 @@ class Encounter(NamedTuple):
     mu: Array
     restitution: Array
     place: Index
+    status: NDArray[np.int8]
     u_begin: Array
     u: Array
     u_free: Array
     turn: Array
     end_gap: Array
     guess: Array
+    drag: Array
 
     def changed(self, dv: Array) -> Encounter:
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
@@ -110,7 +116,7 @@ def meet(
     middle: Placement,
     begin: tuple[ContactSet, Placement, tuple[Array, Array], Warm],
     reach: Array,
-    drags: tuple[Array, Array],
+    surfaces: tuple[Array, Array, Array],
     ahead: float,
 ) -> Encounter:
     """Relative velocities of a step at its contacts and joint rows.
@@ -130,8 +136,8 @@ def meet(
         Where the step begins.
     reach : ndarray, shape (frames,)
         How far points of the frames move in the step, m.
-    drags : two ndarrays of shape (3 nc,)
-        What surfaces that move add to the relative velocities, with the impulses and at the end, m/s; empty if none do.
+    surfaces : (driven_x, twists, twists at the end)
+        Where driven bodies are, and how they and sliding surfaces move when the impulses act and at the end.
     ahead : float
         h₂, s.
     """
@@ -141,9 +147,10 @@ def meet(
     u_begin, u, u_free, turn, guess = np.empty((5, 3 * nr))
     end_gap = np.empty(nr)
     old, place, twists, warm = begin
+    drags = dynamics.surfaces.drags(contacts, frame, surfaces[0], nr, *surfaces[1:])
     where = _law.meet(
-        full.offset, full.block, full.start, full.h, v, forces.v, *drags, rows.press, warm.key, warm.impulse, old.point,
-        old.normal, place.x, *twists, reach, contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame,
+        full.offset, full.block, full.start, full.h, v, forces.v, *drags, rows.press, warm.key, warm.impulse, old.key,
+        old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame,
         middle.x, contacts.gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
     )  # fmt: skip
     mu, restitution = contacts.mu, contacts.restitution
@@ -152,7 +159,7 @@ def meet(
         end_gap[nc:] = joints.gap
         mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
     return Encounter(
-        contacts, joints, rows, frame, mu, restitution, where, u_begin, u, u_free, turn, end_gap, guess
+        contacts, joints, rows, frame, mu, restitution, where, warm.status, u_begin, u, u_free, turn, end_gap, guess, drags[0]
     )  # fmt: skip
 
 

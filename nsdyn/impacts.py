@@ -55,10 +55,8 @@ class Impact(NamedTuple):
         Works of the impulses, J.
     created : float
         Energy created, J: the sum over rounds and islands of contacts whose impulses together did positive work.
-    last : Solution or None
-        The worst solution of a round.
-    problem : FC3D or None
-        Its problem.
+    problem, solution : FC3D and Solution, or None
+        Of the round that was solved worst.
     """
 
     r: Array
@@ -66,8 +64,8 @@ class Impact(NamedTuple):
     normal: Array
     friction: Array
     created: float
-    last: Solution | None
     problem: FC3D | None
+    solution: Solution | None
 
 
 def struck(u: Array, restitution: Array, closed: Bools, resting: Array) -> Bools:
@@ -126,7 +124,7 @@ def strike(
         u = after
         if worst is None or solution.error > worst.error:
             worst, where = solution, problem
-    return Impact(total, u, normal, friction, created, worst, where)
+    return Impact(total, u, normal, friction, created, where, worst)
 
 
 def _round(

@@ -8,18 +8,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn import encounter, impacts
 from nsdyn._kernels import law as _law
 from nsdyn._kernels import motion as _motion
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Forces, Placement, Position
-from nsdyn.encounter import Encounter, Warm
+from nsdyn.encounter import Encounter, Warm, meet, solve
 from nsdyn.energy import Works
-from nsdyn.problem import FC3D, Array, Solution
-from nsdyn.projection import Placed, place, project
+from nsdyn.impacts import Impact, strike
+from nsdyn.problem import FC3D, Array, Index, Solution
+from nsdyn.projection import place, project
 from nsdyn.solvers import Solver
 
-__all__ = ["Impulses", "Instant", "Move", "System", "move", "strike"]
+__all__ = ["Impulses", "Instant", "Move", "System", "collide", "move"]
+
+NOTHING = np.empty(0)
 
 Bools = NDArray[np.bool_]
 Callbacks = Callable[[Position, Array], tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]]
@@ -73,6 +75,11 @@ class Instant(NamedTuple):
     memory: ContactMemory
     warm: Warm
 
+    def held(self, closed: float) -> Index:
+        """Keys of the contacts that are closed."""
+        out: Index = self.contacts.key[self.contacts.gap <= closed]
+        return out
+
 
 class Impulses(NamedTuple):
     """What acted at one configuration.
@@ -114,14 +121,13 @@ class Move(NamedTuple):
     works : Works
     problem : FC3D
     solution : Solution
+        Of the last problem solved.
     clear : bool
         Whether the end is without overlap.
-    late : bool
-        Whether a contact was struck where the move begins: impacts come first.
-    hits : ndarray of bool, shape (nc of the end,)
-        Contacts with restitution that the move ran into; they had no impulse.
-    resting : ndarray, shape (rows,)
-        Speeds of approach below which the contacts of `impulses` rest, m/s.
+    hits : ndarray of bool, shape (contacts of the end,)
+        Which contacts where the motion ends have a restitution that it was not to meet.
+    rate : ndarray, shape (n,)
+        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
     """
 
     end: Instant
@@ -130,12 +136,13 @@ class Move(NamedTuple):
     problem: FC3D
     solution: Solution
     clear: bool
-    hits: Bools
+    hits: ContactSet
+    rate: Array
 
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:
     """Some of the contacts."""
-    return ContactSet(*(column[kept] for column in contacts))
+    return contacts if kept.all() else ContactSet(*(column[kept] for column in contacts))
 
 
 def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, located: bool) -> Move:
@@ -156,110 +163,134 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, lo
     callbacks : callable
         (wrenches, joint forces) at a position and a velocity.
     located : bool
-        Whether contacts with restitution that are open where the move begins are left alone, to be found as `hits`.
+        Whether contacts with restitution that are open where the move begins are left alone, and found as `hit`.
     """
     d, before, after = s.dynamics, (1.0 - s.theta) * h, s.theta * h
     begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
-
+    # Half a free flow, and the forces there.
     middle, v = d.flow(begin.position, begin.v, before, begun)
     placement = d.place(middle)
     forces = d.forces(begin.position, middle, v, t + h, h, s.theta, *callbacks(middle, begin.v))
-
+    # What can touch until the end, and how it moves.
     reach = d.reach(placement, forces.v, after, h, ended)
     contacts, memory = s.detector.find(placement.x, placement.R, reach, begin.memory)
     if located:
-        contacts = take(contacts, _admitted(contacts, begin.contacts, s.closed))
+        contacts = take(contacts, (contacts.restitution == 0.0) | np.isin(contacts.key, begin.held(s.closed)))
     joints = d.joint_rows(middle, v, forces.v, h)
-    drags = d.surfaces.drags(contacts, placement, d.surfaces.mean(begun, ended), ended)
     start = begin.contacts, begin.placement, d.twists(begin.placement, begin.v), begin.warm
-    met = encounter.meet(d, contacts, joints, forces, v, placement, start, d.reach(begin.placement, begin.v, h, h, begun), drags, after)
-    struck = _struck(s, met, h, after)
-    impact = None
-    if struck.any():
-        impact, met, forces, v = _caught(s, met, forces, v, struck)
-
-    problem, solution = encounter.solve(met, s.solver, after, s.closed)
-    change = met.rows.velocity_change(solution.r)
-    v_plus = forces.v + change
-
+    surfaces = middle.driven_x, d.surfaces.mean(begun, ended, 0.5), ended
+    far = d.reach(begin.placement, begin.v, h, h, begun)
+    met = meet(d, contacts, joints, forces, v, placement, start, far, surfaces, after)
+    # Impulses.
+    met, impact, kick = _caught(s, met, h)
+    problem, solution = solve(met, s.solver, after, s.closed)
+    v_plus = forces.v + kick + met.rows.velocity_change(solution.r)
+    # Half a free flow, and nothing overlaps where it ends.
     end, v_end = d.flow(middle, v_plus, after, ended)
-    moved = place(d, s.detector, end, memory)
+    moved = place(d, s.detector, end, memory, far if located else None)
     placed = project(d, s.detector, moved, forces, s.closed)
-
-    impulses, works, warm = _account(s, met, forces, v, v_plus, solution.r, h, struck, drags[0])
-    if impact is not None:
-        impulses, works = _with_impact(impulses, works, impact, met)
+    impulses, works, warm = _account(s, met, forces, (v, v + kick, v_plus), solution.r, h, impact)
     if placed is not moved:
-        lift = d.energies(placed.position, v_end)
-        works += Works(projection=sum(lift) - sum(d.energies(moved.position, v_end)))
-    instant = Instant(placed.position, v_end, placed.place, placed.contacts, placed.memory, warm)
-    hits = _hits(s, met, moved) if located else np.zeros(0, np.bool_)
-    return Move(instant, impulses, works, problem, solution, placed.clear, hits)
+        lift = sum(d.energies(placed.position, v_end)) - sum(d.energies(moved.position, v_end))
+        works = works._replace(projection=lift)
+    instant = Instant(placed.position, v_end, placed.placement, placed.contacts, placed.memory, warm)
+    left = moved.contacts.restitution > 0.0
+    if left.any():
+        left &= located & ~np.isin(moved.contacts.key, met.contacts.key)
+    return Move(
+        instant, impulses, works, problem, solution, placed.clear, take(moved.contacts, left), (forces.v - v) / h
+    )  # fmt: skip
 
 
-def _admitted(contacts: ContactSet, begin: ContactSet, closed: float) -> Bools:
-    """Contacts without restitution, and those that are closed where the move begins."""
-    held = begin.key[begin.gap <= closed]
-    out: Bools = (contacts.restitution == 0.0) | np.isin(contacts.key, held)
-    return out
+def _caught(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | None, Array | float]:
+    """Impacts in no time where the other impulses act, of contacts that close within the move.
 
-
-def _hits(s: System, met: Encounter, moved: Placed) -> Bools:
-    """Which contacts where the motion ends are overlaps of shapes whose restitution was left alone."""
-    found = moved.contacts
-    out: Bools = (found.restitution > 0.0) & (found.gap < -s.closed) & ~np.isin(found.key, met.contacts.key)
-    return out
-
-
-def _struck(s: System, met: Encounter, h: float, after: float) -> Bools:
-    """Contacts and joint limits that have an impact within the move: closing, and faster than what rests."""
+    What the others meet then, the impacts, and the change of v by them, 0 where there are none.
+    """
     if not met.restitution.any():
-        return np.zeros(met.restitution.size, np.bool_)
-    resting = _resting(met, s.dt / h)
-    approach, rate = met.u_begin[0::3], met.u[0::3]
-    closes = met.end_gap + after * (met.u_free + met.turn)[0::3] <= 0.0
-    out: Bools = (met.restitution > 0.0) & (approach < -resting) & (rate < 0.0) & closes
-    return out
-
-
-def _resting(met: Encounter, ratio: float) -> Array:
-    """Speeds of approach below which contacts rest: what their own free acceleration does in two steps, m/s."""
-    out: Array = 2.0 * ratio * np.abs((met.u_free - met.u)[0::3])
-    return out
-
-
-def _caught(
-    s: System, met: Encounter, forces: Forces, v: Array, struck: Bools
-) -> tuple[impacts.Impact, Encounter, Forces, Array]:
-    """Impacts in no time where the other impulses act, and what they change."""
+        return met, None, 0.0
+    fall = 2.0 * s.dt / h * np.abs((met.u_free - met.u)[0::3])
+    closes = met.end_gap + s.theta * h * (met.u_free + met.turn)[0::3] <= 0.0
+    struck = (met.restitution > 0.0) & (met.u_begin[0::3] < -fall) & (met.u[0::3] < 0.0) & closes
+    if not struck.any():
+        return met, None, 0.0
+    # Rows that turn with their bodies are no approach.
+    resting = np.where(struck, fall, fall + 2.0 * np.abs(met.turn[0::3]))
     closed = struck | (met.end_gap <= s.closed)
-    resting = np.where(struck, 0.0, np.inf)
-    impact = impacts.strike(s.impact, s.solver, met.rows.blocks, met.u, met.mu, met.restitution, closed, resting)
-    dv = met.rows.velocity_change(impact.r)
-    return impact, met.changed(dv), forces._replace(v=forces.v + dv), v + dv
+    impact = _strike(s, met, closed, resting)
+    kick = met.rows.velocity_change(impact.r)
+    return met.changed(kick), impact, kick
+
+
+def _strike(s: System, met: Encounter, closed: Bools, resting: Array) -> Impact:
+    """Impacts of the closed contacts and joint limits; dry friction of joints has no impulse in no time."""
+    if met.rows.press.size:
+        closed = closed & (met.rows.press[0::3] == 0.0)
+    return strike(s.impact, s.solver, met.rows.blocks, met.u, met.mu, met.restitution, closed, resting)
+
+
+def collide(s: System, at: Instant, t: float, rate: Array) -> tuple[Instant, Impulses, Works, Impact] | None:
+    """Impacts in no time of what is closed at an instant; None where nothing strikes.
+
+    Parameters
+    ----------
+    s : System
+    at : Instant
+    t : float
+        s.
+    rate : ndarray, shape (n,)
+        Free acceleration there, m/s² and rad/s².
+    """
+    d = s.dynamics
+    contacts = take(at.contacts, at.contacts.gap <= s.closed)
+    joints = d.joint_rows(at.position, at.v, at.v, 0.0)
+    if not (contacts.restitution.any() or (joints is not None and joints.restitution.any())):
+        return None
+    forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
+    start = contacts, at.placement, d.twists(at.placement, at.v), at.warm
+    surfaces = at.position.driven_x, twist, twist
+    met = meet(d, contacts, joints, forces, at.v, at.placement, start, np.zeros(d.frames), surfaces, 0.0)
+    resting = 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
+    impact = _strike(s, met, met.end_gap <= s.closed, resting)
+    if impact.problem is None:
+        return None
+    v = at.v + met.rows.velocity_change(impact.r)
+    impulses, works, _ = _account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact)
+    return at._replace(v=v), impulses, works, impact
 
 
 def _account(
-    s: System, met: Encounter, forces: Forces, v: Array, v_plus: Array, r: Array, h: float, struck: Bools, drag: Array
-) -> tuple[Impulses, Works, Warm]:
-    """What the impulses did, their works, and what they leave to the next move."""
-    d, nc = s.dynamics, met.frame.shape[0]
-    nr = met.mu.size
-    u_plus = met.rows.full.relative_velocity(v_plus)
-    if drag.size:
-        u_plus += drag
-    status, world = np.empty(nc, np.int8), np.empty((nc, 3))
-    normal, friction, u_end = np.empty(nr), np.empty(nr), np.empty(3 * nr)
-    sums = _law.outcome(
-        r, met.mu, met.place, _law_status(met), struck, met.u, u_plus, met.turn, met.frame, status, normal, friction,
-        u_end, world,
-    )  # fmt: skip
-    external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, v, v_plus)
-    driving = -float(drag @ r) if drag.size else 0.0
-    works = Works(external, sums[0], sums[1], 0.0, driving, sums[2] + beyond, 0.0)
-    slots, on_joints = d.joints.impulses(met.joints, r.reshape(-1, 3)[nc:], d.n)
+    s: System, met: Encounter, forces: Forces, velocities: tuple[Array, Array, Array], r: Array, h: float,
+    impact: Impact | None,
+) -> tuple[Impulses, Works, Warm]:  # fmt: skip
+    """What the impulses r of a move, empty for none, and its impacts did, their works, and what they leave.
+
+    The velocities are those before the impacts, after them, and after r.
+    """
+    d, nc, nr = s.dynamics, met.frame.shape[0], met.mu.size
+    normal, friction, total, u_end = np.zeros(nr), np.zeros(nr), r, met.u
+    status, world, works, created = np.zeros(nc, np.int8), np.zeros((nc, 3)), Works(), 0.0
+    if r.size:
+        struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
+        u_plus = met.rows.full.relative_velocity(velocities[2])
+        if met.drag.size:
+            u_plus += met.drag
+        done = _law.outcome(
+            r, met.mu, met.place, met.status, struck, met.u, u_plus, met.turn, met.frame, status, normal, friction,
+            u_end, world,
+        )  # fmt: skip
+        external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
+        works = Works(external, done[0], done[1], integration=done[2] + beyond)
+    if impact is not None:
+        total = total + impact.r if r.size else impact.r
+        normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
+        works += Works(normal=float(impact.normal.sum()), friction=float(impact.friction.sum()))
+        status[(status == 0) & (impact.r[0 : 3 * nc : 3] > 0.0)] = 2
+    if met.drag.size:
+        works += Works(constraint=-float(met.drag @ total))
+    slots, on_joints = d.joints.impulses(met.joints, total.reshape(-1, 3)[nc:], d.n)
     impulses = Impulses(
-        met.contacts, met.frame, u_end.reshape(-1, 3)[:nc], r.reshape(-1, 3)[:nc], status, normal[:nc], friction[:nc],
-        on_joints, 0.0,
+        met.contacts, met.frame, u_end.reshape(-1, 3)[:nc], total.reshape(-1, 3)[:nc], status, normal[:nc],
+        friction[:nc], on_joints, created,
     )  # fmt: skip
     return impulses, works, Warm(met.contacts.key, world, status, slots)

@@ -8,7 +8,7 @@ import numpy as np
 
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Forces, Placement, Position
-from nsdyn.problem import FC3D
+from nsdyn.problem import FC3D, Array
 from nsdyn.solvers import Auto
 
 __all__ = ["Placed", "place", "project"]
@@ -26,7 +26,7 @@ class Placed(NamedTuple):
     Attributes
     ----------
     position : Position
-    place : Placement
+    placement : Placement
     contacts : ContactSet
         With the true gaps of the shapes.
     memory : ContactMemory
@@ -35,16 +35,18 @@ class Placed(NamedTuple):
     """
 
     position: Position
-    place: Placement
+    placement: Placement
     contacts: ContactSet
     memory: ContactMemory
     clear: bool
 
 
-def place(dynamics: Dynamics, detector: Detector, position: Position, memory: ContactMemory) -> Placed:
-    """The contacts at a position, whatever overlaps."""
+def place(
+    dynamics: Dynamics, detector: Detector, position: Position, memory: ContactMemory, reach: Array | None = None
+) -> Placed:
+    """The contacts at a position, whatever overlaps, up to the gaps that `reach` (frames,) allows, m."""
     at = dynamics.place(position)
-    contacts, memory = detector.find(at.x, at.R, np.zeros(dynamics.frames), memory)
+    contacts, memory = detector.find(at.x, at.R, np.zeros(dynamics.frames) if reach is None else reach, memory)
     return Placed(position, at, contacts, memory, True)
 
 
@@ -75,7 +77,7 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         deepest = float(gap.min(initial=0.0))
         if deepest >= -closed:
             return placed
-        rows, _ = dynamics.rows(placed.contacts, placed.place, forces, None)
+        rows, _ = dynamics.rows(placed.contacts, placed.placement, forces, None)
         g = np.zeros(3 * gap.size)
         g[0::3] = gap
         problem = FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size))

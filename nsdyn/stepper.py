@@ -1,4 +1,4 @@
-"""The Moreau–Jean time-stepper: one readable step, and the loop around it.
+"""The Moreau–Jean time-stepper: moves between located impacts, their record, and the loop around it.
 
 A step makes a dozen immutable values. They are named tuples, where the rest of the package has frozen dataclasses,
 which take three times as long to make: in a small scene that is a fifth of the step.
@@ -7,23 +7,23 @@ which take three times as long to make: in a small scene that is a fifth of the 
 from __future__ import annotations
 
 import math
-import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
-from nsdyn import energy, fclib, gauss, impacts
-from nsdyn._kernels import encounter as _encounter
+from nsdyn import fclib, gauss, impacts
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
-from nsdyn.history import Encounter, History, foresee_slip, release_stopped
-from nsdyn.joints import Rows
+from nsdyn.encounter import Warm
+from nsdyn.energy import Ledger, Works
+from nsdyn.move import Impulses, Instant, Move, System, collide, move
 from nsdyn.problem import FC3D, Array, NotConverged, Solution
+from nsdyn.projection import place
 from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
 from nsdyn.trajectory import Recorder, Trajectory
@@ -37,12 +37,11 @@ CLOSED = 1e-9
 that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
 body at rest in every step."""
 
-COARSE, MANY = 0.01, 1000
-"""Fraction of the deepest penetration that the projection of a pile of that many contacts or more may leave to that of
-the next step, so that its effort does not depend on how deep it is."""
-
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
+
+CUTS = 8
+"""Most impacts at which one step is cut, and most contacts that may be hit in it; else all are caught within it."""
 
 
 class State(NamedTuple):
@@ -52,22 +51,17 @@ class State(NamedTuple):
     ----------
     origin, dt, count : float, float, int
         t = origin + count dt.
-    position : Position
-    v : ndarray, shape (n,)
-        Velocity in the coordinates of `Dynamics`.
-    history : History
-        What the last step leaves to the next.
-    memory : ContactMemory
-        The last step's contacts and their keys.
+    instant : Instant
+        Position, velocity, contacts and warm start.
+    rate : ndarray, shape (n,)
+        Last free acceleration, m/s² and rad/s².
     """
 
     origin: float
     dt: float
     count: int  # type: ignore[assignment]  # tuple.count is of no use here
-    position: Position
-    v: Array
-    history: History
-    memory: ContactMemory
+    instant: Instant
+    rate: Array
 
     @property
     def t(self) -> float:
@@ -90,13 +84,13 @@ class Step(NamedTuple):
     frames_x, frames_quat : ndarray of shapes (frames, 3) and (frames, 4), or None
         Poses of all moving frames when the scene has articulations.
     contacts : ContactSet
-        Evaluated at the midpoint.
+        Where the impulses acted, those of impacts first.
     gap : ndarray, shape (nc,)
-        At the end of the step, linear in the motion since the midpoint, m; negative inside.
+        Of the shapes at the end of the step, m; negative inside.
     frame : ndarray, shape (nc, 3, 3)
         Contact frames, rows (n, t1, t2), world axes.
     u, r : ndarray, shape (nc, 3)
-        Relative velocity at the end of the step [m/s] and impulse on body 2 [N·s], normal first.
+        Relative velocity at the end of the step [m/s], or after the impact, and impulse on body 2 [N·s], normal first.
     contact_status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip.
     work_normal, work_friction : ndarray, shape (nc,)
@@ -104,15 +98,17 @@ class Step(NamedTuple):
     joint_impulse : ndarray, shape (n,)
         Of joint limits and dry joint friction on each coordinate, N m s or N s.
     created : float
-        Energy that the contacts of a step with an impact created, J: 0 but for the paradox of Newton's law (`impacts`).
+        Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
+        chains, and Poisson's with several restitutions (`impacts`).
+    clear : bool
+        Whether no shapes overlap at the end by more than what counts as closed.
     ledger : Ledger
         Energies at the end and works of the step, J.
     gauss : Certificate
+        Of the last problem.
     problem : FC3D
     solution : Solution
-        Of the last problem solved: with Poisson's law r is what its expansion adds.
-    times : tuple of 5 floats
-        Wall time of broad phase, narrow phase (Coal), manifold and assembly, solve, and the rest, s.
+        Of the last problem solved.
     """
 
     t: float
@@ -130,11 +126,11 @@ class Step(NamedTuple):
     work_friction: Array
     joint_impulse: Array
     created: float
-    ledger: energy.Ledger
+    clear: bool
+    ledger: Ledger
     gauss: gauss.Certificate
     problem: FC3D
     solution: Solution
-    times: tuple[float, float, float, float, float]
 
     @property
     def tangent(self) -> Array:
@@ -159,19 +155,17 @@ class Start(NamedTuple):
 
 
 class Stepper:
-    """Moreau–Jean θ-scheme on a scene.
+    """Moreau–Jean time-stepping of a scene.
 
-    With h = dt and v_{k+θ} = θ v_{k+1} + (1 - θ) v_k:
+    With the free flow Φ, which bends nothing and turns bodies without torque, and h = dt:
 
-        M̃ (v_{k+1} - v_k) = h f̃ + H r,   u = Hᵀ v_{k+1} + w,   K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K,
-        q_{k+1} = q_k ⊕ h v_{k+θ},
+        q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
+        K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K,        u the relative velocity at the end of the step.
 
-    coefficients at q̃ = q_k ⊕ (1 - θ) h v_k; w from the gap or from Newton's impact law, and from the turning of the
-    rows of Hᵀ until the end of the step as far as the last steps foretell it (`History`), so that smooth motion is
-    second order for θ = ½, in contact too. A free body then keeps its energy and its angular momentum in space to
-    round-off, for θ = ½ and up to 2 rad a step. An impact that another one of the same step provokes follows in the
-    next. Penetration left by curvature or by a bad start is removed by a projection of the positions that never
-    touches v.
+    All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
+    second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
+    impacts with restitution, which act in no time, until they are too many to tell apart. No shapes overlap at its end:
+    what a step leaves is removed by a projection of the positions that never touches v.
 
     Parameters
     ----------
@@ -179,12 +173,13 @@ class Stepper:
     dt : float
         Step h, s.
     theta : float
-        In [½, 1].
+        In [½, 1]: 1 - θ is the fraction of a step before its impulses. More than ½ is first order, and damps joint
+        springs and stiff trees.
     solver : Solver
         Default ``Auto(tol=1e-8)``.
     controller : callable, optional
         ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}; called with the time and
-        configuration of the midpoint and the velocity at the beginning, Pinocchio's layout.
+        configuration of the impulses and the velocity at the beginning, Pinocchio's layout.
     external_force : callable, optional
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's
@@ -194,7 +189,7 @@ class Stepper:
     max_points : int
         Most contact points per pair of shapes.
     dump_on_fail : path, optional
-        Folder for the problems of failing steps, FCLIB global files named by the step, the warm start as a guess.
+        Folder for the problems of failing steps, FCLIB global files named by the step.
     impact : {"newton", "poisson", "fremond"}
         Law of contacts with restitution: see `nsdyn.impacts`.
 
@@ -234,31 +229,34 @@ class Stepper:
                 raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
         if impact not in impacts.LAWS:
             raise ValueError(f"impact must be one of {impacts.LAWS}, got {impact!r}")
-        self.impact = impact
         self.dump_on_fail = None if dump_on_fail is None else Path(dump_on_fail)
         if self.dump_on_fail is not None and self.dump_on_fail.is_file():
             raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
         self.solver: Solver = Auto() if solver is None else solver
         self.controller, self.external_force, self.on_fail = controller, external_force, on_fail
-        self.dynamics = Dynamics(scene)
-        geoms = scene.geoms()
+        self.dynamics, geoms = Dynamics(scene), scene.geoms()
         self.detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms), max_points)
-        # A body slower than this rests: an impact at the speed gravity gives in two steps is a contact force.
-        self.resting_speed = 2.0 * self.dt * float(np.linalg.norm(self.dynamics.gravity))
         # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
-        self.closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
+        closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
-        self.closed = max(self.closed, self.solver.tol * self.dt)
-        self._law = self.dt, self.theta, self.resting_speed, self.closed
-        # What a warm start within the tolerance leaves of the velocities is part of the next impulses that are solved
-        # for, which start the step after them as wrong as that. Accepted there, it would stay for ever.
-        self._strict = replace(self.solver, accept=0.4) if isinstance(self.solver, Auto) else self.solver
+        self.closed = max(closed, self.solver.tol * self.dt)
+        self.system = System(
+            self.dynamics, self.detector, self.solver, self.theta, self.dt, self.closed, impact
+        )  # fmt: skip
         self._failures = 0
-        position, v = self.dynamics.start()
-        self._check_overlap(geoms, position)
-        history = History.empty(v.size, self.dynamics.joints.size)
-        self._state = State(0.0, self.dt, 0, position, v, history, ContactMemory.empty())
+        self._state = State(0.0, self.dt, 0, *self._start(geoms))
+
+    def _start(self, geoms: list[Geom]) -> tuple[Instant, Array]:
+        """The initial instant, whose bodies do not overlap deeply, and the free acceleration there."""
+        d = self.dynamics
+        position, v = d.start()
+        placed = place(d, self.detector, position, ContactMemory.empty())
+        _check_overlap(geoms, placed.contacts)
+        none = np.empty((0, 3))
+        warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
+        instant = Instant(position, v, placed.placement, placed.contacts, placed.memory, warm)
+        return instant, np.zeros(d.n)
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -275,158 +273,110 @@ class Stepper:
         """Go on from a state of a stepper of the same scene; ValueError if it does not fit."""
         if not isinstance(state, State):
             raise ValueError(f"state must come from get_state, got {type(state).__name__}")
-        if state.v.shape != (self.dynamics.n,) or state.position.x.shape != (self.dynamics.free, 3):
-            raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {state.v.shape}")
+        v, x = state.instant.v, state.instant.position.x
+        if v.shape != (self.dynamics.n,) or x.shape != (self.dynamics.free, 3):
+            raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {v.shape}")
         if state.dt != self.dt:
-            history = state.history.scaled(self.dt / state.dt)
-            state = State(state.t, self.dt, 0, state.position, state.v, history, state.memory)
+            warm, ratio = state.instant.warm, self.dt / state.dt
+            warm = warm._replace(impulse=ratio * warm.impulse, joints=ratio * warm.joints)
+            state = State(state.t, self.dt, 0, state.instant._replace(warm=warm), state.rate)
         self._state = state
 
     def start(self) -> Start:
         """The present state as row 0 of a recording."""
-        s, d = self._state, self.dynamics
+        s, d = self._state.instant, self.dynamics
         kinetic, potential = d.energies(s.position, s.v)
         q, v = d.pinocchio_state(s.position, s.v)
-        x, quaternion = d.poses(s.position)
-        return Start(s.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
+        x, quaternion = d.poses(s.position, s.placement)
+        return Start(self.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
 
     # -- one step ----------------------------------------------------------------------------------------------
 
     def step(self) -> Step:
         """Advance by dt and return what happened; on `NotConverged` the state is left as it was."""
-        s, d, h, theta = self._state, self.dynamics, self.dt, self.theta
-        clock = time.perf_counter
-        t_start = clock()
-
-        # Free motion, with the coefficients of the midpoint.
-        begun, ended = d.surfaces.twists(s.t), d.surfaces.twists(s.next_t)
-        middle, reach, fast = d.midpoint(s.position, s.v, h, theta, begun, ended)
-        callbacks = self._callbacks(middle)
-        v_free, loads = d.free_velocity(s.position, middle, s.v, s.next_t, h, theta, s.history.push, *callbacks)
-
-        # Contacts, joint limits and joint friction, and their impact law.
-        if fast:  # then contacts are looked for where the step begins, and their gaps extrapolated to the midpoint
-            d.place(s.position)
-        t_broad = clock()
-        contacts, memory = self.detector.find(d.x, d.R, reach, s.memory)
-        t_narrow = clock()
-        blocks, frame = d.blocks(contacts)
-        joints = d.joint_rows(middle, s.v, v_free, h)
-        rows = d.rows(blocks, joints)
-        drag, drag_after = d.surfaces.drags(contacts, frame, middle.driven_x, rows.full.nc, begun, ended)
-        met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after), self._law, fast)
-        w, struck = met.w, met.struck
-        if struck is not None:
-            impacts.apply(self.impact, met.u_begin, struck, w)
-        q, returned = self._expand(rows, contacts.restitution, met)
-        curve = foresee_slip(rows, q, met)
-        problem = FC3D.from_blocks(rows.blocks, q + w if curve is None else q + w + curve, met.mu)
-        t_assembly = clock()
-
-        # The frictional contact problem.
-        solution = (self._strict if s.history.solved else self.solver)(problem, met.guess)
-        solved = solution.iterations > 0
-        postponed = self._postpone(problem, solution, contacts.restitution, met.u_begin, w) if met.elastic else None
-        again, every = postponed is not None, False
+        s, now, rate, left = self._state, self._state.instant, self._state.rate, self.dt
+        done: list[Impulses] = []
+        works, cuts = Works(), 0
         while True:
-            impulse = solution.r if returned is None else solution.r + returned
-            status, stopped = release_stopped(impulse, contacts.mu, curve, every)
-            if not (stopped or again):
-                break
-            problem = problem.with_velocity(q + w if curve is None else q + w + curve)
-            solution = self.solver(problem, solution.r)
-            solved, again, every = True, False, True
-        t_solve = clock()
-        if not solution.converged:
-            self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
+            t = s.next_t - left
+            if (impact := collide(self.system, now, t, rate)) is not None:
+                now, impulses, more, _ = impact
+                done, works = [*done, impulses], works + more
+            located = cuts < CUTS
+            m = self._move(now, t, left, located)
+            if located and self._overlaps(m):
+                if len(m.hits.gap) > 4 * CUTS:
+                    m = self._move(now, t, left, False)
+                else:
+                    cut, m = self._until_hit(now, t, left, m)
+                    left, cuts = left - cut, cuts + 1
+                    now, rate, done, works = m.end, m.rate, [*done, m.impulses], works + m.works
+                    if left > 1e-12 * self.dt:
+                        continue
+                    break
+            now, rate, done, works = m.end, m.rate, [*done, m.impulses], works + m.works
+            break
+        if not m.solution.converged:
+            self._fail(m)
+        step = self._record(s, now, done, works, m)
+        self._state = State(s.origin, s.dt, s.count + 1, now, rate)
+        return step
 
-        # Velocities and positions, and what penetration is left in them.
-        left = s.history.leave(rows, frame, (s.v, v_free), drag_after, met, impulse, h, theta)
-        v, gap = left.v, left.gap
-        moved = d.advance(s.position, left.v_theta, h, d.surfaces.mean(begun, ended, theta))
-        nc = contacts.gap.size
-        end, poses = moved, d.poses(moved)
-        d.carry_gaps(contacts, poses, gap)
-        if _encounter.smallest(gap) < -self.closed:
-            # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
-            # would do so on the other side, or a link of a mechanism in its guide.
-            ahead = gap + h * (left.u + theta * (met.u_free - met.u_begin))[0::3]
-            leaving = np.zeros(gap.size, np.bool_) if struck is None else struck & (ahead >= 0.0)
-            if postponed is not None:
-                leaving |= postponed
-            leaving &= not fast
-            if d.trees:
-                leaving[:nc] &= ~d.held(contacts)
-            end, gap = self._project(moved, rows, problem, gap, leaving)
-            poses = poses if end is moved else d.poses(end)
+    def _move(self, begin: Instant, t: float, h: float, located: bool) -> Move:
+        """A move of h seconds, with the user's callbacks."""
 
-        # Certificate, ledger, record.
-        driving = -0.5 * float((drag + drag_after) @ impulse) if d.surfaces.count else 0.0
-        momentum = rows.full.momentum(impulse) if d.constrained else None
-        positions, velocities = (s.position, moved, end), (s.v, v, left.v_theta)
-        ledger = energy.ledger(d, h, theta, loads, positions, velocities, momentum, *left.works, driving)
-        created = max(0.0, float((left.normal + left.friction)[:nc].sum())) if struck is not None else 0.0
-        r, u = impulse.reshape(-1, 3), left.u.reshape(-1, 3)
-        slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
-        history = History(
-            contacts.key, status, contacts.normal, left.impulse, left.velocity, met.turn, left.change, left.push, slots,
-            solved,
-        )  # fmt: skip
-        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, memory)
-        q_out, v_out = d.pinocchio_state(end, v)
-        x, quaternion = poses
-        certificate = gauss.certify(problem, solution.r, solution.u)
-        times = (
-            t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
-        )  # fmt: skip
+        def callbacks(middle: Position, v: Array) -> tuple[Any, Any]:
+            if self.external_force is None and self.controller is None:
+                return None, None
+            at = t + (1.0 - self.theta) * h, *self.dynamics.pinocchio_state(middle, v)
+            return (
+                self.external_force(*at) if self.external_force else None,
+                self.controller(*at) if self.controller else None,
+            )
+
+        return move(self.system, begin, t, h, callbacks, located)
+
+    def _overlaps(self, m: Move) -> bool:
+        """Whether a move ran into contacts with restitution that it left alone."""
+        return bool(m.hits.gap.min(initial=0.0) < -self.closed)
+
+    def _until_hit(self, begin: Instant, t: float, h: float, hit: Move) -> tuple[float, Move]:
+        """The time until the first impact of a move of h seconds that ran into one, and the move until then."""
+        n = len(self.detector._cores)
+        pairs = np.unique((hit.hits.geom1 * n + hit.hits.geom2)[hit.hits.gap < -self.closed])
+        moves = {h: hit}
+
+        def gap(time: float) -> float:
+            """Least gap of what was hit, 0 where it is so small that it makes no difference."""
+            if time == 0.0:
+                return 1e-3 * abs(float(hit.hits.gap.min()))
+            if time not in moves:
+                moves[time] = self._move(begin, t, time, True)
+            hits = moves[time].hits
+            mine = np.isin(hits.geom1 * n + hits.geom2, pairs)
+            least = float(hits.gap[mine].min(initial=1.0))
+            return 0.0 if abs(least) <= 1e-4 * self.closed else least
+
+        time = float(brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=60))
+        return time, moves.get(time) or self._move(begin, t, time, True)
+
+    def _record(self, s: State, end: Instant, done: list[Impulses], works: Works, m: Move) -> Step:
+        """What the moves and impacts of a step did."""
+        d, before = self.dynamics, s.instant
+        ledger = Ledger.of(d.energies(before.position, before.v), d.energies(end.position, end.v), works)
+        acted = done[0] if len(done) == 1 else _joined(done)
+        q, v = d.pinocchio_state(end.position, end.v)
+        x, quaternion = d.poses(end.position, end.placement)
+        gap = _gaps(acted, end)
+        certificate = gauss.certify(m.problem, m.solution.r, m.solution.u)
         return Step(
-            self._state.t, q_out, v_out, x, quaternion, contacts, gap[:nc], frame, u[:nc], r[:nc],
-            status, left.normal[:nc], left.friction[:nc], joint_impulse, created, ledger, certificate,
-            problem, solution, times,
+            s.next_t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
+            acted.normal, acted.friction, acted.joints, acted.created, m.clear, ledger, certificate, m.problem,
+            m.solution,
         )  # fmt: skip
 
-    def _expand(self, rows: Rows, restitution: Array, met: Encounter) -> tuple[Array, Array | None]:
-        """(relative velocities, impulses) after compression and expansion of Poisson's law; (u_free, None) without."""
-        if self.impact != "poisson" or met.struck is None:
-            return met.u_free, None
-        compression = self.solver(FC3D.from_blocks(rows.blocks, 0.5 * (met.u_begin + met.u_free) + met.w, met.mu))
-        r = impacts.returned(compression.r, np.append(restitution, np.zeros(met.mu.size - restitution.size)))
-        return met.u_free + rows.blocks.relative_velocity(rows.blocks.velocity_change(r)), r
-
-    def _callbacks(self, middle: Position) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
-        """(wrenches, joint forces) of the user's callbacks at the midpoint."""
-        if self.external_force is None and self.controller is None:
-            return None, None
-        q, v = self.dynamics.pinocchio_state(middle, self._state.v)
-        t = self.t + 0.5 * self.dt
-        return (
-            self.external_force(t, q, v) if self.external_force else None,
-            self.controller(t, q, v) if self.controller else None,
-        )
-
-    def _postpone(
-        self, problem: FC3D, solution: Solution, restitution: Array, u_begin: Array, w: Array
-    ) -> NDArray[np.bool_] | None:
-        """Leave impacts that others of this step provoke to the next one, in `w`; tells which of the rows, if any.
-
-        A contact with e > 0 that is open or opening gets no impact law, and what closes it within the step would make
-        it perfectly plastic. Where without it the bodies would meet faster than those that rest, w lets them pass.
-        """
-        late = np.zeros(problem.nc, np.bool_)
-        if self.impact != "poisson":  # whose expansion serves them too
-            late[: restitution.size] = restitution > 0.0  # joint limits have a law of their own
-        if late.any():
-            late &= solution.r[0::3] > 0.0
-            late &= (w[0::3] > 0.0) | ((w[0::3] == 0.0) & (u_begin[0::3] > self.resting_speed))
-        if late.any():
-            away = np.zeros_like(w)
-            away[0::3][late] = 2.0 * np.abs(problem.q).max()
-            free = self.solver(problem.with_velocity(problem.q + away), solution.r)
-            late &= (free.u - away - w)[0::3] < -self.resting_speed
-            w[0::3][late] += away[0::3][late]
-        return late if late.any() else None
-
-    def _fail(self, problem: FC3D, solution: Solution, v_free: Array | None, guess: Array) -> None:
+    def _fail(self, m: Move) -> None:
+        solution = m.solution
         message = (
             f"step from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
             f"{solution.residual:.2e} m/s, tolerance {self.solver.tol:.1e} ({solution.status.message})"
@@ -434,53 +384,45 @@ class Stepper:
         if self.dump_on_fail is not None:
             self.dump_on_fail.mkdir(parents=True, exist_ok=True)
             path = self.dump_on_fail / f"step-{self._state.count + 1:06d}.hdf5"
-            fclib.write(path, problem, guesses=[guess], v_free=v_free, description=message, overwrite=True)
+            fclib.write(path, m.problem, guesses=[solution.r], description=message, overwrite=True)
             message += f"; its problem is in {path}"
         if self.on_fail == "raise":
-            raise NotConverged(message, problem, solution)
+            raise NotConverged(message, m.problem, solution)
         if self.on_fail == "warn" and not self._failures:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
         self._failures += 1
 
-    def _project(
-        self, moved: Position, rows: Rows, problem: FC3D, gap: Array, leaving: NDArray[np.bool_]
-    ) -> tuple[Position, Array]:
-        """Positions without penetration, the closest in the kinetic metric, and their gaps.
 
-        min ½‖δ‖²_M under g + H_Nᵀ δ ≥ 0: a frictionless contact problem for δ/h, on the gaps g at the end of the
-        step, linear in the motion. Contacts that are `leaving` are not pushed. Where nothing penetrates, or nothing
-        helps, `moved` itself is returned.
-        """
-        held = np.where(leaving, np.maximum(gap, 0.0), gap)
-        if held.min(initial=0.0) >= -self.closed:
-            return moved, gap
-        g = np.zeros(3 * gap.size)
-        g[0::3] = held / self.dt  # like the velocities of the step, in size and in tolerance
-        coarse = -COARSE * float(held.min()) / self.dt if gap.size >= MANY else 0.0
-        solver = Auto(tol=self.closed / self.dt, heavy_tol=coarse)
-        shift = solver(problem.with_velocity(g, np.zeros(gap.size)))
-        lifted = gap + self.dt * (shift.u - g)[0::3]
-        # A body squeezed between others has no position without overlap: an answer that does not help may be anything.
-        if not shift.converged and np.where(leaving, 0.0, lifted).min() < 0.5 * held.min():
-            return moved, gap
-        return self.dynamics.advance(moved, rows.velocity_change(shift.r), self.dt), lifted
+def _joined(done: list[Impulses]) -> Impulses:
+    """All that acted in a step, one after the other."""
+    contacts = ContactSet(*(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True)))
+    columns = [np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7]]
+    return Impulses(contacts, *columns, sum(a.joints for a in done), sum(a.created for a in done))
 
-    def _check_overlap(self, geoms: list[Geom], position: Position) -> None:
-        """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
-        d = self.dynamics
-        d.place(position)
-        contacts, _ = self.detector.find(d.x, d.R, np.zeros(d.frames), ContactMemory.empty())
-        if not contacts.gap.size:
-            return
-        k = int(contacts.gap.argmin())
-        a, b = geoms[contacts.geom1[k]], geoms[contacts.geom2[k]]
-        depth = -float(contacts.gap[k])
-        size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
-        where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
-        if depth > DEEPEST * size:
-            raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m)")
-        if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
-            warnings.warn(f"{where}; the first step moves them apart", stacklevel=4)
+
+def _gaps(acted: Impulses, end: Instant) -> Array:
+    """Gaps of the contacts at the end of a step."""
+    key = end.contacts.key
+    order = np.argsort(key)
+    at = np.searchsorted(key, acted.contacts.key, sorter=order)
+    at = order[np.minimum(at, key.size - 1)] if key.size else at
+    known = key[at] == acted.contacts.key if key.size else np.zeros(at.size, bool)
+    return np.where(known, end.contacts.gap[at] if key.size else 0.0, np.maximum(acted.contacts.gap, 0.0))
+
+
+def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:
+    """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
+    if not contacts.gap.size:
+        return
+    k = int(contacts.gap.argmin())
+    a, b = geoms[contacts.geom1[k]], geoms[contacts.geom2[k]]
+    depth = -float(contacts.gap[k])
+    size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
+    where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
+    if depth > DEEPEST * size:
+        raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m)")
+    if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
+        warnings.warn(f"{where}; the first step moves them apart", stacklevel=5)
 
 
 def simulate(

@@ -75,14 +75,15 @@ def begin_velocities(
 
 @njit(cache=True)
 def meet(
-    offset, block, start, h, v, v_free, drag, drag_end, press, old_key, impulse, old_point, old_normal, x_old, linear,
-    angular, reach, key, frame1, frame2, point, frame, x, gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
+    offset, block, start, h, v, v_free, drag, drag_end, press, old_key, impulse, begin_key, begin_point, begin_normal,
+    x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
 ):  # fmt: skip
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
     u at v and u_free at v_free, `turn` = u - u_begin, with surfaces that move (`drag`, empty for none) and the normal
     velocities of joint friction (`press`, the same). end_gap = gap - ahead/2 turn_N: the parabola whose speed at the
-    end of the step, `ahead` seconds later, is 0. Returns the places of the contacts among the old ones.
+    end of the step, `ahead` seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in
+    world axes start the solver; they need not be those found where the step begins.
     """
     nc = key.size
     relative_velocity(offset, block, start, h, v, u)
@@ -91,7 +92,8 @@ def meet(
     warm_start(place, impulse, frame, guess)
     u_begin[:] = u
     begin_velocities(
-        place, old_point, old_normal, x_old, linear, angular, reach, frame1, frame2, point, frame, x, u_begin
+        places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, reach, frame1, frame2, point,
+        frame, x, u_begin,
     )  # fmt: skip
     for i in range(u.size):
         turn[i] = u[i] - u_begin[i]
@@ -204,7 +206,7 @@ def outcome(r, mu, place, old_status, struck, u, u_plus, turn, frame, status, no
         if c < nc:
             t = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2)
             status[c] = 0 if r[i] <= 0.0 else (1 if t < mu[c] * r[i] * (1.0 - 1e-9) else 2)
-            if place[c] >= 0 and not (struck.size > c and struck[c]):
+            if place[c] >= 0 and not (struck.size > c and struck[c] > 0.0):
                 old = old_status[place[c]]
                 stays, sticks = old > 0, old == 1 and status[c] == 1
             for j in range(3):

@@ -280,11 +280,11 @@ def pinocchio_layout(x, quaternion, v, q_out, v_out):
 
 
 @njit(cache=True)
-def free_works(mass, gravity, force, torque, h, theta, v0, v1):
+def free_works(mass, gravity, force, torque, h, theta, v, v0, v1):
     """Works of a step on the free bodies, J: of forces and torques, and what gravity does beyond its potential.
 
-    v0 and v1 are the velocities before and after them at the configuration where they act; the bodies move on with
-    (1 - θ) v0 + θ v1, and the forces do their work on the mean.
+    v0 and v1 are the velocities before and after them where they act, which do their work on the mean; the bodies move
+    by (1 - θ) h v + θ h v1. Both are the same for θ = ½ but where impacts turned v to v0.
     """
     external, beyond = 0.0, 0.0
     for b in range(mass.size):
@@ -292,5 +292,5 @@ def free_works(mass, gravity, force, torque, h, theta, v0, v1):
         for j in range(3):
             mean, spin = 0.5 * (v0[i + j] + v1[i + j]), 0.5 * (v0[i + 3 + j] + v1[i + 3 + j])
             external += h * (mean * force[b, j] + spin * torque[b, j])
-            beyond += h * mass[b] * gravity[j] * (0.5 - theta) * (v1[i + j] - v0[i + j])
+            beyond += h * mass[b] * gravity[j] * (mean - ((1.0 - theta) * v[i + j] + theta * v1[i + j]))
     return external, beyond
