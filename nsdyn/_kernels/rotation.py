@@ -1,0 +1,187 @@
+"""Motion of free bodies on which nothing acts: straight lines, and rotation that keeps energy and angular momentum.
+
+Euler's equations in principal axes, ω' = (k₁ω₂ω₃, k₂ω₃ω₁, k₃ω₁ω₂), by Gauss collocation of sixth order, which keeps
+every quadratic invariant of the body: its energy and the length of its angular momentum L. The direction of L in space
+leaves the attitude R one unknown, the angle about L. Hence R' = R Q(L)ᵀ R_z(Δψ) Q(L'), Q the least rotation of L to a
+principal axis, keeps R L as well, and ψ' = (ω·L + |L| ω₃)/(|L| + L₃) is one more unknown of the collocation.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+PART = 0.5
+"""Radians that one collocation turns at most: its error is then 1e-9, 1e-7 at worst, after some 13 iterations."""
+
+PARTS = 4096
+"""Most collocations in one motion. Where they do not suffice, beyond 2000 rad, it ends early; invariants stay."""
+
+_A = np.array(
+    [
+        [5 / 36, 2 / 9 - math.sqrt(15) / 15, 5 / 36 - math.sqrt(15) / 30],
+        [5 / 36 + math.sqrt(15) / 24, 2 / 9, 5 / 36 - math.sqrt(15) / 24],
+        [5 / 36 + math.sqrt(15) / 30, 2 / 9 + math.sqrt(15) / 15, 5 / 36],
+    ]
+)
+_B = np.array([5 / 18, 4 / 9, 5 / 18])
+_EPS = float(np.finfo(float).eps)
+
+
+def principal(J):
+    """Principal moments and axes of inertias.
+
+    Parameters
+    ----------
+    J : ndarray, shape (n, 3, 3)
+        Symmetric, positive definite, no principal moment larger than the sum of the others, kg m².
+
+    Returns
+    -------
+    moments : ndarray, shape (n, 3)
+        kg m².
+    axes : ndarray, shape (n, 3, 3)
+        Rotations with the principal axes as columns, in body axes: J = axes diag(moments) axesᵀ. A diagonal inertia
+        keeps its axes and its moments to the last bit.
+    """
+    moments, axes = np.linalg.eigh(J)
+    axes *= np.sign(np.linalg.det(axes))[:, None, None]
+    # Newton's step to the nearest rotation: axes that are not quite orthogonal make energy drift at every step.
+    fine = axes.astype(np.longdouble)
+    axes = (0.5 * fine @ (3.0 * np.eye(3) - fine.swapaxes(1, 2) @ fine)).astype(float)
+    for b in range(len(J)):
+        diagonal = J[b].diagonal()
+        if np.array_equal(J[b], np.diag(diagonal)):
+            moments[b], axes[b] = diagonal, np.eye(3)
+    return moments, axes
+
+
+@njit(cache=True)
+def _times(q0, q1, q2, q3, e0, e1, e2, e3):
+    """Unit quaternion of q e, e of any length."""
+    p0 = q3 * e0 + q0 * e3 + q1 * e2 - q2 * e1
+    p1 = q3 * e1 - q0 * e2 + q1 * e3 + q2 * e0
+    p2 = q3 * e2 + q0 * e1 - q1 * e0 + q2 * e3
+    p3 = q3 * e3 - q0 * e0 - q1 * e1 - q2 * e2
+    k = 1.0 / math.sqrt(p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3)
+    return k * p0, k * p1, k * p2, k * p3
+
+
+@njit(cache=True)
+def _collocate(I, w, h, stage, slope, e):
+    """Torque-free rotation over h in principal axes: w becomes the spin at its end, R e the attitude, e of any length.
+
+    The axes are named a, b, c in cyclic order, a the one nearest to L.
+    """
+    a, largest = 0, 0.0
+    for i in range(3):
+        if I[i] * abs(w[i]) > largest:
+            a, largest = i, I[i] * abs(w[i])
+    b, c = (a + 1) % 3, (a + 2) % 3
+    Ia, Ib, Ic, wa, wb, wc = I[a], I[b], I[c], w[a], w[b], w[c]
+    ka, kb, kc = (Ib - Ic) / Ia, (Ic - Ia) / Ib, (Ia - Ib) / Ic
+    for i in range(3):
+        slope[i, 0], slope[i, 1], slope[i, 2] = ka * wb * wc, kb * wc * wa, kc * wa * wb
+    last = np.inf
+    for _ in range(50):
+        for i in range(3):
+            x, y, z = h * _A[i, 0], h * _A[i, 1], h * _A[i, 2]
+            stage[i, 0] = wa + (x * slope[0, 0] + y * slope[1, 0] + z * slope[2, 0])
+            stage[i, 1] = wb + (x * slope[0, 1] + y * slope[1, 1] + z * slope[2, 1])
+            stage[i, 2] = wc + (x * slope[0, 2] + y * slope[1, 2] + z * slope[2, 2])
+        change = size = 0.0
+        for i in range(3):
+            x, y, z = stage[i, 0], stage[i, 1], stage[i, 2]
+            fa, fb, fc = ka * y * z, kb * z * x, kc * x * y
+            change = max(change, abs(fa - slope[i, 0]), abs(fb - slope[i, 1]), abs(fc - slope[i, 2]))
+            size = max(size, abs(fa), abs(fb), abs(fc))
+            slope[i, 0], slope[i, 1], slope[i, 2] = fa, fb, fc
+        # To round-off: what the iteration leaves over would add up in a long run.
+        if change <= _EPS * size or change >= last:
+            break
+        last = change
+    # Axis a is taken the way of L, so that |L| + L_a is at least |L|.
+    La, Lb, Lc = Ia * wa, Ib * wb, Ic * wc
+    L, sign = math.sqrt(La * La + Lb * Lb + Lc * Lc), math.copysign(1.0, La)
+    psi = 0.0
+    for i in range(3):
+        x, y, z = stage[i, 0], stage[i, 1], stage[i, 2]
+        psi += h * _B[i] * (Ia * x * x + Ib * y * y + Ic * z * z + L * sign * x) / (L + sign * Ia * x)
+    x, y, z = h * _B[0], h * _B[1], h * _B[2]
+    w[a] = wa + (x * slope[0, 0] + y * slope[1, 0] + z * slope[2, 0])
+    w[b] = wb + (x * slope[0, 1] + y * slope[1, 1] + z * slope[2, 1])
+    w[c] = wc + (x * slope[0, 2] + y * slope[1, 2] + z * slope[2, 2])
+    Ma, Mb, Mc = Ia * w[a], Ib * w[b], Ic * w[c]
+    M = math.sqrt(Ma * Ma + Mb * Mb + Mc * Mc)
+    # Q(L) = (±L x a, |L| ± L_a) up to its length; p = Q(L)ᵀ R_a(±psi), and e = p Q(M), of length 2 to 4.
+    l, m, size = L + sign * La, M + sign * Ma, 1.0 / (L * M)
+    s, t = size * math.sin(0.5 * psi), size * math.cos(0.5 * psi)
+    pa, pb, pc, p = sign * l * s, Lb * s - sign * Lc * t, Lc * s + sign * Lb * t, l * t
+    mb, mc = sign * Mc, -sign * Mb
+    e[a], e[b], e[c] = m * pa + pb * mc - pc * mb, m * pb + p * mb - pa * mc, m * pc + p * mc + pa * mb
+    e[3] = m * p - pb * mb - pc * mc
+
+
+@njit(cache=True)
+def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
+    """Motion of free bodies over h without forces, into the outputs, which may be the inputs.
+
+    Positions move along straight lines, attitudes and spins as those of bodies without torque, whose energy and angular
+    momentum in space stay to round-off. A body at rest stays as it is; a steady spin, of a body with equal moments or
+    about a principal axis, is R exp([h omega]x).
+
+    Parameters
+    ----------
+    moments, axes : ndarray, shapes (n, 3) and (n, 3, 3)
+        Inertias, see `principal`.
+    x, quaternion : ndarray, shapes (n, 3) and (n, 4)
+        Centres of mass and unit quaternions xyzw, body to world.
+    v : ndarray, shape (nv,)
+        Velocities, nv >= 6 n: linear in the world, angular in body axes. What follows the free bodies is left alone.
+    h : float
+        Duration, not negative, s.
+    """
+    w, e, stage, slope = np.empty(3), np.empty(4), np.empty((3, 3)), np.empty((3, 3))
+    for b in range(x.shape[0]):
+        o = 6 * b
+        for i in range(3):
+            x_out[b, i] = x[b, i] + h * v[o + i]
+            v_out[o + i] = v[o + i]
+        w0, w1, w2 = v[o + 3], v[o + 4], v[o + 5]
+        q0, q1, q2, q3 = quaternion[b, 0], quaternion[b, 1], quaternion[b, 2], quaternion[b, 3]
+        quaternion_out[b, 0], quaternion_out[b, 1], quaternion_out[b, 2], quaternion_out[b, 3] = q0, q1, q2, q3
+        v_out[o + 3], v_out[o + 4], v_out[o + 5] = w0, w1, w2
+        if w0 == 0.0 and w1 == 0.0 and w2 == 0.0:
+            continue
+        I, P = moments[b], axes[b]
+        for i in range(3):
+            w[i] = P[0, i] * w0 + P[1, i] * w1 + P[2, i] * w2
+        square = w0 * w0 + w1 * w1 + w2 * w2
+        gyroscopic = max(
+            abs((I[1] - I[2]) * w[1] * w[2]), abs((I[2] - I[0]) * w[2] * w[0]), abs((I[0] - I[1]) * w[0] * w[1])
+        )
+        # Steady to round-off, or too slow to turn anything in h.
+        if gyroscopic <= 2.0 * _EPS * square * min(I[0], I[1], I[2]) or h * h * square < 1e-40:
+            half = 0.5 * h * math.sqrt(square)
+            if half > 0.0:
+                s = 0.5 * h * math.sin(half) / half
+                q0, q1, q2, q3 = _times(q0, q1, q2, q3, s * w0, s * w1, s * w2, math.cos(half))
+        else:
+            left = h
+            for _ in range(PARTS):
+                parts = max(1.0, np.ceil(left * math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]) / PART))
+                part = left / parts
+                _collocate(I, w, part, stage, slope, e)
+                e0 = P[0, 0] * e[0] + P[0, 1] * e[1] + P[0, 2] * e[2]
+                e1 = P[1, 0] * e[0] + P[1, 1] * e[1] + P[1, 2] * e[2]
+                e2 = P[2, 0] * e[0] + P[2, 1] * e[1] + P[2, 2] * e[2]
+                q0, q1, q2, q3 = _times(q0, q1, q2, q3, e0, e1, e2, e[3])
+                if parts == 1.0:
+                    break
+                left -= part
+            # Only the change goes back through the axes, whose round-off would otherwise add up.
+            for i in range(3):
+                w[i] -= P[0, i] * w0 + P[1, i] * w1 + P[2, i] * w2
+            for i in range(3):
+                v_out[o + 3 + i] += P[i, 0] * w[0] + P[i, 1] * w[1] + P[i, 2] * w[2]
+        quaternion_out[b, 0], quaternion_out[b, 1], quaternion_out[b, 2], quaternion_out[b, 3] = q0, q1, q2, q3
