@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from nsdyn._kernels import motion as _motion
+from nsdyn._kernels import rotation as _free
 from nsdyn._kernels import trees as _trees
 from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointLaws, JointRows, Rows
@@ -122,6 +123,7 @@ class Dynamics:
         self.mass = np.array([b.mass for b in bodies])
         self._inverse_mass, self._no_load = 1.0 / self.mass, np.zeros((self.free, 3))
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
+        self._principal = _free.principal(self.J)
         self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self.trees: list[Tree] = []
@@ -182,8 +184,8 @@ class Dynamics:
         Trees move with constant joint velocities, their loops closed: what bends their motion is among the forces.
         Driven bodies move with `twist` (surfaces, 2, 3), linear and angular velocities in world axes, or not at all.
         """
-        x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), np.empty(self.n)
-        _motion.flow(self.J, position.x, position.quaternion, v, h, x, quaternion, after)
+        x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
+        _free.flow(*self._principal, position.x, position.quaternion, v, h, x, quaternion, after)
         return self._with_others(x, quaternion, position, v, h, twist), after
 
     def shift(self, position: Position, step: Array) -> Position:
