@@ -307,11 +307,13 @@ def _smooth_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> A
     best[left] = np.maximum(best[left], value)
     deep = best[left] < enough
     left, R, x, start = left[deep], R[deep], x[deep], start[deep]
-    value, n_left = _better((best[left], n[left]), _climb(a, b, R, x, n[left]), _climb(a, b, R, x, start))
+    if not left.size:
+        return best
+    value, n_left = _better(_climb(a, b, R, x, n[left]), _climb(a, b, R, x, start))
     for _ in range(2):
         value, n_left = _better((value, n_left), _around(a, b, R, x, n_left))
         value, n_left = _better((value, n_left), _climb(a, b, R, x, n_left))
-    best[left] = value
+    best[left] = np.maximum(best[left], value)
     return best
 
 
