@@ -171,6 +171,10 @@ class Detector:
         """The candidate pairs of geoms, sorted."""
         return self._first, self._second
 
+    def codes(self, contacts: ContactSet) -> Index:
+        """One number for the pair of geoms of every contact, shape (nc,)."""
+        return contacts.geom1 * len(self._cores) + contacts.geom2
+
     def find(self, x: Array, R: Array, reach: Array, memory: ContactMemory) -> tuple[ContactSet, ContactMemory]:
         """Contacts of a configuration.
 

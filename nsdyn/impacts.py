@@ -68,12 +68,6 @@ class Impact(NamedTuple):
     solution: Solution | None
 
 
-def struck(u: Array, restitution: Array, closed: Bools, resting: Array) -> Bools:
-    """Which contacts have an impact: closed, with restitution, closing faster than what rests does."""
-    out: Bools = closed & (restitution > 0.0) & (u[0::3] < -resting)
-    return out
-
-
 def strike(
     law: str,
     solver: Solve,
@@ -107,7 +101,7 @@ def strike(
     total, normal, friction = np.zeros(3 * nc), np.zeros(nc), np.zeros(nc)
     created, worst, where = 0.0, None, None
     for _ in range(ROUNDS):
-        hit = struck(u, restitution, closed, resting)
+        hit = closed & (u[0::3] < -resting)
         if not hit.any():
             break
         # An island without an impact is not concerned.

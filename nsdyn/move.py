@@ -23,6 +23,15 @@ __all__ = ["Impulses", "Instant", "Move", "System", "collide", "move"]
 
 NOTHING = np.empty(0)
 
+NOBODY = np.zeros(0, np.bool_)
+
+REST = 1e-12
+"""Speed in m/s that is round-off in any scene: nothing strikes with it."""
+
+DEEP = 1e-3
+"""Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a step. What
+falls so far is lifted again at the end, and the energy of that is numerical."""
+
 Bools = NDArray[np.bool_]
 Callbacks = Callable[[Position, Array], tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]]
 
@@ -41,6 +50,8 @@ class System(NamedTuple):
         The step of which moves are parts, s: what rests is slower than what forces do in two of them.
     closed : float
         Largest gap that counts as closed, m.
+    inscribed : ndarray, shape (geoms,)
+        Radii of balls inside the shapes, m.
     impact : str
         Law of impact.
     """
@@ -51,7 +62,14 @@ class System(NamedTuple):
     theta: float
     dt: float
     closed: float
+    inscribed: Array
     impact: str
+
+    def deep(self, contacts: ContactSet) -> Array:
+        """Overlaps, m, that a step may catch: deeper ones without restitution are impacts to be located."""
+        out: Array = DEEP * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
+        out[contacts.restitution > 0.0] = self.closed
+        return out
 
 
 class Instant(NamedTuple):
@@ -124,8 +142,8 @@ class Move(NamedTuple):
         Of the last problem solved.
     clear : bool
         Whether the end is without overlap.
-    hits : ndarray of bool, shape (contacts of the end,)
-        Which contacts where the motion ends have a restitution that it was not to meet.
+    unmet : ContactSet
+        Contacts where the motion ends that it was not to meet, if any were barred.
     rate : ndarray, shape (n,)
         Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
     """
@@ -136,7 +154,7 @@ class Move(NamedTuple):
     problem: FC3D
     solution: Solution
     clear: bool
-    hits: ContactSet
+    unmet: ContactSet
     rate: Array
 
 
@@ -145,7 +163,7 @@ def take(contacts: ContactSet, kept: Bools) -> ContactSet:
     return contacts if kept.all() else ContactSet(*(column[kept] for column in contacts))
 
 
-def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, located: bool) -> Move:
+def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, barred: Index | None) -> Move:
     """Move for h seconds from the time t.
 
     With the state (q_k, v_k) and the free flow Φ:
@@ -162,8 +180,9 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, lo
         s.
     callbacks : callable
         (wrenches, joint forces) at a position and a velocity.
-    located : bool
-        Whether contacts with restitution that are open where the move begins are left alone, and found as `hit`.
+    barred : ndarray of int, optional
+        Codes of pairs whose open contacts are left alone, as are all that would become deep, or strike: the move then
+        says what it ran into. None: all are caught.
     """
     d, before, after = s.dynamics, (1.0 - s.theta) * h, s.theta * h
     begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
@@ -172,37 +191,56 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, lo
     placement = d.place(middle)
     forces = d.forces(begin.position, middle, v, t + h, h, s.theta, *callbacks(middle, begin.v))
     # What can touch until the end, and how it moves.
-    reach = d.reach(placement, forces.v, after, h, ended)
+    reach, far = d.reach(placement, forces.v, after, h, ended), d.reach(begin.placement, begin.v, h, h, begun)
     contacts, memory = s.detector.find(placement.x, placement.R, reach, begin.memory)
-    if located:
-        contacts = take(contacts, (contacts.restitution == 0.0) | np.isin(contacts.key, begin.held(s.closed)))
+    if barred is not None and contacts.gap.size:
+        contacts = take(contacts, _caught(s, contacts, begin, placement, forces.v, after, barred))
     joints = d.joint_rows(middle, v, forces.v, h)
     start = begin.contacts, begin.placement, d.twists(begin.placement, begin.v), begin.warm
     surfaces = middle.driven_x, d.surfaces.mean(begun, ended, 0.5), ended
-    far = d.reach(begin.placement, begin.v, h, h, begun)
     met = meet(d, contacts, joints, forces, v, placement, start, far, surfaces, after)
     # Impulses.
-    met, impact, kick = _caught(s, met, h)
+    met, impact, kick = _struck(s, met, h)
     problem, solution = solve(met, s.solver, after, s.closed)
     v_plus = forces.v + kick + met.rows.velocity_change(solution.r)
     # Half a free flow, and nothing overlaps where it ends.
     end, v_end = d.flow(middle, v_plus, after, ended)
-    moved = place(d, s.detector, end, memory, far if located else None)
+    moved = place(d, s.detector, end, memory, None if barred is None else far)
     placed = project(d, s.detector, moved, forces, s.closed)
     impulses, works, warm = _account(s, met, forces, (v, v + kick, v_plus), solution.r, h, impact)
     if placed is not moved:
         lift = sum(d.energies(placed.position, v_end)) - sum(d.energies(moved.position, v_end))
         works = works._replace(projection=lift)
     instant = Instant(placed.position, v_end, placed.placement, placed.contacts, placed.memory, warm)
-    left = moved.contacts.restitution > 0.0
-    if left.any():
-        left &= located & ~np.isin(moved.contacts.key, met.contacts.key)
+    left = NOBODY if barred is None else ~np.isin(moved.contacts.key, met.contacts.key)
     return Move(
         instant, impulses, works, problem, solution, placed.clear, take(moved.contacts, left), (forces.v - v) / h
     )  # fmt: skip
 
 
-def _caught(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | None, Array | float]:
+def _caught(
+    s: System, contacts: ContactSet, begin: Instant, placement: Placement, v: Array, ahead: float, barred: Index
+) -> Bools:
+    """Contacts that a move need not leave alone: closed where it begins, or neither barred, deep nor elastic."""
+    held = np.isin(contacts.key, begin.contacts.key[begin.contacts.gap <= s.closed])
+    if held.all():
+        return held
+    rate = _approach(s.dynamics, contacts, placement, v)
+    shallow = contacts.gap + ahead * rate > -s.deep(contacts)
+    shallow &= ~np.isin(s.detector.codes(contacts), barred)
+    out: Bools = held | (shallow & (contacts.restitution == 0.0))
+    return out
+
+
+def _approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) -> Array:
+    """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s; driven bodies at rest."""
+    out = np.empty(contacts.gap.size)
+    where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, placement.x
+    _law.approach(*where, *d.twists(placement, v), out)
+    return out
+
+
+def _struck(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | None, Array | float]:
     """Impacts in no time where the other impulses act, of contacts that close within the move.
 
     What the others meet then, the impacts, and the change of v by them, 0 where there are none.
@@ -242,15 +280,17 @@ def collide(s: System, at: Instant, t: float, rate: Array) -> tuple[Instant, Imp
         Free acceleration there, m/s² and rad/s².
     """
     d = s.dynamics
-    contacts = take(at.contacts, at.contacts.gap <= s.closed)
     joints = d.joint_rows(at.position, at.v, at.v, 0.0)
-    if not (contacts.restitution.any() or (joints is not None and joints.restitution.any())):
-        return None
+    contacts = take(at.contacts, at.contacts.gap <= s.closed)
+    if not (d.surfaces.count or (joints is not None and joints.restitution.any())):
+        fall = 2.0 * s.dt * np.abs(_approach(d, contacts, at.placement, rate))
+        if not (_approach(d, contacts, at.placement, at.v) < -fall - REST).any():
+            return None
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
     start = contacts, at.placement, d.twists(at.placement, at.v), at.warm
     surfaces = at.position.driven_x, twist, twist
     met = meet(d, contacts, joints, forces, at.v, at.placement, start, np.zeros(d.frames), surfaces, 0.0)
-    resting = 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
+    resting = REST + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
     impact = _strike(s, met, met.end_gap <= s.closed, resting)
     if impact.problem is None:
         return None

@@ -22,7 +22,7 @@ from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
 from nsdyn.move import Impulses, Instant, Move, System, collide, move
-from nsdyn.problem import FC3D, Array, NotConverged, Solution
+from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution
 from nsdyn.projection import place
 from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
@@ -40,8 +40,11 @@ body at rest in every step."""
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
 
-CUTS = 8
-"""Most impacts at which one step is cut, and most contacts that may be hit in it; else all are caught within it."""
+CUTS, HITS, LOCATED = 8, 16, 100
+"""Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
+effort is bounded; beyond, impacts are caught within the step."""
+
+NONE = np.empty(0, np.int64)
 
 
 class State(NamedTuple):
@@ -242,7 +245,8 @@ class Stepper:
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(closed, self.solver.tol * self.dt)
         self.system = System(
-            self.dynamics, self.detector, self.solver, self.theta, self.dt, self.closed, impact
+            self.dynamics, self.detector, self.solver, self.theta, self.dt, self.closed,
+            np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms]), impact,
         )  # fmt: skip
         self._failures = 0
         self._state = State(0.0, self.dt, 0, *self._start(geoms))
@@ -297,32 +301,57 @@ class Stepper:
         s, now, rate, left = self._state, self._state.instant, self._state.rate, self.dt
         done: list[Impulses] = []
         works, cuts = Works(), 0
-        while True:
+        while left > 1e-12 * self.dt:
             t = s.next_t - left
             if (impact := collide(self.system, now, t, rate)) is not None:
                 now, impulses, more, _ = impact
                 done, works = [*done, impulses], works + more
-            located = cuts < CUTS
-            m = self._move(now, t, left, located)
-            if located and self._overlaps(m):
-                if len(m.hits.gap) > 4 * CUTS:
-                    m = self._move(now, t, left, False)
-                else:
-                    cut, m = self._until_hit(now, t, left, m)
-                    left, cuts = left - cut, cuts + 1
-                    now, rate, done, works = m.end, m.rate, [*done, m.impulses], works + m.works
-                    if left > 1e-12 * self.dt:
-                        continue
-                    break
+            length, m = self._until_impact(now, t, left) if cuts < CUTS else (left, self._move(now, t, left, None))
             now, rate, done, works = m.end, m.rate, [*done, m.impulses], works + m.works
-            break
+            left, cuts = left - length, cuts + 1
         if not m.solution.converged:
             self._fail(m)
         step = self._record(s, now, done, works, m)
         self._state = State(s.origin, s.dt, s.count + 1, now, rate)
         return step
 
-    def _move(self, begin: Instant, t: float, h: float, located: bool) -> Move:
+    def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Move]:
+        """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
+        s, detector = self.system, self.detector
+        if begin.contacts.gap.size > LOCATED:
+            return h, self._move(begin, t, h, None)
+        m = self._move(begin, t, h, NONE)
+        hit = m.unmet.gap < -s.deep(m.unmet)
+        if not hit.any():
+            return h, m
+        if hit.sum() > HITS:
+            return h, self._move(begin, t, h, None)
+        barred = np.unique(detector.codes(m.unmet)[hit])
+        held = begin.contacts.key[begin.contacts.gap <= self.closed]
+        far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
+        before, _ = detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
+        moves = {h: m}
+
+        def least(contacts: ContactSet, left: NDArray[np.bool_]) -> float:
+            """Least gap of what is hit, 0 where it is so small that it makes no difference."""
+            gap = float(contacts.gap[left & np.isin(detector.codes(contacts), barred)].min(initial=far.max()))
+            return 0.0 if abs(gap) <= 1e-3 * self.closed else gap
+
+        def gap(time: float) -> float:
+            if time == 0.0:
+                return max(least(before, ~np.isin(before.key, held)), self.closed)
+            if time not in moves:
+                moves[time] = self._move(begin, t, time, barred)
+            return least(moves[time].unmet, np.ones(moves[time].unmet.gap.size, np.bool_))
+
+        brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
+        # Where another feature is the first to touch the gap jumps, and has no root.
+        length = min(moves, key=lambda time: abs(gap(time)))
+        if abs(gap(length)) > float(s.deep(m.unmet)[hit].min()):
+            return h, self._move(begin, t, h, None)
+        return length, moves[length]
+
+    def _move(self, begin: Instant, t: float, h: float, barred: Index | None) -> Move:
         """A move of h seconds, with the user's callbacks."""
 
         def callbacks(middle: Position, v: Array) -> tuple[Any, Any]:
@@ -334,31 +363,7 @@ class Stepper:
                 self.controller(*at) if self.controller else None,
             )
 
-        return move(self.system, begin, t, h, callbacks, located)
-
-    def _overlaps(self, m: Move) -> bool:
-        """Whether a move ran into contacts with restitution that it left alone."""
-        return bool(m.hits.gap.min(initial=0.0) < -self.closed)
-
-    def _until_hit(self, begin: Instant, t: float, h: float, hit: Move) -> tuple[float, Move]:
-        """The time until the first impact of a move of h seconds that ran into one, and the move until then."""
-        n = len(self.detector._cores)
-        pairs = np.unique((hit.hits.geom1 * n + hit.hits.geom2)[hit.hits.gap < -self.closed])
-        moves = {h: hit}
-
-        def gap(time: float) -> float:
-            """Least gap of what was hit, 0 where it is so small that it makes no difference."""
-            if time == 0.0:
-                return 1e-3 * abs(float(hit.hits.gap.min()))
-            if time not in moves:
-                moves[time] = self._move(begin, t, time, True)
-            hits = moves[time].hits
-            mine = np.isin(hits.geom1 * n + hits.geom2, pairs)
-            least = float(hits.gap[mine].min(initial=1.0))
-            return 0.0 if abs(least) <= 1e-4 * self.closed else least
-
-        time = float(brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=60))
-        return time, moves.get(time) or self._move(begin, t, time, True)
+        return move(self.system, begin, t, h, callbacks, barred)
 
     def _record(self, s: State, end: Instant, done: list[Impulses], works: Works, m: Move) -> Step:
         """What the moves and impacts of a step did."""

@@ -74,6 +74,19 @@ def begin_velocities(
 
 
 @njit(cache=True)
+def approach(frame1, frame2, point, normal, x, linear, angular, out):
+    """Normal velocities of contacts whose frames move as in `begin_velocities`, m/s, into out (nc,)."""
+    for c in range(out.size):
+        p, w = row(point, c), (0.0, 0.0, 0.0)
+        for s in range(2):
+            f = frame1[c] if s == 0 else frame2[c]
+            if f >= 0:
+                arm = minus(p, row(x, f))
+                w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
+        out[c] = dot(row(normal, c), w)
+
+
+@njit(cache=True)
 def meet(
     offset, block, start, h, v, v_free, drag, drag_end, press, old_key, impulse, begin_key, begin_point, begin_normal,
     x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
