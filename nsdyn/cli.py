@@ -530,10 +530,23 @@ def _energy(arguments: argparse.Namespace) -> int:
         with replacing(arguments.csv) as part:
             _write_csv(trajectory, part)
     if arguments.json:
-        _print_json({"ledger": trajectory.ledger(), "worst": trajectory.worst()})
+        _print_json(_ledger(trajectory))
     else:
         print(trajectory.energy_table())
     return 0
+
+
+def _ledger(trajectory: Trajectory) -> dict[str, Any]:
+    shares = {
+        name: {"total": total, "most": most, "share": most / trajectory.at_play if most else 0.0}
+        for name, (total, most) in trajectory.shares().items()
+    }
+    return {
+        "ledger": trajectory.ledger(),
+        "at_play": trajectory.at_play,
+        "shares": shares,
+        "worst": trajectory.worst(),
+    }
 
 
 def _write_csv(trajectory: Trajectory, path: Path) -> None:

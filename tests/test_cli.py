@@ -312,7 +312,9 @@ def test_energy(run, recording, tmp_path):
     np.testing.assert_allclose(np.diff(table[:, 1:3].sum(axis=1)), table[1:, 3:].sum(axis=1), rtol=0, atol=1e-14)
 
     figures = json.loads(run("energy", "run.h5", "--json")[1])
-    assert figures["worst"] == trajectory.worst()
+    assert figures["worst"] == trajectory.worst() and figures["at_play"] == trajectory.at_play
+    assert figures["shares"]["physics"]["total"] == trajectory.shares()["physics"][0]
+    assert figures["shares"]["numerics"]["share"] < 1e-12
     assert figures["ledger"]["friction"][-1] == pytest.approx(trajectory.energy.friction.sum(), rel=1e-12)
 
 
