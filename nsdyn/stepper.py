@@ -59,6 +59,8 @@ class State(NamedTuple):
         What the last step leaves to the next.
     memory : ContactMemory
         The last step's contacts and their keys.
+    opening : gauss.Opening, optional
+        Direction that the last certificate rests on.
     """
 
     origin: float
@@ -68,6 +70,7 @@ class State(NamedTuple):
     v: Array
     history: History
     memory: ContactMemory
+    opening: gauss.Opening | None = None
 
     @property
     def t(self) -> float:
@@ -279,7 +282,7 @@ class Stepper:
             raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {state.v.shape}")
         if state.dt != self.dt:
             history = state.history.scaled(self.dt / state.dt)
-            state = State(state.t, self.dt, 0, state.position, state.v, history, state.memory)
+            state = state._replace(origin=state.t, dt=self.dt, count=0, history=history)
         self.detector.memory = state.memory
         self._state = state
 
@@ -375,10 +378,10 @@ class Stepper:
             contacts.key, status, contacts.normal, left.impulse, left.velocity, met.turn, left.change, left.push, slots,
             solved,
         )  # fmt: skip
-        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
+        certificate, opening = gauss.certify(problem, solution.r, solution.u, s.opening)
+        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory, opening)
         q_out, v_out = d.pinocchio_state(end, v)
         x, quaternion = poses
-        certificate = gauss.certify(problem, solution.r, solution.u)
         times = (
             t_broad - t_start, t_narrow - t_broad, t_assembly - t_narrow, t_solve - t_assembly, clock() - t_solve,
         )  # fmt: skip
