@@ -7,8 +7,8 @@ and λ ≥ 0 with û(v + λ d) ∈ K*,
     ‖v - v*‖_M ≤ ½ λ‖d‖_M + (G + ¼ λ²‖d‖²_M)^½,   G = Σ r·û(v + λ d) = Σ r·(u + s e_N) + λ r·Hᵀ d ≥ 0.
 
 Proof. Let f be the objective and a = v + λ d. As M (v - v_f) = H r, f(x) = f(v) + r·Hᵀ(x - v) + ½‖x - v‖²_M. At
-x = v* with r·û(v*) ≥ 0 this gives f(v*) ≥ f(v) - r·û(v) + ½‖v* - v‖²_M; at x = a it gives f(a); and
-f(a) ≥ f(v*) + ½‖a - v*‖²_M, since v* is the minimum over a convex set and a belongs to it. Together,
+x = v* this gives f(v*) ≥ f(v) - r·û(v) + ½‖v* - v‖²_M, for r·û(v*) ≥ 0; at x = a it gives f(a); and
+f(a) ≥ f(v*) + ½‖a - v*‖²_M, since v* is the minimum over a convex set that a belongs to. Together,
 ‖v - v*‖²_M + ‖v + λ d - v*‖²_M ≤ 2 G + λ²‖d‖²_M: the ball of centre v + ½ λ d and radius (G + ¼ λ²‖d‖²_M)^½ holds v*.
 The terms of Σ r·(u + s e_N) are negative where u_N < 0, and every r·û(a) is ≥ 0 again because both are in cones that
 are dual to each other. (Without the term ½‖a - v*‖²_M the same lines give the weaker √(2 G + λ²‖d‖²_M).)
@@ -16,8 +16,11 @@ are dual to each other. (Without the term ½‖a - v*‖²_M the same lines give
 Where u_N ≥ 0 everywhere, λ = 0 will do and the bound is the root of the duality gap. Else û(v) + λ Hᵀ d is in K* if
 u_N + λ κ ≥ 0 with κ = (Hᵀ d)_N - μ‖(Hᵀ d)_T‖, at every contact: d must open those that close, and may close those that
 open fast enough. So r = 0, whose gap is 0, gets a bound that is worth something. A direction with κ ≥ 1 everywhere
-depends on the contacts alone. It is found once, as the least one but for a tenth, and is used as long as it serves, for
-that takes one product with Hᵀ: it is verified, never trusted.
+depends on the contacts alone. It is found once and used as long as it serves, which one product with Hᵀ verifies.
+
+Where r is right up to η and contacts carry impulses, the bound is of the order of √η: of an answer to 1e-13 m/s it
+says 1e-7 √J. Where the frozen problem has no velocity inside all cones it has no bound, for then the least error of u
+may leave it without any velocity at all.
 """
 
 from __future__ import annotations
@@ -38,7 +41,7 @@ __all__ = ["Certificate", "Opening", "certify"]
 NOTHING = np.empty(0)
 
 SLACK = 0.1
-"""Fraction of its margin by which κ may stay below its b: nothing is gained by a direction shorter by less."""
+"""Fraction of the margin a of MARGINS that a direction may miss: the least one is hardly shorter."""
 
 WEAK = 4.0
 """Where a direction found for other contacts needs a λ of so many times the largest -u_N, a new one is found."""
@@ -70,8 +73,8 @@ class Certificate(NamedTuple):
         At least ‖v - v*‖_M, in √J, where v is the velocity of the computed impulse and v* the exact solution of the
         convex problem with the computed friction shifts s = μ‖u_T‖ frozen. It is not the distance to a solution of
         Coulomb's problem, which need not be unique, nor the error of time stepping; round-off in u is not counted.
-        Infinite where contacts close and no velocity is found that opens them without closing others (two walls that
-        close on a body), or where the impulse is not finite.
+        Infinite where some u_N < 0 and no velocity with û inside K* is found (two walls that close on a body, a roller
+        that friction grips in a nip), or where the impulse is not finite.
     """
 
     gap: float
@@ -157,7 +160,7 @@ def _along(problem: FC3D, d: Array) -> tuple[Array, float]:
 
 
 def _open(problem: FC3D, u: Array, speed: float) -> Array:
-    """`Opening.d` with κ ≥ 1 - SLACK at all contacts, or at those that do not open fast; empty if there is none."""
+    """`Opening.d` for the first of MARGINS that has one, empty if none has; `speed` is the largest -u_N."""
     own = u / speed
     own[0::3] += problem.mu * np.hypot(own[1::3], own[2::3])
     for margin, share in MARGINS:
@@ -170,15 +173,15 @@ def _open(problem: FC3D, u: Array, speed: float) -> Array:
 
 
 def _least_direction(problem: FC3D, b: Array, slack: float) -> Array:
-    """`Opening.d` of least ‖d‖_M with Hᵀ d ∈ b + K* less the slack, by a growing penalty; empty if there is none.
+    """`Opening.d` of least ‖d‖_M with Hᵀ d ∈ b - slack e_N + K*, by a growing penalty; empty if there is none.
 
-    While the penalty grows ‖d‖_M grows to its least value, so that the first d whose κ suffices is not longer. The
-    problem is that of a frictional contact without de Saxcé's shift, K* ∋ W x - b ⟂ x ∈ K, hence convex, and the
-    matrix of Newton's method is symmetric.
+    The minimum of ½‖d‖²_M + Σ ρ/2 dist²(Hᵀ d, b + K*) grows with ρ to the least ‖d‖_M without slack, so that the first
+    one that will do is hardly longer. It is the problem of contact without de Saxcé's shift, K* ∋ W x - b ⟂ x ∈ K:
+    convex, with a symmetric matrix in Newton's method, which a step that is halved until it descends makes safe.
     """
     solve, mu, penalty = _newton(problem), problem.mu, PENALTY
     g, A = np.empty_like(problem.q), np.empty((problem.nc, 3, 3))
-    d = np.zeros_like(g if problem.blocks is None else np.empty(problem.blocks.n))
+    d = np.zeros(g.size if problem.blocks is None else problem.blocks.n)
     o, square = np.zeros_like(g), 0.0
     for _ in range(STEPS):
         rho = penalty / problem.scales

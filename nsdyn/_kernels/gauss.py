@@ -58,9 +58,14 @@ def _step_along(u, o, mu, speed):
 
 @njit(cache=True)
 def certificate(u, r, o, mu):
-    """(gap, |δ|_2, max δ, λ, Σ r·(û + λ o)) of an impulse in K, with o = Hᵀ d; every term of the sum is ≥ 0."""
+    """(gap, |δ|_2, max δ, λ, Σ r·(û + λ o)) of an impulse in K, with o = Hᵀ d; every term of the sum is ≥ 0.
+
+    A max δ below the round-off of u counts as that.
+    """
     gap, shift = duality_gap(u, r, mu)
-    speed = 0.0
+    if shift == 0.0:
+        return gap, shift, 0.0, 0.0, gap
+    speed = ROUNDING * np.abs(u).max()
     for c in range(mu.size):
         speed = max(speed, -u[3 * c])
     step, total = _step_along(u, o, mu, speed), 0.0
