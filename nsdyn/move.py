@@ -267,7 +267,9 @@ def _strike(s: System, met: Encounter, closed: Bools, resting: Array) -> Impact:
     return strike(s.impact, s.solver, met.rows.blocks, met.u, met.mu, met.restitution, closed, resting)
 
 
-def collide(s: System, at: Instant, t: float, rate: Array) -> tuple[Instant, Impulses, Works, Impact] | None:
+def collide(
+    s: System, at: Instant, t: float, rate: Array
+) -> tuple[Instant, Impulses, Works, tuple[FC3D, Solution]] | None:
     """Impacts in no time of what is closed at an instant; None where nothing strikes.
 
     Parameters
@@ -292,11 +294,11 @@ def collide(s: System, at: Instant, t: float, rate: Array) -> tuple[Instant, Imp
     met = meet(d, contacts, joints, forces, at.v, at.placement, start, np.zeros(d.frames), surfaces, 0.0)
     resting = REST + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
     impact = _strike(s, met, met.end_gap <= s.closed, resting)
-    if impact.problem is None:
+    if impact.problem is None or impact.solution is None:
         return None
     v = at.v + met.rows.velocity_change(impact.r)
     impulses, works, _ = _account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact)
-    return at._replace(v=v), impulses, works, impact
+    return at._replace(v=v), impulses, works, (impact.problem, impact.solution)
 
 
 def _account(
@@ -308,7 +310,7 @@ def _account(
     The velocities are those before the impacts, after them, and after r.
     """
     d, nc, nr = s.dynamics, met.frame.shape[0], met.mu.size
-    normal, friction, total, u_end = np.zeros(nr), np.zeros(nr), r, met.u
+    normal, friction, total, u_end = np.zeros(nr), np.zeros(nr), r, met.u if impact is None else impact.u
     status, world, works, created = np.zeros(nc, np.int8), np.zeros((nc, 3)), Works(), 0.0
     if r.size:
         struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)

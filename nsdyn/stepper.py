@@ -58,6 +58,8 @@ class State(NamedTuple):
         Position, velocity, contacts and warm start.
     rate : ndarray, shape (n,)
         Last free acceleration, m/s² and rad/s².
+    opening : gauss.Opening, optional
+        Direction that the last certificate rests on.
     """
 
     origin: float
@@ -65,6 +67,7 @@ class State(NamedTuple):
     count: int  # type: ignore[assignment]  # tuple.count is of no use here
     instant: Instant
     rate: Array
+    opening: gauss.Opening | None = None
 
     @property
     def t(self) -> float:
@@ -283,7 +286,7 @@ class Stepper:
         if state.dt != self.dt:
             warm, ratio = state.instant.warm, self.dt / state.dt
             warm = warm._replace(impulse=ratio * warm.impulse, joints=ratio * warm.joints)
-            state = State(state.t, self.dt, 0, state.instant._replace(warm=warm), state.rate)
+            state = state._replace(origin=state.t, dt=self.dt, count=0, instant=state.instant._replace(warm=warm))
         self._state = state
 
     def start(self) -> Start:
@@ -300,20 +303,24 @@ class Stepper:
         """Advance by dt and return what happened; on `NotConverged` the state is left as it was."""
         s, now, rate, left = self._state, self._state.instant, self._state.rate, self.dt
         done: list[Impulses] = []
-        works, cuts = Works(), 0
-        while left > 1e-12 * self.dt:
+        solved: list[tuple[FC3D, Solution]] = []
+        works, clear = Works(), True
+        for cut in range(2 * CUTS):
             t = s.next_t - left
-            if (impact := collide(self.system, now, t, rate)) is not None:
-                now, impulses, more, _ = impact
-                done, works = [*done, impulses], works + more
-            length, m = self._until_impact(now, t, left) if cuts < CUTS else (left, self._move(now, t, left, None))
-            now, rate, done, works = m.end, m.rate, [*done, m.impulses], works + m.works
-            left, cuts = left - length, cuts + 1
-        if not m.solution.converged:
-            self._fail(m)
-        step = self._record(s, now, done, works, m)
-        self._state = State(s.origin, s.dt, s.count + 1, now, rate)
-        return step
+            if (struck := collide(self.system, now, t, rate)) is not None:
+                now, impulses, more, problem = struck
+                done, solved, works = [*done, impulses], [*solved, problem], works + more
+            length, m = self._until_impact(now, t, left) if cut < CUTS else (left, self._move(now, t, left, None))
+            now, rate, left, clear = m.end, m.rate, left - length, m.clear
+            done, solved, works = [*done, m.impulses], [*solved, (m.problem, m.solution)], works + m.works
+            if left <= 1e-12 * self.dt:
+                break
+        for problem, solution in solved:
+            if not solution.converged:
+                self._fail(problem, solution)
+        certificate, opening = self._certify(solved, s.opening)
+        self._state = State(s.origin, s.dt, s.count + 1, now, rate, opening)
+        return self._record(s.instant, done, works, clear, certificate, *_worst(solved))
 
     def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Move]:
         """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
@@ -365,23 +372,32 @@ class Stepper:
 
         return move(self.system, begin, t, h, callbacks, barred)
 
-    def _record(self, s: State, end: Instant, done: list[Impulses], works: Works, m: Move) -> Step:
+    def _certify(
+        self, solved: list[tuple[FC3D, Solution]], opening: gauss.Opening | None
+    ) -> tuple[gauss.Certificate, gauss.Opening | None]:
+        """Certificate of all problems of a step: sum of the gaps, largest shift and bound; direction of the last."""
+        gap = shift = bound = 0.0
+        for problem, solution in solved:
+            c, opening = gauss.certify(problem, solution.r, solution.u, opening)
+            gap, shift, bound = gap + c.gap, max(shift, c.shift), max(bound, c.bound)
+        return gauss.Certificate(gap, shift, bound), opening
+
+    def _record(
+        self, begin: Instant, done: list[Impulses], works: Works, clear: bool, certificate: gauss.Certificate,
+        problem: FC3D, solution: Solution,
+    ) -> Step:  # fmt: skip
         """What the moves and impacts of a step did."""
-        d, before = self.dynamics, s.instant
-        ledger = Ledger.of(d.energies(before.position, before.v), d.energies(end.position, end.v), works)
+        d, end = self.dynamics, self._state.instant
+        ledger = Ledger.of(d.energies(begin.position, begin.v), d.energies(end.position, end.v), works)
         acted = done[0] if len(done) == 1 else _joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
-        gap = _gaps(acted, end)
-        certificate = gauss.certify(m.problem, m.solution.r, m.solution.u)
         return Step(
-            s.next_t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
-            acted.normal, acted.friction, acted.joints, acted.created, m.clear, ledger, certificate, m.problem,
-            m.solution,
+            self.t, q, v, x, quaternion, acted.contacts, _gaps(acted, end), acted.frame, acted.u, acted.r, acted.status,
+            acted.normal, acted.friction, acted.joints, acted.created, clear, ledger, certificate, problem, solution,
         )  # fmt: skip
 
-    def _fail(self, m: Move) -> None:
-        solution = m.solution
+    def _fail(self, problem: FC3D, solution: Solution) -> None:
         message = (
             f"step from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
             f"{solution.residual:.2e} m/s, tolerance {self.solver.tol:.1e} ({solution.status.message})"
@@ -389,13 +405,19 @@ class Stepper:
         if self.dump_on_fail is not None:
             self.dump_on_fail.mkdir(parents=True, exist_ok=True)
             path = self.dump_on_fail / f"step-{self._state.count + 1:06d}.hdf5"
-            fclib.write(path, m.problem, guesses=[solution.r], description=message, overwrite=True)
+            fclib.write(path, problem, guesses=[solution.r], description=message, overwrite=True)
             message += f"; its problem is in {path}"
         if self.on_fail == "raise":
-            raise NotConverged(message, m.problem, solution)
+            raise NotConverged(message, problem, solution)
         if self.on_fail == "warn" and not self._failures:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
         self._failures += 1
+
+
+def _worst(solved: list[tuple[FC3D, Solution]]) -> tuple[FC3D, Solution]:
+    """The last problem of a step and its solution, or the one of largest error where any missed its tolerance."""
+    missed = [pair for pair in solved if not pair[1].converged]
+    return max(missed, key=lambda pair: pair[1].error) if missed else solved[-1]
 
 
 def _joined(done: list[Impulses]) -> Impulses:

@@ -121,7 +121,7 @@ class Gauss:
     shift : ndarray
         Size of the perturbation of the step that was solved exactly, m/s.
     bound : ndarray
-        √(2 gap) ≥ error of the velocity in the kinetic norm, √J.
+        At least the error of the velocity in the kinetic norm, √J; infinite where there is none: see `nsdyn.gauss`.
     """
 
     gap: Array

@@ -67,7 +67,7 @@ def test_gap_bounds_the_velocity_error(rng):
     for _ in range(5):
         r = cones.project(np.tile([0.26, 0, 0], (BOX, 1)) + 0.02 * rng.normal(size=(BOX, 3)), problem.mu).ravel()
         u = problem.velocity(r)
-        certificate = gauss.certify(problem, r, u)
+        certificate = gauss.certify(problem, r, u)[0]
         shift = problem.mu * np.hypot(u[1::3], u[2::3])
         lift = np.maximum(0.0, -u[0::3])
 
