@@ -15,8 +15,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from nsdyn._kernels import motion as _motion
-from nsdyn._kernels import rotation as _free
 from nsdyn._kernels import trees as _trees
+from nsdyn._kernels.rotation import principal
 from nsdyn.contacts import ContactSet
 from nsdyn.joints import JointLaws, JointRows, Rows
 from nsdyn.problem import Blocks
@@ -123,7 +123,7 @@ class Dynamics:
         self.mass = np.array([b.mass for b in bodies])
         self._inverse_mass, self._no_load = 1.0 / self.mass, np.zeros((self.free, 3))
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
-        self._principal = _free.principal(self.J)
+        self._principal = principal(self.J)
         self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self.trees: list[Tree] = []
@@ -178,15 +178,22 @@ class Dynamics:
 
     # -- configurations ----------------------------------------------------------------------------------------
 
-    def flow(self, position: Position, v: Array, h: float, twist: Array | None = None) -> tuple[Position, Array]:
-        """(position, velocity) after h seconds without forces, Φ_h: x + h v and torque-free rotation of free bodies.
+    def flow(
+        self, position: Position, v: Array, h: float, twist: Array | None = None
+    ) -> tuple[Position, Array, Placement]:
+        """(position, velocity, frames) after h s without forces, Φ_h: x + h v and torque-free rotation of free bodies.
 
         Trees move with constant joint velocities, their loops closed: what bends their motion is among the forces.
         Driven bodies move with `twist` (surfaces, 2, 3), linear and angular velocities in world axes, or not at all.
         """
         x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
-        _free.flow(*self._principal, position.x, position.quaternion, v, h, x, quaternion, after)
-        return self._with_others(x, quaternion, position, v, h, twist), after
+        X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
+        _motion.flow(*self._principal, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
+        if self.frames == self.free:
+            end = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
+            return end, after, Placement(X, R, ())
+        end = self._with_others(x, quaternion, position, v, h, twist)
+        return end, after, self._place_others(end, X, R)
 
     def shift(self, position: Position, step: Array) -> Position:
         """Position ⊕ a small displacement `step` (n,) in the coordinates of velocities, loops closed."""
@@ -210,6 +217,10 @@ class Dynamics:
         """Frames and Jacobians at a position."""
         x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
         _motion.place(position.x, position.quaternion, x, R)
+        return self._place_others(position, x, R)
+
+    def _place_others(self, position: Position, x: Array, R: Array) -> Placement:
+        """The placement whose free bodies are in x and R."""
         if position.driven_x.size:
             nd = len(position.driven_x)
             _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])

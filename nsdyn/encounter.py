@@ -135,7 +135,7 @@ def meet(
     begin : (contacts, placement, twists, warm start)
         Where the step begins.
     reach : ndarray, shape (frames,)
-        How far points of the frames move in the step, m.
+        How far points of the frames move in about half a step, m.
     surfaces : (driven_x, twists, twists at the end)
         Where driven bodies are, and how they and sliding surfaces move when the impulses act and at the end.
     ahead : float

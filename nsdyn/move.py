@@ -23,8 +23,6 @@ __all__ = ["Impulses", "Instant", "Move", "System", "collide", "move"]
 
 NOTHING = np.empty(0)
 
-NOBODY = np.zeros(0, np.bool_)
-
 REST = 1e-12
 """Speed in m/s that is round-off in any scene: nothing strikes with it."""
 
@@ -84,6 +82,8 @@ class Instant(NamedTuple):
         Found there, with the true gaps of the shapes.
     memory : ContactMemory
     warm : Warm
+    twists : two ndarrays of shape (frames, 3)
+        Of the frames, world axes, m/s and rad/s.
     """
 
     position: Position
@@ -92,11 +92,7 @@ class Instant(NamedTuple):
     contacts: ContactSet
     memory: ContactMemory
     warm: Warm
-
-    def held(self, closed: float) -> Index:
-        """Keys of the contacts that are closed."""
-        out: Index = self.contacts.key[self.contacts.gap <= closed]
-        return out
+    twists: tuple[Array, Array]
 
 
 class Impulses(NamedTuple):
@@ -142,8 +138,8 @@ class Move(NamedTuple):
         Of the last problem solved.
     clear : bool
         Whether the end is without overlap.
-    unmet : ContactSet
-        Contacts where the motion ends that it was not to meet, if any were barred.
+    unmet : ContactSet, optional
+        Contacts where the motion ends that it did not meet, None where there are none or all were caught.
     rate : ndarray, shape (n,)
         Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
     """
@@ -154,7 +150,7 @@ class Move(NamedTuple):
     problem: FC3D
     solution: Solution
     clear: bool
-    unmet: ContactSet
+    unmet: ContactSet | None
     rate: Array
 
 
@@ -187,49 +183,51 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
     d, before, after = s.dynamics, (1.0 - s.theta) * h, s.theta * h
     begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
     # Half a free flow, and the forces there.
-    middle, v = d.flow(begin.position, begin.v, before, begun)
-    placement = d.place(middle)
+    middle, v, placement = d.flow(begin.position, begin.v, before, begun)
     forces = d.forces(begin.position, middle, v, t + h, h, s.theta, *callbacks(middle, begin.v))
     # What can touch until the end, and how it moves.
-    reach, far = d.reach(placement, forces.v, after, h, ended), d.reach(begin.placement, begin.v, h, h, begun)
+    reach = d.reach(placement, forces.v, after, h, ended)
     contacts, memory = s.detector.find(placement.x, placement.R, reach, begin.memory)
-    if barred is not None and contacts.gap.size:
-        contacts = take(contacts, _caught(s, contacts, begin, placement, forces.v, after, barred))
+    if barred is not None:
+        contacts = _caught(s, contacts, begin, placement, forces.v, after, barred)
     joints = d.joint_rows(middle, v, forces.v, h)
-    start = begin.contacts, begin.placement, d.twists(begin.placement, begin.v), begin.warm
+    start = begin.contacts, begin.placement, begin.twists, begin.warm
     surfaces = middle.driven_x, d.surfaces.mean(begun, ended, 0.5), ended
-    met = meet(d, contacts, joints, forces, v, placement, start, far, surfaces, after)
+    met = meet(d, contacts, joints, forces, v, placement, start, reach, surfaces, after)
     # Impulses.
     met, impact, kick = _struck(s, met, h)
     problem, solution = solve(met, s.solver, after, s.closed)
     v_plus = forces.v + kick + met.rows.velocity_change(solution.r)
     # Half a free flow, and nothing overlaps where it ends.
-    end, v_end = d.flow(middle, v_plus, after, ended)
-    moved = place(d, s.detector, end, memory, None if barred is None else far)
+    end, v_end, there = d.flow(middle, v_plus, after, ended)
+    moved = place(d, s.detector, end, there, memory, 2.0 * reach if barred is not None and barred.size else None)
     placed = project(d, s.detector, moved, forces, s.closed)
     impulses, works, warm = _account(s, met, forces, (v, v + kick, v_plus), solution.r, h, impact)
     if placed is not moved:
         lift = sum(d.energies(placed.position, v_end)) - sum(d.energies(moved.position, v_end))
         works = works._replace(projection=lift)
-    instant = Instant(placed.position, v_end, placed.placement, placed.contacts, placed.memory, warm)
-    left = NOBODY if barred is None else ~np.isin(moved.contacts.key, met.contacts.key)
-    return Move(
-        instant, impulses, works, problem, solution, placed.clear, take(moved.contacts, left), (forces.v - v) / h
-    )  # fmt: skip
+    twists = d.twists(placed.placement, v_end)
+    instant = Instant(placed.position, v_end, placed.placement, placed.contacts, placed.memory, warm, twists)
+    unmet = None if barred is None else _others(moved.contacts, met.contacts)
+    return Move(instant, impulses, works, problem, solution, placed.clear, unmet, (forces.v - v) / h)
 
 
 def _caught(
     s: System, contacts: ContactSet, begin: Instant, placement: Placement, v: Array, ahead: float, barred: Index
-) -> Bools:
+) -> ContactSet:
     """Contacts that a move need not leave alone: closed where it begins, or neither barred, deep nor elastic."""
-    held = np.isin(contacts.key, begin.contacts.key[begin.contacts.gap <= s.closed])
-    if held.all():
-        return held
-    rate = _approach(s.dynamics, contacts, placement, v)
-    shallow = contacts.gap + ahead * rate > -s.deep(contacts)
+    held = np.empty(contacts.gap.size, np.bool_)
+    if _law.known(contacts.key, begin.contacts.key, begin.contacts.gap, s.closed, held):
+        return contacts
+    shallow = contacts.gap + ahead * _approach(s.dynamics, contacts, placement, v) > -s.deep(contacts)
     shallow &= ~np.isin(s.detector.codes(contacts), barred)
-    out: Bools = held | (shallow & (contacts.restitution == 0.0))
-    return out
+    return take(contacts, held | (shallow & (contacts.restitution == 0.0)))
+
+
+def _others(found: ContactSet, met: ContactSet) -> ContactSet | None:
+    """Contacts that are not among those met; None where all are."""
+    same = np.empty(found.gap.size, np.bool_)
+    return None if _law.known(found.key, met.key, met.gap, np.inf, same) else take(found, ~same)
 
 
 def _approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) -> Array:
@@ -281,15 +279,15 @@ def collide(
     rate : ndarray, shape (n,)
         Free acceleration there, m/s² and rad/s².
     """
-    d = s.dynamics
+    d, c = s.dynamics, at.contacts
     joints = d.joint_rows(at.position, at.v, at.v, 0.0)
-    contacts = take(at.contacts, at.contacts.gap <= s.closed)
     if not (d.surfaces.count or (joints is not None and joints.restitution.any())):
-        fall = 2.0 * s.dt * np.abs(_approach(d, contacts, at.placement, rate))
-        if not (_approach(d, contacts, at.placement, at.v) < -fall - REST).any():
+        where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
+        if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -REST:
             return None
+    contacts = take(c, c.gap <= s.closed)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
-    start = contacts, at.placement, d.twists(at.placement, at.v), at.warm
+    start = contacts, at.placement, at.twists, at.warm
     surfaces = at.position.driven_x, twist, twist
     met = meet(d, contacts, joints, forces, at.v, at.placement, start, np.zeros(d.frames), surfaces, 0.0)
     resting = REST + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
@@ -298,7 +296,7 @@ def collide(
         return None
     v = at.v + met.rows.velocity_change(impact.r)
     impulses, works, _ = _account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact)
-    return at._replace(v=v), impulses, works, (impact.problem, impact.solution)
+    return at._replace(v=v, twists=d.twists(at.placement, v)), impulses, works, (impact.problem, impact.solution)
 
 
 def _account(

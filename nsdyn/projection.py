@@ -42,12 +42,13 @@ class Placed(NamedTuple):
 
 
 def place(
-    dynamics: Dynamics, detector: Detector, position: Position, memory: ContactMemory, reach: Array | None = None
-) -> Placed:
+    dynamics: Dynamics, detector: Detector, position: Position, placement: Placement, memory: ContactMemory,
+    reach: Array | None = None,
+) -> Placed:  # fmt: skip
     """The contacts at a position, whatever overlaps, up to the gaps that `reach` (frames,) allows, m."""
-    at = dynamics.place(position)
-    contacts, memory = detector.find(at.x, at.R, np.zeros(dynamics.frames) if reach is None else reach, memory)
-    return Placed(position, at, contacts, memory, True)
+    reach = np.zeros(dynamics.frames) if reach is None else reach
+    contacts, memory = detector.find(placement.x, placement.R, reach, memory)
+    return Placed(position, placement, contacts, memory, True)
 
 
 def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forces, closed: float) -> Placed:
@@ -84,5 +85,5 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         tol = max(0.1 * closed, -COARSE * deepest)
         shift = rows.velocity_change(Auto(tol=tol)(problem).r)
         moved = dynamics.shift(placed.position, shift)
-        placed = place(dynamics, detector, moved, placed.memory)
+        placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory)
     return placed._replace(clear=bool(placed.contacts.gap.min(initial=0.0) >= -closed))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from nsdyn import fclib, gauss, impacts
+from nsdyn._kernels import law as _law
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
@@ -258,11 +259,12 @@ class Stepper:
         """The initial instant, whose bodies do not overlap deeply, and the free acceleration there."""
         d = self.dynamics
         position, v = d.start()
-        placed = place(d, self.detector, position, ContactMemory.empty())
+        placed = place(d, self.detector, position, d.place(position), ContactMemory.empty())
         _check_overlap(geoms, placed.contacts)
         none = np.empty((0, 3))
         warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
-        instant = Instant(position, v, placed.placement, placed.contacts, placed.memory, warm)
+        twists = d.twists(placed.placement, v)
+        instant = Instant(position, v, placed.placement, placed.contacts, placed.memory, warm, twists)
         return instant, np.zeros(d.n)
 
     # -- state -------------------------------------------------------------------------------------------------
@@ -328,6 +330,8 @@ class Stepper:
         if begin.contacts.gap.size > LOCATED:
             return h, self._move(begin, t, h, None)
         m = self._move(begin, t, h, NONE)
+        if m.unmet is None:
+            return h, m
         hit = m.unmet.gap < -s.deep(m.unmet)
         if not hit.any():
             return h, m
@@ -349,7 +353,8 @@ class Stepper:
                 return max(least(before, ~np.isin(before.key, held)), self.closed)
             if time not in moves:
                 moves[time] = self._move(begin, t, time, barred)
-            return least(moves[time].unmet, np.ones(moves[time].unmet.gap.size, np.bool_))
+            left = moves[time].unmet
+            return float(far.max()) if left is None else least(left, np.ones(left.gap.size, np.bool_))
 
         brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
         # Where another feature is the first to touch the gap jumps, and has no root.
@@ -392,8 +397,10 @@ class Stepper:
         acted = done[0] if len(done) == 1 else _joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
+        gap = np.empty(acted.contacts.gap.size)
+        _law.end_gaps(acted.contacts.key, acted.contacts.gap, end.contacts.key, end.contacts.gap, gap)
         return Step(
-            self.t, q, v, x, quaternion, acted.contacts, _gaps(acted, end), acted.frame, acted.u, acted.r, acted.status,
+            self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
             acted.normal, acted.friction, acted.joints, acted.created, clear, ledger, certificate, problem, solution,
         )  # fmt: skip
 
@@ -425,16 +432,6 @@ def _joined(done: list[Impulses]) -> Impulses:
     contacts = ContactSet(*(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True)))
     columns = [np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7]]
     return Impulses(contacts, *columns, sum(a.joints for a in done), sum(a.created for a in done))
-
-
-def _gaps(acted: Impulses, end: Instant) -> Array:
-    """Gaps of the contacts at the end of a step."""
-    key = end.contacts.key
-    order = np.argsort(key)
-    at = np.searchsorted(key, acted.contacts.key, sorter=order)
-    at = order[np.minimum(at, key.size - 1)] if key.size else at
-    known = key[at] == acted.contacts.key if key.size else np.zeros(at.size, bool)
-    return np.where(known, end.contacts.gap[at] if key.size else 0.0, np.maximum(acted.contacts.gap, 0.0))
 
 
 def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:

@@ -50,7 +50,8 @@ def begin_velocities(
 
     Frame f moves there with linear[f] + angular[f] x (p - x_old[f]). A contact that was found there too, at a point
     from which the motion may have carried it here, has that point and that normal, and its tangents are those of here
-    turned by the least rotation from normal to normal; any other one has the arms and the frame of here.
+    turned by the least rotation from normal to normal; any other one has the arms and the frame of here. `reach` is how
+    far points of the frames move in about half a step.
     """
     for c in range(place.size):
         f1, f2, n = frame1[c], frame2[c], row(frame[c], 0)
@@ -59,7 +60,7 @@ def begin_velocities(
         if k >= 0:
             d, m = minus(p, row(old_point, k)), row(old_normal, k)
             far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
-            there = dot(d, d) <= 4.0 * far * far and dot(m, n) > 0.5
+            there = dot(d, d) <= 16.0 * far * far and dot(m, n) > 0.5
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
@@ -84,6 +85,35 @@ def approach(frame1, frame2, point, normal, x, linear, angular, out):
                 arm = minus(p, row(x, f))
                 w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
         out[c] = dot(row(normal, c), w)
+
+
+@njit(cache=True)
+def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
+    """The least normal velocity of contacts that are closed, m/s, 0 if none is negative."""
+    out, least = np.empty(gap.size), 0.0
+    approach(frame1, frame2, point, normal, x, linear, angular, out)
+    for c in range(gap.size):
+        if gap[c] <= closed:
+            least = min(least, out[c])
+    return least
+
+
+@njit(cache=True)
+def known(key, old_key, old_gap, closed, out):
+    """Which contacts are among old ones that are closed, into out (nc,); whether all are."""
+    place, every = places(old_key, key), True
+    for c in range(key.size):
+        out[c] = place[c] >= 0 and old_gap[place[c]] <= closed
+        every = every and out[c]
+    return every
+
+
+@njit(cache=True)
+def end_gaps(key, gap, old_key, old_gap, out):
+    """Gaps of contacts at the end of a step, into out (nc,): those found there, else those of before."""
+    place = places(old_key, key)
+    for c in range(key.size):
+        out[c] = old_gap[place[c]] if place[c] >= 0 else max(gap[c], 0.0)
 
 
 @njit(cache=True)

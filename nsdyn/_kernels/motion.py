@@ -9,6 +9,8 @@ import math
 import numpy as np
 from numba import njit
 
+from nsdyn._kernels import rotation
+
 
 @njit(cache=True)
 def integrate(x, quaternion, v, h, x_out, quaternion_out):
@@ -51,6 +53,13 @@ def place(x, quaternion, x_out, R):
         for i in range(3):
             x_out[b, i] = x[b, i]
     rotations(quaternion, R)
+
+
+@njit(cache=True)
+def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out, x_frames, R):
+    """`rotation.flow` of free bodies, and `place` where it ends."""
+    rotation.flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out)
+    place(x_out, quaternion_out, x_frames, R)
 
 
 @njit(cache=True)
