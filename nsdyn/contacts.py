@@ -163,7 +163,9 @@ class Detector:
         # Largest polygon: a face clipped by a face or by a circle, or all vertices against a half-space.
         loops = np.diff(self._geometry.loop_ptr).max(initial=max_points)
         room = int(max(4 * max(loops, max_points), np.diff(self._geometry.vertex_ptr).max(initial=0)))
-        self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
+        faces = int(np.diff(self._geometry.face_ptr).max(initial=2))
+        points = np.empty((faces * room, 3)), np.empty(faces * room)
+        self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room), *points
         self._set_pairs(np.empty(0, dtype=np.int64))
 
     @property

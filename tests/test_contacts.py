@@ -203,7 +203,9 @@ def test_crossing_capsules_touch_once(rng):
         c = contacts_of(
             (shapes.capsule(0.1, 0.6), x[0], R1), (shapes.capsule(0.2, 0.6), x[1], R2), reach=1e-3
         )  # fmt: skip
-        assert len(c.gap) == 1
+        # Where the axes are nearly parallel, the ends that the motion can close follow.
+        assert len(c.gap) == 1 or abs(np.cos(angle)) > 0.8
+        assert (c.gap[1:] > gap).all()
         assert c.gap[0] == pytest.approx(gap, abs=1e-14)
         np.testing.assert_allclose(c.normal[0], Q[:, 2], rtol=0, atol=1e-13)
         np.testing.assert_allclose(c.point[0], Q @ [0, 0, 0.1 + gap / 2], rtol=0, atol=1e-13)

@@ -1,13 +1,17 @@
 """Contact points of a pair from its features: which of them touch is known (from Coal), where is computed here.
 
-With n the unit normal from geom 1 to geom 2 that separates the pair best, in this order:
+With n the unit normal from geom 1 to geom 2 that separates the pair best, and a margin that the motion may close:
 
 1. A face of one geom whose normal is n within `ANGLE` (half-space, polytope face, cylinder cap) is the *reference*:
-   its normal is the contact normal, and the *incident* feature of the other geom, clipped to the face, gives the
-   points, each with its own gap over the plane.
-2. Two segments (polytope edge or corner, sphere, capsule, side of a cylinder: a segment with a radius) touch in
-   their closest points, parallel ones at both ends of their overlap.
-3. Ellipsoids and rims of cylinders touch in one point, where Newton's method makes the separation largest.
+   its normal is the contact normal, and the *incident* features of the other geom, clipped to the face, give the
+   points, each with its own gap over the plane, up to the margin.
+2. Where no such face holds what is deepest, the features themselves touch. Two segments (polytope edge or corner,
+   sphere, capsule, side of a cylinder: a segment with a radius) do so in their closest points, parallel ones at both
+   ends of their overlap; ellipsoids and rims of cylinders in one point, where Newton's method makes the separation
+   largest.
+3. Bodies tilted towards each other can close elsewhere too: beside the contact of 2. come the ends of round segments
+   and the points over the face whose normal is closest to n. While the bodies are apart, whatever is over the
+   interior of a face has to stay above it: these contacts forbid nothing that is possible.
 
 Vectors are tuples of three floats: they live in registers. R (n, 3, 3) and t (n, 3) are the poses of all geoms.
 """
@@ -21,10 +25,12 @@ from nsdyn._kernels.broadphase import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, P
 
 ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
 SHARP = 1e-6  # rad; the same for corners and edges beside such a face
+WIDE = 1.0  # |difference| of the normals of tilted bodies and of a face that may still hold points of interest
 BIAS = 1e-6  # a face of geom 2 is the reference only if it fits better than that of geom 1 by more than noise
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
+OBLIQUE = 0.8  # cosine of the angle below which round segments curve away from each other too fast to touch at ends
 RESCUE = 1e-5  # a face is preferred to what Coal found if it separates better by this fraction of the size
-NEAR = 1e-2  # a point over a face within this fraction of the size of one found otherwise adds nothing
+NEAR = 1e-2  # a point within the margin, and this fraction of the size, of one found more exactly adds nothing
 SAME = 1e-6  # points closer than this fraction of the size are one
 INSIDE = 1e-9  # a point this fraction of the size outside a side plane is on it
 
@@ -211,10 +217,10 @@ def face_normal(geometry, g, face):
 
 
 @njit(cache=True, forceinline=True)
-def aligned_face(geometry, g, R, n):
-    """The face of geom g whose normal is closest to n, and |difference|; (-1, inf) beyond `ANGLE`."""
+def aligned_face(geometry, g, R, n, angle):
+    """The face of geom g whose normal is closest to n, and |difference|; (-1, inf) if that is not below `angle`."""
     m = to_local(R, g, n)
-    best, face = ANGLE * ANGLE, -1
+    best, face = angle * angle, -1
     for f in range(face_count(geometry, g)):
         e = minus(face_normal(geometry, g, f), m)
         square = dot(e, e)
@@ -224,10 +230,10 @@ def aligned_face(geometry, g, R, n):
 
 
 @njit(cache=True)
-def reference_face(geometry, i, j, R, n):
-    """The reference of the normal n: (face of geom i, -1), (-1, face of geom j) or (-1, -1)."""
-    face1, error1 = aligned_face(geometry, i, R, n)
-    face2, error2 = aligned_face(geometry, j, R, times(-1.0, n))
+def reference_face(geometry, i, j, R, n, angle):
+    """The reference of the normal n: (face of geom i, -1), (-1, face of geom j), or (-1, -1) beyond `angle`."""
+    face1, error1 = aligned_face(geometry, i, R, n, angle)
+    face2, error2 = aligned_face(geometry, j, R, times(-1.0, n), angle)
     if face1 >= 0 and error1 <= error2 + BIAS:
         return face1, -1
     return -1, face2
@@ -259,41 +265,30 @@ def incident(geometry, g, R, t, n, whole, rim, poly):
     """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius).
 
     The feature is what lies within `radius` of the point, segment or polygon; `whole` asks for all vertices of a
-    polytope instead of a face, `rim` is the number of points that stand for the circle of a cylinder's cap.
+    polytope instead of a face, `rim` is the number of points that stand for the circle of a cylinder's cap. The third
+    result is the face of a polytope, as a row.
     """
     kind, s, c, z = geometry.kind[g], row(geometry.size, g), row(t, g), axis(R, g)
     if kind == SPHERE:
         put(poly, 0, c)
-        return 1, s[0]
+        return 1, s[0], -1
     if kind == CAPSULE:
         put(poly, 0, along(c, -s[1], z))
         put(poly, 1, along(c, s[1], z))
-        return 2, s[0]
+        return 2, s[0], -1
     if kind == ELLIPSOID:
         put(poly, 0, support(geometry, g, R, t, times(-1.0, n)))
-        return 1, 0.0
+        return 1, 0.0, -1
     m = to_local(R, g, times(-1.0, n))
     if kind == CYLINDER:
-        side = math.hypot(m[0], m[1])
-        # Where the circle dips deepest; in an upright cylinder that is noise, so any fixed direction does.
-        x, y = (m[0] / side, m[1] / side) if side > 1e-6 else (1.0, 0.0)
-        if m[2] * m[2] > 0.5:
-            for k in range(rim):
-                u, v = s[0] * math.cos(2.0 * math.pi * k / rim), s[0] * math.sin(2.0 * math.pi * k / rim)
-                p = (x * u - y * v, y * u + x * v, math.copysign(s[1], m[2]))
-                put(poly, k, along(c, 1.0, to_world(R, g, p)))
-            return rim, 0.0
-        foot = along(c, 1.0, to_world(R, g, (s[0] * x, s[0] * y, 0.0)))
-        put(poly, 0, along(foot, -s[1], z))
-        put(poly, 1, along(foot, s[1], z))
-        return 2, 0.0
-    first = geometry.vertex_ptr[g]
+        return of_cylinder(geometry, g, R, t, m, m[2] * m[2] > 0.5, rim, poly), 0.0, -1
     if whole:
+        first = geometry.vertex_ptr[g]
         for k in range(geometry.vertex_ptr[g + 1] - first):
             put(poly, k, along(c, 1.0, to_world(R, g, row(geometry.vertices, first + k))))
-        return geometry.vertex_ptr[g + 1] - first, 0.0
+        return geometry.vertex_ptr[g + 1] - first, 0.0, -1
     # The face most against n among those around the deepest vertex.
-    deepest = deepest_vertex(geometry, g, m) - first
+    deepest = deepest_vertex(geometry, g, m) - geometry.vertex_ptr[g]
     best, face = -math.inf, -1
     for f in range(geometry.face_ptr[g], geometry.face_ptr[g + 1]):
         e = dot(row(geometry.face_normals, f), m)
@@ -301,10 +296,81 @@ def incident(geometry, g, R, t, n, whole, rim, poly):
             for p in range(geometry.loop_ptr[f], geometry.loop_ptr[f + 1]):
                 if geometry.loop[p] == deepest:
                     best, face = e, f
-    begin, end = geometry.loop_ptr[face], geometry.loop_ptr[face + 1]
+    return corners(geometry, g, R, t, face, poly), 0.0, face
+
+
+@njit(cache=True)
+def corners(geometry, g, R, t, face, poly):
+    """The polygon of a face (a row) of polytope g, into poly; returns its number of points."""
+    first, begin, end = geometry.vertex_ptr[g], geometry.loop_ptr[face], geometry.loop_ptr[face + 1]
     for p in range(begin, end):
-        put(poly, p - begin, along(c, 1.0, to_world(R, g, row(geometry.vertices, first + geometry.loop[p]))))
-    return end - begin, 0.0
+        v = row(geometry.vertices, first + geometry.loop[p])
+        put(poly, p - begin, along(row(t, g), 1.0, to_world(R, g, v)))
+    return end - begin
+
+
+@njit(cache=True)
+def of_cylinder(geometry, g, R, t, m, cap, rim, poly):
+    """The cap of cylinder g outermost along m (shape frame) as `rim` points, or that line of its side; their number."""
+    s, c, side = row(geometry.size, g), row(t, g), math.hypot(m[0], m[1])
+    # Where the circle dips deepest; in an upright cylinder that is noise, so any fixed direction does.
+    x, y = (m[0] / side, m[1] / side) if side > 1e-6 else (1.0, 0.0)
+    if cap:
+        for k in range(rim):
+            u, v = s[0] * math.cos(2.0 * math.pi * k / rim), s[0] * math.sin(2.0 * math.pi * k / rim)
+            p = (x * u - y * v, y * u + x * v, math.copysign(s[1], m[2]))
+            put(poly, k, along(c, 1.0, to_world(R, g, p)))
+        return rim
+    foot = along(c, 1.0, to_world(R, g, (s[0] * x, s[0] * y, 0.0)))
+    put(poly, 0, along(foot, -s[1], axis(R, g)))
+    put(poly, 1, along(foot, s[1], axis(R, g)))
+    return 2
+
+
+@njit(cache=True)
+def other_feature(geometry, g, R, t, m, low, rim, poly):
+    """The line of a cylinder's side when its cap faces -m, else the cap; into poly if that reaches below m·x = low.
+
+    Only what the feature has more than the other one counts. Returns the number of points, 0 if it is of no interest.
+    """
+    radius, half, side, up = geometry.size[g, 0], geometry.size[g, 1], math.hypot(m[0], m[1]), abs(m[2])
+    cap = m[2] * m[2] > 0.5
+    more = 2.0 * half * up if cap else radius * side * (1.0 - math.cos(2.0 * math.pi / rim))
+    if more - radius * side - half * up > low:
+        return 0
+    return of_cylinder(geometry, g, R, t, times(-1.0, m), not cap, rim, poly)
+
+
+@njit(cache=True)
+def next_feature(geometry, g, face, main, m, low):
+    """The first face of polytope g from `face` on (rows) that faces -m and has a corner with m·corner ≤ low.
+
+    Corners of the face `main` do not count.
+    """
+    last = geometry.face_ptr[g + 1]
+    while face < last:
+        if face != main and dot(row(geometry.face_normals, face), m) < -SHARP:
+            for p in range(geometry.loop_ptr[face], geometry.loop_ptr[face + 1]):
+                corner = geometry.loop[p]
+                if dot(row(geometry.vertices, geometry.vertex_ptr[g] + corner), m) <= low:
+                    shared = False
+                    for q in range(geometry.loop_ptr[main], geometry.loop_ptr[main + 1]):
+                        shared = shared or corner == geometry.loop[q]
+                    if not shared:
+                        return face
+        face += 1
+    return last
+
+
+@njit(cache=True, forceinline=True)
+def dipping(geometry, g, main, m, low):
+    """Whether any corner of polytope g with m·corner ≤ low is not one of the face `main` (a row)."""
+    count = 0
+    for k in range(geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]):
+        count += dot(row(geometry.vertices, k), m) <= low
+    for p in range(geometry.loop_ptr[main], geometry.loop_ptr[main + 1]):
+        count -= dot(row(geometry.vertices, geometry.vertex_ptr[g] + geometry.loop[p]), m) <= low
+    return count > 0
 
 
 @njit(cache=True)
@@ -406,32 +472,47 @@ def clip_to_disk(radius, g, R, t, poly, count, rim, other):
 
 
 @njit(cache=True, forceinline=True)
-def over_face(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, other, gap):
-    """Contacts of a face of geom i (or, if face1 < 0, of geom j) with the other geom, into poly and gap.
+def over_face(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, other, values, points, heights):
+    """Contacts of a face of geom i (or, if face1 < 0, of geom j) with the other geom, into points and heights.
 
     Returns their number and the normal from 1 to 2.
     """
     g, o, face, sign = (i, j, face1, 1.0) if face1 >= 0 else (j, i, face2, -1.0)
-    kind = geometry.kind[g]
+    kind, c = geometry.kind[g], row(t, g)
     n = to_world(R, g, face_normal(geometry, g, face))
-    count, radius = incident(geometry, o, R, t, n, whole, rim, poly)
     if kind == CYLINDER:
         level = geometry.size[g, 1]
-        count = clip_to_disk(geometry.size[g, 0], g, R, t, poly, count, rim, other)
     elif kind == POLYTOPE:
         level = geometry.face_offsets[geometry.face_ptr[g] + face]
-        count = clip_to_face(geometry, g, face, R, t, n, poly, count, other, gap)
     else:
         level = geometry.offset[g]
-    c = row(t, g)
-    kept = 0
-    for k in range(count):
-        p = row(poly, k)
-        height = dot(n, minus(p, c)) - level - radius
-        if height <= margin:
-            put(poly, kept, along(p, -radius, n))
-            gap[kept] = height
-            kept += 1
+    count, radius, main = incident(geometry, o, R, t, n, whole, rim, poly)
+    kept, following = 0, geometry.face_ptr[o]
+    while count > 0:
+        if kind == CYLINDER:
+            count = clip_to_disk(geometry.size[g, 0], g, R, t, poly, count, rim, other)
+        elif kind == POLYTOPE:
+            count = clip_to_face(geometry, g, face, R, t, n, poly, count, other, values)
+        for k in range(count):
+            p = row(poly, k)
+            height = dot(n, minus(p, c)) - level - radius
+            if height <= margin and kept < heights.size:
+                put(points, kept, along(p, -radius, n))
+                heights[kept] = height
+                kept += 1
+        # Of a tilted geom other features reach below the margin too.
+        count = 0
+        if main >= 0 or geometry.kind[o] == CYLINDER:
+            m, above = to_local(R, o, n), dot(n, minus(row(t, o), c)) - level
+            if main < 0:
+                if following == geometry.face_ptr[o]:
+                    following += 1
+                    count = other_feature(geometry, o, R, t, m, margin - above, rim, poly)
+            elif following > geometry.face_ptr[o] or dipping(geometry, o, main, m, margin - above):
+                following = next_feature(geometry, o, following, main, m, margin - above)
+                if following < geometry.face_ptr[o + 1]:
+                    count = corners(geometry, o, R, t, following, poly)
+                following += 1
     return kept, times(sign, n)
 
 
@@ -462,13 +543,35 @@ def triangle(x, y, hull, p, q, r):
 
 
 @njit(cache=True)
-def reduce(poly, gap, count, n, limit):
+def reduce(poly, gap, count, n, limit, margin, close):
     """Keep at most `limit` points: the deepest and the corners of the patch that hold most of its area.
 
-    The convex hull of the points in the plane of n loses corner after corner, each time the one whose triangle with
-    its neighbours is smallest; then corners move along the hull as long as the area grows. Returns the number left, in
-    their former order.
+    The patch is that of the points the motion closes first: from the margin on down to `close` above the deepest point
+    the highest ones are left out, as long as `limit` points are left. The convex hull of the patch in the plane of n
+    loses corner after corner, each time the one whose triangle with its neighbours is smallest; then corners move along
+    the hull as long as the area grows. Returns the number left, in their former order.
     """
+    lowest = math.inf
+    for k in range(count):
+        lowest = min(lowest, gap[k])
+    height = margin - lowest
+    while height > close:
+        height = max(0.5 * height, close)
+        low = 0
+        for k in range(count):
+            low += gap[k] <= lowest + height
+        if low < limit:
+            break
+        if low < count:
+            low = 0
+            for k in range(count):
+                if gap[k] <= lowest + height:
+                    put(poly, low, row(poly, k))
+                    gap[low] = gap[k]
+                    low += 1
+            count = low
+    if count <= limit:
+        return count
     e1 = perpendicular(n)
     e2 = cross(n, e1)
     x, y = np.empty(count), np.empty(count)
@@ -661,6 +764,52 @@ def segments(p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, poi
     return 0 if (flat1 and abs(dot(m, d)) > INSIDE) or (flat2 and abs(dot(m, e)) > INSIDE) else 1
 
 
+@njit(cache=True)
+def ends(geometry, i, j, R, t, n, angle, margin, near, point, normal, gap, at, count):
+    """Further contacts of two segments with radii: their ends opposite the other segment, up to the margin.
+
+    They follow the `count` contacts from index `at` on; those within `near` of one of them add nothing. Returns the new
+    number. Corners and edges of polytopes take part, but not with each other: these are found over faces.
+    """
+    p1, q1, radius1, valid1 = segment(geometry, i, R, t, n, angle)
+    p2, q2, radius2, valid2 = segment(geometry, j, R, t, times(-1.0, n), angle)
+    if not (valid1 and valid2) or radius1 + radius2 == 0.0:
+        return count
+    d, length1 = unit(minus(q1, p1))
+    e, length2 = unit(minus(q2, p2))
+    if abs(dot(d, e)) < OBLIQUE:
+        return count
+    for k in range(4):
+        # An end a of one segment (radius, kind), and the other from c on along f.
+        if k < 2:
+            a, radius, flat, opposite, sign = p1 if k == 0 else q1, radius1, geometry.kind[i] == CYLINDER, length1, 1.0
+            c, f, length, other = p2, e, length2, radius2
+        else:
+            a, radius, flat, opposite, sign = p2 if k == 2 else q2, radius2, geometry.kind[j] == CYLINDER, length2, -1.0
+            c, f, length, other = p1, d, length1, radius1
+        if flat:  # its end is a circle, not a ball
+            m = minus(along(c, dot(f, minus(a, c)), f), a)
+            m, _ = unit(along(m, -dot(m, d if k < 2 else e), d if k < 2 else e))
+            a, radius = along(a, radius, m), 0.0
+        s = dot(f, minus(a, c))
+        foot = along(c, s, f)
+        m, distance = unit(minus(foot, a))
+        if not (s > 0.0 and s < length and opposite > 0.0) or sign * dot(m, n) < 0.5:
+            continue
+        height = distance - radius - other
+        middle = times(0.5, along(along(a, radius, m), 1.0, along(foot, -other, m)))
+        new = height <= margin
+        for q in range(count):
+            away = minus(middle, row(point, at + q))
+            new = new and dot(away, away) > near * near
+        if new:
+            put(point, at + count, middle)
+            put(normal, at + count, times(sign, m))
+            gap[at + count] = height
+            count += 1
+    return count
+
+
 # -- curved surfaces ---------------------------------------------------------------------------------------
 
 
@@ -767,9 +916,23 @@ def apart(geometry, i, j, R, t, margin):
     return dot(d, d) > reach * reach
 
 
-@njit(cache=True, forceinline=True)
-def of_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, at):
-    """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number."""
+@njit(cache=True)
+def of_features(geometry, i, j, R, t, known, n, angle, margin, near, point, normal, gap, at):
+    """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number.
+
+    The first one has the least gap. Ends of round segments that the margin holds follow.
+    """
+    count = closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, at)
+    kind1, kind2 = geometry.kind[i], geometry.kind[j]
+    if kind1 == CAPSULE or kind1 == CYLINDER or kind2 == CAPSULE or kind2 == CYLINDER:
+        wide = min(max(ANGLE, margin / min(geometry.radius[i], geometry.radius[j])), WIDE)
+        count = ends(geometry, i, j, R, t, row(normal, at), wide, margin, near, point, normal, gap, at, count)
+    return count
+
+
+@njit(cache=True)
+def closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, at):
+    """Contacts of the features that are outermost along n, where they are closest; returns their number."""
     size = min(geometry.radius[i], geometry.radius[j])
     flat1, flat2 = geometry.kind[i] == CYLINDER, geometry.kind[j] == CYLINDER
     p1, q1, radius1, valid1 = segment(geometry, i, R, t, n, angle)
@@ -792,11 +955,12 @@ def of_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, at):
 
 @njit(cache=True)
 def pair_contacts(
-    geometry, i, j, R, t, slack, known, trusted, n, margin, limit, poly, other, heights, point, normal, gap, at
+    geometry, i, j, R, t, slack, known, trusted, n, base, margin, limit, poly, other, values, points, heights, point,
+    normal, gap, at,
 ):  # fmt: skip
     """Contacts of one pair, into point, normal, gap from index `at` on; returns their number.
 
-    n is the normal of the cores, if `known`, and to be relied on if `trusted`.
+    n is the normal of the cores, if `known`, and to be relied on if `trusted`. At rest the margin is `base`.
     """
     size = min(geometry.radius[i], geometry.radius[j])
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
@@ -804,38 +968,52 @@ def pair_contacts(
     face1, face2 = 0 if kind1 == HALFSPACE else -1, 0 if kind2 == HALFSPACE else -1
     found = n
     if known:
-        face1, face2 = reference_face(geometry, i, j, R, n)
+        face1, face2 = reference_face(geometry, i, j, R, n, ANGLE)
         # Cores that overlap give no reliable normal, and rounding off a sliver of contact beside an edge turns it.
         if not trusted or (face1 < 0 and face2 < 0 and separation(geometry, i, j, R, t, n)[0] <= slack):
             n = best_normal(geometry, i, j, R, t, n, RESCUE * size if trusted else 0.0)
-            face1, face2 = reference_face(geometry, i, j, R, n)
-    first, count, m = 0, 0, n
-    complete = whole
+            face1, face2 = reference_face(geometry, i, j, R, n, ANGLE)
+    first, count, m, tilted = 0, 0, n, face1 < 0 and face2 < 0
+    near, deepest = min(NEAR * size, margin), -math.inf
+    if tilted:
+        first = of_features(
+            geometry, i, j, R, t, known, found if trusted else n, ANGLE, margin, near, point, normal, gap, at
+        )  # fmt: skip
+        deepest = gap[at]
+        if kind1 != SPHERE and kind2 != SPHERE and deepest <= margin:
+            face1, face2 = reference_face(geometry, i, j, R, row(normal, at), WIDE)
     if face1 >= 0 or face2 >= 0:
-        count, m = over_face(geometry, i, j, R, t, whole, limit, margin, face1, face2, poly, other, heights)
-        deepest = math.inf
+        count, m = over_face(
+            geometry, i, j, R, t, whole, limit, margin, face1, face2, poly, other, values, points, heights
+        )  # fmt: skip
+    if not (tilted or whole):
+        lowest = math.inf
         for k in range(count):
-            deepest = min(deepest, heights[k])
-        complete = whole or deepest <= separation(geometry, i, j, R, t, m)[0] + SAME * size
-    if not complete:  # what is deepest is not over a face; beside an aligned one the features are seen more sharply
-        angle = ANGLE if face1 < 0 and face2 < 0 else SHARP
-        first = of_features(geometry, i, j, R, t, known, found if trusted else n, angle, point, normal, gap, at)
+            lowest = min(lowest, heights[k])
+        # What is deepest is not over the face: beside one the features are seen more sharply.
+        if lowest > separation(geometry, i, j, R, t, m)[0] + SAME * size:
+            first = of_features(
+                geometry, i, j, R, t, known, found if trusted else n, SHARP, margin, near, point, normal, gap, at
+            )  # fmt: skip
+            deepest = gap[at]
+    if first > 0:
         kept = 0
         for k in range(count):
             new = True
             for c in range(first):
-                d = minus(row(poly, k), row(point, at + c))
-                new = new and dot(d, d) > (NEAR * size) ** 2
+                d = minus(row(points, k), row(point, at + c))
+                new = new and dot(d, d) > near * near
             if new:
-                put(poly, kept, row(poly, k))
-                heights[kept] = heights[k]
+                put(points, kept, row(points, k))
+                # No point is deeper than the bodies overlap: that is along the normal of the features.
+                heights[kept] = max(heights[k], min(deepest, 0.0))
                 kept += 1
         count = kept
-    count = merge(poly, heights, count, SAME * size)
+    count = merge(points, heights, count, SAME * size)
     if count > limit - first:
-        count = reduce(poly, heights, count, m, limit - first)
+        count = reduce(points, heights, count, m, limit - first, margin, base)
     for k in range(count):
-        put(point, at + first + k, row(poly, k))
+        put(point, at + first + k, row(points, k))
         put(normal, at + first + k, m)
         gap[at + first + k] = heights[k]
     return first + count
@@ -843,14 +1021,15 @@ def pair_contacts(
 
 @njit(cache=True)
 def manifolds(
-    fields, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, heights, point, normal, gap, pair
-):
+    fields, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, values, points, heights, point,
+    normal, gap, pair,
+):  # fmt: skip
     """Contacts of all candidate pairs (first, second), into point, normal, gap and pair; returns their number.
 
     `fields` are those of `Geometry`, a plain tuple: from Python that is handed over in half the time.
     ``coal[slot[p]]`` is the distance and normal of the cores of pair p, where slot[p] ≥ 0; ``slack[g]`` bounds how
     far the surface of geom g is from that of its core. ``base[p]`` plus the reach of both geoms is the largest gap
-    of interest. The outputs have room for `limit` contacts per pair.
+    of interest. The outputs have room for `limit` contacts per pair; what comes before them is scratch.
     """
     geometry = Geometry(*fields)
     total = 0
@@ -868,8 +1047,8 @@ def manifolds(
         elif apart(geometry, i, j, R, t, margin):
             continue
         count = pair_contacts(
-            geometry, i, j, R, t, both, known, trusted, n, margin, limit, poly, other, heights, point, normal, gap,
-            total,
+            geometry, i, j, R, t, both, known, trusted, n, base[p], margin, limit, poly, other, values, points,
+            heights, point, normal, gap, total,
         )  # fmt: skip
         kept = total
         for k in range(total, total + count):
