@@ -325,7 +325,7 @@ def _account(
         total = total + impact.r if r.size else impact.r
         normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
         works += Works(normal=float(impact.normal.sum()), friction=float(impact.friction.sum()))
-        status[(status == 0) & (impact.r[0 : 3 * nc : 3] > 0.0)] = 2
+        _law.states(total, met.mu, status)
     if met.drag.size:
         works += Works(constraint=-float(met.drag @ total))
     slots, on_joints = d.joints.impulses(met.joints, total.reshape(-1, 3)[nc:], d.n)

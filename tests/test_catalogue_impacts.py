@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import quad
 
 import nsdyn as nd
-from nsdyn._kernels import encounter
 
 g = 9.81
 
@@ -28,7 +27,7 @@ def test_spinning_ball_bounces(mu, spin, restitution):
     v = speed - math.copysign(mu * impulse, slip) if slips else (5 * speed + 2 * r * spin) / 7
     w = spin + (speed - v) * 5 / (2 * r)
     body = nd.simulate(scene, 1e-3, dt=1e-3).body("ball")
-    assert step.contact_status.tolist() == [2 if slips else 1]
+    assert step.contact_status[0] == (2 if slips else 1)
     assert np.abs(body.linear_velocity[-1] - [v, 0.0, restitution * fall]).max() <= 1e-13
     assert np.abs(body.angular_velocity[-1] - [0.0, w, 0.0]).max() <= 1e-11
 
@@ -189,7 +188,7 @@ def test_energy_of_impacts_on_random_operators(rng):
             assert solution.converged
             # With M⁻¹ = W the velocity is u itself: T = u W⁻¹ u/2.
             after = solution.u - offset
-            works = sum(encounter.contact_works(u, after, solution.r, np.empty(1), np.empty(1)))
+            works = 0.5 * (u + after) @ solution.r
             change = 0.5 * (after @ np.linalg.solve(W, after) - u @ np.linalg.solve(W, u))
             assert works == pytest.approx(change, abs=1e-8 * (1 + abs(u @ np.linalg.solve(W, u))))
             if restitution == 0.0 or mu == 0.0:

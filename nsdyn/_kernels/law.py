@@ -214,14 +214,14 @@ def reconsider(r, mu, u_begin, u, u_plus, turn, slides, fixed):
     for c in range(slides.size):
         i = 3 * c
         x, y = u_plus[i + 1] + turn[i + 1], u_plus[i + 2] + turn[i + 2]
-        sticks = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu[c] * r[i] * (1.0 - 1e-9)
+        found = state(r, mu[c], i)
         if slides[c]:
             mean = (u[i + 1] + u_plus[i + 1]) * x + (u[i + 2] + u_plus[i + 2]) * y
-            if r[i] > 0.0 and (sticks or mean <= 0.0):
+            if found == 1 or (found == 2 and mean <= 0.0):
                 slides[c] = False
                 fixed[c] = True
                 some = True
-        elif not fixed[c] and r[i] > 0.0 and mu[c] > 0.0 and not sticks and u_begin[i + 1] * x + u_begin[i + 2] * y > 0.0:
+        elif not fixed[c] and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * x + u_begin[i + 2] * y > 0.0:
             slides[c] = True
             fixed[c] = True
             some = True
@@ -229,10 +229,25 @@ def reconsider(r, mu, u_begin, u, u_plus, turn, slides, fixed):
 
 
 @njit(cache=True)
+def state(r, mu, i):
+    """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary) of rows i to i + 2."""
+    if r[i] <= 0.0:
+        return 0
+    return 1 if math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu * r[i] * (1.0 - 1e-9) else 2
+
+
+@njit(cache=True)
+def states(r, mu, out):
+    """`state` of every contact, into out (nc,)."""
+    for c in range(out.size):
+        out[c] = state(r, mu[c], 3 * c)
+
+
+@njit(cache=True)
 def outcome(r, mu, place, old_status, struck, u, u_plus, turn, frame, status, normal, friction, u_end, world):
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
-    Status (nc,): 0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary). Works (rows,) are
+    `states`; works (rows,) are
     those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns the sums of what they are in
     the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact that stays closed, normal,
     and sticks, tangential; joint rows always do work.
@@ -247,8 +262,7 @@ def outcome(r, mu, place, old_status, struck, u, u_plus, turn, frame, status, no
             u_end[i + j] = u_plus[i + j] + turn[i + j]
         stays, sticks = False, False
         if c < nc:
-            t = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2)
-            status[c] = 0 if r[i] <= 0.0 else (1 if t < mu[c] * r[i] * (1.0 - 1e-9) else 2)
+            status[c] = state(r, mu[c], i)
             if place[c] >= 0 and not (struck.size > c and struck[c] > 0.0):
                 old = old_status[place[c]]
                 stays, sticks = old > 0, old == 1 and status[c] == 1
