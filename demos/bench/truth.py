@@ -381,7 +381,7 @@ def passing_balls(speed: float, phase: int, dt: float = 1e-2) -> Figures:
 
 @bar(
     "balls against a wall of 1 cm",
-    {"through": 0.0, "overlap": 1e-6},
+    {"through": 0.0, "early": 1e-9, "overlap": 1e-6},
     product(speed=SPEEDS, phase=range(8)),
     product(speed=FEW, phase=(0, 3)),
 )
@@ -392,7 +392,11 @@ def stopped_balls(speed: float, phase: int, dt: float = 1e-2) -> Figures:
     scene.add_sphere("ball", 0.02, 1.0, position=(-1 - phase / 8 * speed * dt, 0, 0), linear_velocity=(speed, 0, 0))
     trajectory = nd.simulate(scene, 2.0 / speed + 3 * dt, dt)
     x = trajectory.body("ball").position[:, 0]
-    return {"through": float(x.max() > 0.0), "overlap": overlap(scene, trajectory)}
+    return {
+        "through": float(x.max() > 0.0),
+        "early": max(0.0, -0.02 - THIN / 2 - x[-1]),
+        "overlap": overlap(scene, trajectory),
+    }
 
 
 ANGLE = 1.2
@@ -413,16 +417,41 @@ def add_post(scene: nd.Scene, inner: float, depth: float) -> None:
     scene.add_box("post", (depth, THIN, 4.0), fixed=True, position=at, quaternion=quaternion)
 
 
+@functools.cache
+def touch(inner: float, depth: float) -> float:
+    """Angle of a rod or a blade that touches the post, rad, by bisection."""
+    scene = nd.Scene()
+    add_post(scene, inner, depth)
+    scene.add_box("blade", (2, 0.02, 0.02), 1.0)
+    post, blade = scene.geoms()
+    fixed, moving = np.eye(4), np.eye(4)
+    fixed[:3, :3], fixed[:3, 3] = post.placement_R, post.placement_t
+    apart, inside = ANGLE - 0.2, ANGLE
+    while inside - apart > 1e-12:
+        angle = 0.5 * (apart + inside)
+        moving[:3, :3] = Rotation.from_rotvec([0, 0, angle]).as_matrix()
+        depth = independent.overlap(post.shape.describe(), fixed, blade.shape.describe(), moving)
+        apart, inside = (apart, angle) if depth > 0.0 else (angle, inside)
+    return inside
+
+
+def early(spin: np.ndarray, t: np.ndarray, start: float, angle: float) -> float:
+    """By how much [rad] less than to `angle` it would have turned freely when its spin first differs from the first."""
+    struck = np.flatnonzero(np.abs(spin - spin[0]) > 1e-6 * spin[0])
+    return max(0.0, angle - start - spin[0] * t[struck[0]]) if struck.size else 0.0
+
+
 @bar(
     "the tip of a link",
-    {"ghost": UNTOUCHED, "through": 0.0, "overlap": 1e-6},
+    {"ghost": UNTOUCHED, "early": 1e-6, "through": 0.0, "overlap": 1e-6},
     product(speed=(*FEW, 10.0, 75.0), phase=range(8), hits=(True, False)),
     product(speed=FEW, phase=(0, 3), hits=(True, False)),
 )
 def link_tips(speed: float, phase: int, hits: bool, dt: float = 1e-2) -> Figures:
     """A rod of 1 m on a hinge: a wall of 1 cm stops its tip, and one 1 cm beyond its tip does nothing to it."""
     scene = nd.Scene(gravity=(0, 0, 0))
-    add_post(scene, 0.9 if hits else TIP + CLEAR, 0.5)
+    post = (0.9 if hits else TIP + CLEAR), 0.5
+    add_post(scene, *post)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "pendulum.urdf"
         path.write_text(PENDULUM)
@@ -432,32 +461,43 @@ def link_tips(speed: float, phase: int, hits: bool, dt: float = 1e-2) -> Figures
     if not hits:
         return {"ghost": changed(trajectory.v)}
     angle = np.unwrap(np.arctan2(trajectory.q[:, 1], trajectory.q[:, 0]))
-    return {"through": float(angle.max() > ANGLE), "overlap": overlap(scene, trajectory)}
+    return {
+        "early": early(trajectory.v[:, 0], trajectory.t, start, touch(*post)),
+        "through": float(angle.max() > ANGLE),
+        "overlap": overlap(scene, trajectory),
+    }
 
 
 @bar(
     "the tip of a spinning blade",
-    {"ghost": UNTOUCHED, "through": 0.0, "overlap": 1e-6},
+    {"ghost": UNTOUCHED, "early": 1e-6, "through": 0.0, "overlap": 1e-6},
     product(speed=(*FEW, 10.0, 75.0), phase=range(8), hits=(True, False)),
     product(speed=FEW, phase=(0, 3), hits=(True, False)),
 )
 def blades(speed: float, phase: int, hits: bool, dt: float = 1e-2) -> Figures:
     """A blade of 2 m that flies and spins: a thin post slows its spin and throws it back, one beyond does nothing."""
     scene = nd.Scene(gravity=(0, 0, 0))
-    add_post(scene, 0.94 if hits else TIP + CLEAR, THIN)
-    start = Rotation.from_rotvec([0, 0, -phase / 8 * speed * dt]).as_quat()
+    post = (0.94 if hits else TIP + CLEAR), THIN
+    add_post(scene, *post)
+    start = -phase / 8 * speed * dt
+    turn = Rotation.from_rotvec([0, 0, start]).as_quat()
     scene.add_box(
-        "blade", (2, 0.02, 0.02), 1.0, quaternion=start, linear_velocity=(0, 0, 1), angular_velocity=(0, 0, speed),
+        "blade", (2, 0.02, 0.02), 1.0, quaternion=turn, linear_velocity=(0, 0, 1), angular_velocity=(0, 0, speed),
         material=nd.Material(mu=0.0),
     )  # fmt: skip
     trajectory = nd.simulate(scene, (ANGLE + 2.0) / speed + 3 * dt, dt)
     blade = trajectory.body("blade")
     if not hits:
         return {"ghost": max(changed(blade.linear_velocity), changed(blade.angular_velocity))}
-    struck = np.flatnonzero(np.abs(blade.angular_velocity[:, 2] - speed) > 1e-6 * speed)
+    spin = blade.angular_velocity[:, 2]
+    struck = np.flatnonzero(np.abs(spin - speed) > 1e-6 * speed)
     back = blade.linear_velocity[struck[0]] @ (-math.sin(ANGLE), math.cos(ANGLE), 0) if struck.size else 0.0
-    held = struck.size and blade.angular_velocity[struck[0], 2] < speed and back < 0.0
-    return {"through": float(not held), "overlap": overlap(scene, trajectory)}
+    held = struck.size and spin[struck[0]] < speed and back < 0.0
+    return {
+        "early": early(spin, trajectory.t, start, touch(*post)),
+        "through": float(not held),
+        "overlap": overlap(scene, trajectory),
+    }
 
 
 # -- what is conserved ---------------------------------------------------------------------------------------------
