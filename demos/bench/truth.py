@@ -862,8 +862,11 @@ def rows(name: str, limits: Figures, found: list[tuple[Case, Figures]]) -> Itera
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("bars", nargs="*", metavar="BAR", help=f"of {', '.join(BARS)} (default: all)")
+    titles = "\n".join(f"  {name:20} {claim.title}" for name, claim in BARS.items())
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=f"bars:\n{titles}", formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("bars", nargs="*", metavar="BAR", help="names (default: all)")
     parser.add_argument("--quick", action="store_true", help="few cases")
     parser.add_argument("--verbose", action="store_true", help="print every case")
     arguments = parser.parse_args()
