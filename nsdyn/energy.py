@@ -3,7 +3,7 @@
 With one mass matrix M̃ over the step, any r and v̄ = (v_k + v_{k+1})/2, the kinetic change is v̄·(h f̃ + H r) exactly,
 so the works below add up to the change of kinetic plus potential energy, whatever the accuracy of the solve:
 
-    ΔT + ΔV = external + normal + friction + damping + constraint + gyroscopic + theta + mass + projection + defect.
+    ΔT + ΔV = external + normal + friction + damping + constraint + integration + projection + defect.
 
 The defect is round-off. A ledger that does not close is a bug.
 """
@@ -39,13 +39,9 @@ class Ledger(NamedTuple):
     """Of viscous joint damping."""
     constraint: float
     """Of bilateral constraints: of what drives bodies, surfaces and joints, and of closed loops, O(h²) of a motion."""
-    gyroscopic: float
-    """Of gyroscopic and Coriolis terms and, for trees, of gravity beyond its potential: with the term `mass` 0 on a
-    free motion, the contacts' share elsewhere."""
-    theta: float
-    """Of the difference between the velocity that moved the system and the mean one; 0 for θ = ½ in uniform gravity."""
-    mass: float
-    """Of the change of the mass matrix of articulated trees over the step."""
+    integration: float
+    """Of the time discretisation: of gyroscopic and Coriolis terms and of gravity beyond its potential, of the
+    difference between the velocity that moved the system and the mean one, of the change of mass matrices."""
     projection: float
     """Of the position projection."""
     defect: float
@@ -106,7 +102,7 @@ def ledger(
     kinetic, potential, d_kinetic, d_potential, external, damping, constraint, gyroscopic, slip, mass, projection = sums
     total = external + normal + friction + damping + constraint + gyroscopic + slip + mass + projection
     return Ledger(
-        kinetic, potential, external, normal, friction, damping, constraint, gyroscopic, slip, mass, projection,
+        kinetic, potential, external, normal, friction, damping, constraint, gyroscopic + slip + mass, projection,
         d_kinetic + d_potential - total,
     )  # fmt: skip
 

@@ -607,6 +607,7 @@ class Scene:
             "friction_rule": self.friction_rule,
             "restitution_rule": self.restitution_rule,
             "geoms": geoms,
+            "excluded": sorted([min(pair), max(pair)] for pair in self.excluded(self.geoms())),
             "frames": [b.name for b in self.free_bodies]
             + [f"{a}/{self.articulations[a].model.names[j]}" for a, j in self.link_frames()]
             + [b.name for b in self.driven_bodies],

@@ -534,6 +534,7 @@ def simulate(
     stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact)
     steps = max(1, math.ceil(duration / stepper.dt - 1e-9))
     meta = {"dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver)}
+    meta["external_force"] = external_force is not None
     with Recorder(record, meta, scene.describe(), stepper.start()) as recorder:
         # disable=None: tqdm draws only on a terminal
         for _ in tqdm(range(steps), unit="step", disable=None if progress else True):

@@ -2,17 +2,20 @@
 
 Layout of the file (n steps, row 0 of a state is the initial one; SI units; quaternions xyzw)::
 
-    /meta            attributes: format "nsdyn", format_version, dt, theta, solver, scene_name, versions of
-                     nsdyn, pin, coal, numpy
-    /meta/scene      JSON string, what `Scene.describe` returns: shapes, poses, gravity, frames
+    /meta            attributes: format "nsdyn", format_version, dt, theta, solver, scene_name, external_force
+                     (whether there was one; since version 3), versions of nsdyn, pin, coal, numpy
+    /meta/scene      JSON string, what `Scene.describe` returns: shapes, poses, gravity, frames; since version 3 the
+                     pairs of shapes that may overlap
     /t               (n+1,)  s
     /q, /v           (n+1, nq), (n+1, nv)  Pinocchio's free-flyer of every free body (x y z qx qy qz qw;
                      linear then angular velocity in the body frame), then the articulations
     /frames/x, quat  (n+1, nframes, 3), (n+1, nframes, 4)  world poses; only in scenes with articulations
                                                    or driven bodies
     /energy/kinetic, potential                     (n+1,)  J
-    /energy/external, normal, friction, damping, constraint, gyroscopic, theta, mass, projection, defect
-                                                   (n,)  work of the step, J; damping and constraint since version 2
+    /energy/external, normal, friction, damping, constraint, integration, projection, defect
+                                                   (n,)  work of the step, J; damping and constraint since version 2;
+                                                   before version 3 gyroscopic, theta and mass make up integration
+    /energy/created                                (n,)  J, no term of the balance; since version 3
     /gauss/gap, shift, bound                       (n,)  J, m/s, sqrt(J)
     /solver/residual, iterations, status, time     (n,)  m/s, -, `nsdyn.problem.Status`, s
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
@@ -57,7 +60,7 @@ Columns = dict[str, NDArray[Any]]
 
 __all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "Recorder", "SolverLog", "Trajectory"]
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 CONTACT_STATES = ("open", "stick", "slip")
 
 _FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %
@@ -72,13 +75,16 @@ class Energy:
     ----------
     kinetic, potential : ndarray, shape (n + 1,)
         At the times t.
-    external, normal, friction, damping, constraint, gyroscopic, theta, mass, projection : ndarray, shape (n,)
-        Work done on the system in each step: by applied forces and joint actuation, by the normal and the
-        tangential impulses of contacts and joints, by viscous joint damping, by prescribed motion and closed
-        loops, by the gyroscopic term, by numerical dissipation of θ > ½, by changes of the mass matrix, by
-        position projection.
+    external, normal, friction, damping, constraint : ndarray, shape (n,)
+        Physics, work done on the system in each step: by applied forces and joint actuation, by the normal and the
+        tangential impulses of contacts and joints, by viscous joint damping, by prescribed motion and closed loops.
+    integration, projection : ndarray, shape (n,)
+        Numerics: by the time discretisation of smooth motion, by position projection.
     defect : ndarray, shape (n,)
         What the ledger of each step fails to explain; round-off when all is well.
+    created : ndarray, shape (n,)
+        What of `normal` and `friction` the contacts of a step with an impact created, by a paradox of its law; no
+        term of the balance. NaN in recordings that do not tell.
     """
 
     kinetic: Array
@@ -88,15 +94,14 @@ class Energy:
     friction: Array
     damping: Array
     constraint: Array
-    gyroscopic: Array
-    theta: Array
-    mass: Array
+    integration: Array
     projection: Array
     defect: Array
+    created: Array
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The terms, states first."""
+        """The terms of the balance, states first."""
         return _ENERGIES + _WORKS
 
     @property
@@ -153,7 +158,8 @@ class SolverLog:
 
 
 _ENERGIES = ("kinetic", "potential")
-_WORKS = tuple(f.name for f in fields(Energy) if f.name not in _ENERGIES)
+_PHYSICS = ("external", "normal", "friction", "damping", "constraint")
+_WORKS = (*_PHYSICS, "integration", "projection", "defect")
 _GAUSS = tuple(f.name for f in fields(Gauss))
 _SOLVER = {"residual": "f8", "iterations": "i4", "status": "i1", "time": "f8"}
 # Columns of a contact by name: (where a step has it, type, components).
@@ -179,6 +185,7 @@ _read_state = attrgetter("t", "q", "v", "frames_x", "frames_quat", "energy")
 _read_step = attrgetter(
     *(f"gauss.{name}" for name in _GAUSS),
     *(f"solution.{name}" for name in _SOLVER),
+    "created",
     *(path for path, _, _ in _CONTACT.values()),
 )
 
@@ -186,8 +193,14 @@ _read_step = attrgetter(
 _STATES = ["t", "q", "v", *(f"energy/{name}" for name in _ENERGIES), "contacts/offset"]
 _LINKS = ["frames/x", "frames/quat"]
 _STEPS = [f"energy/{name}" for name in _WORKS]
-_STEPS += [f"gauss/{name}" for name in _GAUSS] + [f"solver/{name}" for name in _SOLVER]
-_ADDED = ("energy/damping", "energy/constraint")  # in version 2; before it these works were always 0
+_STEPS += [f"gauss/{name}" for name in _GAUSS] + [f"solver/{name}" for name in _SOLVER] + ["energy/created"]
+# Columns that older files lack: (version, column, those that it is the sum of, its value without any).
+_ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
+    (2, "energy/damping", (), 0.0),
+    (2, "energy/constraint", (), 0.0),
+    (3, "energy/integration", ("energy/gyroscopic", "energy/theta", "energy/mass"), 0.0),
+    (3, "energy/created", (), math.nan),
+]
 _CONTACTS = [f"contacts/{name}" for name in _CONTACT]
 
 
@@ -248,13 +261,14 @@ class Recorder:
     ============================  =====================================================================
     t, q, v                       float, (nq,), (nv,) at the end of the step
     frames_x, frames_quat         (nframes, 3), (nframes, 4) xyzw, or None in scenes without articulations
-    energy                        mapping of the fields of `Energy` to floats, J
+    energy                        mapping of the `names` of `Energy` to floats, J
     gauss                         attributes gap, shift, bound
     solution                      attributes residual, iterations, status, time
     contacts                      ContactSet: geom1, geom2, point, normal, mu, restitution, key
     gap                           (nc,), at the end of the step
     u, r, tangent                 (nc, 3) each
     contact_status                (nc,), 0 open, 1 stick, 2 slip
+    created                       float, J
     work_normal, work_friction    (nc,)
     ============================  =====================================================================
 
@@ -338,6 +352,7 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
         out[f"gauss/{name}"] = np.array(next(columns), dtype=float)
     for name, kind in _SOLVER.items():
         out[f"solver/{name}"] = np.array(next(columns), dtype=kind)
+    out["energy/created"] = np.array(next(columns), dtype=float)
     for name, (_, kind, components) in _CONTACT.items():
         empty = np.empty((0, components) if components > 1 else 0, dtype=kind)
         out[f"contacts/{name}"] = np.concatenate([empty, *next(columns)], dtype=kind, casting="same_kind")
@@ -355,8 +370,8 @@ def _concatenate(blocks: list[Columns]) -> Columns:
 
 def _rows(names: Iterable[str], states: int, contacts: int) -> dict[str, int]:
     """Count the rows of each dataset in a recording of that many states and contacts."""
-    count = dict.fromkeys(_STEPS, states - 1) | dict.fromkeys(_CONTACTS, contacts)
-    return {name: count.get(name, states) for name in names}
+    count = dict.fromkeys(_CONTACTS, contacts) | dict.fromkeys([*_STATES, *_LINKS], states)
+    return {name: count.get(name, states - 1) for name in names}
 
 
 def _create(path: Path, meta: Mapping[str, Any], scene: Mapping[str, Any], columns: Columns, grow: bool) -> None:
@@ -554,7 +569,7 @@ class Trajectory:
     @property
     def energy(self) -> Energy:
         """Energies and works, J."""
-        return Energy(**{name: self.columns[f"energy/{name}"] for name in _ENERGIES + _WORKS})
+        return Energy(**{f.name: self.columns[f"energy/{f.name}"] for f in fields(Energy)})
 
     @property
     def gauss(self) -> Gauss:
@@ -627,8 +642,9 @@ class Trajectory:
             raise ValueError(
                 f"{path} has format_version {meta['format_version']}, this nsdyn reads up to {FORMAT_VERSION}"
             )
-        added = _ADDED if meta["format_version"] < 2 else ()
-        steps = [name for name in _STEPS if name not in added]
+        added = [row for row in _ADDED if meta["format_version"] < row[0]]
+        parts = [part for _, _, parts, _ in added for part in parts]
+        steps = [name for name in _STEPS if name not in {column for _, column, _, _ in added}] + parts
         missing = [name for name in ["meta/scene", *_STATES, *steps, *_CONTACTS] if name not in file]
         if missing:
             raise ValueError(f"{path} is not a recording of nsdyn: /{missing[0]} is missing")
@@ -641,7 +657,10 @@ class Trajectory:
             if len(file[name]) < size or not states:
                 raise ValueError(f"{path} is damaged: /{name} has {len(file[name])} rows, {size} expected")
         columns = {name: file[name][:size] for name, size in rows.items()}
-        return cls(meta, scene, columns | {name: np.zeros(states - 1) for name in added})
+        for _, column, summed, value in added:
+            columns[column] = sum((columns.pop(part) for part in summed), np.full(states - 1, value))
+        meta["format_version"] = FORMAT_VERSION
+        return cls(meta, scene, columns)
 
     def to_html(self, path: str | Path, **options: Any) -> None:
         """Write a self-contained animated page; options as in `nsdyn.viewer.write_html`."""
@@ -678,7 +697,7 @@ class Trajectory:
         return ax
 
     def ledger(self, rows: int = 10) -> dict[str, Array]:
-        """Energies and works done so far, J, at about `rows` times "t" from the first to the last.
+        """Energies and works done so far, J, at about `rows` times "t" from the first to the last: physics, numerics.
 
         Works that never exceed a billionth of the largest energy are left out, the defect is not.
         """
@@ -693,14 +712,37 @@ class Trajectory:
         lines = [f"{'t [s]':>12}" + "".join(f"{name:>12}" for name in list(ledger)[1:])]
         for k, t in enumerate(times):
             lines.append(f"{t:12.6g}" + "".join(f"{values[k]:12.4e}" for values in energies))
+        shares = self.shares()
+        lines.append(f"{'':12}{'in all':>12}{'at most':>12}{'share':>12}  of the energy at play, {self.at_play:.4g} J")
+        for name, (total, most) in shares.items():
+            lines.append(f"{name:12}{total:12.4e}{most:12.4e}{most / max(self.at_play, 1e-300):12.1e}")
         lines.append(
             f"energies and works so far in J; max |defect| {worst['defect']:.1e} J, "
             f"max Gauss bound {worst['gauss_bound']:.1e} √J, max residual {worst['residual']:.1e} m/s"
         )
         return "\n".join(lines)
 
+    @property
+    def at_play(self) -> float:
+        """Energy at play, J: the most of kinetic energy, range of potential energy and physical works so far."""
+        e = self.energy
+        works = (float(np.abs(self._cumulative(name)).max()) for name in _PHYSICS)
+        return max(float(e.kinetic.max()), float(np.ptp(e.potential)), *works)
+
+    def shares(self) -> dict[str, tuple[float, float]]:
+        """Works of physics, numerics (integration, defect) and projection, J: (in all, largest absolute sum so far)."""
+        groups = {"physics": _PHYSICS, "numerics": ("integration", "defect"), "projection": ("projection",)}
+        out = {}
+        for group, names in groups.items():
+            work = sum((self._cumulative(name) for name in names), np.zeros(self.t.size))
+            out[group] = float(work[-1]), float(np.abs(work).max())
+        return out
+
     def worst(self) -> dict[str, float]:
-        """Largest |defect| [J], Gauss bound [√J] and shift [m/s], residual [m/s] and penetration [m]."""
+        """Largest |defect| [J], Gauss bound [√J] and shift [m/s], residual [m/s] and penetration [m].
+
+        The penetration is that of the recorded gaps; `nsdyn.check` finds the true overlaps.
+        """
         return {
             "defect": _largest(np.abs(self.energy.defect)),
             "gauss_bound": _largest(self.gauss.bound),
@@ -711,9 +753,8 @@ class Trajectory:
 
     def _active_works(self) -> list[str]:
         """Works of more than round-off, without the defect."""
-        scale = max(np.ptp(self.energy.potential), self.energy.kinetic.max(), 1e-300)
         works = {name: np.abs(self._cumulative(name)).max() for name in _WORKS if name != "defect"}
-        return [name for name, work in works.items() if work > 1e-9 * max(scale, *works.values())]
+        return [name for name, work in works.items() if work > 1e-9 * max(self.at_play, 1e-300, *works.values())]
 
     def _cumulative(self, work: str) -> Array:
         """Work from 0 to t, shape (n + 1,)."""

@@ -8,7 +8,7 @@ from conftest import drift, penetration
 
 import nsdyn as nd
 
-WORKS = ("external", "normal", "friction", "gyroscopic", "theta", "mass", "projection")
+WORKS = ("external", "normal", "friction", "integration", "projection")
 
 
 # -- case 15: elastic impacts ------------------------------------------------------------------------------------------

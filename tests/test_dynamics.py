@@ -124,7 +124,7 @@ def test_torque_free_motion_is_second_order():
         energy = trajectory.energy
         # The implicit midpoint does no gyroscopic work; 400 steps of round-off.
         assert np.abs(energy.kinetic - energy.kinetic[0]).max() < 1e-13
-        assert np.abs(energy.gyroscopic).max() < 1e-15
+        assert np.abs(energy.integration).max() < 1e-15
         return trajectory.v[-1, 3:]
 
     fine = run(1e-3)

@@ -43,7 +43,7 @@ def test_theta_one_loses_energy_in_the_ledger():
     scene.add_sphere("ball", 0.1, 2.0, position=(0, 0, 5))
     trajectory = nd.simulate(scene, 0.1, dt=1e-2, theta=1.0)
     # W_theta = -h (theta - 1/2) m g·dv = -(1/2) m g² h² per step.
-    np.testing.assert_allclose(trajectory.energy.theta, -0.5 * 2.0 * 9.81**2 * 1e-4, rtol=1e-9)
+    np.testing.assert_allclose(trajectory.energy.integration, -0.5 * 2.0 * 9.81**2 * 1e-4, rtol=1e-9)
     assert np.abs(trajectory.energy.defect).max() < 1e-13
 
 

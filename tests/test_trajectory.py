@@ -19,9 +19,7 @@ from nsdyn.trajectory import Recorder, Trajectory
 
 DT = 0.01
 META = {"dt": DT, "theta": 0.5, "solver": "Auto(tol=1e-08)"}
-WORKS = [
-    "external", "normal", "friction", "damping", "constraint", "gyroscopic", "theta", "mass", "projection", "defect",
-]  # fmt: skip
+WORKS = ["external", "normal", "friction", "damping", "constraint", "integration", "projection", "defect"]
 
 
 def scene_dict(links: bool = False):
@@ -55,7 +53,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
         q = np.column_stack([rng.normal(size=(2, 3)), quaternion]).ravel()
         poses = (rng.normal(size=(3, 3)), rng.normal(size=(3, 4))) if links else (None, None)
         joint = [0.5] if links else []
-        works = dict(zip(WORKS, rng.normal(size=10), strict=True))
+        works = dict(zip(WORKS, rng.normal(size=8), strict=True))
         return dict(
             t=k * DT, q=np.append(q, joint), v=np.append(rng.normal(size=12), joint),
             frames_x=poses[0], frames_quat=poses[1],
@@ -74,7 +72,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
             **state(k), contacts=contacts, gap=rng.normal(size=nc), tangent=frame[:, 1],
             u=rng.normal(size=(nc, 3)), r=rng.normal(size=(nc, 3)),
             contact_status=rng.integers(0, 3, nc).astype(np.int8),
-            work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc),
+            work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc), created=1e-3 * k,
             gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k),
             solution=SimpleNamespace(residual=1e-9 * k, iterations=k, status=nd.Status.CONVERGED, time=1e-4),
         )  # fmt: skip
@@ -131,12 +129,12 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 2 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 3 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
         assert file["frames/x"].shape == (8, 3, 3) and file["frames/quat"].shape == (8, 3, 4)
-        assert set(file["energy"]) == {"kinetic", "potential", *WORKS}
+        assert set(file["energy"]) == {"kinetic", "potential", *WORKS, "created"}
         assert file["energy/kinetic"].shape == (8,) and file["energy/defect"].shape == (7,)
         assert set(file["gauss"]) == {"gap", "shift", "bound"}
         assert set(file["solver"]) == {"residual", "iterations", "status", "time"}
@@ -273,7 +271,7 @@ def test_failed_save_leaves_the_old_file(tmp_path):
     [
         (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
         (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
-        (lambda f: f["meta"].attrs.__setitem__("format_version", 3), "format_version 3"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", 4), "format_version 4"),
         (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
         (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
         (lambda f: f["t"].resize(0, axis=0), "is damaged"),
@@ -289,6 +287,28 @@ def test_damaged_file_is_named(damage, message, tmp_path):
     assert str(path) in str(failure.value)
 
 
+def to_version_2(file):
+    """Three terms in place of `integration`, 1, 2 and 3 J a step, and no `created`."""
+    n = len(file["energy/integration"])
+    del file["energy/integration"], file["energy/created"]
+    for work, name in enumerate(("gyroscopic", "theta", "mass"), start=1):
+        file[f"energy/{name}"] = np.full(n, float(work))
+
+
+def test_recordings_of_version_2_are_read(tmp_path):
+    """And saved as recordings of now."""
+    path = tmp_path / "run.h5"
+    record(path, 5)
+    with h5py.File(path, "r+") as file:
+        file["meta"].attrs["format_version"] = 2
+        to_version_2(file)
+    old = Trajectory.load(path)
+    np.testing.assert_array_equal(old.energy.integration, np.full(5, 6.0))
+    assert np.isnan(old.energy.created).all()
+    old.save(path)
+    np.testing.assert_array_equal(Trajectory.load(path).energy.integration, np.full(5, 6.0))
+
+
 def test_recordings_of_version_1_are_read(tmp_path):
     """They lack the works of joint damping and of constraints, which were 0."""
     path = tmp_path / "run.h5"
@@ -297,6 +317,7 @@ def test_recordings_of_version_1_are_read(tmp_path):
         file["meta"].attrs["format_version"] = 1
         normal = file["energy/normal"][:]
         del file["energy/damping"], file["energy/constraint"]
+        to_version_2(file)
     old = Trajectory.load(path)
     np.testing.assert_array_equal(old.energy.damping, np.zeros(5))
     np.testing.assert_array_equal(old.energy.constraint, np.zeros(5))
@@ -356,14 +377,18 @@ def test_ledger_and_table():
     assert ledger["normal"][0] == 0.0
     assert ledger["normal"][-1] == pytest.approx(total, rel=1e-12)  # the same 95 terms, summed in order
     table = trajectory.energy_table().splitlines()
-    assert len(table) == 13 and table[0].split()[:4] == ["t", "[s]", "kinetic", "potential"]
+    assert len(table) == 17 and table[0].split()[:4] == ["t", "[s]", "kinetic", "potential"]
     assert "max residual 9.5e-08 m/s" in table[-1]
+    numerics = np.cumsum([s.energy["integration"] + s.energy["defect"] for s in steps])
+    total, most, share = map(float, table[-3].removeprefix("numerics").split())
+    assert total == pytest.approx(numerics[-1], rel=1e-4) and most == pytest.approx(abs(numerics).max(), rel=1e-4)
+    assert share == pytest.approx(most / trajectory.at_play, rel=0.06)  # two digits are printed
 
 
 def test_works_that_vanish_are_left_out():
     first, steps = rows(5)
     for step in steps:
-        step.energy |= dict.fromkeys(WORKS, 0.0) | {"mass": 1e-20, "friction": -1.0}
+        step.energy |= dict.fromkeys(WORKS, 0.0) | {"integration": 1e-20, "friction": -1.0}
     with Recorder(None, META, scene_dict(), first) as recorder:
         for step in steps:
             recorder.append(step)
