@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nsdyn import fclib, scenes, solvers
+    from nsdyn.audit import Audit, check
     from nsdyn.control import PD
     from nsdyn.ensemble import sweep
     from nsdyn.problem import FC3D, NotConverged, Solution, Status
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Audit",
     "FC3D",
     "PD",
     "Material",
@@ -29,6 +31,7 @@ __all__ = [
     "Step",
     "Stepper",
     "Trajectory",
+    "check",
     "fclib",
     "scenes",
     "simulate",
@@ -38,6 +41,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "audit": ("Audit", "check"),
     "control": ("PD",),
     "ensemble": ("sweep",),
     "problem": ("FC3D", "NotConverged", "Solution", "Status"),

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from nsdyn import scenes
+from nsdyn.audit import deepest
 from nsdyn.problem import Array
 from nsdyn.scene import Scene
 from nsdyn.workers import Worker
@@ -103,15 +104,8 @@ def _times(a: Array, b: Array) -> Array:
 
 
 def _penetration(scene: Scene, t: Array, poses: Array) -> float:
-    """Deepest overlap of spheres with each other and with half-spaces, m."""
-    x = poses[..., :3]
-    radius = np.array([body.shape.size[0] for body in scene.free_bodies])
-    i, j = np.triu_indices(radius.size, 1)
-    gap = min(float((np.linalg.norm(y[i] - y[j], axis=1) - radius[i] - radius[j]).min()) for y in x)
-    for geom in scene.geoms():
-        if geom.frame < 0:
-            gap = min(gap, float((x @ geom.shape.size - geom.shape.offset - radius).min()))
-    return max(0.0, -gap)
+    """Deepest true overlap of two bodies, m."""
+    return deepest(scene.describe(), poses.reshape(len(t), -1))
 
 
 def _slide(speed: float, deceleration: float) -> Callable[[Array], Array]:

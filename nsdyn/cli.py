@@ -1,7 +1,7 @@
 """The `nsdyn` command.
 
 Figures go to stdout, as text or with ``--json``; progress and messages go to stderr. The exit code is 0 for
-success, 1 for a simulation that did not converge or a failed self-check, 2 for bad input, which is told in
+success, 1 for a simulation that did not converge, a failed audit or self-check, 2 for bad input, which is told in
 one line before anything is written.
 """
 
@@ -102,6 +102,7 @@ def _parser() -> _Parser:
     p.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
     p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
+    p.add_argument("--check", action="store_true", help="audit the motion; the exit code is 0 only if it passes")
     _add_json(p)
 
     p = command("sweep", _sweep, "Simulate a named scene for every combination of parameters and print a table.")
@@ -319,9 +320,11 @@ def _run(arguments: argparse.Namespace) -> int:
         "recording": arguments.output,
         "html": arguments.html,
     }
+    audit = nsdyn.check(trajectory) if arguments.check else None
+    code = 0 if audit is None or audit.passed else 1
     if arguments.json:
-        _print_json(figures)
-        return 0
+        _print_json(figures if audit is None else figures | {"audit": audit.as_dict()})
+        return code
     print(trajectory.energy_table())
     worst = trajectory.worst()
     print(
@@ -330,7 +333,9 @@ def _run(arguments: argparse.Namespace) -> int:
         f"Gauss bound {worst['gauss_bound']:.1e} √J, defect {worst['defect']:.1e} J, "
         f"penetration {worst['penetration']:.1e} m"
     )
-    return 0
+    if audit is not None:
+        print(audit)
+    return code
 
 
 # -- sweep ---------------------------------------------------------------------------------------------

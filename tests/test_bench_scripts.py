@@ -13,6 +13,8 @@ SCRIPTS = {
     "drop.py": (["--spheres", "8", "--time", "0.1"], r"nsdyn +mean +[\d.]+ ms.* 0 of 20 steps missed"),
     "collision.py": (["--boxes", "20"], r"18 pairs that touch, 72 contacts(.*\n)+.*pin.computeDistances"),
     "scaling.py": (["--only", "boxes", "2"], r'{"time": [\d.e-]+, "memory": [\d.]+}'),
+    "at_rest.py": (["slide", "--rounds", "1"], r"slide +[\d.]+"),
+    "truth.py": (["slow_ball", "--quick"], r"slow_ball +speed +[\d.e+-]+ +1e-09"),
     "quadruped.py": (["--time", "0.05", "--robots", "1"], r"nsdyn +0.005 +1 +\d+"),
 }
 

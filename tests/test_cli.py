@@ -140,6 +140,15 @@ def test_run_gives_its_figures_as_json(run, tmp_path):
     assert trajectory.meta["solver"].startswith("Newton(tol=1e-07")
 
 
+def test_run_is_audited(run, tmp_path, monkeypatch):
+    code, out, _ = run("run", "slide", *SHORT, "--check")
+    assert code == 0 and out.splitlines()[-1] == "slide: passed"
+    monkeypatch.setitem(nd.audit.TOLERANCES, "overlap", -1.0)
+    code, out, _ = run("run", "slide", *SHORT, "--check", "--json")
+    audit = json.loads(out)["audit"]
+    assert code == 1 and not audit["passed"] and not audit["findings"]["overlap"]["passed"]
+
+
 def test_run_of_a_driven_scene(run, tmp_path):
     """The module's external_force is applied: the push does work."""
     code, _, _ = run("run", "rolling", "--time", "0.05", "--dt", "0.01", "--set", "balls=2", "-o", "run.h5")

@@ -90,7 +90,7 @@ def test_edges_across():
 
 def searched(a, b, R, x, rng):
     """Largest separation that a random search finds."""
-    n = rng.normal(size=(4000, 3))
+    n = rng.normal(size=(1000, 3))
     n = np.vstack([n / a.half, (n / b.half) @ R.T])
     n /= np.linalg.norm(n, axis=1)[:, None]
 
@@ -99,10 +99,10 @@ def searched(a, b, R, x, rng):
 
     values = along(n)
     out = -np.inf
-    for k in np.argsort(-values)[:5]:
+    for k in np.argsort(-values)[:3]:
         at, value, reach = n[k], values[k], 0.1
         while reach > 1e-9:
-            tried = at + reach * rng.normal(size=(40, 3))
+            tried = at + reach * rng.normal(size=(30, 3))
             tried /= np.linalg.norm(tried, axis=1)[:, None]
             new = along(tried)
             if new.max() > value:

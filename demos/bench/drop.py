@@ -9,10 +9,11 @@ import argparse
 import statistics
 import time
 
+import numpy as np
 from scaling import spheres
 
 import nsdyn as nd
-from nsdyn import bench
+from nsdyn import audit, bench
 
 
 def line(name: str, times: list[float], deepest: float, more: str = "") -> float:
@@ -28,14 +29,15 @@ def line(name: str, times: list[float], deepest: float, more: str = "") -> float
 def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> float:
     """Mean seconds of a step."""
     stepper = nd.Stepper(scene, dt=dt, solver=nd.solvers.Auto(tol=tol), on_fail="ignore")
-    times, deepest, missed = [], 0.0, 0
+    times, poses, missed = [], [], 0
     stepper.step()  # loads the kernels
     for _ in range(steps):
         start = time.perf_counter()
         step = stepper.step()
         times.append(time.perf_counter() - start)
-        deepest = max(deepest, float(-step.gap.min(initial=0.0)))
+        poses.append(step.q)
         missed += not step.solution.converged
+    deepest = audit.deepest(scene.describe(), np.array(poses))
     return line("nsdyn", times, deepest, f"  {missed} of {steps} steps missed {tol:g}")
 
 
@@ -43,18 +45,17 @@ def peer(scene: nd.Scene, dt: float, steps: int) -> float:
     """Mean seconds of MuJoCo's step."""
     import mujoco
 
-    from nsdyn._peers.bench_mujoco import mjcf
+    from nsdyn._peers.bench_mujoco import MUJOCO_XYZW, mjcf
 
     model = mujoco.MjModel.from_xml_string(mjcf(bench.describe(scene), "default", dt))
     data = mujoco.MjData(model)
-    times, deepest = [], 0.0
+    times, poses = [], []
     for _ in range(steps):
         start = time.perf_counter()
         mujoco.mj_step(model, data)
         times.append(time.perf_counter() - start)
-        if data.ncon:
-            deepest = max(deepest, -float(data.contact.dist.min()))
-    return line(f"MuJoCo {mujoco.__version__}", times, deepest)
+        poses.append(data.qpos.reshape(-1, 7)[:, [0, 1, 2, *MUJOCO_XYZW]].ravel())
+    return line(f"MuJoCo {mujoco.__version__}", times, audit.deepest(scene.describe(), np.array(poses)))
 
 
 def main() -> None:

@@ -12,19 +12,18 @@ import time
 import numpy as np
 
 import nsdyn as nd
-from nsdyn import bench
+from nsdyn import audit, bench
 
 PHASES = ("broad phase", "Coal", "manifold and assembly", "solve", "the rest", "record")
 
 
 def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> tuple[list[float], float, float]:
-    """Median seconds of each phase, deepest penetration [m] and drift [m] after settling for a quarter of a second."""
+    """Median seconds of each phase, deepest overlap [m] and drift [m] after settling for a quarter of a second."""
     from nsdyn.trajectory import Recorder
 
     stepper = nd.Stepper(scene, dt=dt, solver=nd.solvers.Auto(tol=tol))
     start = stepper.get_state().position.x
-    split = []
-    deepest = 0.0
+    split, poses = [], []
     with Recorder(None, {"dt": dt, "theta": 0.5, "solver": ""}, scene.describe(), stepper.start()) as recorder:
         for k in range(steps + round(0.25 / dt)):
             step = stepper.step()
@@ -32,29 +31,29 @@ def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> tuple[list[float
             recorder.append(step)
             if k >= 0.25 / dt:
                 split.append([*step.times, time.perf_counter() - t])
-                deepest = max(deepest, float(-step.gap.min(initial=0.0)))
+                poses.append(step.q)
+    deepest = audit.deepest(scene.describe(), np.array(poses))
     drift = float(np.abs(stepper.get_state().position.x - start).max())
     return [statistics.median(phase) for phase in zip(*split, strict=True)], deepest, drift
 
 
 def peer(scene: nd.Scene, dt: float, steps: int, stiff: bool) -> tuple[float, float]:
-    """Median seconds of MuJoCo's step and its deepest penetration [m], after the same settling."""
+    """Median seconds of MuJoCo's step and its deepest overlap [m], after the same settling."""
     import mujoco
 
-    from nsdyn._peers.bench_mujoco import mjcf
+    from nsdyn._peers.bench_mujoco import MUJOCO_XYZW, mjcf
 
     model = mujoco.MjModel.from_xml_string(mjcf(bench.describe(scene), "stiff" if stiff else "default", dt))
     data = mujoco.MjData(model)
     for _ in range(round(0.25 / dt)):
         mujoco.mj_step(model, data)
-    times, deepest = [], 0.0
+    times, poses = [], []
     for _ in range(steps):
         t = time.perf_counter()
         mujoco.mj_step(model, data)
         times.append(time.perf_counter() - t)
-        if data.ncon:
-            deepest = max(deepest, float(-np.min(data.contact.dist)))
-    return statistics.median(times), deepest
+        poses.append(data.qpos.reshape(-1, 7)[:, [0, 1, 2, *MUJOCO_XYZW]].ravel())
+    return statistics.median(times), audit.deepest(scene.describe(), np.array(poses))
 
 
 def main() -> None:

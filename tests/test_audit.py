@@ -1,0 +1,223 @@
+"""The audit passes motions as they are and catches every falsification, naming the step and the bodies."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import nsdyn as nd
+from nsdyn.audit import TOLERANCES, deepest
+
+K = 30
+"""A step in which the box slides and the ball rests on it."""
+
+
+def scene():
+    out = nd.Scene(name="ball on box")
+    out.add_halfspace("ground", material=nd.Material(mu=0.4))
+    out.add_box("box", (0.2, 0.2, 0.1), 1.0, position=(0, 0, 0.05), linear_velocity=(1, 0.3, 0))
+    out.add_sphere("ball", 0.05, 0.3, position=(0, 0, 0.15), linear_velocity=(1, 0.3, 0))
+    out.add_cylinder("can", 0.05, 0.1, 0.2, position=(0.5, 0, 0.05))
+    return out
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("audit") / "run.h5"
+    nd.simulate(scene(), duration=0.06, dt=1e-3, record=path)
+    return path
+
+
+@pytest.fixture
+def trajectory(recording):
+    return nd.Trajectory.load(recording)
+
+
+def rows(trajectory, *bodies, step=K):
+    """Rows of the contacts of two bodies in a step."""
+    table, offset = trajectory.contacts(step), trajectory.columns["contacts/offset"][step - 1]
+    some = [k for k in range(len(table)) if {table.body1[k], table.body2[k]} == set(bodies)]
+    assert some
+    return offset + np.array(some)
+
+
+def test_a_run_passes(trajectory):
+    audit = nd.check(trajectory)
+    assert audit.passed, audit
+    assert {f.name for f in audit.findings} == TOLERANCES.keys()
+    assert all(f.looked_at and not f.reason for f in audit.findings)
+    # Momentum and energy are conserved to round-off, and nothing overlaps beyond it.
+    assert max(audit[name].worst for name in ("momentum", "energy", "works", "balance", "cone")) < 1e-13
+    assert audit["overlap"].worst < 1e-9
+    plain = json.loads(json.dumps(audit.as_dict()))
+    assert plain["passed"] is True and plain["findings"]["spin"]["tol"] == TOLERANCES["spin"]
+    assert repr(audit).splitlines()[-1] == "ball on box: passed"
+
+
+def failed(trajectory, name, step, *bodies):
+    """The finding, which must fail and name the step and the bodies."""
+    audit = nd.check(trajectory)
+    finding = audit[name]
+    assert not audit.passed and not finding.passed, audit
+    assert finding.step == step and set(finding.bodies) == set(bodies), audit
+    assert "FAILED" in repr(audit).splitlines()[-1]
+    return finding
+
+
+def test_overlap(trajectory):
+    """A millionth of the size is caught, and measured."""
+    x = trajectory.q[K, 2]
+    trajectory.q[K, 2] = x - 1e-7  # of the box, 0.1 m high, into the ground
+    finding = failed(trajectory, "overlap", K, "box", "ground")
+    assert finding.worst == pytest.approx(1e-6, rel=0.01) and finding.amount == pytest.approx(1e-7, rel=0.01)
+    trajectory.q[K, 2] = x
+    trajectory.q[K, 7 + 2] -= 1e-7
+    assert failed(trajectory, "overlap", K, "ball", "box").worst == pytest.approx(1e-6, rel=0.01)
+    trajectory.q[K, 7 + 2] += 1e-7
+    trajectory.q[K, 14 + 2] -= 1e-7
+    failed(trajectory, "overlap", K, "can", "ground")
+
+
+def test_scaled_impulse(trajectory):
+    trajectory.columns["contacts/impulse"][rows(trajectory, "can", "ground")] *= 1.0 + 1e-6
+    failed(trajectory, "momentum", K, "can")
+
+
+def test_sucking_impulse(trajectory):
+    row = rows(trajectory, "ball", "box")[0]
+    trajectory.columns["contacts/impulse"][row, 0] *= -1.0
+    failed(trajectory, "cone", K, "ball", "box")
+
+
+def test_impulse_outside_of_its_cone(trajectory):
+    row = rows(trajectory, "box", "ground")[0]
+    trajectory.columns["contacts/impulse"][row, 1:] *= 1.0 + 1e-6
+    failed(trajectory, "cone", K, "box", "ground")
+
+
+def test_friction_that_drives(trajectory):
+    row = rows(trajectory, "box", "ground")[0]
+    trajectory.columns["contacts/impulse"][row, 1:] *= -1.0
+    failed(trajectory, "friction", K, "box", "ground")
+
+
+def test_turned_normal(trajectory):
+    normal = trajectory.columns["contacts/normal"]
+    for bodies in (("box", "ground"), ("ball", "box")):
+        row = rows(trajectory, *bodies)[0]
+        old = normal[row].copy()
+        normal[row] = Rotation.from_rotvec([0.05, 0.0, 0.0]).apply(old)
+        failed(trajectory, "normal", K, *bodies)
+        normal[row] = old
+
+
+def test_changed_velocity(trajectory):
+    trajectory.v[K, 14] += 1e-6
+    assert nd.check(trajectory)["momentum"].bodies == ("can",)
+    failed(trajectory, "momentum", K, "can")
+
+
+def test_changed_energy(trajectory):
+    trajectory.energy.kinetic[K] *= 1.0 + 1e-6
+    failed(trajectory, "energy", K)
+
+
+def test_shifted_contact_point(trajectory):
+    trajectory.columns["contacts/point"][rows(trajectory, "box", "ground")[0], 0] += 0.01
+    failed(trajectory, "spin", K, "box")
+
+
+def test_impulse_at_a_distance(trajectory):
+    """The can floats a millimetre above the ground, always."""
+    trajectory.q[:, 14 + 2] += 1e-3
+    finding = nd.check(trajectory)["distance"]
+    assert not finding.passed and set(finding.bodies) == {"can", "ground"}
+    assert finding.amount == pytest.approx(1e-3, rel=0.01)
+
+
+def test_jump(trajectory):
+    trajectory.q[K:, 14] += 0.05
+    failed(trajectory, "motion", K, "can")
+
+
+def test_hidden_work(trajectory):
+    row = rows(trajectory, "box", "ground")[0]
+    trajectory.columns["contacts/work_friction"][row] *= 0.9
+    failed(trajectory, "works", K)
+
+
+def test_unbalanced_ledger(trajectory):
+    trajectory.energy.friction[K - 1] *= 1.0 + 1e-6
+    failed(trajectory, "balance", K)
+
+
+def test_contacts_that_create_energy(trajectory):
+    trajectory.columns["contacts/work_normal"][rows(trajectory, "box", "ground")] = 0.1
+    failed(trajectory, "dissipation", K)
+
+
+def test_not_a_number_fails(trajectory):
+    trajectory.v[K, 14] = np.nan
+    audit = nd.check(trajectory)
+    assert not audit["momentum"].passed and not audit.passed
+
+
+def test_tolerances(trajectory):
+    assert not nd.check(trajectory, overlap=-1.0).passed
+    with pytest.raises(ValueError, match="unknown tolerance 'gap'; known are overlap"):
+        nd.check(trajectory, gap=1.0)
+
+
+def test_external_forces_are_not_recorded():
+    pushed = nd.simulate(scene(), duration=0.01, external_force=lambda t, q, v: {"can": (1.0, 0.0, 0.0)})
+    audit = nd.check(pushed)
+    assert audit.passed and audit["momentum"].reason == "external forces act"
+    assert np.isnan(audit["momentum"].worst) and "not audited" in repr(audit)
+    del pushed.meta["external_force"]  # as in older recordings
+    assert "is not recorded" in nd.check(pushed)["spin"].reason
+
+
+def test_links(tmp_path):
+    """Overlaps of links with the world and each other count, unless a joint joins them."""
+    robot = nd.Scene()
+    robot.add_halfspace("ground")
+    robot.add_urdf("arm", nd.scenes.folder() / "arm.urdf")
+    swing = nd.simulate(robot, duration=0.02)
+    assert swing.scene["excluded"]
+    assert nd.check(swing)["overlap"].passed
+    link = swing.scene["frames"][-1]
+    swing.columns["frames/x"][5, -1, 2] -= 3.0
+    finding = nd.check(swing)["overlap"]
+    assert finding.step == 5 and "ground" in finding.bodies and any(link.split("/")[0] in b for b in finding.bodies)
+
+
+def test_deepest():
+    pile = nd.Scene()
+    pile.add_halfspace("ground")
+    for k in range(3):
+        pile.add_sphere(f"ball{k}", 0.1 * (k + 1), 1.0)
+    q = np.zeros((4, 3, 7))
+    q[..., 6] = 1.0
+    q[:, :, 2] = 1.0, 2.0, 3.0
+    assert deepest(pile.describe(), q.reshape(4, -1)) == 0.0
+    q[2, 0, 2] = 0.09
+    q[3, 1, :3] = 0.0, 0.48, 3.0
+    assert deepest(pile.describe(), q.reshape(4, -1)) == pytest.approx(0.02)
+
+
+def test_boxes_of_a_large_recording_are_audited_fast():
+    """A hundred bodies and a thousand states in seconds."""
+    rng = np.random.default_rng(0)
+    crowd = nd.Scene()
+    crowd.add_halfspace("ground")
+    for k in range(100):
+        crowd.add_box(f"box{k}", (0.1, 0.1, 0.1), 1.0)
+    q = np.zeros((1000, 100, 7))
+    grid = np.stack(np.meshgrid(*[np.arange(5)] * 3), axis=-1).reshape(-1, 3)[:100]
+    q[..., :3] = 0.1 * grid + [0.0, 0.0, 0.05]
+    q[..., 3:] = Rotation.from_rotvec([0.0, 0.0, 1e-9] * rng.normal(size=(100, 1))).as_quat()
+    start = time.perf_counter()
+    assert deepest(crowd.describe(), q.reshape(1000, -1)) < 1e-9
+    assert time.perf_counter() - start < 60.0

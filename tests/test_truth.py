@@ -1,0 +1,48 @@
+"""Scenes that try to prove the step wrong, and their bars: `demos/bench/truth.py`."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+PATH = Path(__file__).resolve().parent.parent / "demos" / "bench" / "truth.py"
+spec = importlib.util.spec_from_file_location("truth", PATH)
+truth = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(truth)
+
+# Without those that measure times, which are no test on a busy machine.
+QUICK = [name for name, claim in truth.BARS.items() if claim.quick]
+
+
+def misses(claim, cases):
+    """Figures above their bars, by case."""
+    out = []
+    for case in cases:
+        figures = claim.figures(case)
+        out += [(case, name, value) for name, value in figures.items() if not value <= claim.limits[name]]
+    return out
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_bar(name):
+    assert not misses(truth.BARS[name], truth.BARS[name].quick)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", QUICK)
+def test_bar_in_full(name):
+    assert not misses(truth.BARS[name], truth.BARS[name].full)
+
+
+def test_the_measures_see_what_is_wrong():
+    """Two cubes 1 % into each other, and one that is lifted by nothing."""
+    scene = truth.nd.Scene(gravity=(0, 0, -9.81))
+    scene.add_box("a", (0.1, 0.1, 0.1), 1.0)
+    scene.add_box("b", (0.1, 0.1, 0.1), 1.0, position=(5, 0, 0))
+    trajectory = truth.nd.simulate(scene, 2e-3, 1e-3)
+    trajectory.q[-1, 7:10] = trajectory.q[-1, :3] + (0.099, 0.02, 0)
+    assert truth.overlap(scene, trajectory) == pytest.approx(0.01, rel=1e-9)
+    assert truth.nd.check(trajectory)["overlap"].worst == pytest.approx(0.01, rel=1e-9)
+    assert truth.created(scene, trajectory) <= 1e-15
+    trajectory.q[-1, 2] += 0.01
+    assert truth.created(scene, trajectory) > 0.5
