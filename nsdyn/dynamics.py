@@ -22,7 +22,7 @@ from nsdyn.problem import Blocks
 from nsdyn.scene import Scene
 from nsdyn.shapes import CAPSULE, SPHERE
 from nsdyn.surfaces import Surfaces
-from nsdyn.trees import Tree, TreeLoads
+from nsdyn.trees import FreeMotion, Halfway, Links, Tree, TreeEnd
 
 Array = NDArray[np.float64]
 
@@ -65,13 +65,16 @@ class Loads(NamedTuple):
         the step [N m].
     gyroscopic : ndarray, shape (nf, 3)
         Mean gyroscopic torque of the step, J (ω_f - ω)/h - torque, body axes, N m.
-    trees : tuple of TreeLoads
+    halfway : tuple of Halfway
+        Where the forces of the step act on the trees.
+    trees : tuple of FreeMotion
     """
 
     force: Array
     torque: Array
     gyroscopic: Array
-    trees: tuple[TreeLoads, ...]
+    halfway: tuple[Halfway, ...]
+    trees: tuple[FreeMotion, ...]
 
 
 def _rotation(quaternion: Array) -> Array:
@@ -128,13 +131,11 @@ class Dynamics:
             m[k, :3, :3], m[k, 3:, 3:] = self.mass[k] * np.eye(3), self.J[k]
             inverse = np.linalg.inv(self.J[k])
             minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / self.mass[k], 0.5 * (inverse + inverse.T)
-        tail = np.zeros(sum(s * s for s in sizes[self.free :]))
-        self.m, self.minv = np.append(m.ravel(), tail), np.append(minv.ravel(), tail)
-        # The blocks of the trees in m and minv, written in each step.
-        self._tree_blocks = [
-            tuple(a[at : at + t.model.nv**2].reshape(t.model.nv, t.model.nv) for a in (self.m, self.minv))
-            for at, t in zip(self.m_start[self.free :], self.trees, strict=True)
-        ]
+        self._m, self._minv = m.ravel(), minv.ravel()
+        self.m, self.minv = self._m, self._minv
+        self.links: list[Links] = []
+        self.halfway: list[Halfway] = []
+        self.bases: dict[int, Array] = {}
         self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
         self._fall = float(np.linalg.norm(self.gravity))
         self.x, self.R = np.zeros((self.frames, 3)), np.zeros((self.frames, 3, 3))
@@ -192,19 +193,17 @@ class Dynamics:
         """Put the poses of all frames at `position` into x and R, and the Jacobians of the trees there."""
         _motion.place(position.x, position.quaternion, self.x, self.R)
         self._place_driven(position)
-        for k, t in enumerate(self.trees):
-            t.place(position.trees[k], self.x, self.R)
+        self._put([t.links(q) for t, q in zip(self.trees, position.trees, strict=True)])
 
     def evaluate(self, position: Position) -> None:
-        """Put what `place` does and the mass matrices of the trees at `position`."""
-        _motion.place(position.x, position.quaternion, self.x, self.R)
-        self._evaluate_others(position)
+        """Put what `place` does, and steps of no length of the trees at `position`."""
+        self.place(position)
 
-    def _evaluate_others(self, position: Position) -> None:
-        """What `evaluate` does besides free bodies."""
-        self._place_driven(position)
-        for k, t in enumerate(self.trees):
-            t.evaluate(position.trees[k], self.x, self.R)
+    def _put(self, links: list[Links]) -> None:
+        """Put the poses of the links into x and R."""
+        self.links = links
+        for t, link in zip(self.trees, links, strict=True):
+            self.x[t.frames], self.R[t.frames] = link.x, link.R
 
     def _place_driven(self, position: Position) -> None:
         if position.driven_x.size:
@@ -244,21 +243,45 @@ class Dynamics:
         """
         force, torque, applied, given = self._no_load, self._no_load, NOTHING, NOTHING
         if wrenches is not None:
-            force, torque, applied = self._applied(begin, _mapping(wrenches, "external_force"))
+            force, torque, applied = self._applied(begin, middle, _mapping(wrenches, "external_force"))
         if tau is not None:
             given = _mapping(tau, "controller")
             if unknown := given.keys() - self._tree_names.keys():
                 raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out, gyroscopic = np.empty(self.n), np.empty((self.free, 3))
         _motion.free_velocity(self.J, self._inverse_mass, self.gravity, force, torque, h, v, push, out, gyroscopic)
-        loads: tuple[TreeLoads, ...] = ()
+        free = []
+        self.bases = {}
+        halfway = self.halfway
+        if begin is middle:  # accelerations
+            halfway = [t.halfway(q, v[t.coordinates], h, 1.0) for t, q in zip(self.trees, begin.trees, strict=True)]
         for k, tree in enumerate(self.trees):
-            where, control = (begin.trees[k], middle.trees[k]), (given.get(tree.name), applied.get(k))
-            motion = tree.free_motion(*where, v, push, h, theta, t, *control, *self._tree_blocks[k])
-            out[tree.coordinates], loads = motion[0], (*loads, motion[1])
-        return out, Loads(force, torque, gyroscopic, loads)
+            motion = tree.free_motion(halfway[k], t, given.get(tree.name), applied.get(k))
+            free.append(motion)
+            out[tree.coordinates] = motion.v
+            if motion.constraints is not None:
+                self.bases[self.free + k] = motion.constraints.Z
+        if free:
+            self.m = np.concatenate([self._m, *(f.m.ravel() for f in free)])
+            self.minv = np.concatenate([self._minv, *(f.minv.ravel() for f in free)])
+        return out, Loads(force, torque, gyroscopic, tuple(halfway), tuple(free))
 
-    def _applied(self, begin: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
+    def end(
+        self, position: Position, v: Array, h: float, twist: Array | None, loads: Loads, p: Array, v1: Array
+    ) -> tuple[Position, Array, tuple[TreeEnd, ...]]:
+        """`advance`, but for the trees, which end as `Tree.end` says; their velocities; p (n,) is H r."""
+        x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
+        _motion.integrate(position.x, position.quaternion, v, h, x, quaternion)
+        driven = (position.driven_x, position.driven_quaternion)
+        if twist is not None and driven[0].size:
+            driven = self.surfaces.advance(*driven, h * twist)
+        v1, ends = v1.copy(), []
+        for t, half, free in zip(self.trees, loads.halfway, loads.trees, strict=True):
+            ends.append(t.end(half, free, v1[t.coordinates], bool(p[t.coordinates].any())))
+            v1[t.coordinates] = ends[-1].v
+        return Position(x, quaternion, tuple(e.q for e in ends), *driven), v1, tuple(ends)
+
+    def _applied(self, begin: Position, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
         applied: dict[int, Array] = {}
@@ -276,7 +299,7 @@ class Dynamics:
                 force[k], torque[k] = pull, _rotation(begin.quaternion[k]).T @ turn
             elif body and owner in self._tree_names:
                 k = self._tree_names[owner]
-                applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(body, pull, turn)
+                applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(middle.trees[k], body, pull, turn)
             else:
                 raise ValueError(
                     f"external_force names {name!r}, which is no free body and no 'articulation/body'; free bodies are "
@@ -301,8 +324,8 @@ class Dynamics:
         size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
         h = np.zeros(size)
         _motion.free_rows(*hang, *where, self.x, self.R, self.free, start, h)
-        for t in self.trees:
-            _trees.link_rows(*hang, *where, t.frames.start, t.support, t.J, start, h)
+        for t, link in zip(self.trees, self.links, strict=True):
+            _trees.link_rows(*hang, *where, t.frames.start, t.support, link.J, start, h)
         return Blocks(self.offset, block, start, h, self.m_start, self.m, self.minv), frame
 
     def carry_gaps(self, contacts: ContactSet, poses: tuple[Array, Array] | tuple[None, None], out: Array) -> None:
@@ -325,7 +348,7 @@ class Dynamics:
 
     def rows(self, contacts: Blocks, joints: JointRows | None) -> Rows:
         """Contacts and joint rows, in v and in the coordinates that loops, driven joints and joint friction leave."""
-        bases = {self.free + k: t.Z for k, t in enumerate(self.trees) if t.constrained} if self.constrained else {}
+        bases = self.bases
         if joints is None:
             return Rows(contacts, bases, *NOT_PRESSED)
         pressed = np.flatnonzero(joints.press)
@@ -345,8 +368,8 @@ class Dynamics:
 
     def _reach_others(self, v: Array, h: float, begun: Array, ended: Array, out: Array) -> None:
         """What `reach` gives besides free bodies, into `out`."""
-        for t in self.trees:
-            part = self.x[t.frames], t.support, t.J, v[t.coordinates], h, t.radius, h * h * self._fall, out[t.frames]
+        for t, link in zip(self.trees, self.links, strict=True):
+            part = link.x, t.support, link.J, v[t.coordinates], h, t.radius, h * h * self._fall, out[t.frames]
             _trees.link_reach(*part)
         if self.surfaces.count:
             self.surfaces.reach(h * np.maximum(np.abs(begun), np.abs(ended)), out)
@@ -362,8 +385,14 @@ class Dynamics:
         )  # fmt: skip
         if not (self.trees or position.driven_x.size):
             return Position(x, quaternion, (), position.driven_x, position.driven_quaternion), out, fast
-        middle = self._advanced(x, quaternion, position, v, (1.0 - theta) * h, begun)
-        self._evaluate_others(middle)
+        trees = zip(self.trees, position.trees, strict=True)
+        self.halfway = [t.halfway(q, v[t.coordinates], h, theta) for t, q in trees]
+        self._put([half.links for half in self.halfway])
+        driven = position.driven_x, position.driven_quaternion
+        if driven[0].size:
+            driven = self.surfaces.advance(*driven, (1.0 - theta) * h * begun)
+        middle = Position(x, quaternion, tuple(half.q for half in self.halfway), *driven)
+        self._place_driven(middle)
         self._reach_others(v, h, begun, ended, out)
         return middle, out, fast
 
@@ -371,8 +400,8 @@ class Dynamics:
         """(kinetic, potential) energy, J; potential energy is 0 at the world's origin."""
         kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
         for t, q in zip(self.trees, position.trees, strict=True):
-            more = t.energies(q, v)
-            kinetic, potential = kinetic + more[0], potential + more[1] + t.spring_energy(q)
+            more = t.energies(q, v[t.coordinates])
+            kinetic, potential = kinetic + more[0], potential + more[1]
         return kinetic, potential
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
@@ -387,7 +416,7 @@ class Dynamics:
             return None, None
         x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
         for t, q in zip(self.trees, position.trees, strict=True):
-            t.poses(q, x, R)
+            x[t.frames], R[t.frames] = t.poses(q)
         quaternion = np.empty((self.frames, 4))
         links = slice(self.free, self.frames - len(position.driven_x))
         _trees.quaternions(R[links], quaternion[links])

@@ -17,7 +17,7 @@ import numpy as np
 from nsdyn._kernels import motion as _motion
 from nsdyn.dynamics import Dynamics, Loads, Position
 from nsdyn.problem import Array
-from nsdyn.trees import Tree, TreeLoads
+from nsdyn.trees import TreeEnd
 
 __all__ = ["Ledger", "ledger"]
 
@@ -40,8 +40,7 @@ class Ledger(NamedTuple):
     constraint: float
     """Of bilateral constraints: of what drives bodies, surfaces and joints, and of closed loops, O(h²) of a motion."""
     gyroscopic: float
-    """Of gyroscopic and Coriolis terms and, for trees, of gravity beyond its potential: with the term `mass` 0 on a
-    free motion, the contacts' share elsewhere."""
+    """Of gyroscopic terms, 0 on a free motion, the contacts' share elsewhere; of trees the error of integration."""
     theta: float
     """Of the difference between the velocity that moved the system and the mean one; 0 for θ = ½ in uniform gravity."""
     mass: float
@@ -59,7 +58,8 @@ def ledger(
     loads: Loads,
     positions: tuple[Position, Position, Position],
     velocities: tuple[Array, Array, Array],
-    impulse: Array | None,
+    ends: tuple[TreeEnd, ...],
+    impulse: Array,
     normal: float,
     friction: float,
     driving: float,
@@ -77,8 +77,9 @@ def ledger(
         Before the step, after it, after the position projection.
     velocities : (begin, end, theta)
         v_k, v_{k+1} and v_{k+θ}.
-    impulse : ndarray, shape (n,), optional
-        H r of contacts and joint rows; needed where loops or driven joints restrict a tree.
+    ends : tuple of TreeEnd
+    impulse : ndarray, shape (n,)
+        H r of contacts and joint rows.
     normal, friction : float
         Sums of the works of contacts and joint rows, J.
     driving : float
@@ -100,8 +101,12 @@ def ledger(
         kinetic, potential, d_kinetic, d_potential, external, 0.0, driving, gyroscopic, slip, 0.0, projection,
     )  # fmt: skip
     for k, t in enumerate(d.trees):
-        configurations = begin.trees[k], moved.trees[k], end.trees[k]
-        own = _tree_works(t, h, theta, loads.trees[k], configurations, velocities, impulse)
+        part = loads.halfway[k], loads.trees[k], v1[t.coordinates], ends[k]
+        w = t.works(*part, end.trees[k], impulse[t.coordinates])
+        own = (
+            w.kinetic, w.potential, w.change, 0.0, w.actuation, w.damping, w.constraint, w.integration, 0.0, 0.0,
+            w.projection,
+        )  # fmt: skip
         sums = tuple(a + b for a, b in zip(sums, own, strict=True))
     kinetic, potential, d_kinetic, d_potential, external, damping, constraint, gyroscopic, slip, mass, projection = sums
     total = external + normal + friction + damping + constraint + gyroscopic + slip + mass + projection
@@ -110,35 +115,3 @@ def ledger(
         d_kinetic + d_potential - total,
     )  # fmt: skip
 
-
-def _tree_works(
-    t: Tree,
-    h: float,
-    theta: float,
-    load: TreeLoads,
-    configurations: tuple[Array, Array, Array],
-    velocities: tuple[Array, Array, Array],
-    impulse: Array | None,
-) -> tuple[float, ...]:
-    """(T, V, ΔT, ΔV, external, damping, constraint, gyroscopic, theta, mass, projection) of one tree, J."""
-    begin, moved, end = configurations
-    v0, v1, v_theta = (v[t.coordinates] for v in velocities)
-    step = load, v0, v1, v_theta, h, theta
-    kinetic, actuation, damping, springs, bias = t.works(*step)
-    T0, V0 = load.energies
-    T1, V1 = t.energies(end, velocities[1])
-    V_moved = V1 if end is moved else t.energies(moved, velocities[1])[1]
-    S0, S1 = t.spring_energy(begin), t.spring_energy(end)
-    S_moved = S1 if end is moved else t.spring_energy(moved)
-    gyroscopic, slip = V_moved - V0 - bias, 0.0
-    if theta != 0.5:
-        drop = -h * float((0.5 * (v0 + v1) - v_theta) @ load.weight)
-        gyroscopic, slip = gyroscopic - drop, drop + springs + S_moved - S0
-    constraint = 0.0
-    if t.constrained:
-        assert impulse is not None
-        constraint = t.constraint_work(*step, impulse[t.coordinates])
-    return (
-        T1, V1 + S1, T1 - T0, V1 - V0 + S1 - S0, actuation, damping, constraint, gyroscopic, slip,
-        T1 - T0 - kinetic, V1 - V_moved + S1 - S_moved,
-    )  # fmt: skip

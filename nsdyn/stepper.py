@@ -317,7 +317,12 @@ class Stepper:
         joints = d.joint_rows(middle, s.v, v_free, h)
         rows = d.rows(blocks, joints)
         drag, drag_after = d.surfaces.drags(contacts, frame, middle.driven_x, rows.full.nc, begun, ended)
-        met = s.history.meet(contacts, joints, rows, frame, (s.v, v_free), (drag, drag_after), self._law, fast)
+        v = s.v
+        if loads.halfway:
+            v = s.v.copy()
+            for tree, half in zip(d.trees, loads.halfway, strict=True):
+                v[tree.coordinates] = half.v
+        met = s.history.meet(contacts, joints, rows, frame, (v, v_free), (drag, drag_after), self._law, fast)
         w, struck = met.w, met.struck
         if struck is not None:
             impacts.apply(self.impact, met.u_begin, struck, w)
@@ -344,9 +349,11 @@ class Stepper:
             self._fail(problem, solution, v_free if rows.blocks is rows.full else None, met.guess)
 
         # Velocities and positions, and what penetration is left in them.
-        left = s.history.leave(rows, frame, (s.v, v_free), drag_after, met, impulse, h, theta)
-        v, gap = left.v, left.gap
-        moved = d.advance(s.position, left.v_theta, h, d.surfaces.mean(begun, ended, theta))
+        left = s.history.leave(rows, frame, (v, v_free), drag_after, met, impulse, h, theta)
+        v1, gap = left.v, left.gap
+        momentum = rows.full.momentum(impulse)
+        mean = d.surfaces.mean(begun, ended, theta)
+        moved, v_end, ends = d.end(s.position, left.v_theta, h, mean, loads, momentum, v1)
         nc = contacts.gap.size
         end, poses = moved, d.poses(moved)
         d.carry_gaps(contacts, poses, gap)
@@ -365,9 +372,8 @@ class Stepper:
 
         # Certificate, ledger, record.
         driving = -0.5 * float((drag + drag_after) @ impulse) if d.surfaces.count else 0.0
-        momentum = rows.full.momentum(impulse) if d.constrained else None
-        positions, velocities = (s.position, moved, end), (s.v, v, left.v_theta)
-        ledger = energy.ledger(d, h, theta, loads, positions, velocities, momentum, *left.works, driving)
+        positions, velocities = (s.position, moved, end), (v, v1, left.v_theta)
+        ledger = energy.ledger(d, h, theta, loads, positions, velocities, ends, momentum, *left.works, driving)
         created = max(0.0, float((left.normal + left.friction)[:nc].sum())) if struck is not None else 0.0
         r, u = impulse.reshape(-1, 3), left.u.reshape(-1, 3)
         slots, joint_impulse = d.joints.impulses(joints, r[nc:], d.n)
@@ -375,8 +381,8 @@ class Stepper:
             contacts.key, status, contacts.normal, left.impulse, left.velocity, met.turn, left.change, left.push, slots,
             solved,
         )  # fmt: skip
-        self._state = State(s.origin, s.dt, s.count + 1, end, v, history, self.detector.memory)
-        q_out, v_out = d.pinocchio_state(end, v)
+        self._state = State(s.origin, s.dt, s.count + 1, end, v_end, history, self.detector.memory)
+        q_out, v_out = d.pinocchio_state(end, v_end)
         x, quaternion = poses
         certificate = gauss.certify(problem, solution.r, solution.u)
         times = (
