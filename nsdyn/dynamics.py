@@ -281,7 +281,9 @@ class Dynamics:
             v1[t.coordinates] = ends[-1].v
         return Position(x, quaternion, tuple(e.q for e in ends), *driven), v1, tuple(ends)
 
-    def _applied(self, begin: Position, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
+    def _applied(
+        self, begin: Position, middle: Position, wrenches: Mapping[str, Any]
+    ) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
         applied: dict[int, Array] = {}

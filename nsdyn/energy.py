@@ -114,4 +114,3 @@ def ledger(
         kinetic, potential, external, normal, friction, damping, constraint, gyroscopic, slip, mass, projection,
         d_kinetic + d_potential - total,
     )  # fmt: skip
-

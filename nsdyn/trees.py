@@ -18,10 +18,10 @@ from nsdyn.motions import Motion
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-__all__ = ["Constraints", "FreeMotion", "Halfway", "Links", "Tree", "TreeEnd", "TreeLoads", "TreeWorks"]
+__all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "Tree", "TreeEnd", "TreeLoads", "TreeWorks"]
 
 PASSES = 20
-"""Most passes of the fixed point for the motion of a constrained tree; it contracts by O(h ω) a pass."""
+"""Most passes of the fixed point for the flow of a constrained tree; it contracts by O(h ω) a pass."""
 
 SETTLED = 1e-12
 """Relative change of the velocity by the next pass, extrapolated from the last two, at which it stops."""
@@ -30,8 +30,8 @@ SLOW = 1e-10
 """Motion in a step, rad or m, that is slow: Coriolis terms change its velocity by that fraction, less than round-off
 does of the velocities that forces make in a step."""
 
-TURN, PARTS = 0.5, 100
-"""Angle in rad that a part of a step turns at most, and the most parts."""
+TURN, PARTS = 0.1, 100
+"""Angle in rad that a part of a step turns at most, which leaves 1e-7 of the motion, and the most parts."""
 
 
 def _span(places: list[int]) -> Index | slice:
@@ -60,6 +60,25 @@ class Links(NamedTuple):
     J: Array
 
 
+class Flow(NamedTuple):
+    """A motion of a tree between contacts.
+
+    Attributes
+    ----------
+    q, v : ndarray, shapes (nq,), (nv,)
+        Configuration and velocity at its end.
+    mean : ndarray, shape (nv,)
+        Mean velocity.
+    work : float
+        Of driven joints, J.
+    """
+
+    q: Array
+    v: Array
+    mean: Array
+    work: float
+
+
 class Halfway(NamedTuple):
     """Where the forces of a step act, after (1 - θ) h of motion without forces.
 
@@ -69,6 +88,8 @@ class Halfway(NamedTuple):
         Configuration and velocity at the beginning of the step.
     q, v : ndarray, shapes (nq,), (nv,)
         Configuration, and velocity before the forces.
+    work : float
+        Of driven joints until then, J.
     M : ndarray, shape (nv, nv)
         Mass matrix.
     links : Links
@@ -80,6 +101,7 @@ class Halfway(NamedTuple):
     begin_v: Array
     q: Array
     v: Array
+    work: float
     M: Array
     links: Links
     h: float
@@ -87,7 +109,7 @@ class Halfway(NamedTuple):
 
 
 class TreeLoads(NamedTuple):
-    """What acts on a tree during a step besides gravity, contacts, joint limits and joint friction.
+    """What acts on a tree during a step besides contacts, joint limits and joint friction.
 
     Attributes
     ----------
@@ -97,12 +119,15 @@ class TreeLoads(NamedTuple):
         Gains of the PD control, 0 where there is none.
     stretch : ndarray, shape (nv,)
         Of the joint springs at the midpoint, q - rest, rad or m.
+    weight : ndarray, shape (nv,)
+        Gravity terms there.
     """
 
     tau: Array
     kp: Array
     kd: Array
     stretch: Array
+    weight: Array
 
 
 class Constraints(NamedTuple):
@@ -112,14 +137,11 @@ class Constraints(NamedTuple):
     ----------
     B, P, Z : ndarray, shapes (m, nv), (nv, m), (nv, ny)
         Zᵀ M̃ Z = I.
-    bias : ndarray, shape (nv,)
-        Coriolis, centrifugal and gravity terms of the step.
     """
 
     B: Array
     P: Array
     Z: Array
-    bias: Array
 
 
 class FreeMotion(NamedTuple):
@@ -150,11 +172,14 @@ class TreeEnd(NamedTuple):
     q, v : ndarray, shapes (nq,), (nv,)
     mean : ndarray, shape (nv,)
         Velocity on which the forces of the step worked.
+    work : float
+        Of driven joints after them, J.
     """
 
     q: Array
     v: Array
     mean: Array
+    work: float
 
 
 class TreeWorks(NamedTuple):
@@ -170,7 +195,7 @@ class TreeWorks(NamedTuple):
         Works of joint forces, of viscous damping, of loops and driven joints.
     integration : float
         Error of the motion: the rest of the change but for the work of the impulses, O(h⁵) of a free motion under
-        constant joint forces, O(h³) else; of constrained trees O(h²) where they are pushed.
+        constant joint forces, O(h³) else.
     projection : float
         Of the position projection.
     """
@@ -315,7 +340,7 @@ class Tree:
         return x, R
 
     def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
-        """Velocities of the links' frames at v (nv,): linear at the origin [m/s], angular [rad/s], world axes, (k, 3)."""
+        """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
         linear, angular = np.empty_like(links.x), np.empty_like(links.x)
         _trees.link_twists(links.x, self.support, links.J, v, linear, angular)
         return linear, angular
@@ -354,44 +379,39 @@ class Tree:
         out: Array = pin.computeFrameJacobian(self.model, self.data, q, *at).T @ np.concatenate((force, torque))
         return out
 
-    def flow(self, q: Array, v: Array, h: float, tau: Array | None = None) -> tuple[Array, Array, Array]:
-        """Motion for h under constant joint forces and gravity, or without any: (configuration, velocity, mean of it).
+    def flow(self, q: Array, v: Array, h: float) -> Flow:
+        """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
 
-        Fourth order: the classical Runge–Kutta method, whose last combination is made of two displacements one after
-        the other, so that it is of that order for free and spherical joints too. Motion by more than `TURN` is done in
-        parts. What it changes of energy and momentum is O(h⁵) a step.
+        A tree without constraints: fourth order, by `_runge_kutta`; a constrained one: second order, by `_slide`.
+        """
+        speed, turn = _trees.fastest(v, self._turns)
+        if h * speed <= SLOW:  # Coriolis terms are below round-off
+            end = q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v))
+            return Flow(end, v, v, 0.0)
+        return self._slide(q, v, h) if self.constrained else self._move(self._weightless, q, v, h, self._zero, turn)
 
-        Parameters
-        ----------
-        q, v : ndarray, shapes (nq,), (nv,)
-        h : float
-            s.
-        tau : ndarray, shape (nv,), optional
-            Joint forces, N m or N; without them there is no gravity either.
+    def _move(self, model: pin.Model, q: Array, v: Array, h: float, tau: Array, turn: float) -> Flow:
+        """Motion under constant joint forces tau and the gravity of the model, of rates up to `turn`, in parts."""
+        parts = min(1 + int(h * turn / TURN), PARTS)
+        if parts == 1:
+            return self._runge_kutta(model, q, v, h, tau)
+        mean = np.zeros_like(v)
+        for _ in range(parts):
+            q, v, part, _ = self._runge_kutta(model, q, v, h / parts, tau)
+            mean += part / parts
+        return Flow(q, v, mean, 0.0)
+
+    def _runge_kutta(self, model: pin.Model, q: Array, v: Array, h: float, tau: Array) -> Flow:
+        """One step of the classical Runge–Kutta method of fourth order.
+
+        Its last combination is made of two displacements one after the other, so that it is of that order for free
+        and spherical joints too. What it changes of energy and momentum is O(h⁵).
 
         References
         ----------
         E. Celledoni, A. Marthinsen, B. Owren, Commutator-free Lie group methods, Future Generation Computer Systems
         19, 2003.
         """
-        speed, turn = _trees.fastest(v, self._turns)
-        if tau is None:
-            if h * speed <= SLOW:  # Coriolis terms are below round-off
-                return (q if speed == 0.0 else pin.integrate(self.model, q, h * v)), v, v
-            model, tau = self._weightless, self._zero
-        else:
-            model = self.model
-        parts = min(1 + int(h * turn / TURN), PARTS)
-        if parts == 1:
-            return self._runge_kutta(model, q, v, h, tau)
-        mean = np.zeros_like(v)
-        for _ in range(parts):
-            q, v, part = self._runge_kutta(model, q, v, h / parts, tau)
-            mean += part / parts
-        return q, v, mean
-
-    def _runge_kutta(self, model: pin.Model, q: Array, v: Array, h: float, tau: Array) -> tuple[Array, Array, Array]:
-        """One step of the method of `flow`."""
         data, half = self.data, 0.5 * h
         a1 = pin.aba(model, data, q, v, tau)
         v2, q2 = v + half * a1, pin.integrate(model, q, half * v)
@@ -400,21 +420,52 @@ class Tree:
         a3 = pin.aba(model, data, q3, v3, tau)
         v4, q4 = v + h * a3, pin.integrate(model, q2, h * v3 - half * v)
         a4 = pin.aba(model, data, q4, v4, tau)
-        first, second, end = np.empty((3, v.size))
-        _trees.combine(v, v2, v3, v4, a1, a2, a3, a4, h, first, second, end)
-        return pin.integrate(model, pin.integrate(model, q, first), second), end, (first + second) / h
+        out = np.empty((4, v.size))
+        _trees.combine(v, v2, v3, v4, a1, a2, a3, a4, h, out)
+        return Flow(pin.integrate(model, pin.integrate(model, q, out[0]), out[1]), out[2], out[3], 0.0)
+
+    def _slide(self, q: Array, v: Array, h: float) -> Flow:
+        """One step of the implicit midpoint rule on loops and driven joints, without forces.
+
+        The velocity at the end is one that the loops admit there. Its work is that of the driven joints.
+        """
+        middle = self.close(pin.integrate(self.model, q, 0.5 * h * v))
+        M = np.array(pin.crba(self.model, self.data, middle)).reshape(v.size, v.size)
+        B, P, Z = self._restrict(middle, np.linalg.inv(np.linalg.cholesky(M)))
+        minv = Z @ Z.T
+        rest = start = minv @ (M @ v)
+        b, loops = np.zeros(len(B)), slice(len(B) - len(self.driven))
+        b[loops.stop :] = self._driven_rows @ v
+        new, change = v.copy(), SETTLED
+        for k in range(PASSES):
+            mean = 0.5 * (v + new)
+            bias = pin.nonLinearEffects(self._weightless, self.data, middle, mean)
+            if k < 2:
+                # Later passes would diverge where a step is longer than the way to a singular configuration.
+                if self._closures is not None:
+                    end = pin.integrate(self.model, q, h * mean)
+                    b[loops] = (B[loops] - self._closures.at(end)[1]) @ new
+                start = rest + P @ b
+            last, change = change, _trees.respond(start, minv, self._zero, bias, h, new)
+            if k and change * min(change, last) <= SETTLED * last:
+                break
+        mean = 0.5 * (v + new)
+        reaction = P.T @ (M @ (new - v) + h * bias)
+        work = float((B[loops.stop :] @ mean) @ reaction[loops.stop :])
+        return Flow(self.close(pin.integrate(self.model, q, h * mean)), new, mean, work)
+
+    def _restrict(self, q: Array, F: Array) -> tuple[Array, Array, Array]:
+        """(B, P, Z) of `Constraints` at q, where M⁻¹ = Fᵀ F."""
+        loops = np.empty((0, self.model.nv)) if self._closures is None else self._closures.at(q)[1]
+        B = np.concatenate((loops, self._driven_rows))
+        Z, P = admissible(B, F)
+        return B, P, Z
 
     def halfway(self, q: Array, v: Array, h: float, theta: float) -> Halfway:
-        """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces.
-
-        Of a tree with loops or driven joints q ⊕ (1 - θ) h v with closed loops, and v itself.
-        """
-        if self.constrained:
-            middle, v0 = self.close(pin.integrate(self.model, q, (1.0 - theta) * h * v)), v
-        else:
-            middle, v0, _ = self.flow(q, v, (1.0 - theta) * h)
+        """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
+        middle, v0, _, work = self.flow(q, v, (1.0 - theta) * h)
         M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD)).reshape(v.size, v.size)
-        return Halfway(q, v, middle, v0, M, self._links(), h, theta)
+        return Halfway(q, v, middle, v0, work, M, self._links(), h, theta)
 
     def free_motion(self, halfway: Halfway, t: float, given: Any, applied: Array | None) -> FreeMotion:
         """Velocity after the forces of a step without contacts and joint rows.
@@ -422,10 +473,8 @@ class Tree:
         M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces, in which the forces linear
         in v' make the effective mass matrix M̃ = M + h θ D + h² θ² K + h kd + h² kp. Damping -D v_θ and springs act at
         the θ-point of the step, v_θ = θ v' + (1 - θ) v0, PD control at its end. For θ = ½ a spring neither gains nor
-        loses energy, θ > ½ damps its vibrations, by a fraction of the order of θ - ½ of each; any stiffness and any
-        gain is stable.
-
-        Of a tree with loops or driven joints B v' = b holds too, and the bias at ½ (v0 + v') stands for g.
+        loses energy, θ > ½ damps its vibrations; any stiffness and any gain is stable. Of a tree with loops or driven
+        joints B v' = b holds too.
 
         Parameters
         ----------
@@ -454,52 +503,31 @@ class Tree:
             raise ValueError(
                 f"mass matrix of {self.name!r} is not positive definite: a joint moves no mass; give it an armature"
             )
-        loads = TreeLoads(tau, kp, kd, stretch)
-        if not self.constrained:
-            _trees.respond(v0, minv, force, pin.computeGeneralizedGravity(self.model, self.data, middle), h, v)
-            return FreeMotion(v, loads, m, minv, None)
-        loops = np.empty((0, v.size)) if self._closures is None else self._closures.at(middle)[1]
-        B = np.concatenate((loops, self._driven_rows))
-        Z, P = admissible(B, factor)
-        minv = Z @ Z.T
-        rest = start = minv @ (m @ v0)
-        change = SETTLED
-        for k in range(PASSES):
-            bias = np.array(pin.nonLinearEffects(self.model, self.data, middle, 0.5 * (v0 + v)))
-            if k < 2:
-                # Later passes would diverge where a step is longer than the way to a singular configuration.
-                start = rest + P @ self._rates(halfway, B, v, t)
-            last, change = change, _trees.respond(start, minv, force, bias, h, v)
-            if k and change * min(change, last) <= SETTLED * last:
-                break
-        return FreeMotion(v, loads, m, minv, Constraints(B, P, Z, bias))
-
-    def _rates(self, halfway: Halfway, B: Array, v: Array, t: float) -> Array:
-        """The b in B v = b: of loops, G̃ v where G v = 0 at the end of the step to `v`; of driven joints at t."""
-        b = np.zeros(len(B))
-        if self._closures is not None:
-            mean = halfway.theta * v + (1.0 - halfway.theta) * halfway.v
-            end = np.array(pin.integrate(self.model, halfway.begin, halfway.h * mean))
-            loops = slice(self._closures.size)
-            b[loops] = (B[loops] - self._closures.at(end)[1]) @ v
-        b[b.size - len(self.driven) :] = [motion.rate(t) for motion in self.driven]
-        return b
+        weight = pin.computeGeneralizedGravity(self.model, self.data, middle)
+        loads, start, constraints = TreeLoads(tau, kp, kd, stretch, weight), v0, None
+        if self.constrained:
+            B, P, Z = self._restrict(middle, factor)
+            minv, b = Z @ Z.T, np.zeros(len(B))
+            b[b.size - len(self.driven) :] = [motion.rate(t) for motion in self.driven]
+            start, constraints = minv @ (m @ v0) + P @ b, Constraints(B, P, Z)
+        _trees.respond(start, minv, force, weight, h, v)
+        return FreeMotion(v, loads, m, minv, constraints)
 
     def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> TreeEnd:
         """Where a step ends whose forces leave the velocity v.
 
         A tree that contacts and joint rows have `pushed` goes on without forces for θ h. One that moves freely ends
-        where the fourth-order flow from its beginning under gravity and the mean joint forces of the step does: the
+        where a fourth-order motion from its beginning under gravity and the mean joint forces of the step does: the
         same but for O(h³). At rest, where v and the velocity before it are 0, nothing moves at all.
         """
         h, theta = halfway.h, halfway.theta
-        mean = 0.5 * (halfway.v + v)
-        if self.constrained:
-            way = theta * v + (1.0 - theta) * halfway.v
-            return TreeEnd(self.close(pin.integrate(self.model, halfway.begin, h * way)), v, mean)
-        if pushed or h * max(np.abs(v).max(), np.abs(halfway.v).max()) <= SLOW:
-            return TreeEnd(*self.flow(halfway.q, v, theta * h)[:2], mean)
-        return TreeEnd(*self.flow(halfway.begin, halfway.begin_v, h, self.forces(halfway, free, v).sum(axis=0)))
+        speed, turn = _trees.fastest(v, self._turns)
+        begin_speed, begin_turn = _trees.fastest(halfway.begin_v, self._turns)
+        if pushed or self.constrained or h * max(speed, begin_speed) <= SLOW:
+            q, v1, _, work = self.flow(halfway.q, v, theta * h)
+            return TreeEnd(q, v1, 0.5 * (halfway.v + v), work)
+        tau = self.forces(halfway, free, v).sum(axis=0)
+        return TreeEnd(*self._move(self.model, halfway.begin, halfway.begin_v, h, tau, max(turn, begin_turn)))
 
     def forces(self, halfway: Halfway, free: FreeMotion, v: Array) -> Array:
         """Actuation, damping and springs of a step whose forces leave the velocity v, shape (3, nv), N m or N."""
@@ -530,9 +558,10 @@ class Tree:
         constraint = 0.0
         if free.constraints is not None:
             # Bᵀ λ is what the constraints and nothing else explain.
-            B, P, _, bias = free.constraints
-            reaction = P.T @ (halfway.M @ (v - halfway.v) - h * (forces.sum(axis=0) - bias) - impulse)
-            constraint = float((B @ end.mean) @ reaction)
+            B, P, _ = free.constraints
+            force = forces.sum(axis=0) - free.loads.weight
+            reaction = P.T @ (halfway.M @ (v - halfway.v) - h * force - impulse)
+            constraint = halfway.work + end.work + float((B @ end.mean) @ reaction)
         before, after = self.energies(halfway.begin, halfway.begin_v), self.energies(end.q, end.v)
         kinetic, potential = after if lifted is end.q else self.energies(lifted, end.v)
         projection = kinetic + potential - sum(after)

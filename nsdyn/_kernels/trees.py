@@ -81,13 +81,14 @@ def respond(start, minv, force, bias, h, v):
 
 
 @njit(cache=True)
-def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, first, second, v):
-    """Two displacements of a step, one after the other, and the velocity at its end, (n,) each; see `Tree.flow`."""
-    for j in range(v.size):
+def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, out):
+    """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n)."""
+    for j in range(v1.size):
         middle = 2.0 * (v2[j] + v3[j])
-        first[j] = h / 12.0 * (3.0 * v1[j] + middle - v4[j])
-        second[j] = h / 12.0 * (middle + 3.0 * v4[j] - v1[j])
-        v[j] = v1[j] + h / 6.0 * (a1[j] + 2.0 * (a2[j] + a3[j]) + a4[j])
+        out[0, j] = h / 12.0 * (3.0 * v1[j] + middle - v4[j])
+        out[1, j] = h / 12.0 * (middle + 3.0 * v4[j] - v1[j])
+        out[2, j] = v1[j] + h / 6.0 * (a1[j] + 2.0 * (a2[j] + a3[j]) + a4[j])
+        out[3, j] = (v1[j] + middle + v4[j]) / 6.0
 
 
 @njit(cache=True)
