@@ -313,10 +313,14 @@ class Dynamics:
         """Rows of joint limits and joint friction of a step; None when there are none."""
         if not self.joints.size:
             return None
+        return self.joints.rows(self.angles(middle), v, v_free, h)
+
+    def angles(self, position: Position) -> Array:
+        """Joint coordinates of all trees in rad or m, shape (n,); 0 elsewhere."""
         angle = np.zeros(self.n)
-        for t, q in zip(self.trees, middle.trees, strict=True):
+        for t, q in zip(self.trees, position.trees, strict=True):
             angle[t.coordinates] = t.angle(q)
-        return self.joints.rows(angle, v, v_free, h)
+        return angle
 
     def blocks(self, contacts: ContactSet) -> tuple[Blocks, Array]:
         """Factors (M, H) of the contacts at the placed position, and their frames (nc, 3, 3), rows (n, t1, t2)."""

@@ -357,6 +357,8 @@ class Stepper:
         nc = contacts.gap.size
         end, poses = moved, d.poses(moved)
         d.carry_gaps(contacts, poses, gap)
+        if joints is not None:
+            gap[nc:] = d.joints.gaps(joints.slot, d.angles(moved))
         if _encounter.smallest(gap) < -self.closed:
             # What rebounds leaves on its own in the next step, if it is not too slow for that, or so fast that it
             # would do so on the other side, or a link of a mechanism in its guide.

@@ -121,6 +121,8 @@ class TreeLoads(NamedTuple):
         Of the joint springs at the midpoint, q - rest, rad or m.
     weight : ndarray, shape (nv,)
         Gravity terms there.
+    implicit : bool
+        Whether there are damping, springs or a PD control, which act as the velocity after them says.
     """
 
     tau: Array
@@ -128,6 +130,7 @@ class TreeLoads(NamedTuple):
     kd: Array
     stretch: Array
     weight: Array
+    implicit: bool
 
 
 class Constraints(NamedTuple):
@@ -264,6 +267,7 @@ class Tree:
         scalar[self._linear], scalar[[j for j, _ in self._turning]] = True, True
         self.scalar = scalar
         self._springs = bool(a.stiffness.any())
+        self._implicit = self._springs or bool(a.damping.any())
         self.driven = tuple(driven.values())
         self._driven_rows = np.zeros((len(driven), nv))
         self._driven_rows[np.arange(len(driven)), list(driven)] = 1.0
@@ -504,7 +508,8 @@ class Tree:
                 f"mass matrix of {self.name!r} is not positive definite: a joint moves no mass; give it an armature"
             )
         weight = pin.computeGeneralizedGravity(self.model, self.data, middle)
-        loads, start, constraints = TreeLoads(tau, kp, kd, stretch, weight), v0, None
+        implicit = self._implicit or isinstance(given, PD)
+        loads, start, constraints = TreeLoads(tau, kp, kd, stretch, weight, implicit), v0, None
         if self.constrained:
             B, P, Z = self._restrict(middle, factor)
             minv, b = Z @ Z.T, np.zeros(len(B))
@@ -516,18 +521,19 @@ class Tree:
     def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> TreeEnd:
         """Where a step ends whose forces leave the velocity v.
 
-        A tree that contacts and joint rows have `pushed` goes on without forces for θ h. One that moves freely ends
-        where a fourth-order motion from its beginning under gravity and the mean joint forces of the step does: the
-        same but for O(h³). At rest, where v and the velocity before it are 0, nothing moves at all.
+        It goes on without forces for θ h. But a tree without constraints that nothing has `pushed`, no contact and
+        no joint row, and on which only gravity and given joint forces act, ends where a fourth-order motion from the
+        beginning does: the same but for O(h³). At rest, where v and the velocity before it are 0, nothing moves.
         """
-        h, theta = halfway.h, halfway.theta
-        speed, turn = _trees.fastest(v, self._turns)
-        begin_speed, begin_turn = _trees.fastest(halfway.begin_v, self._turns)
-        if pushed or self.constrained or h * max(speed, begin_speed) <= SLOW:
-            q, v1, _, work = self.flow(halfway.q, v, theta * h)
-            return TreeEnd(q, v1, 0.5 * (halfway.v + v), work)
-        tau = self.forces(halfway, free, v).sum(axis=0)
-        return TreeEnd(*self._move(self.model, halfway.begin, halfway.begin_v, h, tau, max(turn, begin_turn)))
+        h, theta, loads = halfway.h, halfway.theta, free.loads
+        if not (pushed or loads.implicit or self.constrained):
+            speed, turn = _trees.fastest(v, self._turns)
+            begin_speed, begin_turn = _trees.fastest(halfway.begin_v, self._turns)
+            if h * max(speed, begin_speed) > SLOW:
+                turn = max(turn, begin_turn)
+                return TreeEnd(*self._move(self.model, halfway.begin, halfway.begin_v, h, loads.tau, turn))
+        q, v1, _, work = self.flow(halfway.q, v, theta * h)
+        return TreeEnd(q, v1, 0.5 * (halfway.v + v), work)
 
     def forces(self, halfway: Halfway, free: FreeMotion, v: Array) -> Array:
         """Actuation, damping and springs of a step whose forces leave the velocity v, shape (3, nv), N m or N."""
