@@ -477,8 +477,10 @@ class Tree:
         M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces, in which the forces linear
         in v' make the effective mass matrix M̃ = M + h θ D + h² θ² K + h kd + h² kp. Damping -D v_θ and springs act at
         the θ-point of the step, v_θ = θ v' + (1 - θ) v0, PD control at its end. For θ = ½ a spring neither gains nor
-        loses energy, θ > ½ damps its vibrations; any stiffness and any gain is stable. Of a tree with loops or driven
-        joints B v' = b holds too.
+        loses energy, and any stiffness is stable as long as its vibrations turn nothing by a radian in a step; θ > ½
+        damps them, at first order in h. PD control is stable with any gains. θ says nothing of the motion without
+        forces but how it is parted, (1 - θ) h before them and θ h after. Of a tree with loops or driven joints
+        B v' = b holds too.
 
         Parameters
         ----------
@@ -501,7 +503,7 @@ class Tree:
         if applied is not None:
             tau = tau + applied
         stretch = self._deviation(angle, self.rest) if self._springs else self._zero
-        force, factor, m, minv, v = np.empty_like(v0), np.empty_like(M), np.empty_like(M), np.empty_like(M), v0.copy()
+        (factor, m, minv), force, v = np.empty((3, v0.size, v0.size)), np.empty_like(v0), v0.copy()
         laws = self.damping, self.stiffness, kp, kd, tau, stretch
         if not _trees.implicit(M, *laws, v0, h, theta, factor, m, minv, force):
             raise ValueError(
@@ -559,20 +561,22 @@ class Tree:
         impulse : ndarray, shape (nv,)
             H r of contacts and joint rows.
         """
-        h, forces = halfway.h, self.forces(halfway, free, v)
-        actuation, damping = (h * (forces[:2] @ end.mean)).tolist()
+        h, loads = halfway.h, free.loads
+        laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
+        velocities = halfway.v, v, end.mean
+        actuation, damping, pushed = _trees.works(*laws, *velocities, impulse, h, halfway.theta)
         constraint = 0.0
         if free.constraints is not None:
             # Bᵀ λ is what the constraints and nothing else explain.
             B, P, _ = free.constraints
-            force = forces.sum(axis=0) - free.loads.weight
+            force = self.forces(halfway, free, v).sum(axis=0) - loads.weight
             reaction = P.T @ (halfway.M @ (v - halfway.v) - h * force - impulse)
             constraint = halfway.work + end.work + float((B @ end.mean) @ reaction)
         before, after = self.energies(halfway.begin, halfway.begin_v), self.energies(end.q, end.v)
         kinetic, potential = after if lifted is end.q else self.energies(lifted, end.v)
         projection = kinetic + potential - sum(after)
         change = kinetic + potential - sum(before)
-        integration = sum(after) - sum(before) - actuation - damping - constraint - float(impulse @ end.mean)
+        integration = sum(after) - sum(before) - actuation - damping - constraint - pushed
         return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:

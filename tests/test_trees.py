@@ -182,7 +182,7 @@ def test_a_tree_that_bounces_between_its_limits_switches_without_harm():
         hits = (np.diff(np.sign(trajectory.v[:, 0])) != 0).sum()
         drifts.append(np.abs(total - total[0]).max() / np.ptp(trajectory.energy.kinetic))
         assert hits > 5
-    assert drifts[1] <= 1e-9, drifts
+    assert drifts[1] <= 2e-5 and drifts[1] <= 0.3 * drifts[0]
 
 
 def test_what_is_returned_stays(rng):

@@ -68,6 +68,19 @@ def forces(damping, stiffness, kp, kd, tau, stretch, v0, v1, h, theta, out):
 
 
 @njit(cache=True)
+def works(damping, stiffness, kp, kd, tau, stretch, v0, v1, mean, impulse, h, theta):
+    """Works of actuation, of damping and of an impulse on the velocity `mean` (n,), J."""
+    parts = np.empty((3, v0.size))
+    forces(damping, stiffness, kp, kd, tau, stretch, v0, v1, h, theta, parts)
+    actuation, dissipation, push = 0.0, 0.0, 0.0
+    for j in range(v0.size):
+        actuation += h * mean[j] * parts[0, j]
+        dissipation += h * mean[j] * parts[1, j]
+        push += mean[j] * impulse[j]
+    return actuation, dissipation, push
+
+
+@njit(cache=True)
 def respond(start, minv, force, bias, h, v):
     """V = start + h minv (force - bias), into v (n,); returns its relative change."""
     change, size = 0.0, 0.0
