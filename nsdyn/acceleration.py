@@ -255,9 +255,8 @@ def least_constraint(
     keep = np.flatnonzero(touching & (u[:, 0] <= still))
     M, H = blocks.dense()
     parts = [np.hstack((loads.force + d.mass[:, None] * d.gravity, loads.torque + loads.gyroscopic)).ravel()]
-    for tree, load in zip(d.trees, loads.trees, strict=True):
-        actuation, damping, springs = tree.forces(load, v[tree.coordinates], v[tree.coordinates], 0.0, 1.0)
-        parts.append(actuation + damping + springs - load.bias)
+    for tree, half, free in zip(d.trees, loads.halfway, loads.trees, strict=True):
+        parts.append(tree.forces(half, free, half.v).sum(axis=0) - tree.bias(half.q, half.v))
     f = np.concatenate(parts)
 
     # Relative velocities along the motion with v held, of the same contacts, in world axes and along their normals.

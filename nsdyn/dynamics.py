@@ -22,12 +22,12 @@ from nsdyn.joints import JointLaws, JointRows, Rows
 from nsdyn.problem import Blocks
 from nsdyn.scene import Scene
 from nsdyn.surfaces import Surfaces
-from nsdyn.trees import Tree, TreeLoads
+from nsdyn.trees import FreeMotion, Halfway, Links, Tree, TreeEnd
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-__all__ = ["Dynamics", "Forces", "Placement", "Position"]
+__all__ = ["Dynamics", "Forces", "Middle", "Placement", "Position"]
 
 NOTHING: Mapping[Any, Any] = {}
 
@@ -63,14 +63,31 @@ class Placement(NamedTuple):
     ----------
     x, R : ndarray, shapes (frames, 3), (frames, 3, 3)
         Origins [m] and rotations to the world.
-    J : tuple of ndarray, shapes (6, nv)
-        Jacobian of every tree: column j is the velocity field of coordinate j in world axes, linear at the world's
-        origin, then angular.
+    links : tuple of Links
+        Those of every tree, with its Jacobian.
     """
 
     x: Array
     R: Array
-    J: tuple[Array, ...]
+    links: tuple[Links, ...]
+
+
+class Middle(NamedTuple):
+    """Where the forces and impulses of a step act, after a part of it without them.
+
+    Attributes
+    ----------
+    position : Position
+    v : ndarray, shape (n,)
+        v⁻, the velocity there before they act.
+    placement : Placement
+    trees : tuple of Halfway
+    """
+
+    position: Position
+    v: Array
+    placement: Placement
+    trees: tuple[Halfway, ...]
 
 
 class Forces(NamedTuple):
@@ -84,7 +101,7 @@ class Forces(NamedTuple):
         Applied to free bodies; force in world axes [N], torque about the centre of mass in body axes [N m].
     m, minv : ndarray
         M̃ and its inverse in the layout of `Blocks`.
-    trees : tuple of TreeLoads
+    trees : tuple of FreeMotion
     """
 
     v: Array
@@ -92,7 +109,7 @@ class Forces(NamedTuple):
     torque: Array
     m: Array
     minv: Array
-    trees: tuple[TreeLoads, ...]
+    trees: tuple[FreeMotion, ...]
 
 
 def _rotation(quaternion: Array) -> Array:
@@ -153,7 +170,6 @@ class Dynamics:
         self._inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
         self._fall = float(np.linalg.norm(self.gravity))
-        self.constrained = any(t.constrained for t in self.trees)
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
         self.surfaces = Surfaces(scene)
         starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]
@@ -178,65 +194,85 @@ class Dynamics:
 
     # -- configurations ----------------------------------------------------------------------------------------
 
-    def flow(
-        self, position: Position, v: Array, h: float, twist: Array | None = None
-    ) -> tuple[Position, Array, Placement]:
-        """(position, velocity, frames) after h s without forces, Φ_h: x + h v and torque-free rotation of free bodies.
+    def halfway(self, position: Position, v: Array, h: float, theta: float, twist: Array) -> Middle:
+        """Where the forces of a step of h act: after (1 - θ) h of motion without any, Φ.
 
-        Trees move with constant joint velocities, their loops closed: what bends their motion is among the forces.
-        Driven bodies move with `twist` (surfaces, 2, 3), linear and angular velocities in world axes, or not at all.
+        Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it, driven bodies with
+        `twist` (surfaces, 2, 3), linear and angular velocities in world axes.
         """
+        ahead = (1.0 - theta) * h
+        x, quaternion, after, X, R = self._flow(position, v, ahead)
+        if self.frames == self.free and not self.trees:
+            there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
+            return Middle(there, after, Placement(X, R, ()), ())
+        halves = tuple(
+            [t.halfway(q, v[t.coordinates], h, theta) for t, q in zip(self.trees, position.trees, strict=True)]
+        )
+        for t, half in zip(self.trees, halves, strict=True):
+            after[t.coordinates] = half.v
+        driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, ahead * twist)
+        there = Position(x, quaternion, tuple([half.q for half in halves]), *driven)
+        return Middle(there, after, self._with_others(there, X, R, [half.links for half in halves]), halves)
+
+    def end(
+        self, middle: Middle, forces: Forces, v: Array, impulse: Array | None, h: float, twist: Array
+    ) -> tuple[Position, Array, Placement, tuple[TreeEnd, ...]]:
+        """(position, velocity, frames, trees) after h s without forces from the middle of a step, which left v there.
+
+        The impulses H r (n,) of contacts and joint rows tell which trees are pushed; None where there are no trees.
+        """
+        x, quaternion, after, X, R = self._flow(middle.position, v, h)
+        position = middle.position
+        if self.frames == self.free and not self.trees:
+            there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
+            return there, after, Placement(X, R, ()), ()
+        ends = []
+        for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
+            pushed = impulse is not None and bool(impulse[t.coordinates].any())
+            ends.append(t.end(half, free, v[t.coordinates], pushed))
+            after[t.coordinates] = ends[-1].v
+        driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
+        there = Position(x, quaternion, tuple([e.q for e in ends]), *driven)
+        links = [t.links(q) for t, q in zip(self.trees, there.trees, strict=True)]
+        return there, after, self._with_others(there, X, R, links), tuple(ends)
+
+    def _flow(self, position: Position, v: Array, h: float) -> tuple[Array, Array, Array, Array, Array]:
+        """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
         x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
         X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
         _motion.flow(*self._principal, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
-        if self.frames == self.free:
-            end = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
-            return end, after, Placement(X, R, ())
-        end = self._with_others(x, quaternion, position, v, h, twist)
-        return end, after, self._place_others(end, X, R)
+        return x, quaternion, after, X, R
 
     def shift(self, position: Position, step: Array) -> Position:
         """Position ⊕ a small displacement `step` (n,) in the coordinates of velocities, loops closed."""
         x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
         _motion.integrate(position.x, position.quaternion, step, 1.0, x, quaternion)
-        return self._with_others(x, quaternion, position, step, 1.0, None)
-
-    def _with_others(
-        self, x: Array, quaternion: Array, position: Position, v: Array, h: float, twist: Array | None
-    ) -> Position:
-        """The position whose free bodies are at x and quaternion, the others where h v or `twist` brings them."""
-        trees, driven = position.trees, (position.driven_x, position.driven_quaternion)
-        if trees:
-            moved = zip(self.trees, trees, strict=True)
-            trees = tuple([t.close(pin.integrate(t.model, q, h * v[t.coordinates])) for t, q in moved])
-        if twist is not None and driven[0].size:
-            driven = self.surfaces.advance(*driven, h * twist)
-        return Position(x, quaternion, trees, *driven)
+        moved = zip(self.trees, position.trees, strict=True)
+        trees = tuple([t.close(pin.integrate(t.model, q, step[t.coordinates])) for t, q in moved])
+        return Position(x, quaternion, trees, position.driven_x, position.driven_quaternion)
 
     def place(self, position: Position) -> Placement:
         """Frames and Jacobians at a position."""
         x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
         _motion.place(position.x, position.quaternion, x, R)
-        return self._place_others(position, x, R)
+        links = [t.links(q) for t, q in zip(self.trees, position.trees, strict=True)]
+        return self._with_others(position, x, R, links)
 
-    def _place_others(self, position: Position, x: Array, R: Array) -> Placement:
+    def _with_others(self, position: Position, x: Array, R: Array, links: list[Links]) -> Placement:
         """The placement whose free bodies are in x and R."""
         if position.driven_x.size:
             nd = len(position.driven_x)
             _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])
-        J = []
-        for t, q in zip(self.trees, position.trees, strict=True):
-            x[t.frames], R[t.frames], jacobian = t.kinematics(q)
-            J.append(jacobian)
-        return Placement(x, R, tuple(J))
+        for t, at in zip(self.trees, links, strict=True):
+            x[t.frames], R[t.frames] = at.x, at.R
+        return Placement(x, R, tuple(links))
 
     def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
         """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
         linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
         _motion.twists(place.R, v, self.free, linear, angular)
-        for t, J in zip(self.trees, place.J, strict=True):
-            at = place.x[t.frames], t.support, J, v[t.coordinates]
-            _trees.link_twists(*at, linear[t.frames], angular[t.frames])
+        for t, links in zip(self.trees, place.links, strict=True):
+            linear[t.frames], angular[t.frames] = t.twists(links, v[t.coordinates])
         return linear, angular
 
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
@@ -247,8 +283,8 @@ class Dynamics:
         out = np.zeros(self.frames)
         fall = h * dt * self._fall
         _motion.reach(v, h, fall, self.radius, out)
-        for t, J in zip(self.trees, place.J, strict=True):
-            at = place.x[t.frames], t.support, J, v[t.coordinates], h, t.radius, fall
+        for t, links in zip(self.trees, place.links, strict=True):
+            at = links.x, t.support, links.J, v[t.coordinates], h, t.radius, fall
             _trees.link_reach(*at, out[t.frames])
         if self.surfaces.count:
             self.surfaces.reach(h * np.abs(twist), out)
@@ -257,26 +293,15 @@ class Dynamics:
     # -- forces ------------------------------------------------------------------------------------------------
 
     def forces(
-        self,
-        begin: Position,
-        middle: Position,
-        v: Array,
-        t: float,
-        h: float,
-        theta: float,
-        wrenches: Mapping[str, Any] | None,
-        tau: Mapping[str, Any] | None,
+        self, middle: Middle, t: float, h: float, wrenches: Mapping[str, Any] | None, tau: Mapping[str, Any] | None
     ) -> Forces:
-        """What acts in a step: M̃ (v_f - v⁻) = h f̃ at the configuration `middle`.
+        """What acts in a step: M̃ (v_f - v⁻) = h f̃.
 
         Parameters
         ----------
-        begin, middle : Position
-            Where the step begins, and where the forces and impulses act.
-        v : ndarray, shape (n,)
-            v⁻, the velocity there before they act.
-        t, h, theta : float
-            Time at the end of the step, step [s], and θ.
+        middle : Middle
+        t, h : float
+            Time at the end of the step, and step, s.
         wrenches : mapping, optional
             Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes. For a
             body of an articulation, "articulation/body", the force acts at the origin of its frame.
@@ -285,32 +310,30 @@ class Dynamics:
         """
         force, torque, applied, given = self._no_load, self._no_load, NOTHING, NOTHING
         if wrenches is not None:
-            force, torque, applied = self._applied(middle, _mapping(wrenches, "external_force"))
+            force, torque, applied = self._applied(middle.position, _mapping(wrenches, "external_force"))
         if tau is not None:
             given = _mapping(tau, "controller")
             if unknown := given.keys() - self._tree_names.keys():
                 raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out = np.empty(self.n)
-        _motion.accelerate(self._inverse_mass, self._inverse_J, self.gravity, force, torque, h, v, out)
+        _motion.accelerate(self._inverse_mass, self._inverse_J, self.gravity, force, torque, h, middle.v, out)
         if not self.trees:
             return Forces(out, force, torque, self._m, self._minv, ())
-        loads, m, minv = [], [self._m], [self._minv]
-        for k, tree in enumerate(self.trees):
-            where, control = (begin.trees[k], middle.trees[k]), (given.get(tree.name), applied.get(k))
-            out[tree.coordinates], load = tree.free_motion(*where, v[tree.coordinates], h, theta, t, *control)
-            loads.append(load)
-            m.append(load.m.ravel())
-            minv.append(load.minv.ravel())
-        return Forces(out, force, torque, np.concatenate(m), np.concatenate(minv), tuple(loads))
+        motions = []
+        for k, (tree, half) in enumerate(zip(self.trees, middle.trees, strict=True)):
+            motions.append(tree.free_motion(half, t, given.get(tree.name), applied.get(k)))
+            out[tree.coordinates] = motions[-1].v
+        return self._with_trees(out, force, torque, motions)
 
     def inertia(self, position: Position, v: Array) -> Forces:
         """Mass matrices at a position, where no forces act: what impacts meet."""
-        if not self.trees:
-            return Forces(v, self._no_load, self._no_load, self._m, self._minv, ())
-        loads = tuple(t.inertia(q) for t, q in zip(self.trees, position.trees, strict=True))
-        m = np.concatenate([self._m, *(load.m.ravel() for load in loads)])
-        minv = np.concatenate([self._minv, *(load.minv.ravel() for load in loads)])
-        return Forces(v, self._no_load, self._no_load, m, minv, loads)
+        motions = [t.inertia(q, v[t.coordinates]) for t, q in zip(self.trees, position.trees, strict=True)]
+        return self._with_trees(v, self._no_load, self._no_load, motions)
+
+    def _with_trees(self, v: Array, force: Array, torque: Array, motions: list[FreeMotion]) -> Forces:
+        m = np.concatenate([self._m, *(motion.m.ravel() for motion in motions)])
+        minv = np.concatenate([self._minv, *(motion.minv.ravel() for motion in motions)])
+        return Forces(v, force, torque, m, minv, tuple(motions))
 
     def _applied(self, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
@@ -359,13 +382,10 @@ class Dynamics:
         size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
         h = np.zeros(size)
         _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, h)
-        for t, J in zip(self.trees, place.J, strict=True):
-            _trees.link_rows(*hang, *where, t.frames.start, t.support, J, start, h)
+        for t, links in zip(self.trees, place.links, strict=True):
+            _trees.link_rows(*hang, *where, t.frames.start, t.support, links.J, start, h)
         full = Blocks(self.offset, block, start, h, self.m_start, forces.m, forces.minv)
-        bases = {}
-        if self.constrained:
-            pairs = zip(self.trees, forces.trees, strict=True)
-            bases = {self.free + k: load.Z for k, (t, load) in enumerate(pairs) if t.constrained}
+        bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
         if joints is None:
             return Rows(full, bases, *NOT_PRESSED), frame
         pressed = np.flatnonzero(joints.press)
@@ -380,6 +400,11 @@ class Dynamics:
             more = t.energies(q, v[t.coordinates])
             kinetic, potential = kinetic + more[0], potential + more[1]
         return kinetic, potential
+
+    def lift(self, before: Position, after: Position) -> float:
+        """Potential energy that free bodies gain between two positions, J."""
+        out: float = -float(self.mass @ ((after.x - before.x) @ self.gravity))
+        return out
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
         """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""

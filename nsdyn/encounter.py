@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels import law as _law
 from nsdyn.contacts import ContactSet
-from nsdyn.dynamics import Dynamics, Forces, Placement
+from nsdyn.dynamics import Dynamics, Forces, Middle, Placement
 from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, Index, Solution
 from nsdyn.solvers import Solver
@@ -111,12 +111,11 @@ def meet(
     dynamics: Dynamics,
     contacts: ContactSet,
     joints: JointRows | None,
+    middle: Middle,
     forces: Forces,
-    v: Array,
-    middle: Placement,
-    begin: tuple[ContactSet, Placement, tuple[Array, Array], Warm],
+    begin: tuple[ContactSet, Placement, tuple[Array, Array], Array, Warm],
     reach: Array,
-    surfaces: tuple[Array, Array, Array],
+    surfaces: tuple[Array, Array],
     ahead: float,
 ) -> Encounter:
     """Relative velocities of a step at its contacts and joint rows.
@@ -127,39 +126,38 @@ def meet(
     contacts : ContactSet
         Where the impulses act.
     joints : JointRows, optional
+    middle : Middle
     forces : Forces
-    v : ndarray, shape (n,)
-        v⁻.
-    middle : Placement
-        Of the frames where the impulses act.
-    begin : (contacts, placement, twists, warm start)
+    begin : (contacts, placement, twists, velocity, warm start)
         Where the step begins.
     reach : ndarray, shape (frames,)
         How far points of the frames move in about half a step, m.
-    surfaces : (driven_x, twists, twists at the end)
-        Where driven bodies are, and how they and sliding surfaces move when the impulses act and at the end.
+    surfaces : two ndarrays of shape (surfaces, 2, 3)
+        Twists of what moves as prescribed, when the impulses act and at the end.
     ahead : float
         h₂, s.
     """
-    rows, frame = dynamics.rows(contacts, middle, forces, joints)
+    there = middle.placement
+    rows, frame = dynamics.rows(contacts, there, forces, joints)
     full, nc = rows.full, contacts.gap.size
     nr = full.nc
     u_begin, u, u_free, turn, guess = np.empty((5, 3 * nr))
     end_gap = np.empty(nr)
-    old, place, twists, warm = begin
-    drags = dynamics.surfaces.drags(contacts, frame, surfaces[0], nr, *surfaces[1:])
+    old, place, twists, v_begin, warm = begin
+    drags = dynamics.surfaces.drags(contacts, frame, middle.position.driven_x, nr, *surfaces)
     where = _law.meet(
-        full.offset, full.block, full.start, full.h, v, forces.v, *drags, rows.press, warm.key, warm.impulse, old.key,
-        old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame,
-        middle.x, contacts.gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
+        full.offset, full.block, full.start, full.h, v_begin, middle.v, forces.v, *drags, rows.press, warm.key,
+        warm.impulse, old.key, old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1,
+        contacts.frame2, contacts.point, frame, there.x, contacts.gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
     )  # fmt: skip
     mu, restitution = contacts.mu, contacts.restitution
     if joints is not None:
         guess[3 * nc :] = warm.joints[joints.slot].ravel()
-        end_gap[nc:] = joints.gap
+        end_gap[nc:] = joints.gap - 0.5 * ahead * turn[3 * nc :: 3]
         mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
     return Encounter(
-        contacts, joints, rows, frame, mu, restitution, where, warm.status, u_begin, u, u_free, turn, end_gap, guess, drags[0]
+        contacts, joints, rows, frame, mu, restitution, where, warm.status, u_begin, u, u_free, turn, end_gap, guess,
+        drags[0],
     )  # fmt: skip
 
 

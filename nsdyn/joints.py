@@ -93,10 +93,14 @@ class JointLaws:
         slot = _trees.active_rows(self.coordinate, self.sign, self.bound, self.near, angle, v, v_free, h)
         if not slot.size:
             return None
-        sign, bound = self.sign[slot], self.bound[slot]
-        friction = sign == 0.0
-        gap = sign * (angle[self.coordinate[slot]] - bound)
+        friction = self.sign[slot] == 0.0
+        gap, bound = self.gaps(slot, angle), self.bound[slot]
         return JointRows(slot, gap, self.restitution[slot], friction.astype(float), np.where(friction, h * bound, 0.0))
+
+    def gaps(self, slot: Index, angle: Array) -> Array:
+        """Distances to the limits of some slots at the joint coordinates, rad or m; 0 for friction."""
+        out: Array = self.sign[slot] * (angle[self.coordinate[slot]] - self.bound[slot])
+        return out
 
     def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:
         """Impulses r (nj, 3) by slot, shape (slots, 3), and on the coordinates, shape (n,)."""

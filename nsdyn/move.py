@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from nsdyn._kernels import law as _law
 from nsdyn._kernels import motion as _motion
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
-from nsdyn.dynamics import Dynamics, Forces, Placement, Position
+from nsdyn.dynamics import Dynamics, Forces, Middle, Placement, Position
 from nsdyn.encounter import Encounter, Warm, meet, solve
 from nsdyn.energy import Works
 from nsdyn.impacts import Impact, strike
 from nsdyn.problem import FC3D, Array, Index, Solution
 from nsdyn.projection import place, project
 from nsdyn.solvers import Solver
+from nsdyn.trees import TreeEnd
 
 __all__ = ["Impulses", "Instant", "Move", "System", "collide", "move"]
 
@@ -180,36 +181,63 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
         Codes of pairs whose open contacts are left alone, as are all that would become deep, or strike: the move then
         says what it ran into. None: all are caught.
     """
-    d, before, after = s.dynamics, (1.0 - s.theta) * h, s.theta * h
+    d, after = s.dynamics, s.theta * h
     begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
     # Half a free flow, and the forces there.
-    middle, v, placement = d.flow(begin.position, begin.v, before, begun)
-    forces = d.forces(begin.position, middle, v, t + h, h, s.theta, *callbacks(middle, begin.v))
+    middle = d.halfway(begin.position, begin.v, h, s.theta, begun)
+    forces = d.forces(middle, t + h, h, *callbacks(middle.position, begin.v))
     # What can touch until the end, and how it moves.
-    reach = d.reach(placement, forces.v, after, h, ended)
-    contacts, memory = s.detector.find(placement.x, placement.R, reach, begin.memory)
+    reach = d.reach(middle.placement, forces.v, after, h, ended)
+    contacts, memory = s.detector.find(middle.placement.x, middle.placement.R, reach, begin.memory)
     if barred is not None:
-        contacts = _caught(s, contacts, begin, placement, forces.v, after, barred)
-    joints = d.joint_rows(middle, v, forces.v, h)
-    start = begin.contacts, begin.placement, begin.twists, begin.warm
-    surfaces = middle.driven_x, d.surfaces.mean(begun, ended, 0.5), ended
-    met = meet(d, contacts, joints, forces, v, placement, start, reach, surfaces, after)
+        contacts = _caught(s, contacts, begin, middle.placement, forces.v, after, barred)
+    joints = d.joint_rows(middle.position, middle.v, forces.v, h)
+    start = begin.contacts, begin.placement, begin.twists, begin.v, begin.warm
+    met = meet(d, contacts, joints, middle, forces, start, reach, (d.surfaces.mean(begun, ended, 0.5), ended), after)
     # Impulses.
     met, impact, kick = _struck(s, met, h)
     problem, solution = solve(met, s.solver, after, s.closed)
     v_plus = forces.v + kick + met.rows.velocity_change(solution.r)
     # Half a free flow, and nothing overlaps where it ends.
-    end, v_end, there = d.flow(middle, v_plus, after, ended)
+    impulse = None
+    if d.trees:
+        impulse = met.rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
+    end, v_end, there, trees = d.end(middle, forces, v_plus, impulse, after, ended)
     moved = place(d, s.detector, end, there, memory, 2.0 * reach if barred is not None and barred.size else None)
     placed = project(d, s.detector, moved, forces, s.closed)
-    impulses, works, warm = _account(s, met, forces, (v, v + kick, v_plus), solution.r, h, impact)
+    impulses, works, warm = _account(s, met, forces, (middle.v, middle.v + kick, v_plus), solution.r, h, impact)
     if placed is not moved:
-        lift = sum(d.energies(placed.position, v_end)) - sum(d.energies(moved.position, v_end))
-        works = works._replace(projection=lift)
-    twists = d.twists(placed.placement, v_end)
-    instant = Instant(placed.position, v_end, placed.placement, placed.contacts, placed.memory, warm, twists)
+        works += Works(projection=d.lift(moved.position, placed.position))
+    if impulse is not None:
+        works += _tree_works(s, middle, forces, v_plus, trees, placed.position, impulse, met, impact, solution.r, kick)
+    instant = Instant(
+        placed.position, v_end, placed.placement, placed.contacts, placed.memory, warm,
+        d.twists(placed.placement, v_end),
+    )  # fmt: skip
     unmet = None if barred is None else _others(moved.contacts, met.contacts)
-    return Move(instant, impulses, works, problem, solution, placed.clear, unmet, (forces.v - v) / h)
+    rate = (forces.v - middle.v) / h
+    return Move(instant, impulses, works, problem, solution, placed.clear, unmet, rate)
+
+
+def _tree_works(
+    s: System, middle: Middle, forces: Forces, v_plus: Array, ends: tuple[TreeEnd, ...], lifted: Position,
+    impulse: Array, met: Encounter, impact: Impact | None, r: Array, kick: Array | float,
+) -> Works:  # fmt: skip
+    """Works of the trees besides those of contacts and joint rows, J."""
+    out = Works()
+    if impact is not None:
+        # The rows do their work in two parts, at two mean velocities.
+        first, second = met.rows.full.momentum(impact.r), met.rows.full.momentum(r)
+        struck = middle.v + kick
+        booked = 0.5 * (first * (middle.v + struck) + second * (struck + v_plus))
+    for t, half, free, end, q in zip(s.dynamics.trees, middle.trees, forces.trees, ends, lifted.trees, strict=True):
+        own = t.coordinates
+        w = t.works(half, free, v_plus[own], end, q, impulse[own])
+        integration = w.integration
+        if impact is not None:
+            integration += float(impulse[own] @ end.mean - booked[own].sum())
+        out += Works(w.actuation, 0.0, 0.0, w.damping, w.constraint, integration, w.projection)
+    return out
 
 
 def _caught(
@@ -287,9 +315,8 @@ def collide(
             return None
     contacts = take(c, c.gap <= s.closed)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
-    start = contacts, at.placement, at.twists, at.warm
-    surfaces = at.position.driven_x, twist, twist
-    met = meet(d, contacts, joints, forces, at.v, at.placement, start, np.zeros(d.frames), surfaces, 0.0)
+    here, start = Middle(at.position, at.v, at.placement, ()), (contacts, at.placement, at.twists, at.v, at.warm)
+    met = meet(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0)
     resting = REST + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
     impact = _strike(s, met, met.end_gap <= s.closed, resting)
     if impact.problem is None or impact.solution is None:

