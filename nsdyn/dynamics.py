@@ -401,10 +401,16 @@ class Dynamics:
             kinetic, potential = kinetic + more[0], potential + more[1]
         return kinetic, potential
 
-    def lift(self, before: Position, after: Position) -> float:
-        """Potential energy that free bodies gain between two positions, J."""
-        out: float = -float(self.mass @ ((after.x - before.x) @ self.gravity))
-        return out
+    def lift(self, before: Position, after: Position, v: Array) -> tuple[Array, float]:
+        """Velocity with the same momentum where a projection brought the free bodies, and what it did to their energy.
+
+        The angular momentum in space is kept, so that ω in body axes changes with the turn, and kinetic energy a little.
+        """
+        out = np.empty(self.n)
+        _motion.keep_spin(self.J, self._inverse_J, before.quaternion, after.quaternion, v, out)
+        bodies = self.mass, self.J, self.gravity
+        now, then = _motion.free_energies(*bodies, after.x, out), _motion.free_energies(*bodies, before.x, v)
+        return out, (now[0] - then[0]) + (now[1] - then[1])
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
         """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""

@@ -77,6 +77,7 @@ def strike(
     restitution: Array,
     closed: Bools,
     resting: Array,
+    slow: Array,
 ) -> Impact:
     """Impacts at one configuration until nothing strikes.
 
@@ -93,7 +94,9 @@ def strike(
     closed : ndarray of bool, shape (rows,)
         Rows that may carry an impulse.
     resting : ndarray, shape (rows,)
-        Speeds of approach [m/s] below which a contact rests.
+        Speeds of approach [m/s] below which a contact rests: what strikes with less does not rebound.
+    slow : ndarray, shape (rows,)
+        Speeds of approach below which it does not strike at all.
     """
     nc = mu.size
     label = np.empty(nc, np.int64)
@@ -101,13 +104,14 @@ def strike(
     total, normal, friction = np.zeros(3 * nc), np.zeros(nc), np.zeros(nc)
     created, worst, where = 0.0, None, None
     for _ in range(ROUNDS):
-        hit = closed & (u[0::3] < -resting)
+        hit = closed & (u[0::3] < -slow)
         if not hit.any():
             break
         # An island without an impact is not concerned.
         concerned = closed & np.isin(label, label[hit])
         part = concerned & (hit | (restitution == 0.0)) if law == "newton" else concerned
-        problem, r, solution = _round(law, solver, blocks, u, mu, restitution, hit, part)
+        e = np.where(hit & (u[0::3] < -resting), restitution, 0.0)
+        problem, r, solution = _round(law, solver, blocks, u, mu, e, hit, part)
         after = u + blocks.relative_velocity(blocks.velocity_change(r))
         work = 0.5 * (u + after) * r
         normal += work[0::3]
@@ -122,12 +126,11 @@ def strike(
 
 
 def _round(
-    law: str, solver: Solve, blocks: Blocks, u: Array, mu: Array, restitution: Array, hit: Bools, part: Bools
+    law: str, solver: Solve, blocks: Blocks, u: Array, mu: Array, e: Array, hit: Bools, part: Bools
 ) -> tuple[FC3D, Array, Solution]:
-    """(problem, impulses, solution) of one impact of all contacts that take part."""
+    """(problem, impulses, solution) of one impact of all contacts that take part, e the restitution of this time."""
     rows, own = np.repeat(part, 3), blocks._replace(block=blocks.block[part], start=blocks.start[part])
-    before, mu, hit = u[rows], mu[part], hit[part]
-    e = np.where(hit, restitution[part], 0.0)
+    before, mu, e, hit = u[rows], mu[part], e[part], hit[part]
     r, b = np.zeros_like(u), before.copy()
     if law == "poisson":
         given = np.repeat(1.0 + e, 3) * solver(FC3D.from_blocks(own, b, mu), None).r

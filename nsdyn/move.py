@@ -64,10 +64,14 @@ class System(NamedTuple):
     inscribed: Array
     impact: str
 
+    @property
+    def slow(self) -> float:
+        """The least of what is `deep`."""
+        return DEEP * float(self.inscribed.min(initial=np.inf))
+
     def deep(self, contacts: ContactSet) -> Array:
-        """Overlaps, m, that a step may catch: deeper ones without restitution are impacts to be located."""
+        """Overlaps, m, that a step may catch: deeper ones are impacts to be located."""
         out: Array = DEEP * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
-        out[contacts.restitution > 0.0] = self.closed
         return out
 
 
@@ -207,7 +211,8 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
     placed = project(d, s.detector, moved, forces, s.closed)
     impulses, works, warm = _account(s, met, forces, (middle.v, middle.v + kick, v_plus), solution.r, h, impact)
     if placed is not moved:
-        works += Works(projection=d.lift(moved.position, placed.position))
+        v_end, lifted = d.lift(moved.position, placed.position, v_end)
+        works += Works(projection=lifted)
     if impulse is not None:
         works += _tree_works(s, middle, forces, v_plus, trees, placed.position, impulse, met, impact, solution.r, kick)
     instant = Instant(
@@ -281,29 +286,31 @@ def _struck(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | No
     # Rows that turn with their bodies are no approach.
     resting = np.where(struck, fall, fall + 2.0 * np.abs(met.turn[0::3]))
     closed = struck | (met.end_gap <= s.closed)
-    impact = _strike(s, met, closed, resting)
+    impact = _strike(s, met, closed, resting, resting)
     kick = met.rows.velocity_change(impact.r)
     return met.changed(kick), impact, kick
 
 
-def _strike(s: System, met: Encounter, closed: Bools, resting: Array) -> Impact:
+def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:
     """Impacts of the closed contacts and joint limits; dry friction of joints has no impulse in no time."""
     if met.rows.press.size:
         closed = closed & (met.rows.press[0::3] == 0.0)
-    return strike(s.impact, s.solver, met.rows.blocks, met.u, met.mu, met.restitution, closed, resting)
+    return strike(s.impact, s.solver, met.rows.blocks, met.u, met.mu, met.restitution, closed, resting, slow)
 
 
 def collide(
-    s: System, at: Instant, t: float, rate: Array
+    s: System, at: Instant, t: float, h: float, rate: Array
 ) -> tuple[Instant, Impulses, Works, tuple[FC3D, Solution]] | None:
     """Impacts in no time of what is closed at an instant; None where nothing strikes.
+
+    What rests, but closes so fast that it would become deep in the move to come, strikes without restitution.
 
     Parameters
     ----------
     s : System
     at : Instant
-    t : float
-        s.
+    t, h : float
+        Time, and length of the move to come, s.
     rate : ndarray, shape (n,)
         Free acceleration there, m/s² and rad/s².
     """
@@ -311,14 +318,16 @@ def collide(
     joints = d.joint_rows(at.position, at.v, at.v, 0.0)
     if not (d.surfaces.count or (joints is not None and joints.restitution.any())):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
-        if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -REST:
+        if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -s.slow / h:
             return None
     contacts = take(c, c.gap <= s.closed)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
     here, start = Middle(at.position, at.v, at.placement, ()), (contacts, at.placement, at.twists, at.v, at.warm)
     met = meet(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0)
     resting = REST + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
-    impact = _strike(s, met, met.end_gap <= s.closed, resting)
+    slow = resting.copy()
+    slow[: contacts.gap.size] = np.minimum(resting[: contacts.gap.size], s.deep(contacts) / h)
+    impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
     if impact.problem is None or impact.solution is None:
         return None
     v = at.v + met.rows.velocity_change(impact.r)

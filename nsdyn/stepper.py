@@ -309,7 +309,7 @@ class Stepper:
         works, clear = Works(), True
         for cut in range(2 * CUTS):
             t = s.next_t - left
-            if (struck := collide(self.system, now, t, rate)) is not None:
+            if (struck := collide(self.system, now, t, left, rate)) is not None:
                 now, impulses, more, problem = struck
                 done, solved, works = [*done, impulses], [*solved, problem], works + more
             length, m = self._until_impact(now, t, left) if cut < CUTS else (left, self._move(now, t, left, None))
@@ -332,7 +332,8 @@ class Stepper:
         m = self._move(begin, t, h, NONE)
         if m.unmet is None:
             return h, m
-        hit = m.unmet.gap < -s.deep(m.unmet)
+        limit = np.where(m.unmet.restitution > 0.0, self.closed, s.deep(m.unmet))
+        hit = m.unmet.gap < -limit
         if not hit.any():
             return h, m
         if hit.sum() > HITS:
@@ -359,7 +360,7 @@ class Stepper:
         brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
         # Where another feature is the first to touch the gap jumps, and has no root.
         length = min(moves, key=lambda time: abs(gap(time)))
-        if abs(gap(length)) > float(s.deep(m.unmet)[hit].min()):
+        if abs(gap(length)) > float(limit[hit].min()):
             return h, self._move(begin, t, h, None)
         return length, moves[length]
 

@@ -63,6 +63,31 @@ def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out, x_fra
 
 
 @njit(cache=True)
+def keep_spin(J, inverse_J, quaternion, turned, v, out):
+    """Angular velocities in body axes that have the same angular momentum in space after a turn, into out (n,).
+
+    w' = J⁻¹ R'ᵀ R J w, of bodies that were turned from quaternion to turned; all else is that of v.
+    """
+    R, S = np.empty((J.shape[0], 3, 3)), np.empty((J.shape[0], 3, 3))
+    rotations(quaternion, R)
+    rotations(turned, S)
+    out[:] = v
+    spin, space = np.empty(3), np.empty(3)
+    for b in range(J.shape[0]):
+        f = 6 * b + 3
+        if v[f] == 0.0 and v[f + 1] == 0.0 and v[f + 2] == 0.0:
+            continue
+        for i in range(3):
+            spin[i] = J[b, i, 0] * v[f] + J[b, i, 1] * v[f + 1] + J[b, i, 2] * v[f + 2]
+        for i in range(3):
+            space[i] = R[b, i, 0] * spin[0] + R[b, i, 1] * spin[1] + R[b, i, 2] * spin[2]
+        for i in range(3):
+            spin[i] = S[b, 0, i] * space[0] + S[b, 1, i] * space[1] + S[b, 2, i] * space[2]
+        for i in range(3):
+            out[f + i] = inverse_J[b, i, 0] * spin[0] + inverse_J[b, i, 1] * spin[1] + inverse_J[b, i, 2] * spin[2]
+
+
+@njit(cache=True)
 def accelerate(inverse_mass, inverse_J, gravity, force, torque, h, v, out):
     """v + h M⁻¹ f of free bodies under gravity, forces (world axes) and torques (body axes), into out."""
     for b in range(inverse_mass.size):
