@@ -18,14 +18,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from nsdyn import shapes
-from nsdyn._kernels import broadphase, keys, manifold
+from nsdyn._kernels import broadphase, keys, manifold, sweep
 from nsdyn.scene import Geom
 from nsdyn.shapes import CAPSULE, HALFSPACE, SPHERE, Shape
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-__all__ = ["ContactMemory", "ContactSet", "Detector", "pose_views"]
+__all__ = ["ContactMemory", "ContactSet", "Detector", "Poses", "Touches", "carry", "pose_views"]
 
 MARGIN = 1e-3
 """Contacts start at a gap of this fraction of the smaller bounding radius, plus what the bodies may move in a step."""
@@ -47,6 +47,12 @@ SHRINK = 1e-3
 
 GJK_TOLERANCE = 1e-9
 """m; with Coal's 1e-6 two bodies closer than that count as overlapping and get any normal."""
+
+TOUCH = 1e-4
+"""Bodies closer than this fraction of the smaller bounding radius, and approaching, touch on their way."""
+
+ADVANCES = 200
+"""Most advances of a pair along its motion; one that is still close then, and not past, counts as touching."""
 
 SLOTS = 256
 """Geoms per call of Pinocchio: its GeometryModel needs time and memory that grow with the square of their number."""
@@ -106,6 +112,50 @@ class ContactMemory(NamedTuple):
         return cls(np.empty((5, 0), dtype=np.int64), np.empty((4, 0, 3)), 0)
 
 
+class Poses(NamedTuple):
+    """Poses of the moving frames, body to world.
+
+    Attributes
+    ----------
+    x : ndarray, shape (nframes, 3)
+        m.
+    R : ndarray, shape (nframes, 3, 3)
+    """
+
+    x: Array
+    R: Array
+
+
+class Touches(NamedTuple):
+    """Contacts of the pairs that touch on the way from one configuration to another.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+        As they are when the pair touches, carried to the end of the way by `carry`.
+    fraction : ndarray, shape (nc,)
+        Part of the way in [0, 1] at which the pair touches.
+    memory : ContactMemory
+        The one given and these contacts at the end of the way.
+    """
+
+    contacts: ContactSet
+    fraction: Array
+    memory: ContactMemory
+
+
+def carry(contacts: ContactSet, begin: Poses, end: Poses) -> ContactSet:
+    """Contacts at poses `begin` whose bodies go to poses `end`.
+
+    The two points of a contact, x ± g n/2, stay fixed in their bodies and go to p1 and p2, its normal n in space:
+    the gap becomes n · (p2 - p1), the point (p1 + p2)/2.
+    """
+    c = contacts
+    point, gap = np.empty_like(c.point), np.empty_like(c.gap)
+    sweep.carry(c.frame1, c.frame2, c.point, c.normal, c.gap, *begin, *end, point, gap)
+    return c._replace(point=point, gap=gap)
+
+
 class Detector:
     """Finds the contacts of a fixed list of geoms in any configuration.
 
@@ -145,12 +195,15 @@ class Detector:
         for core in cores.values():
             core.computeLocalAABB()
         self._cores = [cores[id(g.shape)] for g in geoms]
+        self._solids = [g.shape.geometry for g in geoms]
         rounded = (self._geometry.kind == SPHERE) | (self._geometry.kind == CAPSULE)
         self._slack = np.where(rounded, 0.0, 2.0 * SHRINK * self._geometry.radius)
         self._frame = self._geometry.frame
         self._moving = self._frame >= 0
         self._R = self._geometry.placement_R.copy()
         self._t = self._geometry.placement_t.copy()
+        arm = np.linalg.norm(self._t, axis=1) + self._geometry.radius
+        self._arm = np.where(self._moving, arm, 0.0)  # farthest any point is from the origin of its frame
         self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
         self._reach = np.zeros(n)
         self._lower, self._upper = np.empty((n, 3)), np.empty((n, 3))
@@ -208,6 +261,150 @@ class Detector:
         )
         return found, ContactMemory(names, points, next_key)
 
+    def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet | None = None) -> Touches:
+        """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
+
+        A pair is followed by conservative advancement [1]_: its distance over a bound of its approach speed is a time
+        in which it cannot touch.
+
+        Parameters
+        ----------
+        begin, end : Poses
+            No frame turns by more than half a turn between them.
+        memory : ContactMemory
+            Of the configuration whose contacts go on, as for `find`.
+        known : ContactSet, optional
+            Pairs with a contact here, sorted as `find` returns them, are left out.
+
+        References
+        ----------
+        .. [1] B. Mirtich, Impulse-based Dynamic Simulation of Rigid Body Systems, PhD thesis, Berkeley 1996, ch. 2.
+        """
+        turn, reach = np.empty_like(begin.x), np.empty(len(begin.x))
+        sweep.motions(self._frame, self._arm, *begin, *end, turn, reach)
+        self._renew(begin.x, begin.R, reach)
+        codes = _NONE if known is None else known.geom1 * len(self._cores) + known.geom2
+        pairs, boxes = np.empty(len(self._first), dtype=np.int64), (self._lower, self._upper)
+        candidates = self._first, self._second, codes
+        pose = self._R, self._t
+        count = sweep.may_touch(
+            self._fields, self._arm, *candidates, begin.x, end.x, turn, *pose, *boxes, pairs
+        )  # fmt: skip
+        parts, fractions = [], []
+        for p in pairs[:count].tolist():
+            fraction = self._first_touch(p, begin, end, turn)
+            if fraction is not None:
+                there = self._between(p, begin, end, turn, fraction)
+                found = carry(self._manifold(p, there), there, end)
+                parts.append(found)
+                fractions.append(np.full(found.gap.size, fraction))
+        return self._remember(parts, fractions, end, memory)
+
+    def _between(self, p: int, begin: Poses, end: Poses, turn: Array, s: float) -> Poses:
+        """Poses at the fraction s of the way; only those of the frames of pair p are right."""
+        x, R = begin.x.copy(), begin.R.copy()
+        for f in self._frame[[self._first[p], self._second[p]]]:
+            if f >= 0:
+                x[f] += s * (end.x[f] - begin.x[f])
+                R[f] = pin.exp3(s * turn[f]) @ begin.R[f]
+        return Poses(x, R)
+
+    def _placed(self, g: int, poses: Poses) -> tuple[Array, Array]:
+        """World pose (R, t) of a geom."""
+        f = self._frame[g]
+        if f < 0:
+            return self._R[g], self._t[g]
+        R = poses.R[f]
+        return R @ self._geometry.placement_R[g], poses.x[f] + R @ self._geometry.placement_t[g]
+
+    def _first_touch(self, p: int, begin: Poses, end: Poses, turn: Array) -> float | None:
+        """Fraction of the way at which pair p touches, None if it does not."""
+        pair = int(self._first[p]), int(self._second[p])
+        frames, zero = self._frame[list(pair)], np.zeros(3)
+        v, w = ([a[f] if f >= 0 else zero for f in frames] for a in (end.x - begin.x, turn))
+        arms = self._arm[list(pair)]
+        longest = sweep.relative_motion(frames[0], frames[1], arms[0], arms[1], begin.x, end.x, turn)
+        near = TOUCH / MARGIN * self._pair_base[p]
+        request, s = coal.DistanceRequest(), 0.0
+        request.gjk_tolerance = GJK_TOLERANCE
+        for _ in range(ADVANCES):
+            there = self._between(p, begin, end, turn, s)
+            placed = [coal.Transform3s(*self._placed(g, there)) for g in pair]
+            result = coal.DistanceResult()
+            solids = [self._solids[g] for g in pair]
+            distance = coal.distance(solids[0], placed[0], solids[1], placed[1], request, result)
+            n = np.array(result.normal)
+            if not np.isfinite(n).all():  # deep inside each other
+                return s
+            # With n fixed, supports move no faster than this: only what turns n counts of the rotations.
+            speed = max(0.0, float(n @ (v[0] - v[1])))
+            speed += sum(float(np.linalg.norm(np.cross(w[k], n))) * arms[k] for k in (0, 1))
+            speed = min(speed, longest)
+            if distance <= near:
+                points = result.getNearestPoint1(), result.getNearestPoint2()
+                origins = [there.x[f] if f >= 0 else zero for f in frames]
+                rates = [v[k] + np.cross(w[k], points[k] - origins[k]) for k in (0, 1)]
+                if n @ (rates[1] - rates[0]) < 0.0:
+                    return s
+            if speed * (1.0 - s) <= distance or speed == 0.0:
+                return None
+            s += max(distance, near) / speed
+            if s >= 1.0:
+                return None
+        return s
+
+    def _manifold(self, p: int, poses: Poses) -> ContactSet:
+        """Contacts of pair p at rest at poses."""
+        i, j = int(self._first[p]), int(self._second[p])
+        R, t = self._R.copy(), self._t.copy()
+        for g in (i, j):
+            R[g], t[g] = self._placed(g, poses)
+        one, row = slice(p, p + 1), np.empty((1, 10))
+        slot = np.where(self._asked[one], 0, -1)
+        if self._asked[p]:
+            request, result = coal.DistanceRequest(), coal.DistanceResult()
+            request.gjk_tolerance = GJK_TOLERANCE
+            placed = coal.Transform3s(R[i], t[i]), coal.Transform3s(R[j], t[j])
+            row[0, 0] = coal.distance(self._cores[i], placed[0], self._cores[j], placed[1], request, result)
+            row[0, 1:4] = result.normal
+        point, normal = np.empty((self._max_points, 3)), np.empty((self._max_points, 3))
+        gap, pair = np.empty(self._max_points), np.empty(self._max_points, dtype=np.int64)
+        first, second = self._first[one], self._second[one]
+        count = manifold.manifolds(
+            self._fields, R, t, self._slack, first, second, slot, row, self._pair_base[one], np.zeros(len(R)),
+            self._max_points, *self._scratch, point, normal, gap, pair,
+        )  # fmt: skip
+        mu, restitution = self._pair_material(first, second)
+        each = np.zeros(count, dtype=np.int64)
+        return ContactSet(
+            first[each], second[each], self._frame[first[each]], self._frame[second[each]], point[:count],
+            normal[:count], gap[:count], mu[each], restitution[each], each,
+        )  # fmt: skip
+
+    def _remember(self, parts: list[ContactSet], fractions: list[Array], end: Poses, memory: ContactMemory) -> Touches:
+        """Put contacts of several pairs together and give them keys."""
+        if not parts:
+            return Touches(_NO_CONTACTS, np.empty(0), memory)
+        found = ContactSet(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        count = found.gap.size
+        names, points = np.empty((5, count), np.int64), np.empty((4, count, 3))
+        names[:4], points[0], points[1] = found[:4], found.point, found.normal
+        R, t, reach = self._R.copy(), self._t.copy(), np.zeros(len(self._R))
+        for g in np.unique(names[:2]).tolist():
+            R[g], t[g] = self._placed(g, end)
+        next_key = keys.match(
+            self._geometry.radius, R, t, names[0], names[1], points[0], TOLERANCE, reach, memory.names[0],
+            memory.names[1], memory.names[4], memory.points[2], memory.points[3], memory.next_key, names[4], points[2],
+            points[3],
+        )  # fmt: skip
+        n = len(self._R)
+        others = ~np.isin(memory.names[0] * n + memory.names[1], names[0] * n + names[1])
+        names = np.concatenate((memory.names[:, others], names), axis=1)
+        points = np.concatenate((memory.points[:, others], points), axis=1)
+        order = np.argsort(names[0] * n + names[1], kind="stable")
+        remembered = ContactMemory(names[:, order], points[:, order], next_key)
+        return Touches(found._replace(key=names[4, -count:].copy()), np.concatenate(fractions), remembered)
+
     def _renew(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and renew the candidate pairs if one has left its fat box."""
         fields, boxes = self._fields, (self._lower, self._upper)
@@ -228,10 +425,10 @@ class Detector:
         kind1, kind2 = self._geometry.kind[first], self._geometry.kind[second]
         round1, round2 = (kind1 == SPHERE) | (kind1 == CAPSULE), (kind2 == SPHERE) | (kind2 == CAPSULE)
         asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | (round1 & round2))
-        self._first, self._second = first, second
+        self._first, self._second, self._asked = first, second, asked
         slot = np.where(asked, np.cumsum(asked) - 1, -1)
         radius = np.where(self._moving, self._geometry.radius, np.inf)
-        base = MARGIN * np.minimum(radius[first], radius[second])
+        self._pair_base = base = MARGIN * np.minimum(radius[first], radius[second])
         self._coal = np.empty((int(asked.sum()), 10))
         self._batches = []
         for k, (lo, hi) in enumerate(_split(first[asked], second[asked])):
@@ -253,6 +450,12 @@ class Detector:
             pair, first, second, self._frame, mu, restitution, point, normal, gap, self._geometry.radius, *pose,
             TOLERANCE, self._reach,
         )  # fmt: skip
+
+
+_NONE, _NOWHERE, _NOTHING = np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
+_NO_CONTACTS = ContactSet(
+    _NONE, _NONE, _NONE, _NONE, _NOWHERE, _NOWHERE, _NOTHING, _NOTHING, _NOTHING, _NONE
+)  # fmt: skip
 
 
 def _flatten(geoms: Sequence[Geom]) -> broadphase.Geometry:
