@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels import law as _law
 from nsdyn._kernels import motion as _motion
-from nsdyn.contacts import ContactMemory, ContactSet, Detector
+from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses, carry
 from nsdyn.dynamics import Dynamics, Forces, Middle, Placement, Position
 from nsdyn.encounter import Encounter, Warm, meet, solve
 from nsdyn.energy import Works
@@ -26,6 +26,13 @@ NOTHING = np.empty(0)
 
 REST = 1e-12
 """Speed in m/s that is round-off in any scene: nothing strikes with it."""
+
+LOOKS = 4
+"""Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
+
+FAST = 0.1
+"""Fraction of the inscribed radius of the smallest shape beyond which bodies may get so far into each other in half a
+move that only the way there tells which sides met."""
 
 DEEP = 1e-3
 """Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a step. What
@@ -145,6 +152,9 @@ class Move(NamedTuple):
         Whether the end is without overlap.
     unmet : ContactSet, optional
         Contacts where the motion ends that it did not meet, None where there are none or all were caught.
+    touched : float
+        Time until a pair that is open where the move begins touches on its way, s; that of the move if none does, or
+        if nothing is so fast that it might go unseen.
     rate : ndarray, shape (n,)
         Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
     """
@@ -156,6 +166,7 @@ class Move(NamedTuple):
     solution: Solution
     clear: bool
     unmet: ContactSet | None
+    touched: float
     rate: Array
 
 
@@ -190,24 +201,41 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
     # Half a free flow, and the forces there.
     middle = d.halfway(begin.position, begin.v, h, s.theta, begun)
     forces = d.forces(middle, t + h, h, *callbacks(middle.position, begin.v))
-    # What can touch until the end, and how it moves.
+    # What can touch until the end.
     reach = d.reach(middle.placement, forces.v, after, h, ended)
     contacts, memory = s.detector.find(middle.placement.x, middle.placement.R, reach, begin.memory)
+    fast = float(reach.max(initial=0.0)) > FAST * float(s.inscribed.min(initial=np.inf))
     if barred is not None:
         contacts = _caught(s, contacts, begin, middle.placement, forces.v, after, barred)
+    elif fast:
+        contacts, memory = _reached(s, contacts, begin, middle.placement, memory)
     joints = d.joint_rows(middle.position, middle.v, forces.v, h)
     start = begin.contacts, begin.placement, begin.twists, begin.v, begin.warm
-    met = meet(d, contacts, joints, middle, forces, start, reach, (d.surfaces.mean(begun, ended, 0.5), ended), after)
-    # Impulses.
-    met, impact, kick = _struck(s, met, h)
-    problem, solution = solve(met, s.solver, after, s.closed)
-    v_plus = forces.v + kick + met.rows.velocity_change(solution.r)
-    # Half a free flow, and nothing overlaps where it ends.
-    impulse = None
-    if d.trees:
-        impulse = met.rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
-    end, v_end, there, trees = d.end(middle, forces, v_plus, impulse, after, ended)
-    moved = place(d, s.detector, end, there, memory, 2.0 * reach if barred is not None and barred.size else None)
+    surfaces = d.surfaces.mean(begun, ended, 0.5), ended
+    for look in range(LOOKS):
+        # Impulses, and half a free flow.
+        met = meet(d, contacts, joints, middle, forces, start, reach, surfaces, after)
+        met, impact, kick = _struck(s, met, h)
+        problem, solution = solve(met, s.solver, after, s.closed)
+        v_plus = forces.v + kick + met.rows.velocity_change(solution.r)
+        impulse = None
+        if d.trees:
+            impulse = met.rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
+        end, v_end, there, trees = d.end(middle, forces, v_plus, impulse, after, ended)
+        moved = place(d, s.detector, end, there, memory, 2.0 * reach if barred is not None and barred.size else None)
+        # A step is what its motion shows: no contact that it does not reach, none that it passes through.
+        if barred is not None or look == LOOKS - 1:
+            break
+        real = ~_ghosts(s, met, solution.r, moved.contacts)
+        if fast:
+            missed = s.detector.touches(Poses(*middle.placement[:2]), Poses(there.x, there.R), memory, contacts)
+            if missed.fraction.size:
+                late = carry(missed.contacts, Poses(there.x, there.R), Poses(*middle.placement[:2]))
+                contacts, memory = _merged(take(contacts, real), late, s.detector), missed.memory
+                continue
+        if real.all():
+            break
+        contacts = take(contacts, real)
     placed = project(d, s.detector, moved, forces, s.closed)
     impulses, works, warm = _account(s, met, forces, (middle.v, middle.v + kick, v_plus), solution.r, h, impact)
     if placed is not moved:
@@ -220,8 +248,54 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
         d.twists(placed.placement, v_end),
     )  # fmt: skip
     unmet = None if barred is None else _others(moved.contacts, met.contacts)
+    touched = h if barred is None or not fast else _touched(s, begin, middle.placement, there, memory, h)
     rate = (forces.v - middle.v) / h
-    return Move(instant, impulses, works, problem, solution, placed.clear, unmet, rate)
+    return Move(instant, impulses, works, problem, solution, placed.clear, unmet, touched, rate)
+
+
+def _reached(
+    s: System, contacts: ContactSet, begin: Instant, there: Placement, memory: ContactMemory
+) -> tuple[ContactSet, ContactMemory]:
+    """Contacts where the impulses act, of which pairs that are deep in each other have those with which they touched."""
+    closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+    touches = s.detector.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, closed)
+    deep = touches.contacts.gap < -s.deep(touches.contacts) * FAST / DEEP
+    if not deep.any():
+        return contacts, memory
+    first = take(touches.contacts, deep)
+    codes = s.detector.codes
+    others = take(contacts, ~np.isin(codes(contacts), codes(first)))
+    return _merged(others, first, s.detector), touches.memory
+
+
+def _merged(one: ContactSet, other: ContactSet, detector: Detector) -> ContactSet:
+    """Contacts of both, sorted by their pairs."""
+    both = ContactSet(*(np.concatenate(columns) for columns in zip(one, other, strict=True)))
+    order = np.argsort(detector.codes(both), kind="stable")
+    return ContactSet(*(column[order] for column in both))
+
+
+def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
+    """Contacts that have an impulse but are open where the motion ends: bodies pass there."""
+    nc = met.frame.shape[0]
+    out: Bools = (r[0 : 3 * nc : 3] > 0.0) & (met.end_gap[:nc] > s.deep(met.contacts))
+    if out.any():
+        real = found.key[found.gap <= s.deep(found)]
+        out &= ~np.isin(met.contacts.key, real)
+    return out
+
+
+def _touched(
+    s: System, begin: Instant, middle: Placement, end: Placement, memory: ContactMemory, h: float
+) -> float:
+    """Time until a pair that is open where a move begins touches on its way, h if none does, s."""
+    closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+    poses, before = [Poses(*place[:2]) for place in (begin.placement, middle, end)], (1.0 - s.theta) * h
+    first = s.detector.touches(poses[0], poses[1], memory, closed).fraction
+    if first.size:
+        return before * float(first.min())
+    second = s.detector.touches(poses[1], poses[2], memory, closed).fraction
+    return before + s.theta * h * float(second.min(initial=1.0))
 
 
 def _tree_works(

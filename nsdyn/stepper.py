@@ -330,6 +330,12 @@ class Stepper:
         if begin.contacts.gap.size > LOCATED:
             return h, self._move(begin, t, h, None)
         m = self._move(begin, t, h, NONE)
+        if m.touched < h:
+            # Not much farther, so that what is hit is seen from the side where it is.
+            far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
+            within = m.touched + 0.05 * h * float(s.inscribed.min()) / float(far.max())
+            if within < h:
+                return self._until_impact(begin, t, within)
         if m.unmet is None:
             return h, m
         limit = np.where(m.unmet.restitution > 0.0, self.closed, s.deep(m.unmet))

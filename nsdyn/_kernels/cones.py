@@ -120,7 +120,9 @@ def _slip(W, q, alpha):
     # r_T = x + y r_N solves (W_TT + alpha I) r_T = -(q_T + W_TN r_N)
     x1, x2 = -(d * q[1] - b * q[2]) / det, -(a * q[2] - c * q[1]) / det
     y1, y2 = -(d * W[1, 0] - b * W[2, 0]) / det, -(a * W[2, 0] - c * W[1, 0]) / det
-    rn = -(q[0] + W[0, 1] * x1 + W[0, 2] * x2) / (W[0, 0] + W[0, 1] * y1 + W[0, 2] * y2)
+    # What is left of W_NN is 0 where one coordinate moves the point, whatever its direction.
+    left = max(W[0, 0] + W[0, 1] * y1 + W[0, 2] * y2, ROUNDING * W[0, 0])
+    rn = -(q[0] + W[0, 1] * x1 + W[0, 2] * x2) / left
     return rn, x1 + y1 * rn, x2 + y2 * rn
 
 
