@@ -257,6 +257,17 @@ class Detector:
         )
         return found, ContactMemory(names, points, next_key)
 
+    def gaps(self, contacts: ContactSet, found: ContactSet, poses: Poses) -> Array:
+        """Gaps of contacts at later poses, shape (nc,), m.
+
+        A contact that is still among those `found` there has its gap, known by its key. Any other has the separation of
+        its geoms along its own normal, which is no more than their distance.
+        """
+        c, out = contacts, np.empty(contacts.gap.size)
+        pose, room = (poses.x, poses.R), (self._R, self._t)
+        keys.gaps(self._fields, *pose, *room, c.geom1, c.geom2, c.normal, c.key, found.key, found.gap, out)
+        return out
+
     def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet | None = None) -> Touches:
         """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
 

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from nsdyn._kernels.broadphase import HALFSPACE, Geometry, contains
-from nsdyn._kernels.manifold import along, cross, dot, minus, put, row, separation, times, to_world, unit
+from nsdyn._kernels.manifold import along, cross, dot, gap_along, minus, put, row, times, to_world, unit
 
 
 @njit(cache=True)
@@ -78,9 +78,8 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
 @njit(cache=True)
 def at_least_apart(geometry, i, j, R, t, lower, upper):
     """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
-    for h, g in ((i, j), (j, i)):
-        if geometry.kind[h] == HALFSPACE:
-            return separation(geometry, h, g, R, t, to_world(R, h, row(geometry.size, h)))[0]
+    if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
+        return gap_along(geometry, i, j, R, t, (0.0, 0.0, 1.0))
     square = 0.0
     for k in range(3):
         d = max(lower[j, k] - upper[i, k], lower[i, k] - upper[j, k], 0.0)
