@@ -261,6 +261,17 @@ class Detector:
         )
         return found, ContactMemory(names, points, next_key)
 
+    def gaps(self, contacts: ContactSet, found: ContactSet, poses: Poses) -> Array:
+        """Gaps of contacts at later poses, shape (nc,), m.
+
+        A contact that is still among those `found` there has its gap, known by its key. Any other has the separation of
+        its geoms along its own normal, which is no more than their distance.
+        """
+        c, out = contacts, np.empty(contacts.gap.size)
+        pose, room = (poses.x, poses.R), (self._R, self._t)
+        keys.gaps(self._fields, *pose, *room, c.geom1, c.geom2, c.normal, c.key, found.key, found.gap, out)
+        return out
+
     def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet | None = None) -> Touches:
         """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
 
@@ -319,36 +330,25 @@ class Detector:
 
     def _first_touch(self, p: int, begin: Poses, end: Poses, turn: Array) -> float | None:
         """Fraction of the way at which pair p touches, None if it does not."""
-        pair = int(self._first[p]), int(self._second[p])
-        frames, zero = self._frame[list(pair)], np.zeros(3)
-        v, w = ([a[f] if f >= 0 else zero for f in frames] for a in (end.x - begin.x, turn))
-        arms = self._arm[list(pair)]
-        longest = sweep.relative_motion(frames[0], frames[1], arms[0], arms[1], begin.x, end.x, turn)
+        i, j = geoms = int(self._first[p]), int(self._second[p])
+        placements = self._frame, self._geometry.placement_R, self._geometry.placement_t
         near = TOUCH / MARGIN * self._pair_base[p]
+        R, t = np.empty((2, 3, 3)), np.empty((2, 3))
         request, s = coal.DistanceRequest(), 0.0
         request.gjk_tolerance = GJK_TOLERANCE
         for _ in range(ADVANCES):
-            there = self._between(p, begin, end, turn, s)
-            placed = [coal.Transform3s(*self._placed(g, there)) for g in pair]
-            result = coal.DistanceResult()
-            solids = [self._solids[g] for g in pair]
-            distance = coal.distance(solids[0], placed[0], solids[1], placed[1], request, result)
-            n = np.array(result.normal)
+            sweep.place_at(*placements, begin.x, begin.R, end.x, turn, s, geoms, R, t)
+            placed, result = [coal.Transform3s(R[k], t[k]) for k in (0, 1)], coal.DistanceResult()
+            distance = coal.distance(self._solids[i], placed[0], self._solids[j], placed[1], request, result)
+            n, points = result.normal, (result.getNearestPoint1(), result.getNearestPoint2())
             if not np.isfinite(n).all():  # deep inside each other
                 return s
-            # With n fixed, supports move no faster than this: only what turns n counts of the rotations.
-            speed = max(0.0, float(n @ (v[0] - v[1])))
-            speed += sum(float(np.linalg.norm(np.cross(w[k], n))) * arms[k] for k in (0, 1))
-            speed = min(speed, longest)
-            if distance <= near:
-                points = result.getNearestPoint1(), result.getNearestPoint2()
-                origins = [there.x[f] if f >= 0 else zero for f in frames]
-                rates = [v[k] + np.cross(w[k], points[k] - origins[k]) for k in (0, 1)]
-                if n @ (rates[1] - rates[0]) < 0.0:
-                    return s
-            if speed * (1.0 - s) <= distance or speed == 0.0:
+            bound, speed = sweep.approach(self._frame, self._arm, begin.x, end.x, turn, s, geoms, n, *points)
+            if distance <= near and speed > 0.0:
+                return s
+            if bound * (1.0 - s) <= distance or bound == 0.0:
                 return None
-            s += max(distance, near) / speed
+            s += max(distance, near) / bound
             if s >= 1.0:
                 return None
         return s

@@ -130,6 +130,48 @@ def test_halfspace_and_fast_corner():
     assert found.fraction[0] == pytest.approx(np.arcsin(0.6 * np.sqrt(2)) - np.pi / 4, abs=1e-3)
 
 
+def test_a_slanted_halfspace_is_followed(rng):
+    """In any direction and at any offset: what stays above it is not, what falls through it is."""
+    for _ in range(20):
+        n, x = rng.normal(size=3), rng.normal(size=3)
+        n /= np.linalg.norm(n)
+        d = detector(shapes.halfspace(n, n @ x), shapes.box((0.2, 0.4, 0.6)))
+        begin = Poses((x + 0.5 * n)[None], random_rotation(rng)[None])
+        for down, expected in ((0.1, False), (2.0, True)):
+            end = begin._replace(x=begin.x - down * n)
+            assert (d.touches(begin, end, EMPTY).contacts.gap.size > 0) == expected
+
+
+def test_gaps_at_the_end_pose(rng):
+    """Of a contact found again its own gap there, else that of the whole shapes along its normal."""
+    cube = shapes.box((1.0, 1.0, 1.0))
+    slope = shapes.halfspace((0.6, 0.0, 0.8), 0.1)
+    lift = np.array([0.6, 0.0, 0.8])
+    R = about((0, 1, 0), np.arctan2(0.6, 0.8))
+    d = detector(slope, cube, cube)
+    x = np.array([0.601 * lift, 1.602 * lift])
+    c, memory = d.find(x, np.array([R, R]), np.full(2, 5e-3), EMPTY)
+    assert len(c.gap) == 8
+    tilt = about((0, 1, 0), 0.01) @ R
+    end = Poses(x + 1e-3 * lift, np.array([R, tilt]))
+    found, _ = d.find(*end, np.zeros(2), memory)
+    gaps = d.gaps(c, found, end)
+    again = np.isin(c.key, found.key)
+    assert again.any() and not again.all()
+    at = {key: gap for key, gap in zip(found.key.tolist(), found.gap.tolist(), strict=True)}
+    for k in range(len(c.gap)):
+        n = c.normal[k]
+        if again[k]:
+            assert gaps[k] == at[c.key[k]]
+        elif c.geom1[k] == 0:
+            assert gaps[k] == pytest.approx(2e-3, abs=1e-12)
+        else:
+            top = (cube.vertices @ R.T + end.x[0]) @ n
+            assert gaps[k] == pytest.approx(((cube.vertices @ tilt.T + end.x[1]) @ n).min() - top.max(), abs=1e-12)
+    none = d.gaps(c, found._replace(key=found.key[:0], gap=found.gap[:0]), end)
+    np.testing.assert_allclose(none[c.geom1 == 0], 2e-3, atol=1e-12)
+
+
 def test_pairs_left_out_and_keys_go_on():
     """Known contacts are not followed; the others continue the keys of the memory, and are remembered."""
     ball = shapes.sphere(0.1)

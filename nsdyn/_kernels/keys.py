@@ -3,7 +3,8 @@
 import numpy as np
 from numba import njit
 
-from nsdyn._kernels.manifold import dot, minus, put, row, to_local
+from nsdyn._kernels.broadphase import Geometry, place
+from nsdyn._kernels.manifold import dot, gap_along, minus, put, row, to_local
 
 
 @njit(cache=True)
@@ -81,3 +82,30 @@ def collect(
         radius, R, t, geom1, geom2, points[0], tolerance, slack, old_names[0], old_names[1], old_names[4],
         old_points[2], old_points[3], next_key, key, local1, local2,
     )  # fmt: skip
+
+
+@njit(cache=True)
+def gaps(fields, x, R_frames, R, t, geom1, geom2, normal, key, found_key, found_gap, out):
+    """Gaps of contacts at a later configuration, into out: of the same key there, else between the whole geoms.
+
+    The latter is their `separation` along the normal of the contact. `fields` are those of `Geometry`; x, R_frames are
+    the poses of the frames, R, t room for those of the geoms.
+    """
+    geometry = Geometry(*fields)
+    order = np.argsort(found_key)
+    placed = False
+    for c in range(key.size):
+        low, high = 0, order.size
+        while low < high:
+            middle = (low + high) // 2
+            if found_key[order[middle]] < key[c]:
+                low = middle + 1
+            else:
+                high = middle
+        if low < order.size and found_key[order[low]] == key[c]:
+            out[c] = found_gap[order[low]]
+        else:
+            if not placed:
+                place(geometry, x, R_frames, R, t)
+                placed = True
+            out[c] = gap_along(geometry, geom1[c], geom2[c], R, t, row(normal, c))

@@ -182,6 +182,16 @@ def separation(geometry, i, j, R, t, n):
 
 
 @njit(cache=True)
+def gap_along(geometry, i, j, R, t, n):
+    """`separation` of two geoms along n, or along the normal of a half-space if one of them is one."""
+    for h, g in ((i, j), (j, i)):
+        if geometry.kind[h] == HALFSPACE:
+            up = to_world(R, h, row(geometry.size, h))
+            return dot(up, minus(support(geometry, g, R, t, times(-1.0, up)), row(t, h))) - geometry.offset[h]
+    return separation(geometry, i, j, R, t, n)[0]
+
+
+@njit(cache=True)
 def bend(geometry, g, R, n, a, b):
     """Form a·(dp/dn) b of the support point p of an ellipsoid or of the rim of a cylinder; else 0."""
     kind, s = geometry.kind[g], row(geometry.size, g)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from nsdyn._kernels.broadphase import HALFSPACE, Geometry, contains
-from nsdyn._kernels.manifold import along, cross, dot, minus, put, row, separation, times, to_world, unit
+from nsdyn._kernels.manifold import along, cross, dot, gap_along, minus, put, row, times, to_world, unit
 
 
 @njit(cache=True)
@@ -78,9 +78,8 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
 @njit(cache=True)
 def at_least_apart(geometry, i, j, R, t, lower, upper):
     """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
-    for h, g in ((i, j), (j, i)):
-        if geometry.kind[h] == HALFSPACE:
-            return separation(geometry, h, g, R, t, to_world(R, h, row(geometry.size, h)))[0]
+    if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
+        return gap_along(geometry, i, j, R, t, (0.0, 0.0, 1.0))
     square = 0.0
     for k in range(3):
         d = max(lower[j, k] - upper[i, k], lower[i, k] - upper[j, k], 0.0)
@@ -129,3 +128,54 @@ def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, point_out, gap_out
         b = carried(frame2[c], along(p, 0.5 * gap[c], n), x0, R0, x1, R1)
         gap_out[c] = dot(n, minus(b, a))
         put(point_out, c, times(0.5, along(a, 1.0, b)))
+
+
+@njit(cache=True)
+def turned(w, s, p):
+    """Vector p rotated by exp(s [w]x), Rodrigues' formula."""
+    angle = math.sqrt(dot(w, w))
+    if angle == 0.0:
+        return p
+    u = times(1.0 / angle, w)
+    c = cross(u, p)
+    return along(along(p, math.sin(s * angle), c), 1.0 - math.cos(s * angle), cross(u, c))
+
+
+@njit(cache=True)
+def place_at(frame, placement_R, placement_t, x0, R0, x1, turn, s, geoms, R, t):
+    """World poses of two geoms at the fraction s of the way, into rows 0 and 1 of R and t."""
+    for k in range(2):
+        g = geoms[k]
+        f = frame[g]
+        for column in range(3):
+            a = (placement_R[g, 0, column], placement_R[g, 1, column], placement_R[g, 2, column])
+            if f >= 0:
+                a = turned(row(turn, f), s, to_world(R0, f, a))
+            R[k, 0, column], R[k, 1, column], R[k, 2, column] = a
+        a = row(placement_t, g)
+        if f >= 0:
+            a = turned(row(turn, f), s, to_world(R0, f, a))
+            a = along(along(a, 1.0 - s, row(x0, f)), s, row(x1, f))
+        put(t, k, a)
+
+
+@njit(cache=True)
+def approach(frame, arm, x0, x1, turn, s, geoms, normal, point1, point2):
+    """(bound of the approach speed, approach speed) of two geoms at their nearest points, m per way.
+
+    The bound is that of their separation along n: of the rotations only what turns n moves the support points along n.
+    """
+    n = (normal[0], normal[1], normal[2])
+    forward, turning, speed = 0.0, 0.0, 0.0
+    for k in range(2):
+        g, sign, p = geoms[k], 1.0 - 2.0 * k, point1 if k == 0 else point2
+        f = frame[g]
+        if f >= 0:
+            v, e = minus(row(x1, f), row(x0, f)), cross(n, row(turn, f))
+            lever = minus((p[0], p[1], p[2]), along(row(x0, f), s, v))
+            forward += sign * dot(n, v)
+            turning += math.sqrt(dot(e, e)) * arm[g]
+            speed += sign * (dot(n, v) + dot(e, lever))
+    i, j = geoms
+    whole = relative_motion(frame[i], frame[j], arm[i], arm[j], x0, x1, turn)
+    return min(max(forward, 0.0) + turning, whole), speed
