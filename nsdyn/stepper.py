@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from nsdyn import fclib, gauss, impacts
-from nsdyn._kernels import law as _law
-from nsdyn.contacts import ContactMemory, ContactSet, Detector
+from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
@@ -404,8 +403,7 @@ class Stepper:
         acted = done[0] if len(done) == 1 else _joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
-        gap = np.empty(acted.contacts.gap.size)
-        _law.end_gaps(acted.contacts.key, acted.contacts.gap, end.contacts.key, end.contacts.gap, gap)
+        gap = self.detector.gaps(acted.contacts, end.contacts, Poses(*end.placement[:2]))
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
             acted.normal, acted.friction, acted.joints, acted.created, clear, ledger, certificate, problem, solution,

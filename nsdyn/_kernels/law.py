@@ -109,14 +109,6 @@ def known(key, old_key, old_gap, closed, out):
 
 
 @njit(cache=True)
-def end_gaps(key, gap, old_key, old_gap, out):
-    """Gaps of contacts at the end of a step, into out (nc,): those found there, else those of before."""
-    place = places(old_key, key)
-    for c in range(key.size):
-        out[c] = old_gap[place[c]] if place[c] >= 0 else max(gap[c], 0.0)
-
-
-@njit(cache=True)
 def meet(
     offset, block, start, h, v_begin, v, v_free, drag, drag_end, press, old_key, impulse, begin_key, begin_point, begin_normal,
     x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
