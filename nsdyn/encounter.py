@@ -29,7 +29,8 @@ from nsdyn.solvers import Solver
 __all__ = ["Encounter", "Warm", "meet", "solve"]
 
 SOLVES = 3
-"""Most solves more for contacts that slide through, or stop, against what was foreseen."""
+"""Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
+that stop, whose slip would else be turned round."""
 
 NOTHING = np.empty(0)
 
@@ -174,17 +175,16 @@ def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[
     full, blocks, nc = met.rows.full, met.rows.blocks, met.frame.shape[0]
     slides, b = np.empty(nc, np.bool_), np.empty(3 * full.nc)
     velocities = met.u_begin, met.u, met.u_free, met.turn
-    some = _law.foresee(
+    _law.foresee(
         full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, *velocities, met.guess, slides
     )  # fmt: skip
     law = met.u, met.u_free, met.turn, met.end_gap
     _law.offsets(*law, slides, ahead, closed, b)
     problem = FC3D.from_blocks(blocks, b, met.mu)
     solution = solver(problem, met.guess)
-    fixed = np.zeros(nc, np.bool_)
-    for _ in range(SOLVES):
+    for k in range(SOLVES):
         u_plus = solution.u - b + met.u_free
-        if not _law.reconsider(solution.r, met.mu, met.u_begin, met.u, u_plus, met.turn, slides, fixed):
+        if not _law.reconsider(solution.r, met.mu, met.u_begin, met.u, u_plus, met.turn, slides, k > 0):
             break
         b = np.empty(3 * full.nc)
         _law.offsets(*law, slides, ahead, closed, b)

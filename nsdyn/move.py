@@ -24,9 +24,6 @@ __all__ = ["Impulses", "Instant", "Move", "System", "collide", "move"]
 
 NOTHING = np.empty(0)
 
-REST = 1e-12
-"""Speed in m/s that is round-off in any scene: nothing strikes with it."""
-
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
 
@@ -392,15 +389,17 @@ def collide(
     joints = d.joint_rows(at.position, at.v, at.v, 0.0)
     if not (d.surfaces.count or (joints is not None and joints.restitution.any())):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
-        if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -s.slow / h:
+        limit = s.solver.tol if c.restitution.any() else s.slow / h
+        if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -limit:
             return None
     contacts = take(c, c.gap <= s.closed)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
     here, start = Middle(at.position, at.v, at.placement, ()), (contacts, at.placement, at.twists, at.v, at.warm)
     met = meet(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0)
-    resting = REST + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
-    slow = resting.copy()
-    slow[: contacts.gap.size] = np.minimum(resting[: contacts.gap.size], s.deep(contacts) / h)
+    # What the solver's tolerance leaves of a velocity is no approach.
+    resting = s.solver.tol + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
+    slow, nc = resting.copy(), contacts.gap.size
+    slow[:nc] = np.where(contacts.restitution > 0.0, np.minimum(slow[:nc], s.deep(contacts) / h), s.deep(contacts) / h)
     impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
     if impact.problem is None or impact.solution is None:
         return None

@@ -79,11 +79,11 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         if deepest >= -closed:
             return placed
         rows, _ = dynamics.rows(placed.contacts, placed.placement, forces, None)
+        # In units of the deepest overlap, which the tolerance is a fraction of.
         g = np.zeros(3 * gap.size)
-        g[0::3] = gap
+        g[0::3] = gap / -deepest
         problem = FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size))
-        tol = max(0.1 * closed, -COARSE * deepest)
-        shift = rows.velocity_change(Auto(tol=tol)(problem).r)
-        moved = dynamics.shift(placed.position, shift)
+        push = Auto(tol=max(COARSE, -0.5 * closed / deepest))(problem).r
+        moved = dynamics.shift(placed.position, -deepest * rows.velocity_change(push))
         placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory)
     return placed._replace(clear=bool(placed.contacts.gap.min(initial=0.0) >= -closed))

@@ -116,7 +116,7 @@ def duality_gap(u, r, mu):
 def _slip(W, q, alpha):
     """Impulse with u_N = 0 and u_T = -alpha r_T: returns r_N, r_T1, r_T2."""
     a, b, c, d = W[1, 1] + alpha, W[1, 2], W[2, 1], W[2, 2] + alpha
-    det = a * d - b * c
+    det = max(a * d - b * c, ROUNDING * a * d)
     # r_T = x + y r_N solves (W_TT + alpha I) r_T = -(q_T + W_TN r_N)
     x1, x2 = -(d * q[1] - b * q[2]) / det, -(a * q[2] - c * q[1]) / det
     y1, y2 = -(d * W[1, 0] - b * W[2, 0]) / det, -(a * W[2, 0] - c * W[1, 0]) / det

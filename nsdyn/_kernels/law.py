@@ -148,7 +148,6 @@ def meet(
 @njit(cache=True)
 def foresee(offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn, guess, slides):
     """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen."""
-    some = False
     for c in range(slides.size):
         i = 3 * c
         slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
@@ -174,8 +173,6 @@ def foresee(offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn
                     tangential += total
         press = max(0.0, -(u_free[i] + turn[i])) / normal if normal > 0.0 else 0.0
         slides[c] = slip > mu[c] * max(press, guess[i]) * tangential
-        some = some or slides[c]
-    return some
 
 
 @njit(cache=True)
@@ -197,11 +194,11 @@ def offsets(u, u_free, turn, end_gap, slides, ahead, closed, b):
 
 
 @njit(cache=True)
-def reconsider(r, mu, u_begin, u, u_plus, turn, slides, fixed):
-    """Change `slides` (nc,) where the impulses show otherwise; each contact once each way, in `fixed`; tells if any.
+def reconsider(r, mu, u_begin, u, u_plus, turn, slides, back):
+    """Change `slides` (nc,) where the impulses show otherwise, and tell whether any has.
 
     One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
-    stop but slips on in the direction it had slides through.
+    stop but slips on in the direction it had slides through, unless it is only looked `back`.
     """
     some = False
     for c in range(slides.size):
@@ -212,11 +209,9 @@ def reconsider(r, mu, u_begin, u, u_plus, turn, slides, fixed):
             mean = (u[i + 1] + u_plus[i + 1]) * x + (u[i + 2] + u_plus[i + 2]) * y
             if found == 1 or (found == 2 and mean <= 0.0):
                 slides[c] = False
-                fixed[c] = True
                 some = True
-        elif not fixed[c] and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * x + u_begin[i + 2] * y > 0.0:
+        elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * x + u_begin[i + 2] * y > 0.0:
             slides[c] = True
-            fixed[c] = True
             some = True
     return some
 
