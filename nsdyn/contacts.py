@@ -192,10 +192,10 @@ class Detector:
         self._geometry = _flatten(geoms)
         self._fields = tuple(self._geometry)
         cores: dict[int, Any] = {id(g.shape): _core(g.shape) for g in geoms}
-        for core in cores.values():
-            core.computeLocalAABB()
-        self._cores = [cores[id(g.shape)] for g in geoms]
         self._solids = [g.shape.geometry for g in geoms]
+        for solid in (*cores.values(), *self._solids):
+            solid.computeLocalAABB()
+        self._cores = [cores[id(g.shape)] for g in geoms]
         rounded = (self._geometry.kind == SPHERE) | (self._geometry.kind == CAPSULE)
         self._slack = np.where(rounded, 0.0, 2.0 * SHRINK * self._geometry.radius)
         self._frame = self._geometry.frame
@@ -334,8 +334,7 @@ class Detector:
         placements = self._frame, self._geometry.placement_R, self._geometry.placement_t
         near = TOUCH / MARGIN * self._pair_base[p]
         R, t = np.empty((2, 3, 3)), np.empty((2, 3))
-        request, s = coal.DistanceRequest(), 0.0
-        request.gjk_tolerance = GJK_TOLERANCE
+        request, s = _request(), 0.0
         for _ in range(ADVANCES):
             sweep.place_at(*placements, begin.x, begin.R, end.x, turn, s, geoms, R, t)
             placed, result = [coal.Transform3s(R[k], t[k]) for k in (0, 1)], coal.DistanceResult()
@@ -362,8 +361,7 @@ class Detector:
         one, row = slice(p, p + 1), np.empty((1, 10))
         slot = np.where(self._asked[one], 0, -1)
         if self._asked[p]:
-            request, result = coal.DistanceRequest(), coal.DistanceResult()
-            request.gjk_tolerance = GJK_TOLERANCE
+            request, result = _request(), coal.DistanceResult()
             placed = coal.Transform3s(R[i], t[i]), coal.Transform3s(R[j], t[j])
             row[0, 0] = coal.distance(self._cores[i], placed[0], self._cores[j], placed[1], request, result)
             row[0, 1:4] = result.normal
@@ -527,6 +525,14 @@ def _pair(a: int, b: int) -> pin.CollisionPair:
     return pin.CollisionPair(a, b)
 
 
+def _request() -> Any:
+    """How Coal is asked for a distance."""
+    request = coal.DistanceRequest()
+    request.gjk_tolerance = GJK_TOLERANCE
+    request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
+    return request
+
+
 class _Batch:
     """Pairs whose distances are one call of `pin.computeDistances`.
 
@@ -544,9 +550,7 @@ class _Batch:
         del model.collisionPairs[:]
         model.collisionPairs.extend([_pair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
         self._model, self._data, self._out = model, pin.GeometryData(model), out
-        request = coal.DistanceRequest()
-        request.gjk_tolerance = GJK_TOLERANCE
-        request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
+        request = _request()
         requests = self._data.distanceRequests
         for k in range(m):  # Pinocchio's own requests start from the last answer: not reproducible
             requests[k] = request
