@@ -172,22 +172,20 @@ def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[
     ahead, closed : float
         h₂ [s], and the largest gap [m] that counts as closed.
     """
-    full, blocks, nc = met.rows.full, met.rows.blocks, met.frame.shape[0]
+    full, nc = met.rows.full, met.frame.shape[0]
     slides, b = np.empty(nc, np.bool_), np.empty(3 * full.nc)
-    velocities = met.u_begin, met.u, met.u_free, met.turn
-    _law.foresee(
-        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, *velocities, met.guess, slides
+    _law.foreseen(
+        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.u_begin, met.u, met.u_free,
+        met.turn, met.guess, met.end_gap, ahead, closed, slides, b,
     )  # fmt: skip
-    law = met.u, met.u_free, met.turn, met.end_gap
-    _law.offsets(*law, slides, ahead, closed, b)
-    problem = FC3D.from_blocks(blocks, b, met.mu)
+    problem = FC3D.from_blocks(met.rows.blocks, b, met.mu)
     solution = solver(problem, met.guess)
     for k in range(SOLVES):
-        u_plus = solution.u - b + met.u_free
-        if not _law.reconsider(solution.r, met.mu, met.u_begin, met.u, u_plus, met.turn, slides, k > 0):
+        shown = solution.r, solution.u, b, met.mu, met.u_begin, met.u, met.u_free, met.turn
+        if not _law.reconsider(*shown, slides, k > 0):
             break
         b = np.empty(3 * full.nc)
-        _law.offsets(*law, slides, ahead, closed, b)
+        _law.offsets(met.u, met.u_free, met.turn, met.end_gap, slides, ahead, closed, b)
         problem = problem.with_velocity(b)
         solution = solver(problem, solution.r)
     return problem, solution

@@ -347,7 +347,7 @@ def _struck(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | No
 
     What the others meet then, the impacts, and the change of v by them, 0 where there are none.
     """
-    if not met.restitution.any():
+    if not _law.any_positive(met.restitution):
         return met, None, 0.0
     fall = 2.0 * s.dt / h * np.abs((met.u_free - met.u)[0::3])
     closes = met.end_gap + s.theta * h * (met.u_free + met.turn)[0::3] <= 0.0
@@ -389,7 +389,7 @@ def collide(
     joints = d.joint_rows(at.position, at.v, at.v, 0.0)
     if not (d.surfaces.count or (joints is not None and joints.restitution.any())):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
-        limit = s.solver.tol if c.restitution.any() else s.slow / h
+        limit = s.solver.tol if _law.any_positive(c.restitution) else s.slow / h
         if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -limit:
             return None
     contacts = take(c, c.gap <= s.closed)
@@ -421,12 +421,10 @@ def _account(
     status, world, works, created = np.zeros(nc, np.int8), np.zeros((nc, 3)), Works(), 0.0
     if r.size:
         struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
-        u_plus = met.rows.full.relative_velocity(velocities[2])
-        if met.drag.size:
-            u_plus += met.drag
+        full = met.rows.full
         done = _law.outcome(
-            r, met.mu, met.place, met.status, struck, met.u, u_plus, met.turn, met.frame, status, normal, friction,
-            u_end, world,
+            full.offset, full.block, full.start, full.h, velocities[2], met.drag, r, met.mu, met.place, met.status,
+            struck, met.u, met.turn, met.frame, status, normal, friction, u_end, world,
         )  # fmt: skip
         external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
         works = Works(external, done[0], done[1], integration=done[2] + beyond)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels import law as _law
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Forces, Placement, Position
 from nsdyn.problem import FC3D, Array
@@ -75,7 +76,7 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
     """
     for _ in range(PASSES):
         gap = placed.contacts.gap
-        deepest = float(gap.min(initial=0.0))
+        deepest = _law.least(gap)
         if deepest >= -closed:
             return placed
         rows, _ = dynamics.rows(placed.contacts, placed.placement, forces, None)
@@ -86,4 +87,4 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         push = Auto(tol=max(COARSE, -0.5 * closed / deepest))(problem).r
         moved = dynamics.shift(placed.position, -deepest * rows.velocity_change(push))
         placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory)
-    return placed._replace(clear=bool(placed.contacts.gap.min(initial=0.0) >= -closed))
+    return placed._replace(clear=_law.least(placed.contacts.gap) >= -closed)

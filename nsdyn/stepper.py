@@ -58,6 +58,8 @@ class State(NamedTuple):
         Position, velocity, contacts and warm start.
     rate : ndarray, shape (n,)
         Last free acceleration, m/s² and rad/s².
+    energies : (float, float)
+        Kinetic and potential, J.
     opening : gauss.Opening, optional
         Direction that the last certificate rests on.
     """
@@ -67,6 +69,7 @@ class State(NamedTuple):
     count: int  # type: ignore[assignment]  # tuple.count is of no use here
     instant: Instant
     rate: Array
+    energies: tuple[float, float]
     opening: gauss.Opening | None = None
 
     @property
@@ -254,8 +257,8 @@ class Stepper:
         self._failures = 0
         self._state = State(0.0, self.dt, 0, *self._start(geoms))
 
-    def _start(self, geoms: list[Geom]) -> tuple[Instant, Array]:
-        """The initial instant, whose bodies do not overlap deeply, and the free acceleration there."""
+    def _start(self, geoms: list[Geom]) -> tuple[Instant, Array, tuple[float, float]]:
+        """The initial instant, whose bodies do not overlap deeply, the free acceleration there, energies."""
         d = self.dynamics
         position, v = d.start()
         placed = place(d, self.detector, position, d.place(position), ContactMemory.empty())
@@ -264,7 +267,7 @@ class Stepper:
         warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
         twists = d.twists(placed.placement, v)
         instant = Instant(position, v, placed.placement, placed.contacts, placed.memory, warm, twists)
-        return instant, np.zeros(d.n)
+        return instant, np.zeros(d.n), d.energies(position, v)
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -293,7 +296,7 @@ class Stepper:
     def start(self) -> Start:
         """The present state as row 0 of a recording."""
         s, d = self._state.instant, self.dynamics
-        kinetic, potential = d.energies(s.position, s.v)
+        kinetic, potential = self._state.energies
         q, v = d.pinocchio_state(s.position, s.v)
         x, quaternion = d.poses(s.position, s.placement)
         return Start(self.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
@@ -320,8 +323,10 @@ class Stepper:
             if not solution.converged:
                 self._fail(problem, solution)
         certificate, opening = self._certify(solved, s.opening)
-        self._state = State(s.origin, s.dt, s.count + 1, now, rate, opening)
-        return self._record(s.instant, done, works, clear, certificate, *_worst(solved))
+        energies = self.dynamics.energies(now.position, now.v)
+        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
+        ledger = Ledger.of(s.energies, energies, works)
+        return self._record(done, ledger, clear, certificate, *_worst(solved))
 
     def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Move]:
         """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
@@ -394,12 +399,11 @@ class Stepper:
         return gauss.Certificate(gap, shift, bound), opening
 
     def _record(
-        self, begin: Instant, done: list[Impulses], works: Works, clear: bool, certificate: gauss.Certificate,
-        problem: FC3D, solution: Solution,
+        self, done: list[Impulses], ledger: Ledger, clear: bool, certificate: gauss.Certificate, problem: FC3D,
+        solution: Solution,
     ) -> Step:  # fmt: skip
         """What the moves and impacts of a step did."""
         d, end = self.dynamics, self._state.instant
-        ledger = Ledger.of(d.energies(begin.position, begin.v), d.energies(end.position, end.v), works)
         acted = done[0] if len(done) == 1 else _joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
