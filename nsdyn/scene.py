@@ -498,6 +498,15 @@ class Scene:
         Material(0.0 if mu is None else mu, 0.0 if restitution is None else restitution)
         self.pairs[frozenset((a, b))] = (mu, restitution)
 
+    def restitutions(self) -> list[float]:
+        """The restitutions that its contacts may have, ascending."""
+        geoms = self.geoms()
+        one_of_each = list({g.material.restitution: k for k, g in enumerate(geoms)}.values())
+        first, second = np.meshgrid(one_of_each, one_of_each)
+        combined = self.pair_material(geoms)(first.ravel(), second.ravel())[1] if geoms else np.empty(0)
+        given = [e for _, e in self.pairs.values() if e is not None]
+        return sorted({*combined.tolist(), *given})
+
     def pair_material(self, geoms: Sequence[Geom]) -> Callable[[Index, Index], tuple[Array, Array]]:
         """Function of two index arrays into `geoms` that returns (mu, restitution) of each pair."""
         mu = np.array([g.material.mu for g in geoms])

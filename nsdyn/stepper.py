@@ -22,7 +22,7 @@ from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
 from nsdyn.move import Impulses, Instant, Move, System, collide, move
-from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution
+from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution, Status
 from nsdyn.projection import place
 from nsdyn.scene import Geom, Scene
 from nsdyn.solvers import Auto, Solver
@@ -109,15 +109,14 @@ class Step(NamedTuple):
     created : float
         Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
         chains, and Poisson's with several restitutions (`impacts`).
-    clear : bool
-        Whether no shapes overlap at the end by more than what counts as closed.
     ledger : Ledger
         Energies at the end and works of the step, J.
     gauss : Certificate
         Of the last problem.
     problem : FC3D
     solution : Solution
-        Of the last problem solved.
+        Of the last problem solved, or of the worst where any missed its tolerance; its status is OVERLAP where shapes
+        are left in each other by more than what counts as closed.
     """
 
     t: float
@@ -135,7 +134,6 @@ class Step(NamedTuple):
     work_friction: Array
     joint_impulse: Array
     created: float
-    clear: bool
     ledger: Ledger
     gauss: gauss.Certificate
     problem: FC3D
@@ -254,6 +252,11 @@ class Stepper:
             self.dynamics, self.detector, self.solver, self.theta, self.dt, self.closed,
             np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms]), impact,
         )  # fmt: skip
+        if impact == "poisson" and len(rebounds := scene.restitutions()) > 1:
+            warnings.warn(
+                f"Poisson's law keeps energy from growing only where all contacts have one restitution, got {rebounds}",
+                stacklevel=2,
+            )
         self._failures = 0
         self._state = State(0.0, self.dt, 0, *self._start(geoms))
 
@@ -326,7 +329,10 @@ class Stepper:
         energies = self.dynamics.energies(now.position, now.v)
         self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
         ledger = Ledger.of(s.energies, energies, works)
-        return self._record(done, ledger, clear, certificate, *_worst(solved))
+        problem, solution = _worst(solved)
+        if solution.converged and not clear:
+            solution = solution._replace(status=Status.OVERLAP)
+        return self._record(done, ledger, certificate, problem, solution)
 
     def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Move]:
         """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
@@ -399,9 +405,8 @@ class Stepper:
         return gauss.Certificate(gap, shift, bound), opening
 
     def _record(
-        self, done: list[Impulses], ledger: Ledger, clear: bool, certificate: gauss.Certificate, problem: FC3D,
-        solution: Solution,
-    ) -> Step:  # fmt: skip
+        self, done: list[Impulses], ledger: Ledger, certificate: gauss.Certificate, problem: FC3D, solution: Solution
+    ) -> Step:
         """What the moves and impacts of a step did."""
         d, end = self.dynamics, self._state.instant
         acted = done[0] if len(done) == 1 else _joined(done)
@@ -410,7 +415,7 @@ class Stepper:
         gap = self.detector.gaps(acted.contacts, end.contacts, Poses(*end.placement[:2]))
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
-            acted.normal, acted.friction, acted.joints, acted.created, clear, ledger, certificate, problem, solution,
+            acted.normal, acted.friction, acted.joints, acted.created, ledger, certificate, problem, solution,
         )  # fmt: skip
 
     def _fail(self, problem: FC3D, solution: Solution) -> None:
