@@ -419,6 +419,9 @@ def _account(
     d, nc, nr = s.dynamics, met.frame.shape[0], met.mu.size
     normal, friction, total, u_end = np.zeros(nr), np.zeros(nr), r, met.u if impact is None else impact.u
     status, world, works, created = np.zeros(nc, np.int8), np.zeros((nc, 3)), Works(), 0.0
+    if h > 0.0:
+        external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
+        works = Works(external, integration=beyond)
     if r.size:
         struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
         full = met.rows.full
@@ -426,8 +429,7 @@ def _account(
             full.offset, full.block, full.start, full.h, velocities[2], met.drag, r, met.mu, met.place, met.status,
             struck, met.u, met.turn, met.frame, status, normal, friction, u_end, world,
         )  # fmt: skip
-        external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
-        works = Works(external, done[0], done[1], integration=done[2] + beyond)
+        works += Works(0.0, *done[:2], integration=done[2])
     if impact is not None:
         total = total + impact.r if r.size else impact.r
         normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
