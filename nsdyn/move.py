@@ -399,7 +399,10 @@ def collide(
     # What the solver's tolerance leaves of a velocity is no approach.
     resting = s.solver.tol + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
     slow, nc = resting.copy(), contacts.gap.size
-    slow[:nc] = np.where(contacts.restitution > 0.0, np.minimum(slow[:nc], s.deep(contacts) / h), s.deep(contacts) / h)
+    limit = s.deep(contacts) / h
+    # What was pressed before turns with its bodies: it closes a little without striking.
+    limit[np.isin(contacts.key, at.warm.key[at.warm.status > 0])] = np.inf
+    slow[:nc] = np.where(contacts.restitution > 0.0, np.minimum(slow[:nc], limit), limit)
     impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
     if impact.problem is None or impact.solution is None:
         return None

@@ -86,5 +86,7 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         problem = FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size))
         push = Auto(tol=max(COARSE, -0.5 * closed / deepest))(problem).r
         moved = dynamics.shift(placed.position, -deepest * rows.velocity_change(push))
-        placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory)
+        # What the next shift may reach, which is about as far as this one, must be seen.
+        near = np.full(dynamics.frames, -deepest)
+        placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory, near)
     return placed._replace(clear=_law.least(placed.contacts.gap) >= -closed)

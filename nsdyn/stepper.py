@@ -355,6 +355,9 @@ class Stepper:
         if hit.sum() > HITS:
             return h, self._move(begin, t, h, None)
         barred = np.unique(detector.codes(m.unmet)[hit])
+        # What rebounds has to be there in time; what does not may be late by less than is deep.
+        exact = bool((m.unmet.restitution[hit] > 0.0).any())
+        least_gap, most_gap = (-1e-3 * self.closed, 1e-3 * self.closed) if exact else (-0.5 * limit[hit].min(), self.closed)
         held = begin.contacts.key[begin.contacts.gap <= self.closed]
         far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
         before, _ = detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
@@ -363,7 +366,7 @@ class Stepper:
         def least(contacts: ContactSet, left: NDArray[np.bool_]) -> float:
             """Least gap of what is hit, 0 where it is so small that it makes no difference."""
             gap = float(contacts.gap[left & np.isin(detector.codes(contacts), barred)].min(initial=far.max()))
-            return 0.0 if abs(gap) <= 1e-3 * self.closed else gap
+            return 0.0 if least_gap <= gap <= most_gap else gap
 
         def gap(time: float) -> float:
             if time == 0.0:
