@@ -83,6 +83,10 @@ class Encounter(NamedTuple):
         Last impulses, N·s.
     drag : ndarray, shape (3 rows,)
         What surfaces that move add to u⁻ and u⁺, m/s; empty if none do.
+    rebound : ndarray, shape (rows,)
+        u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
+        Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
+        after it would be one too many, and an elastic ball would lose m g h v.
     """
 
     contacts: ContactSet
@@ -100,12 +104,18 @@ class Encounter(NamedTuple):
     end_gap: Array
     guess: Array
     drag: Array
+    rebound: Array = NOTHING
 
-    def changed(self, dv: Array) -> Encounter:
+    def changed(self, dv: Array, struck: Bools) -> Encounter:
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
         du = self.rows.full.relative_velocity(dv)
         turn = np.where(np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3), 0.0, self.turn)
-        return self._replace(u=self.u + du, u_free=self.u_free + du, turn=turn)
+        u = self.u + du
+        end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
+        return self._replace(
+            u=u, u_free=self.u_free + du, turn=turn, end_gap=end_gap,
+            rebound=np.where(struck, np.maximum(u[0::3], 0.0), 0.0),
+        )  # fmt: skip
 
 
 def meet(
@@ -176,7 +186,7 @@ def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[
     slides, b = np.empty(nc, np.bool_), np.empty(3 * full.nc)
     _law.foreseen(
         full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.u_begin, met.u, met.u_free,
-        met.turn, met.guess, met.end_gap, ahead, closed, slides, b,
+        met.turn, met.guess, met.end_gap, met.rebound, ahead, closed, slides, b,
     )  # fmt: skip
     problem = FC3D.from_blocks(met.rows.blocks, b, met.mu)
     solution = solver(problem, met.guess)
@@ -185,7 +195,7 @@ def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[
         if not _law.reconsider(*shown, slides, k > 0):
             break
         b = np.empty(3 * full.nc)
-        _law.offsets(met.u, met.u_free, met.turn, met.end_gap, slides, ahead, closed, b)
+        _law.offsets(met.u, met.u_free, met.turn, met.end_gap, met.rebound, slides, ahead, closed, b)
         problem = problem.with_velocity(b)
         solution = solver(problem, solution.r)
     return problem, solution

@@ -359,7 +359,7 @@ def _struck(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | No
     closed = struck | (met.end_gap <= s.closed)
     impact = _strike(s, met, closed, resting, resting)
     kick = met.rows.velocity_change(impact.r)
-    return met.changed(kick), impact, kick
+    return met.changed(kick, struck), impact, kick
 
 
 def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:

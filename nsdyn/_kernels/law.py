@@ -194,17 +194,20 @@ def foresee(offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn
 
 
 @njit(cache=True)
-def offsets(u, u_free, turn, end_gap, slides, ahead, closed, b):
+def offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
-    Normal: u_free + turn, plus end_gap / ahead where it is open. Tangential: the same for slip at the end of the step,
-    u + u_free, twice the mean slip without impulses, where a contact slides through.
+    Normal: u_free + turn, plus end_gap / ahead where it is open, minus what is kept of an impact (`rebound`, empty for
+    none). Tangential: u_free + turn for slip at the end of the step, u + u_free, twice the mean slip without impulses,
+    where a contact slides through.
     """
     for c in range(end_gap.size):
         i = 3 * c
         b[i] = u_free[i] + turn[i]
         if end_gap[c] > closed:
             b[i] += end_gap[c] / ahead
+        if rebound.size > 0:
+            b[i] -= rebound[c]
         if slides.size > c and slides[c]:
             b[i + 1], b[i + 2] = u[i + 1] + u_free[i + 1], u[i + 2] + u_free[i + 2]
         else:
@@ -213,11 +216,12 @@ def offsets(u, u_free, turn, end_gap, slides, ahead, closed, b):
 
 @njit(cache=True)
 def foreseen(
-    offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn, guess, end_gap, ahead, closed, slides, b
+    offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn, guess, end_gap, rebound, ahead, closed,
+    slides, b,
 ):  # fmt: skip
     """`foresee` and the `offsets` that it makes, in one call."""
     foresee(offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn, guess, slides)
-    offsets(u, u_free, turn, end_gap, slides, ahead, closed, b)
+    offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b)
 
 
 @njit(cache=True)
@@ -269,8 +273,8 @@ def outcome(
 
     `states`; works (rows,) are
     those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns the sums of what they are in
-    the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact that stays closed, normal,
-    and sticks, tangential; joint rows always do work.
+    the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact that stays closed, or was
+    struck, normal, and sticks, tangential; joint rows always do work.
     """
     nc, u_plus = status.size, np.empty(u.size)
     relative_velocity(offset, block, start, h, v_plus, u_plus)
@@ -286,7 +290,9 @@ def outcome(
         stays, sticks = False, False
         if c < nc:
             status[c] = state(r, mu[c], i)
-            if place[c] >= 0 and not (struck.size > c and struck[c] > 0.0):
+            if struck.size > c and struck[c] > 0.0:
+                stays = True
+            elif place[c] >= 0:
                 old = old_status[place[c]]
                 stays, sticks = old > 0, old == 1 and status[c] == 1
             for j in range(3):
