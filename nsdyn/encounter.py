@@ -124,7 +124,7 @@ def meet(
     joints: JointRows | None,
     middle: Middle,
     forces: Forces,
-    begin: tuple[ContactSet, Placement, tuple[Array, Array], Array, Warm],
+    begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
     reach: Array,
     surfaces: tuple[Array, Array],
     ahead: float,
@@ -139,7 +139,7 @@ def meet(
     joints : JointRows, optional
     middle : Middle
     forces : Forces
-    begin : (contacts, placement, twists, velocity, warm start)
+    begin : (contacts, positions of driven bodies, placement, twists, velocity, warm start)
         Where the step begins.
     reach : ndarray, shape (frames,)
         How far points of the frames move in about half a step, m.
@@ -154,11 +154,12 @@ def meet(
     nr = full.nc
     u_begin, u, u_free, turn, guess = np.empty((5, 3 * nr))
     end_gap = np.empty(nr)
-    old, place, twists, v_begin, warm = begin
+    old, driven_x, place, twists, v_begin, warm = begin
     drags = dynamics.surfaces.drags(contacts, frame, middle.position.driven_x, nr, *surfaces)
+    carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
     where = _law.meet(
-        full.offset, full.block, full.start, full.h, v_begin, middle.v, forces.v, *drags, rows.press, warm.key,
-        warm.impulse, old.key, old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1,
+        full.offset, full.block, full.start, full.h, v_begin, middle.v, forces.v, carried, *drags, rows.press,
+        warm.key, warm.impulse, old.key, old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1,
         contacts.frame2, contacts.point, frame, there.x, contacts.gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
     )  # fmt: skip
     mu, restitution = contacts.mu, contacts.restitution

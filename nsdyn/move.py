@@ -15,12 +15,13 @@ from nsdyn.dynamics import Dynamics, Forces, Middle, Placement, Position
 from nsdyn.encounter import Encounter, Warm, meet, solve
 from nsdyn.energy import Works
 from nsdyn.impacts import Impact, strike
+from nsdyn.joints import JointRows
 from nsdyn.problem import FC3D, Array, Index, Solution
 from nsdyn.projection import place, project
 from nsdyn.solvers import Solver
 from nsdyn.trees import TreeEnd
 
-__all__ = ["Impulses", "Instant", "Move", "System", "collide", "move"]
+__all__ = ["Impulses", "Instant", "Move", "System", "Unmet", "collide", "move", "others", "take"]
 
 NOTHING = np.empty(0)
 
@@ -34,6 +35,9 @@ move that only the way there tells which sides met."""
 DEEP = 1e-3
 """Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a step. What
 falls so far is lifted again at the end, and the energy of that is numerical."""
+
+JOINT = 0.1
+"""What counts for joint limits as the inscribed radius of a shape does, rad or m."""
 
 Bools = NDArray[np.bool_]
 Callbacks = Callable[[Position, Array], tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]]
@@ -74,7 +78,7 @@ class System(NamedTuple):
         return DEEP * float(self.inscribed.min(initial=np.inf))
 
     def deep(self, contacts: ContactSet) -> Array:
-        """Overlaps, m, that a step may catch: deeper ones are impacts to be located."""
+        """Overlaps, m, that a step may catch: deeper ones are impacts to be located; of joint limits DEEP JOINT."""
         out: Array = DEEP * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return out
 
@@ -89,6 +93,8 @@ class Instant(NamedTuple):
     placement : Placement
     contacts : ContactSet
         Found there, with the true gaps of the shapes.
+    limits : ndarray
+        Gaps of all joint limits, rad or m.
     memory : ContactMemory
     warm : Warm
     twists : two ndarrays of shape (frames, 3)
@@ -99,6 +105,7 @@ class Instant(NamedTuple):
     v: Array
     placement: Placement
     contacts: ContactSet
+    limits: Array
     memory: ContactMemory
     warm: Warm
     twists: tuple[Array, Array]
@@ -134,6 +141,22 @@ class Impulses(NamedTuple):
     created: float
 
 
+class Unmet(NamedTuple):
+    """Contacts and joint limits that a move leaves alone, at one instant.
+
+    Attributes
+    ----------
+    code : ndarray of int, shape (k,)
+        Of the pair of shapes, -1 - i of joint limit i.
+    gap, limit : ndarray, shape (k,)
+        m or rad; overlaps of more than `limit` are impacts to be located.
+    """
+
+    code: Index
+    gap: Array
+    limit: Array
+
+
 class Move(NamedTuple):
     """A move and its end.
 
@@ -147,8 +170,8 @@ class Move(NamedTuple):
         Of the last problem solved.
     clear : bool
         Whether the end is without overlap.
-    unmet : ContactSet, optional
-        Contacts where the motion ends that it did not meet, None where there are none or all were caught.
+    unmet : Unmet, optional
+        What the motion did not meet, where it ends; None where there is nothing or all was caught.
     touched : float
         Time until a pair that is open where the move begins touches on its way, s; that of the move if none does, or
         if nothing is so fast that it might go unseen.
@@ -162,7 +185,7 @@ class Move(NamedTuple):
     problem: FC3D
     solution: Solution
     clear: bool
-    unmet: ContactSet | None
+    unmet: Unmet | None
     touched: float
     rate: Array
 
@@ -190,8 +213,8 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
     callbacks : callable
         (wrenches, joint forces) at a position and a velocity.
     barred : ndarray of int, optional
-        Codes of pairs whose open contacts are left alone, as are all that would become deep, or strike: the move then
-        says what it ran into. None: all are caught.
+        Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
+        move then says what it ran into. None: all is caught.
     """
     d, after = s.dynamics, s.theta * h
     begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
@@ -207,7 +230,9 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
     elif fast:
         contacts, memory = _reached(s, contacts, begin, middle.placement, memory)
     joints = d.joint_rows(middle.position, middle.v, forces.v, h)
-    start = begin.contacts, begin.placement, begin.twists, begin.v, begin.warm
+    if barred is not None and joints is not None:
+        joints = _caught_limits(s, joints, begin, forces.v, after, barred)
+    start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     surfaces = d.surfaces.mean(begun, ended, 0.5), ended
     for look in range(LOOKS):
         # Impulses, and half a free flow.
@@ -241,10 +266,13 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
     if impulse is not None:
         works += _tree_works(s, middle, forces, v_plus, trees, placed.position, impulse, met, impact, solution.r, kick)
     instant = Instant(
-        placed.position, v_end, placed.placement, placed.contacts, placed.memory, warm,
+        placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, warm,
         d.twists(placed.placement, v_end),
     )  # fmt: skip
-    unmet = None if barred is None else _others(moved.contacts, met.contacts)
+    unmet = None
+    if barred is not None:
+        slot = d.joints.limits[:0] if joints is None else joints.slot
+        unmet = others(s, moved.contacts, met.contacts, moved.limits, slot)
     touched = h if barred is None or not fast else _touched(s, begin, middle.placement, there, memory, h)
     rate = (forces.v - middle.v) / h
     return Move(instant, impulses, works, problem, solution, placed.clear, unmet, touched, rate)
@@ -253,7 +281,7 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
 def _reached(
     s: System, contacts: ContactSet, begin: Instant, there: Placement, memory: ContactMemory
 ) -> tuple[ContactSet, ContactMemory]:
-    """Contacts where the impulses act, of which pairs that are deep in each other have those with which they touched."""
+    """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
     touches = s.detector.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, closed)
     deep = touches.contacts.gap < -s.deep(touches.contacts) * FAST / DEEP
@@ -282,9 +310,7 @@ def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
     return out
 
 
-def _touched(
-    s: System, begin: Instant, middle: Placement, end: Placement, memory: ContactMemory, h: float
-) -> float:
+def _touched(s: System, begin: Instant, middle: Placement, end: Placement, memory: ContactMemory, h: float) -> float:
     """Time until a pair that is open where a move begins touches on its way, h if none does, s."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
     poses, before = [Poses(*place[:2]) for place in (begin.placement, middle, end)], (1.0 - s.theta) * h
@@ -328,10 +354,42 @@ def _caught(
     return take(contacts, held | (shallow & (contacts.restitution == 0.0)))
 
 
-def _others(found: ContactSet, met: ContactSet) -> ContactSet | None:
-    """Contacts that are not among those met; None where all are."""
+def _caught_limits(
+    s: System, joints: JointRows, begin: Instant, v: Array, ahead: float, barred: Index
+) -> JointRows | None:
+    """Joint rows that a move need not leave alone, as `_caught` has it of contacts."""
+    laws = s.dynamics.joints
+    place = np.searchsorted(laws.limits, joints.slot)
+    friction = joints.mu > 0.0
+    held = begin.limits[np.where(friction, 0, place)] <= s.closed if begin.limits.size else friction
+    shallow = joints.gap + ahead * laws.rates(joints.slot, v) > -DEEP * JOINT
+    shallow &= ~np.isin(-1 - place, barred)
+    return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
+
+
+def others(s: System, found: ContactSet, met: ContactSet, limits: Array, slot: Index) -> Unmet | None:
+    """Of the contacts found and the gaps of all joint limits those not met; None where all are.
+
+    Parameters
+    ----------
+    s : System
+    found, met : ContactSet
+    limits : ndarray
+    slot : ndarray of int
+        Joint rows that are met.
+    """
     same = np.empty(found.gap.size, np.bool_)
-    return None if _law.known(found.key, met.key, met.gap, np.inf, same) else take(found, ~same)
+    if _law.known(found.key, met.key, met.gap, np.inf, same) and not limits.size:
+        return None
+    left = take(found, ~same)
+    code, gap, limit = s.detector.codes(left), left.gap, np.where(left.restitution > 0.0, s.closed, s.deep(left))
+    if limits.size:
+        laws = s.dynamics.joints
+        k = np.flatnonzero(~np.isin(laws.limits, slot))
+        depth = np.where(laws.restitution[laws.limits[k]] > 0.0, s.closed, DEEP * JOINT)
+        code, gap = np.concatenate((code, -1 - k)), np.concatenate((gap, limits[k]))
+        limit = np.concatenate((limit, depth))
+    return Unmet(code, gap, limit)
 
 
 def _approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) -> Array:
@@ -387,28 +445,34 @@ def collide(
     """
     d, c = s.dynamics, at.contacts
     joints = d.joint_rows(at.position, at.v, at.v, 0.0)
-    if not (d.surfaces.count or (joints is not None and joints.restitution.any())):
+    if not (d.surfaces.count or (joints is not None and _hits(s, joints, at.v, h))):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
         limit = s.solver.tol if _law.any_positive(c.restitution) else s.slow / h
         if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -limit:
             return None
     contacts = take(c, c.gap <= s.closed)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
-    here, start = Middle(at.position, at.v, at.placement, ()), (contacts, at.placement, at.twists, at.v, at.warm)
+    here = Middle(at.position, at.v, at.placement, ())
+    start = contacts, at.position.driven_x, at.placement, at.twists, at.v, at.warm
     met = meet(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0)
     # What the solver's tolerance leaves of a velocity is no approach.
     resting = s.solver.tol + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
-    slow, nc = resting.copy(), contacts.gap.size
-    limit = s.deep(contacts) / h
     # What was pressed before turns with its bodies: it closes a little without striking.
-    limit[np.isin(contacts.key, at.warm.key[at.warm.status > 0])] = np.inf
-    slow[:nc] = np.where(contacts.restitution > 0.0, np.minimum(slow[:nc], limit), limit)
+    slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, DEEP * JOINT)
+    depth[:nc] = np.where(np.isin(contacts.key, at.warm.key[at.warm.status > 0]), np.inf, s.deep(contacts))
+    slow = np.where(met.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
     if impact.problem is None or impact.solution is None:
         return None
     v = at.v + met.rows.velocity_change(impact.r)
     impulses, works, _ = _account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact)
     return at._replace(v=v, twists=d.twists(at.placement, v)), impulses, works, (impact.problem, impact.solution)
+
+
+def _hits(s: System, joints: JointRows, v: Array, h: float) -> bool:
+    """Whether a joint at a limit may strike it, at a velocity v and with a move of h s to come."""
+    limit = np.where(joints.restitution > 0.0, s.solver.tol, DEEP * JOINT / h)
+    return bool(((joints.gap <= s.closed) & (s.dynamics.joints.rates(joints.slot, v) < -limit)).any())
 
 
 def _account(
@@ -430,7 +494,7 @@ def _account(
         full = met.rows.full
         done = _law.outcome(
             full.offset, full.block, full.start, full.h, velocities[2], met.drag, r, met.mu, met.place, met.status,
-            struck, met.u, met.turn, met.frame, status, normal, friction, u_end, world,
+            struck, met.u, met.u_free, met.turn, met.frame, status, normal, friction, u_end, world,
         )  # fmt: skip
         works += Works(0.0, *done[:2], integration=done[2])
     if impact is not None:

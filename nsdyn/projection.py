@@ -30,14 +30,17 @@ class Placed(NamedTuple):
     placement : Placement
     contacts : ContactSet
         With the true gaps of the shapes.
+    limits : ndarray
+        Gaps of all joint limits, rad or m.
     memory : ContactMemory
     clear : bool
-        Whether no shapes overlap by more than what counts as closed.
+        Whether no shapes overlap, and no joint is beyond its limits, by more than what counts as closed.
     """
 
     position: Position
     placement: Placement
     contacts: ContactSet
+    limits: Array
     memory: ContactMemory
     clear: bool
 
@@ -46,17 +49,17 @@ def place(
     dynamics: Dynamics, detector: Detector, position: Position, placement: Placement, memory: ContactMemory,
     reach: Array | None = None,
 ) -> Placed:  # fmt: skip
-    """The contacts at a position, whatever overlaps, up to the gaps that `reach` (frames,) allows, m."""
+    """The contacts and limits at a position, whatever overlaps, up to the gaps that `reach` (frames,) allows, m."""
     reach = np.zeros(dynamics.frames) if reach is None else reach
     contacts, memory = detector.find(placement.x, placement.R, reach, memory)
-    return Placed(position, placement, contacts, memory, True)
+    return Placed(position, placement, contacts, dynamics.limits(position), memory, True)
 
 
 def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forces, closed: float) -> Placed:
     """The closest position without overlap, in the kinetic metric: min ½‖δ‖²_M̃ under g + H_Nᵀ δ ≥ 0.
 
-    Each pass is a frictionless contact problem for the shift δ, on the gaps g of the shapes where the last one has
-    brought them.
+    Each pass is a frictionless contact problem for the shift δ, on the gaps g of the shapes and joint limits where the
+    last one has brought them.
 
     Parameters
     ----------
@@ -75,11 +78,16 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         `placed` itself where nothing overlaps; not `clear` where bodies are squeezed so that nothing helps.
     """
     for _ in range(PASSES):
-        gap = placed.contacts.gap
-        deepest = _law.least(gap)
+        gap, deepest = placed.contacts.gap, _least(placed)
         if deepest >= -closed:
             return placed
-        rows, _ = dynamics.rows(placed.contacts, placed.placement, forces, None)
+        joints = None
+        if placed.limits.size:
+            rest = np.zeros(dynamics.n)
+            joints = dynamics.joint_rows(placed.position, rest, rest, 0.0)
+            joints = None if joints is None else joints.take(joints.mu == 0.0)
+            gap = gap if joints is None else np.concatenate((gap, joints.gap))
+        rows, _ = dynamics.rows(placed.contacts, placed.placement, forces, joints)
         # In units of the deepest overlap, which the tolerance is a fraction of.
         g = np.zeros(3 * gap.size)
         g[0::3] = gap / -deepest
@@ -89,4 +97,9 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         # What the next shift may reach, which is about as far as this one, must be seen.
         near = np.full(dynamics.frames, -deepest)
         placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory, near)
-    return placed._replace(clear=_law.least(placed.contacts.gap) >= -closed)
+    return placed._replace(clear=_least(placed) >= -closed)
+
+
+def _least(placed: Placed) -> float:
+    """The least gap, 0 if none is negative."""
+    return min(_law.least(placed.contacts.gap), _law.least(placed.limits))

@@ -21,7 +21,7 @@ from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
-from nsdyn.move import Impulses, Instant, Move, System, collide, move
+from nsdyn.move import Impulses, Instant, Move, System, Unmet, collide, move, others, take
 from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution, Status
 from nsdyn.projection import place
 from nsdyn.scene import Geom, Scene
@@ -44,7 +44,7 @@ CUTS, HITS, LOCATED = 8, 16, 100
 """Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
 effort is bounded; beyond, impacts are caught within the step."""
 
-NONE = np.empty(0, np.int64)
+NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
 class State(NamedTuple):
@@ -269,7 +269,8 @@ class Stepper:
         none = np.empty((0, 3))
         warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
         twists = d.twists(placed.placement, v)
-        instant = Instant(position, v, placed.placement, placed.contacts, placed.memory, warm, twists)
+        placement, contacts = placed.placement, placed.contacts
+        instant = Instant(position, v, placement, contacts, placed.limits, placed.memory, warm, twists)
         return instant, np.zeros(d.n), d.energies(position, v)
 
     # -- state -------------------------------------------------------------------------------------------------
@@ -336,7 +337,7 @@ class Stepper:
 
     def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Move]:
         """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
-        s, detector = self.system, self.detector
+        s = self.system
         if begin.contacts.gap.size > LOCATED:
             return h, self._move(begin, t, h, None)
         m = self._move(begin, t, h, NONE)
@@ -348,38 +349,38 @@ class Stepper:
                 return self._until_impact(begin, t, within)
         if m.unmet is None:
             return h, m
-        limit = np.where(m.unmet.restitution > 0.0, self.closed, s.deep(m.unmet))
-        hit = m.unmet.gap < -limit
+        hit = m.unmet.gap < -m.unmet.limit
         if not hit.any():
             return h, m
         if hit.sum() > HITS:
             return h, self._move(begin, t, h, None)
-        barred = np.unique(detector.codes(m.unmet)[hit])
+        barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
         # What rebounds has to be there in time; what does not may be late by less than is deep.
-        exact = bool((m.unmet.restitution[hit] > 0.0).any())
-        least_gap, most_gap = (-1e-3 * self.closed, 1e-3 * self.closed) if exact else (-0.5 * limit[hit].min(), self.closed)
-        held = begin.contacts.key[begin.contacts.gap <= self.closed]
+        exact = limit <= self.closed
+        early, late = (1e-3 * self.closed, 1e-3 * self.closed) if exact else (self.closed, 0.5 * limit)
         far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
-        before, _ = detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
-        moves = {h: m}
+        found, _ = self.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
+        held = self.dynamics.joints.limits[begin.limits <= self.closed]
+        before = others(s, found, take(begin.contacts, begin.contacts.gap <= self.closed), begin.limits, held)
+        wide, moves = float(far.max(initial=self.closed)), {h: m}
 
-        def least(contacts: ContactSet, left: NDArray[np.bool_]) -> float:
+        def least(left: Unmet | None) -> float:
             """Least gap of what is hit, 0 where it is so small that it makes no difference."""
-            gap = float(contacts.gap[left & np.isin(detector.codes(contacts), barred)].min(initial=far.max()))
-            return 0.0 if least_gap <= gap <= most_gap else gap
+            gaps = NOTHING if left is None else left.gap[np.isin(left.code, barred)]
+            gap = float(gaps.min()) if gaps.size else wide
+            return 0.0 if -late <= gap <= early else gap
 
         def gap(time: float) -> float:
             if time == 0.0:
-                return max(least(before, ~np.isin(before.key, held)), self.closed)
+                return max(least(before), self.closed)
             if time not in moves:
                 moves[time] = self._move(begin, t, time, barred)
-            left = moves[time].unmet
-            return float(far.max()) if left is None else least(left, np.ones(left.gap.size, np.bool_))
+            return least(moves[time].unmet)
 
         brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
         # Where another feature is the first to touch the gap jumps, and has no root.
         length = min(moves, key=lambda time: abs(gap(time)))
-        if abs(gap(length)) > float(limit[hit].min()):
+        if abs(gap(length)) > limit:
             return h, self._move(begin, t, h, None)
         return length, moves[length]
 

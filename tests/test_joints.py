@@ -241,17 +241,14 @@ def test_driven_above_its_threshold_a_joint_slips():
 def test_pendulum_bounces_off_its_stop(restitution):
     trajectory = run(pendulum(lower=-0.3, upper=2.0), 5.0, q=[1.0], restitution=restitution)
     assert trajectory.q.min() >= -0.3 - 1e-10 and trajectory.q.max() <= 2.0
-    v = trajectory.v[:, 0]
-    k = int(np.argmax(np.abs(np.diff(v)) > 0.1))  # the first impact; gravity changes v by 0.015 a step
-    # The velocity of the fall, from the energy; a step of h changes it by 3 h rad/s.
-    fall = np.sqrt(2 * 0.5 * G * (np.cos(0.3) - np.cos(1.0)) / INERTIA)
-    assert -v[k] == pytest.approx(fall, rel=2e-3)
-    # Without restitution the first step only closes the gap.
-    assert v[k + 1 if restitution else k + 2] == pytest.approx(-restitution * v[k], abs=1e-12)
+    # Impacts act where the stop is: the first takes 1 - e² of what the fall gave, but for the O(h⁴) of the motion.
+    energy = trajectory.energy
+    k = int(np.argmax(np.abs(np.diff(trajectory.v[:, 0])) > 0.1))  # gravity changes v by 0.015 a step
+    taken = (1.0 - restitution**2) * 0.5 * G * (np.cos(0.3) - np.cos(1.0))
+    assert -energy.normal[k] == pytest.approx(taken, abs=1e-11)
+    assert energy.total[k] - energy.total[k + 1] == pytest.approx(taken, abs=1e-11)
     if restitution == 1.0:
-        np.testing.assert_allclose(trajectory.energy.total, trajectory.energy.total[0], rtol=0, atol=1e-6)
-    else:
-        assert trajectory.energy.normal.sum() < -0.1
+        np.testing.assert_allclose(energy.total, energy.total[0], atol=1e-11)
 
 
 def test_resting_on_a_stop_is_exact():
@@ -323,9 +320,11 @@ def test_moving_wall_pushes_a_ball():
     assert min(trajectory.contacts(k).gap.min(initial=0.0) for k in range(1, 3001)) >= -1e-12
     assert ball.linear_velocity[-1, 0] == pytest.approx(1.0, abs=1e-6)  # the fastest the wall was
     assert closes(trajectory) < 1e-12
-    # The wall did what the ball has and what the first, inelastic impact took.
+    # The wall did what the ball has, what the first, inelastic impact took, and what is numerics, O(h²).
     works = trajectory.energy
-    assert works.constraint.sum() == pytest.approx(works.kinetic[-1] - works.normal.sum(), rel=1e-12)
+    rest = works.integration.sum()
+    assert works.constraint.sum() == pytest.approx(works.kinetic[-1] - works.normal.sum() - rest, rel=1e-12)
+    assert abs(rest) <= 1e-6
 
 
 @pytest.mark.parametrize(("amplitude", "flies"), [(0.9, False), (1.5, True)])

@@ -44,14 +44,15 @@ def warm_start(place, impulse, frame, r):
 
 @njit(cache=True)
 def begin_velocities(
-    place, old_point, old_normal, x_old, linear, angular, reach, frame1, frame2, point, frame, x, u
+    place, old_point, old_normal, x_old, linear, angular, carried, reach, frame1, frame2, point, frame, x, drag, u
 ):  # fmt: skip
     """Relative velocities of the contacts where the step begins, with the rows that they have there, into u (3 nc,).
 
     Frame f moves there with linear[f] + angular[f] x (p - x_old[f]). A contact that was found there too, at a point
     from which the motion may have carried it here, has that point and that normal, and its tangents are those of here
     turned by the least rotation from normal to normal; any other one has the arms and the frame of here. `reach` is how
-    far points of the frames move in about half a step.
+    far points of the frames move in about half a step. Surfaces that move add `carried` (old contacts, 3) there, in
+    world axes, and `drag` (3 nc,) here, in the frames; both are empty where none do.
     """
     for c in range(place.size):
         f1, f2, n = frame1[c], frame2[c], row(frame[c], 0)
@@ -67,11 +68,15 @@ def begin_velocities(
             if f >= 0:
                 arm = minus(row(old_point, k), row(x_old, f)) if there else minus(p, row(x, f))
                 w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
+        if there and carried.size:
+            w = along(w, 1.0, row(carried, k))
         if there:  # turned back by the rotation from n to m
             total = along(n, 1.0, m)
             w = along(along(w, -dot(total, w) / (1.0 + dot(n, m)), total), 2.0 * dot(m, w), n)
         for i in range(3):
             u[3 * c + i] = dot(row(frame[c], i), w)
+            if not there and drag.size:
+                u[3 * c + i] += drag[3 * c + i]
 
 
 @njit(cache=True)
@@ -128,15 +133,18 @@ def known(key, old_key, old_gap, closed, out):
 
 @njit(cache=True)
 def meet(
-    offset, block, start, h, v_begin, v, v_free, drag, drag_end, press, old_key, impulse, begin_key, begin_point, begin_normal,
-    x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
+    offset, block, start, h, v_begin, v, v_free, carried, drag, drag_end, press, old_key, impulse, begin_key,
+    begin_point, begin_normal, x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, ahead,
+    u_begin, u, u_free, turn, guess, end_gap,
 ):  # fmt: skip
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
-    u at v, u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces that move (`drag`, empty for none) and the normal
-    velocities of joint friction (`press`, the same). end_gap = gap - ahead/2 turn_N: the parabola whose speed at the
-    end of the step, `ahead` seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in
-    world axes start the solver; they need not be those found where the step begins.
+    u at v, u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces
+    that move (`carried` and `drag` as in `begin_velocities`, but all of these at the twists of the impulses, and
+    `drag_end` with those of the end) and the normal velocities of joint friction (`press`, empty for none). end_gap =
+    gap - ahead/2 turn_N: the parabola whose speed at the end of the step, `ahead` seconds later, is 0. Returns the
+    places of the contacts among the old ones, whose impulses in world axes start the solver; they need not be those
+    found where the step begins.
     """
     nc = key.size
     relative_velocity(offset, block, start, h, v, u)
@@ -146,15 +154,15 @@ def meet(
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(offset, block, start, h, v_begin, u_begin)
     begin_velocities(
-        places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, reach, frame1, frame2, point,
-        frame, x, u_begin,
+        places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, carried, reach, frame1, frame2,
+        point, frame, x, drag, u_begin,
     )  # fmt: skip
+    for i in range(drag.size):
+        u[i] += drag[i]
+        u_free[i] += drag[i]
     for i in range(u.size):
         turn[i] = u[i] - u_begin[i]
     for i in range(drag.size):
-        u_begin[i] += drag[i]
-        u[i] += drag[i]
-        u_free[i] += drag[i]
         turn[i] += drag_end[i] - drag[i]
     for i in range(press.size):
         u_free[i] += press[i]
@@ -266,15 +274,15 @@ def states(r, mu, out):
 
 @njit(cache=True)
 def outcome(
-    offset, block, start, h, v_plus, drag, r, mu, place, old_status, struck, u, turn, frame, status, normal, friction,
-    u_end, world,
+    offset, block, start, h, v_plus, drag, r, mu, place, old_status, struck, u, u_free, turn, frame, status, normal,
+    friction, u_end, world,
 ):  # fmt: skip
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
-    `states`; works (rows,) are
-    those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns the sums of what they are in
-    the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact that stays closed, or was
-    struck, normal, and sticks, tangential; joint rows always do work.
+    `states`; works (rows,) are those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns
+    the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact
+    that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first step only
+    closed the gap; joint rows always do work.
     """
     nc, u_plus = status.size, np.empty(u.size)
     relative_velocity(offset, block, start, h, v_plus, u_plus)
@@ -294,7 +302,8 @@ def outcome(
                 stays = True
             elif place[c] >= 0:
                 old = old_status[place[c]]
-                stays, sticks = old > 0, old == 1 and status[c] == 1
+                rests = u[i] - turn[i] >= -2.0 * (abs(u_free[i] - u[i]) + abs(turn[i]))
+                stays, sticks = old > 0 and rests, old == 1 and status[c] == 1
             for j in range(3):
                 world[c, j] = frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]
         if stays:
