@@ -26,7 +26,7 @@ from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, Index, Solution
 from nsdyn.solvers import Solver
 
-__all__ = ["Encounter", "Warm", "meet", "solve"]
+__all__ = ["SOLVES", "Encounter", "Warm", "foresee", "meet", "solve"]
 
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
@@ -173,8 +173,10 @@ def meet(
     )  # fmt: skip
 
 
-def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[FC3D, Solution]:
-    """Impulses that make the motion obey the contact law, and their problem.
+def solve(
+    met: Encounter, solver: Solver, ahead: float, closed: float, slides: Bools, back: bool, most: int
+) -> tuple[FC3D, Solution, bool]:
+    """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
 
     Parameters
     ----------
@@ -182,21 +184,30 @@ def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[
     solver : Solver
     ahead, closed : float
         h₂ [s], and the largest gap [m] that counts as closed.
+    slides : ndarray of bool, shape (nc,)
+        Which contacts slide through, as `foresee` says; changed to what the impulses show.
+    back : bool
+        Whether only those that stop are to be changed.
+    most : int
+        Most solves more for them.
     """
-    full, nc = met.rows.full, met.frame.shape[0]
-    slides, b = np.empty(nc, np.bool_), np.empty(3 * full.nc)
-    _law.foreseen(
-        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.u_begin, met.u, met.u_free,
-        met.turn, met.guess, met.end_gap, met.rebound, ahead, closed, slides, b,
-    )  # fmt: skip
-    problem = FC3D.from_blocks(met.rows.blocks, b, met.mu)
-    solution = solver(problem, met.guess)
-    for k in range(SOLVES):
-        shown = solution.r, solution.u, b, met.mu, met.u_begin, met.u, met.u_free, met.turn
-        if not _law.reconsider(*shown, slides, k > 0):
-            break
-        b = np.empty(3 * full.nc)
+    problem, solution = FC3D.from_blocks(met.rows.blocks, met.u_free, met.mu), None
+    for k in range(most + 1):
+        b = np.empty_like(met.u_free)
         _law.offsets(met.u, met.u_free, met.turn, met.end_gap, met.rebound, slides, ahead, closed, b)
         problem = problem.with_velocity(b)
-        solution = solver(problem, solution.r)
-    return problem, solution
+        solution = solver(problem, met.guess if solution is None else solution.r)
+        shown = solution.r, solution.u, b, met.mu, met.u_begin, met.u, met.u_free, met.turn
+        if not _law.reconsider(*shown, slides, back or k > 0):
+            return problem, solution, False
+    return problem, solution, True
+
+
+def foresee(met: Encounter) -> Bools:
+    """Which contacts slide through the step, by the friction foreseen."""
+    full, slides = met.rows.full, np.empty(met.frame.shape[0], np.bool_)
+    _law.foresee(
+        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.u_begin, met.u, met.u_free,
+        met.turn, met.guess, slides,
+    )  # fmt: skip
+    return slides

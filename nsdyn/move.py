@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels import law as _law
 from nsdyn._kernels import motion as _motion
-from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses, carry
+from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses, Touches, carry
 from nsdyn.dynamics import Dynamics, Forces, Middle, Placement, Position
-from nsdyn.encounter import Encounter, Warm, meet, solve
+from nsdyn.encounter import SOLVES, Encounter, Warm, foresee, meet, solve
 from nsdyn.energy import Works
 from nsdyn.impacts import Impact, strike
 from nsdyn.joints import JointRows
@@ -76,6 +76,10 @@ class System(NamedTuple):
     def slow(self) -> float:
         """The least of what is `deep`."""
         return DEEP * float(self.inscribed.min(initial=np.inf))
+
+    def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:
+        """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
+        return self.detector.touches(begin, end, memory, known, FAST * self.inscribed)
 
     def deep(self, contacts: ContactSet) -> Array:
         """Overlaps, m, that a step may catch: deeper ones are impacts to be located; of joint limits DEEP JOINT."""
@@ -234,11 +238,16 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
         joints = _caught_limits(s, joints, begin, forces.v, after, barred)
     start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     surfaces = d.surfaces.mean(begun, ended, 0.5), ended
+    touched = np.empty(0, np.int64)
     for look in range(LOOKS):
         # Impulses, and half a free flow.
         met = meet(d, contacts, joints, middle, forces, start, reach, surfaces, after)
         met, impact, kick = _struck(s, met, h)
-        problem, solution = solve(met, s.solver, after, s.closed)
+        slides = foresee(met)
+        if look:
+            _resume(met, slides, *last)
+        most = 0 if barred is None else SOLVES
+        problem, solution, otherwise = solve(met, s.solver, after, s.closed, slides, look > 0, most)
         v_plus = forces.v + kick + met.rows.velocity_change(solution.r)
         impulse = None
         if d.trees:
@@ -248,14 +257,16 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
         # A step is what its motion shows: no contact that it does not reach, none that it passes through.
         if barred is not None or look == LOOKS - 1:
             break
-        real = ~_ghosts(s, met, solution.r, moved.contacts)
+        real = ~_ghosts(s, met, solution.r, moved.contacts) | np.isin(contacts.key, touched)
+        last = contacts.key, solution.r, slides
         if fast:
-            missed = s.detector.touches(Poses(*middle.placement[:2]), Poses(there.x, there.R), memory, contacts)
+            missed = s.touches(Poses(*middle.placement[:2]), Poses(there.x, there.R), memory, contacts)
             if missed.fraction.size:
                 late = carry(missed.contacts, Poses(there.x, there.R), Poses(*middle.placement[:2]))
                 contacts, memory = _merged(take(contacts, real), late, s.detector), missed.memory
+                touched = np.concatenate((touched, late.key))
                 continue
-        if real.all():
+        if real.all() and not (otherwise and look == 0):
             break
         contacts = take(contacts, real)
     placed = project(d, s.detector, moved, forces, s.closed)
@@ -283,7 +294,7 @@ def _reached(
 ) -> tuple[ContactSet, ContactMemory]:
     """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
-    touches = s.detector.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, closed)
+    touches = s.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, closed)
     deep = touches.contacts.gap < -s.deep(touches.contacts) * FAST / DEEP
     if not deep.any():
         return contacts, memory
@@ -300,6 +311,15 @@ def _merged(one: ContactSet, other: ContactSet, detector: Detector) -> ContactSe
     return ContactSet(*(column[order] for column in both))
 
 
+def _resume(met: Encounter, slides: Bools, key: Index, r: Array, slid: Bools) -> None:
+    """Start from what the last look has left: impulses and slip of the contacts of these names, and joint rows."""
+    where, nc = _law.places(key, met.contacts.key), met.contacts.gap.size
+    known, guess = where >= 0, met.guess.reshape(-1, 3)
+    guess[:nc][known] = r.reshape(-1, 3)[where[known]]
+    slides[known] = slid[where[known]]
+    guess[nc:] = r.reshape(-1, 3)[key.size :]
+
+
 def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
     """Contacts that have an impulse but are open where the motion ends: bodies pass there."""
     nc = met.frame.shape[0]
@@ -314,10 +334,10 @@ def _touched(s: System, begin: Instant, middle: Placement, end: Placement, memor
     """Time until a pair that is open where a move begins touches on its way, h if none does, s."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
     poses, before = [Poses(*place[:2]) for place in (begin.placement, middle, end)], (1.0 - s.theta) * h
-    first = s.detector.touches(poses[0], poses[1], memory, closed).fraction
+    first = s.touches(poses[0], poses[1], memory, closed).fraction
     if first.size:
         return before * float(first.min())
-    second = s.detector.touches(poses[1], poses[2], memory, closed).fraction
+    second = s.touches(poses[1], poses[2], memory, closed).fraction
     return before + s.theta * h * float(second.min(initial=1.0))
 
 

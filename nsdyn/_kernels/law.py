@@ -223,16 +223,6 @@ def offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b):
 
 
 @njit(cache=True)
-def foreseen(
-    offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn, guess, end_gap, rebound, ahead, closed,
-    slides, b,
-):  # fmt: skip
-    """`foresee` and the `offsets` that it makes, in one call."""
-    foresee(offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn, guess, slides)
-    offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b)
-
-
-@njit(cache=True)
 def reconsider(r, y, b, mu, u_begin, u, u_free, turn, slides, back):
     """Change `slides` (nc,) where the solution y = W r + b shows otherwise, and tell whether any has.
 
