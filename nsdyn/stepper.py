@@ -344,15 +344,18 @@ class Stepper:
         if hit.sum() > HITS:
             return h, self._move(begin, t, h, None)
         barred = np.unique(detector.codes(m.unmet)[hit])
+        # What rebounds is located sharply; what does not may be anywhere between closed and deep.
+        shallow = 0.5 * float(limit[hit].min())
+        aim, near = (0.0, 1e-3 * self.closed) if m.unmet.restitution[hit].any() else (shallow, shallow)
         held = begin.contacts.key[begin.contacts.gap <= self.closed]
         far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
         before, _ = detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
         moves = {h: m}
 
         def least(contacts: ContactSet, left: NDArray[np.bool_]) -> float:
-            """Least gap of what is hit, 0 where it is so small that it makes no difference."""
-            gap = float(contacts.gap[left & np.isin(detector.codes(contacts), barred)].min(initial=far.max()))
-            return 0.0 if abs(gap) <= 1e-3 * self.closed else gap
+            """Least gap of what is hit, above that aimed at; 0 where the difference does not matter."""
+            gap = float(contacts.gap[left & np.isin(detector.codes(contacts), barred)].min(initial=far.max())) + aim
+            return 0.0 if abs(gap) <= near else gap
 
         def gap(time: float) -> float:
             if time == 0.0:
