@@ -26,7 +26,7 @@ from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, Index, Solution
 from nsdyn.solvers import Solver
 
-__all__ = ["Encounter", "Warm", "meet", "solve"]
+__all__ = ["SOLVES", "Encounter", "Warm", "foresee", "meet", "solve"]
 
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
@@ -83,6 +83,10 @@ class Encounter(NamedTuple):
         Last impulses, N·s.
     drag : ndarray, shape (3 rows,)
         What surfaces that move add to u⁻ and u⁺, m/s; empty if none do.
+    rebound : ndarray, shape (rows,)
+        u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
+        Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
+        after it would be one too many, and an elastic ball would lose m g h v.
     """
 
     contacts: ContactSet
@@ -100,12 +104,18 @@ class Encounter(NamedTuple):
     end_gap: Array
     guess: Array
     drag: Array
+    rebound: Array = NOTHING
 
-    def changed(self, dv: Array) -> Encounter:
+    def changed(self, dv: Array, struck: Bools) -> Encounter:
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
         du = self.rows.full.relative_velocity(dv)
         turn = np.where(np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3), 0.0, self.turn)
-        return self._replace(u=self.u + du, u_free=self.u_free + du, turn=turn)
+        u = self.u + du
+        end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
+        return self._replace(
+            u=u, u_free=self.u_free + du, turn=turn, end_gap=end_gap,
+            rebound=np.where(struck, np.maximum(u[0::3], 0.0), 0.0),
+        )  # fmt: skip
 
 
 def meet(
@@ -163,8 +173,10 @@ def meet(
     )  # fmt: skip
 
 
-def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[FC3D, Solution]:
-    """Impulses that make the motion obey the contact law, and their problem.
+def solve(
+    met: Encounter, solver: Solver, ahead: float, closed: float, slides: Bools, back: bool, most: int
+) -> tuple[FC3D, Solution, bool]:
+    """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
 
     Parameters
     ----------
@@ -172,23 +184,30 @@ def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[
     solver : Solver
     ahead, closed : float
         h₂ [s], and the largest gap [m] that counts as closed.
+    slides : ndarray of bool, shape (nc,)
+        Which contacts slide through, as `foresee` says; changed to what the impulses show.
+    back : bool
+        Whether only those that stop are to be changed.
+    most : int
+        Most solves more for them.
     """
-    full, blocks, nc = met.rows.full, met.rows.blocks, met.frame.shape[0]
-    slides, b = np.empty(nc, np.bool_), np.empty(3 * full.nc)
-    velocities = met.u_begin, met.u, met.u_free, met.turn
-    _law.foresee(
-        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, *velocities, met.guess, slides
-    )  # fmt: skip
-    law = met.u, met.u_free, met.turn, met.end_gap
-    _law.offsets(*law, slides, ahead, closed, b)
-    problem = FC3D.from_blocks(blocks, b, met.mu)
-    solution = solver(problem, met.guess)
-    for k in range(SOLVES):
-        u_plus = solution.u - b + met.u_free
-        if not _law.reconsider(solution.r, met.mu, met.u_begin, met.u, u_plus, met.turn, slides, k > 0):
-            break
-        b = np.empty(3 * full.nc)
-        _law.offsets(*law, slides, ahead, closed, b)
+    problem, solution = FC3D.from_blocks(met.rows.blocks, met.u_free, met.mu), None
+    for k in range(most + 1):
+        b = np.empty_like(met.u_free)
+        _law.offsets(met.u, met.u_free, met.turn, met.end_gap, met.rebound, slides, ahead, closed, b)
         problem = problem.with_velocity(b)
-        solution = solver(problem, solution.r)
-    return problem, solution
+        solution = solver(problem, met.guess if solution is None else solution.r)
+        shown = solution.r, solution.u, b, met.mu, met.u_begin, met.u, met.u_free, met.turn
+        if not _law.reconsider(*shown, slides, back or k > 0):
+            return problem, solution, False
+    return problem, solution, True
+
+
+def foresee(met: Encounter) -> Bools:
+    """Which contacts slide through the step, by the friction foreseen."""
+    full, slides = met.rows.full, np.empty(met.frame.shape[0], np.bool_)
+    _law.foresee(
+        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.u_begin, met.u, met.u_free,
+        met.turn, met.guess, slides,
+    )  # fmt: skip
+    return slides

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels import law as _law
 from nsdyn._kernels import motion as _motion
-from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses, carry
+from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses, Touches, carry
 from nsdyn.dynamics import Dynamics, Forces, Middle, Placement, Position
-from nsdyn.encounter import Encounter, Warm, meet, solve
+from nsdyn.encounter import SOLVES, Encounter, Warm, foresee, meet, solve
 from nsdyn.energy import Works
 from nsdyn.impacts import Impact, strike
 from nsdyn.joints import JointRows
@@ -76,6 +76,10 @@ class System(NamedTuple):
     def slow(self) -> float:
         """The least of what is `deep`."""
         return DEEP * float(self.inscribed.min(initial=np.inf))
+
+    def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:
+        """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
+        return self.detector.touches(begin, end, memory, known, FAST * self.inscribed)
 
     def deep(self, contacts: ContactSet) -> Array:
         """Overlaps, m, that a step may catch: deeper ones are impacts to be located; of joint limits DEEP JOINT."""
@@ -234,11 +238,16 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
         joints = _caught_limits(s, joints, begin, forces.v, after, barred)
     start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     surfaces = d.surfaces.mean(begun, ended, 0.5), ended
+    touched = np.empty(0, np.int64)
     for look in range(LOOKS):
         # Impulses, and half a free flow.
         met = meet(d, contacts, joints, middle, forces, start, reach, surfaces, after)
         met, impact, kick = _struck(s, met, h)
-        problem, solution = solve(met, s.solver, after, s.closed)
+        slides = foresee(met)
+        if look:
+            _resume(met, slides, *last)
+        most = 0 if barred is None else SOLVES
+        problem, solution, otherwise = solve(met, s.solver, after, s.closed, slides, look > 0, most)
         v_plus = forces.v + kick + met.rows.velocity_change(solution.r)
         impulse = None
         if d.trees:
@@ -248,14 +257,16 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
         # A step is what its motion shows: no contact that it does not reach, none that it passes through.
         if barred is not None or look == LOOKS - 1:
             break
-        real = ~_ghosts(s, met, solution.r, moved.contacts)
+        real = ~_ghosts(s, met, solution.r, moved.contacts) | np.isin(contacts.key, touched)
+        last = contacts.key, solution.r, slides
         if fast:
-            missed = s.detector.touches(Poses(*middle.placement[:2]), Poses(there.x, there.R), memory, contacts)
+            missed = s.touches(Poses(*middle.placement[:2]), Poses(there.x, there.R), memory, contacts)
             if missed.fraction.size:
                 late = carry(missed.contacts, Poses(there.x, there.R), Poses(*middle.placement[:2]))
                 contacts, memory = _merged(take(contacts, real), late, s.detector), missed.memory
+                touched = np.concatenate((touched, late.key))
                 continue
-        if real.all():
+        if real.all() and not (otherwise and look == 0):
             break
         contacts = take(contacts, real)
     placed = project(d, s.detector, moved, forces, s.closed)
@@ -283,7 +294,7 @@ def _reached(
 ) -> tuple[ContactSet, ContactMemory]:
     """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
-    touches = s.detector.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, closed)
+    touches = s.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, closed)
     deep = touches.contacts.gap < -s.deep(touches.contacts) * FAST / DEEP
     if not deep.any():
         return contacts, memory
@@ -300,6 +311,15 @@ def _merged(one: ContactSet, other: ContactSet, detector: Detector) -> ContactSe
     return ContactSet(*(column[order] for column in both))
 
 
+def _resume(met: Encounter, slides: Bools, key: Index, r: Array, slid: Bools) -> None:
+    """Start from what the last look has left: impulses and slip of the contacts of these names, and joint rows."""
+    where, nc = _law.places(key, met.contacts.key), met.contacts.gap.size
+    known, guess = where >= 0, met.guess.reshape(-1, 3)
+    guess[:nc][known] = r.reshape(-1, 3)[where[known]]
+    slides[known] = slid[where[known]]
+    guess[nc:] = r.reshape(-1, 3)[key.size :]
+
+
 def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
     """Contacts that have an impulse but are open where the motion ends: bodies pass there."""
     nc = met.frame.shape[0]
@@ -314,10 +334,10 @@ def _touched(s: System, begin: Instant, middle: Placement, end: Placement, memor
     """Time until a pair that is open where a move begins touches on its way, h if none does, s."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
     poses, before = [Poses(*place[:2]) for place in (begin.placement, middle, end)], (1.0 - s.theta) * h
-    first = s.detector.touches(poses[0], poses[1], memory, closed).fraction
+    first = s.touches(poses[0], poses[1], memory, closed).fraction
     if first.size:
         return before * float(first.min())
-    second = s.detector.touches(poses[1], poses[2], memory, closed).fraction
+    second = s.touches(poses[1], poses[2], memory, closed).fraction
     return before + s.theta * h * float(second.min(initial=1.0))
 
 
@@ -405,7 +425,7 @@ def _struck(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | No
 
     What the others meet then, the impacts, and the change of v by them, 0 where there are none.
     """
-    if not met.restitution.any():
+    if not _law.any_positive(met.restitution):
         return met, None, 0.0
     fall = 2.0 * s.dt / h * np.abs((met.u_free - met.u)[0::3])
     closes = met.end_gap + s.theta * h * (met.u_free + met.turn)[0::3] <= 0.0
@@ -417,7 +437,7 @@ def _struck(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | No
     closed = struck | (met.end_gap <= s.closed)
     impact = _strike(s, met, closed, resting, resting)
     kick = met.rows.velocity_change(impact.r)
-    return met.changed(kick), impact, kick
+    return met.changed(kick, struck), impact, kick
 
 
 def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:
@@ -447,7 +467,7 @@ def collide(
     joints = d.joint_rows(at.position, at.v, at.v, 0.0)
     if not (d.surfaces.count or (joints is not None and _hits(s, joints, at.v, h))):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
-        limit = s.solver.tol if c.restitution.any() else s.slow / h
+        limit = s.solver.tol if _law.any_positive(c.restitution) else s.slow / h
         if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -limit:
             return None
     contacts = take(c, c.gap <= s.closed)
@@ -457,9 +477,9 @@ def collide(
     met = meet(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0)
     # What the solver's tolerance leaves of a velocity is no approach.
     resting = s.solver.tol + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
-    slow, nc = resting, contacts.gap.size
-    depth = np.full(slow.size, DEEP * JOINT)
-    depth[:nc] = s.deep(contacts)
+    # What was pressed before turns with its bodies: it closes a little without striking.
+    slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, DEEP * JOINT)
+    depth[:nc] = np.where(np.isin(contacts.key, at.warm.key[at.warm.status > 0]), np.inf, s.deep(contacts))
     slow = np.where(met.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
     if impact.problem is None or impact.solution is None:
@@ -486,17 +506,17 @@ def _account(
     d, nc, nr = s.dynamics, met.frame.shape[0], met.mu.size
     normal, friction, total, u_end = np.zeros(nr), np.zeros(nr), r, met.u if impact is None else impact.u
     status, world, works, created = np.zeros(nc, np.int8), np.zeros((nc, 3)), Works(), 0.0
+    if h > 0.0:
+        external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
+        works = Works(external, integration=beyond)
     if r.size:
         struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
-        u_plus = met.rows.full.relative_velocity(velocities[2])
-        if met.drag.size:
-            u_plus += met.drag
+        full = met.rows.full
         done = _law.outcome(
-            r, met.mu, met.place, met.status, struck, met.u, met.u_free, u_plus, met.turn, met.frame, status, normal,
-            friction, u_end, world,
+            full.offset, full.block, full.start, full.h, velocities[2], met.drag, r, met.mu, met.place, met.status,
+            struck, met.u, met.u_free, met.turn, met.frame, status, normal, friction, u_end, world,
         )  # fmt: skip
-        external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
-        works = Works(external, done[0], done[1], integration=done[2] + beyond)
+        works += Works(0.0, *done[:2], integration=done[2])
     if impact is not None:
         total = total + impact.r if r.size else impact.r
         normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels import law as _law
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Forces, Placement, Position
 from nsdyn.problem import FC3D, Array
@@ -93,10 +94,12 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         problem = FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size))
         push = Auto(tol=max(COARSE, -0.5 * closed / deepest))(problem).r
         moved = dynamics.shift(placed.position, -deepest * rows.velocity_change(push))
-        placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory)
+        # What the next shift may reach, which is about as far as this one, must be seen.
+        near = np.full(dynamics.frames, -deepest)
+        placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory, near)
     return placed._replace(clear=_least(placed) >= -closed)
 
 
 def _least(placed: Placed) -> float:
     """The least gap, 0 if none is negative."""
-    return min(float(placed.contacts.gap.min(initial=0.0)), float(placed.limits.min(initial=0.0)))
+    return min(_law.least(placed.contacts.gap), _law.least(placed.limits))

@@ -170,13 +170,13 @@ def test_disk_under_a_box_is_cut_exactly():
     x, y, _ = c.point.T
     assert (np.hypot(x, y) < 0.6 + 1e-14).all()
     assert (np.maximum(np.abs(x - 0.1), np.abs(y - 0.05)) < 0.5 + 1e-14).all()
-    np.testing.assert_allclose(c.gap, 0.0, atol=1e-15)
+    np.testing.assert_allclose(c.gap, 0.0, rtol=0, atol=1e-15)
 
 
 def test_small_box_inside_a_disk():
     c = contacts_of((shapes.cylinder(2.0, 1.0), np.zeros(3), UPRIGHT), (BOX, (0.1, 0, 0.8), UPRIGHT))
     np.testing.assert_allclose(sorted(map(tuple, c.point)), [
-        (-0.4, -0.4, 0.5), (-0.4, 0.4, 0.5), (0.6, -0.4, 0.5), (0.6, 0.4, 0.5)], atol=1e-15)  # fmt: skip
+        (-0.4, -0.4, 0.5), (-0.4, 0.4, 0.5), (0.6, -0.4, 0.5), (0.6, 0.4, 0.5)], rtol=0, atol=1e-15)  # fmt: skip
 
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-9, 1e-4, 0.3])
@@ -218,7 +218,7 @@ def test_parallel_round_sides_touch_at_both_ends_of_the_overlap(first, second, r
         Q = random_rotation(rng)
         c = contacts_of((first, np.zeros(3), Q), (second, Q @ [0.4, 0, 0.4], Q))
         assert len(c.gap) == 2
-        np.testing.assert_allclose(c.gap, 0.0, atol=1e-14)
+        np.testing.assert_allclose(c.gap, 0.0, rtol=0, atol=1e-14)
         expected = np.array([[0.2, 0, 0.1], [0.2, 0, 0.5]]) @ Q.T
         np.testing.assert_allclose(c.point[np.argsort(c.point @ Q[:, 2])], expected, rtol=0, atol=1e-13)
 
@@ -260,7 +260,7 @@ def test_parallel_edges_touch_twice():
     c = contacts_of((cube, np.zeros(3), on_edge), (cube, (0.25, 0, np.sqrt(2)), on_edge))
     np.testing.assert_allclose(np.sort(c.point[:, 0]), [-0.25, 0.5], rtol=0, atol=1e-14)
     np.testing.assert_allclose(c.normal, np.tile([0.0, 0.0, 1.0], (2, 1)), rtol=0, atol=1e-5)  # Coal's direction
-    np.testing.assert_allclose(c.gap, 0.0, atol=1e-10)
+    np.testing.assert_allclose(c.gap, 0.0, rtol=0, atol=1e-10)
 
 
 # -- one point ---------------------------------------------------------------------------------------------
@@ -610,4 +610,4 @@ def test_mesh_touches_as_its_hull(rng):
     c = contacts_of((shapes.box((9, 9, 1)), np.zeros(3), UPRIGHT), (shape, (0, 0, 1.0), UPRIGHT))
     assert len(c.gap) == 5
     np.testing.assert_array_equal(c.normal, np.tile([0.0, 0.0, 1.0], (5, 1)))
-    np.testing.assert_allclose(c.gap, 0.0, atol=1e-15)
+    np.testing.assert_allclose(c.gap, 0.0, rtol=0, atol=1e-15)

@@ -34,7 +34,7 @@ def solved():
 def test_zero_on_solved_problems(solved, residual, name):
     # Impulses and velocities of order 1, solved to 1e-12 or round-off. Fischer–Burmeister at a contact where both
     # parts touch the boundary squares small numbers and takes the root: 1e-8 is the root of round-off.
-    np.testing.assert_allclose(residual(CASES[name], solved[name]), 0.0, atol=3e-8)
+    np.testing.assert_allclose(residual(CASES[name], solved[name]), 0.0, rtol=0, atol=3e-8)
 
 
 @pytest.mark.parametrize("residual", RESIDUALS, ids=lambda f: f.__name__)
@@ -50,8 +50,8 @@ def test_normal_map(solved, name):
     u = problem.velocity(r).reshape(-1, 3)
     z = r - (cones.saxce(u, problem.mu) / problem.scales[:, None]).ravel()
     # z is off by the round-off of r and u alone.
-    np.testing.assert_allclose(fm.residual_normal_map(problem, z), 0.0, atol=1e-10)
-    np.testing.assert_allclose(cones.project(z.reshape(-1, 3), problem.mu).ravel(), r, atol=1e-10)
+    np.testing.assert_allclose(fm.residual_normal_map(problem, z), 0.0, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(cones.project(z.reshape(-1, 3), problem.mu).ravel(), r, rtol=0, atol=1e-10)
 
 
 @pytest.mark.skipif(not FILES.is_dir(), reason="the folder of FCLIB problems is not here")
@@ -110,7 +110,7 @@ def test_split_steps_in_the_jacobian(rng):
     J = fm.jacobian(problem, r, "alart-curnier", rho).toarray()
     F = lambda x: fm.residual_alart_curnier(problem, x, rho)  # noqa: E731
     slope = np.column_stack([(F(r + h * e) - F(r - h * e)) / (2 * h) for e in np.eye(6)])
-    np.testing.assert_allclose(J, slope, atol=1e-6)  # as above, W of order 10
+    np.testing.assert_allclose(J, slope, rtol=0, atol=1e-6)  # as above, W of order 10
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -129,7 +129,7 @@ def test_partial_derivatives_split_the_identity(name, rng):
         spectrum = np.linalg.eigvals(np.eye(3) - F_r @ scale)
         assert np.abs(spectrum).max() < 1 + 1e-12
     else:
-        np.testing.assert_allclose(F_u[:, 1:, 1:] + F_r[:, 1:, 1:], np.tile(np.eye(2), (200, 1, 1)), atol=1e-14)
+        np.testing.assert_allclose(F_u[:, 1:, 1:] + F_r[:, 1:, 1:], np.tile(np.eye(2), (200, 1, 1)), rtol=0, atol=1e-14)
         np.testing.assert_allclose(F_u[:, 0, 0] + F_r[:, 0, 0], 1.0)
 
 
@@ -141,7 +141,7 @@ def test_fischer_burmeister_is_zero_exactly_on_complementary_pairs(rng):
     u = hat.copy()
     u[:, 0] -= mu * np.hypot(u[:, 1], u[:, 2])
     F = fm.fischer_burmeister(u, r, mu, np.ones((300, 1)))[0]
-    np.testing.assert_allclose(F, 0.0, atol=1e-7)  # root of round-off at the apex
+    np.testing.assert_allclose(F, 0.0, rtol=0, atol=1e-7)  # root of round-off at the apex
 
 
 def test_bad_arguments():

@@ -29,7 +29,7 @@ def test_urdf(robot):
     capsule, mesh, tip = a.links[1], a.links[4], a.links[5]
     np.testing.assert_allclose(capsule.shape.size, (0.1, 0.15, 0))
     np.testing.assert_allclose(capsule.placement.translation, (0, 0, 0.5))
-    np.testing.assert_allclose(capsule.placement.rotation, pin.rpy.rpyToMatrix(0, 0.3, 0), atol=1e-15)
+    np.testing.assert_allclose(capsule.placement.rotation, pin.rpy.rpyToMatrix(0, 0.3, 0), rtol=0, atol=1e-15)
     # Scaled and mirrored in y; the origin of a shape is its centroid. The file holds float32.
     np.testing.assert_allclose(np.ptp(mesh.shape.vertices, axis=0), (0.1, 0.4, 0.3), rtol=1e-6)
     np.testing.assert_allclose(mesh.placement.translation, (0.05, -0.2, 0.15), rtol=1e-6)
@@ -178,10 +178,10 @@ def test_mjcf_loops(mjcf):
     point, weld = a.loops
     body = data.oMf[a.model.getFrameId("b", pin.FrameType.BODY)]
     np.testing.assert_allclose(
-        (data.oMi[3] * point.placement1).translation, body.act(np.array([0, 0, 0.1])), atol=1e-15
+        (data.oMi[3] * point.placement1).translation, body.act(np.array([0, 0, 0.1])), rtol=0, atol=1e-15
     )
     np.testing.assert_allclose(
-        (data.oMi[3] * point.placement1).translation, (data.oMi[4] * point.placement2).translation, atol=1e-15
+        (data.oMi[3] * point.placement1).translation, (data.oMi[4] * point.placement2).translation, rtol=0, atol=1e-15
     )
     assert (data.oMi[2] * weld.placement1).isApprox(data.oMi[5] * weld.placement2, 1e-14)
 
@@ -190,7 +190,7 @@ def test_mjcf_keyframe(mjcf):
     a = loaded_mjcf(mjcf, keyframe="home")
     # Quaternions of the file are w x y z.
     expected = [0, 0, 2, 0, 0, 0.8, 0.6, 0.3, 0.05, 0, 0.8, 0, 0.6, 0.1, 0.2, 2, 0, 3, 0, 0, 0, 1, 0.5]
-    np.testing.assert_allclose(a.q, expected, atol=1e-15)
+    np.testing.assert_allclose(a.q, expected, rtol=0, atol=1e-15)
     with pytest.raises(ValueError, match=r"keyframe must be one of \['home'\], got 'away'"):
         nd.Scene().add_mjcf("m", mjcf, keyframe="away")
 
@@ -217,10 +217,10 @@ def test_mjcf_against_mujoco(mjcf, rng):
     mujoco.mj_forward(theirs, data)
     M = np.zeros((theirs.nv, theirs.nv))
     mujoco.mj_fullM(theirs, data, M)
-    np.testing.assert_allclose(turn.T @ pin.crba(a.model, placed, q) @ turn, M, atol=1e-13)
+    np.testing.assert_allclose(turn.T @ pin.crba(a.model, placed, q) @ turn, M, rtol=0, atol=1e-13)
     a.model.gravity = pin.Motion(np.array([0, 0, -9.0]), np.zeros(3))
     bias = pin.nonLinearEffects(a.model, placed, q, v)
-    np.testing.assert_allclose(turn.T @ bias, data.qfrc_bias, atol=1e-12)
+    np.testing.assert_allclose(turn.T @ bias, data.qfrc_bias, rtol=0, atol=1e-12)
     np.testing.assert_allclose(a.damping, theirs.dof_damping.ravel()[: a.model.nv])
     np.testing.assert_allclose(a.friction, theirs.dof_frictionloss)
     np.testing.assert_allclose(a.armature, theirs.dof_armature)
@@ -339,8 +339,8 @@ def test_sdf(sdf):
     J = pin.computeFrameJacobian(
         a.model, data, a.q, a.model.getFrameId("a", pin.FrameType.BODY), pin.LOCAL_WORLD_ALIGNED
     )[:, 6]  # fmt: skip
-    np.testing.assert_allclose(J[3:], base.rotation[:, 2], atol=1e-14)
-    np.testing.assert_allclose(J[:3], np.cross(base.rotation[:, 2], 0.1 * link_a.rotation[:, 2]), atol=1e-14)
+    np.testing.assert_allclose(J[3:], base.rotation[:, 2], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(J[:3], np.cross(base.rotation[:, 2], 0.1 * link_a.rotation[:, 2]), rtol=0, atol=1e-14)
     assert pin.computeTotalMass(a.model) == pytest.approx(5.1, rel=1e-15)
 
 
@@ -407,8 +407,8 @@ def test_sdf_against_urdf(robot, tmp_path, rng):
     for a in scene.articulations.values():
         M.append(pin.crba(a.model, a.model.createData(), q))
         bias.append(pin.nonLinearEffects(a.model, a.model.createData(), q, v))
-    np.testing.assert_allclose(M[0], M[1], atol=1e-14)
-    np.testing.assert_allclose(bias[0], bias[1], atol=1e-14)
+    np.testing.assert_allclose(M[0], M[1], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(bias[0], bias[1], rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ def test_solves(solver, name):
     solution = solver(problem)
     assert solution.converged, solution.status.message
     assert problem.error(solution.r) <= 1e-8 and problem.residual(solution.r) <= 1e-8
-    np.testing.assert_allclose(solution.u, problem.W @ solution.r + problem.q, atol=1e-12)
+    np.testing.assert_allclose(solution.u, problem.W @ solution.r + problem.q, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -43,8 +43,8 @@ def test_velocities_agree(name):
     problem = CASES[name]
     u = [nd.solve(problem, s, tol=1e-9).u for s in ("pgs", "newton", "auto")]
     # The corner box has one velocity although not one impulse; ten times the tolerance over the stiffness of order 1.
-    np.testing.assert_allclose(u[1], u[0], atol=1e-7)
-    np.testing.assert_allclose(u[2], u[0], atol=1e-7)
+    np.testing.assert_allclose(u[1], u[0], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(u[2], u[0], rtol=0, atol=1e-7)
 
 
 def test_exact_guess_costs_nothing(solver):
@@ -58,7 +58,7 @@ def test_exact_guess_costs_nothing(solver):
 def test_scaled_mass(factor):
     problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
     scaled = nd.FC3D(problem.W / factor, problem.q, problem.mu)
-    np.testing.assert_allclose(nd.solve(scaled).u, nd.solve(problem).u, atol=1e-8)
+    np.testing.assert_allclose(nd.solve(scaled).u, nd.solve(problem).u, rtol=0, atol=1e-8)
 
 
 def test_permuted_contacts_give_the_same_velocity(rng):
@@ -67,7 +67,7 @@ def test_permuted_contacts_give_the_same_velocity(rng):
     rows = (3 * order[:, None] + np.arange(3)).ravel()
     W = problem.W.toarray()[np.ix_(rows, rows)]
     u = nd.solve(nd.FC3D(W, problem.q[rows], problem.mu[order])).u
-    np.testing.assert_allclose(u, nd.solve(problem).u[rows], atol=1e-8)
+    np.testing.assert_allclose(u, nd.solve(problem).u[rows], rtol=0, atol=1e-8)
 
 
 def test_failure_is_a_status_not_an_exception():
@@ -95,7 +95,7 @@ def test_sweep_against_its_definition(rng):
         one = nd.FC3D(W[i, i], q, problem.mu[c : c + 1])
         expected[i] = nd.solve(one, tol=1e-13).r
     sweeps.sweep_matrix(sweeps.matrix(*problem.csr), problem.q, problem.mu, r)
-    np.testing.assert_allclose(r, expected, atol=1e-11)
+    np.testing.assert_allclose(r, expected, rtol=0, atol=1e-11)
 
 
 def test_sweep_by_factors_is_the_sweep_by_matrix(rng):
@@ -105,14 +105,14 @@ def test_sweep_by_factors_is_the_sweep_by_matrix(rng):
     W = sweeps.factors(blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.minv)
     np.testing.assert_allclose(W.diagonal, problem.W.toarray().reshape(blocks.nc, 3, blocks.nc, 3)[
         np.arange(blocks.nc), :, np.arange(blocks.nc)
-    ], atol=1e-13)  # fmt: skip
+    ], rtol=0, atol=1e-13)  # fmt: skip
     r = rng.uniform(-0.01, 0.1, 3 * blocks.nc)
     expected, v = r.copy(), blocks.velocity_change(r)
     for _ in range(3):
         sweeps.sweep_matrix(sweeps.matrix(*problem.csr), problem.q, problem.mu, expected)
         sweeps.sweep_factors(W, problem.q, problem.mu, v, r)
-    np.testing.assert_allclose(r, expected, atol=1e-13)  # round-off of impulses below 1
-    np.testing.assert_allclose(v, blocks.velocity_change(r), atol=1e-13)
+    np.testing.assert_allclose(r, expected, rtol=0, atol=1e-13)  # round-off of impulses below 1
+    np.testing.assert_allclose(v, blocks.velocity_change(r), rtol=0, atol=1e-13)
 
 
 def test_newton_matrix_dense_and_sparse(rng):
@@ -128,14 +128,14 @@ def test_newton_matrix_dense_and_sparse(rng):
     K = np.empty((blocks.n, blocks.n))
     where = blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, A
     kernels.assemble_dense(*where, K)
-    np.testing.assert_allclose(K, expected, atol=1e-12)
+    np.testing.assert_allclose(K, expected, rtol=0, atol=1e-12)
     indptr, indices, slot, diagonal = matrix.pattern(blocks.offset, blocks.block)
     data = np.empty(indices.size)
     matrix.assemble_sparse(*where, indptr, slot, diagonal, data)
     import scipy.sparse as sp
 
     sparse = sp.csc_array((data, indices, indptr), shape=K.shape)
-    np.testing.assert_allclose(sparse.toarray(), expected, atol=1e-12)
+    np.testing.assert_allclose(sparse.toarray(), expected, rtol=0, atol=1e-12)
 
 
 def test_unknown_solver_and_tolerance():

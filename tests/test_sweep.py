@@ -100,7 +100,7 @@ def test_nothing_goes_through_a_thin_wall(shape, rng):
         wall = detector(shapes.box((3.0, 3.0, 0.01)), B)
         found = wall.touches(begin, end, EMPTY)
         assert found.contacts.gap.size >= 1
-        np.testing.assert_allclose(found.contacts.normal, np.tile(Q[:, 2], (len(found.fraction), 1)), atol=1e-4)
+        np.testing.assert_allclose(found.contacts.normal, np.tile(Q[:, 2], (len(found.fraction), 1)), rtol=0, atol=1e-4)
         away = poses((np.zeros(3), Q), (Q @ (x + np.array([0, 0, 1])), R))
         assert wall.touches(begin, away, EMPTY).contacts.gap.size == 0
 
@@ -169,7 +169,7 @@ def test_gaps_at_the_end_pose(rng):
             top = (cube.vertices @ R.T + end.x[0]) @ n
             assert gaps[k] == pytest.approx(((cube.vertices @ tilt.T + end.x[1]) @ n).min() - top.max(), abs=1e-12)
     none = d.gaps(c, found._replace(key=found.key[:0], gap=found.gap[:0]), end)
-    np.testing.assert_allclose(none[c.geom1 == 0], 2e-3, atol=1e-12)
+    np.testing.assert_allclose(none[c.geom1 == 0], 2e-3, rtol=0, atol=1e-12)
 
 
 def test_pairs_left_out_and_keys_go_on():
@@ -224,7 +224,7 @@ def test_carry_keeps_points_on_their_bodies(rng):
         for f, side in ((c.frame1[k], -0.5), (c.frame2[k], 0.5)):
             a = c.point[k] + side * c.gap[k] * c.normal[k]
             p.append(a if f < 0 else end.x[f] + end.R[f] @ begin.R[f].T @ (a - begin.x[f]))
-        np.testing.assert_allclose(moved.point[k], 0.5 * (p[0] + p[1]), atol=1e-14)
+        np.testing.assert_allclose(moved.point[k], 0.5 * (p[0] + p[1]), rtol=0, atol=1e-14)
         assert moved.gap[k] == pytest.approx(c.normal[k] @ (p[1] - p[0]), abs=1e-14)
     np.testing.assert_array_equal(moved.normal, c.normal)
-    np.testing.assert_allclose(carry(c, begin, begin).gap, c.gap, atol=1e-14)
+    np.testing.assert_allclose(carry(c, begin, begin).gap, c.gap, rtol=0, atol=1e-14)

@@ -119,9 +119,9 @@ def test_pushed_motion_is_of_second_order():
     def pushed(h):
         return follow(t, q, v, h, round(0.64 / h), impulse=lambda half: push)
 
-    np.testing.assert_allclose(orders(lambda h: np.abs(pushed(h)[0] - exact).max(), steps), 2.0, atol=0.1)
+    np.testing.assert_allclose(orders(lambda h: np.abs(pushed(h)[0] - exact).max(), steps), 2.0, rtol=0, atol=0.1)
     errors = [sum(abs(w.integration) for w in pushed(h)[2]) for h in steps]
-    np.testing.assert_allclose(np.diff(-np.log2(errors)), 2.0, atol=0.2)
+    np.testing.assert_allclose(np.diff(-np.log2(errors)), 2.0, rtol=0, atol=0.2)
 
 
 @pytest.mark.parametrize("mechanism", ["bricard", "four bars"])
@@ -214,9 +214,9 @@ def test_twists_are_the_rates_of_the_poses(rng):
     q, v, s = pin.neutral(t.model), rng.normal(size=t.model.nv), 1e-6
     linear, angular = t.twists(t.links(q), v)
     ahead, behind = (t.links(pin.integrate(t.model, q, sign * s * v)) for sign in (1.0, -1.0))
-    np.testing.assert_allclose(linear, (ahead.x - behind.x) / (2 * s), atol=1e-8)
+    np.testing.assert_allclose(linear, (ahead.x - behind.x) / (2 * s), rtol=0, atol=1e-8)
     turned = [pin.log3(b @ a.T) / (2 * s) for a, b in zip(behind.R, ahead.R, strict=True)]
-    np.testing.assert_allclose(angular, turned, atol=1e-8)
+    np.testing.assert_allclose(angular, turned, rtol=0, atol=1e-8)
 
 
 def test_a_driven_joint_does_the_work_of_its_speed():
@@ -234,7 +234,7 @@ def test_a_driven_joint_does_the_work_of_its_speed():
         scene.add_model("a", model, q=(0.0, 1.0), v=(1.5, 2.0), collisions={"pole": [sphere(0.1)]})
         scene.set_motion("a/cart", velocity=1.5)
         trajectory = nd.simulate(scene, 1.0, dt)
-        np.testing.assert_allclose(trajectory.v[:, 0], 1.5, atol=1e-12)
+        np.testing.assert_allclose(trajectory.v[:, 0], 1.5, rtol=0, atol=1e-12)
         total = trajectory.energy.total
         return trajectory.energy.constraint.sum(), total[-1] - total[0]
 

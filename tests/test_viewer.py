@@ -319,7 +319,7 @@ def test_articulation_is_drawn_link_by_link():
         assert viewer._body_path(frame) in {p.rpartition("/")[0] for p in by_path(page, "set_object")}
     link = next(name for name in trajectory.scene["frames"] if name.startswith("arm/"))
     track = next(t for t in moving[viewer._body_path(link)]["tracks"] if t["name"] == ".quaternion")
-    np.testing.assert_allclose(floats(track["values"], 4)[-1], trajectory.body(link).quaternion[-1], atol=1e-7)
+    np.testing.assert_allclose(floats(track["values"], 4)[-1], trajectory.body(link).quaternion[-1], rtol=0, atol=1e-7)
 
 
 # -- in a browser --------------------------------------------------------------------------------------------
