@@ -142,9 +142,9 @@ def meet(
     u at v, u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces
     that move (`carried` and `drag` as in `begin_velocities`, but all of these at the twists of the impulses, and
     `drag_end` with those of the end) and the normal velocities of joint friction (`press`, empty for none). end_gap =
-    gap - ahead/2 turn_N: the parabola whose speed at the end of the step, `ahead` seconds later, is 0. Returns the
-    places of the contacts among the old ones, whose impulses in world axes start the solver; they need not be those
-    found where the step begins.
+    gap - ahead/2 turn_N, but for what the twists change: the parabola whose speed at the end of the step, `ahead`
+    seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in world axes start the
+    solver; they need not be those found where the step begins.
     """
     nc = key.size
     relative_velocity(offset, block, start, h, v, u)
@@ -162,12 +162,13 @@ def meet(
         u_free[i] += drag[i]
     for i in range(u.size):
         turn[i] = u[i] - u_begin[i]
+    for c in range(nc):
+        end_gap[c] = gap[c] - 0.5 * ahead * turn[3 * c]
+    # Driven bodies go with the twist of the end all the way from here, which needs no time to be reached.
     for i in range(drag.size):
         turn[i] += drag_end[i] - drag[i]
     for i in range(press.size):
         u_free[i] += press[i]
-    for c in range(nc):
-        end_gap[c] = gap[c] - 0.5 * ahead * turn[3 * c]
     return place
 
 
