@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from nsdyn import fclib, gauss, impacts
+from nsdyn.collisions import collide
 from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
-from nsdyn.move import Impulses, Instant, Move, System, Unmet, collide, move, others, take
+from nsdyn.instant import Impulses, Instant, System, take
+from nsdyn.move import Move, move
 from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution, Status
 from nsdyn.projection import place
 from nsdyn.scene import Geom, Scene
+from nsdyn.sight import Unmet, others
 from nsdyn.solvers import Auto, Solver
 from nsdyn.trajectory import Recorder, Trajectory
 
@@ -248,9 +251,10 @@ class Stepper:
         closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(closed, self.solver.tol * self.dt)
+        inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
         self.system = System(
-            self.dynamics, self.detector, self.solver, self.theta, self.dt, self.closed,
-            np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms]), impact,
+            self.dynamics, self.detector, self.solver, self.theta, self.dt, self.closed, inscribed,
+            float(inscribed.min(initial=np.inf)), impact,
         )  # fmt: skip
         if impact == "poisson" and len(rebounds := scene.restitutions()) > 1:
             warnings.warn(
@@ -316,8 +320,8 @@ class Stepper:
         for cut in range(2 * CUTS):
             t = s.next_t - left
             if (struck := collide(self.system, now, t, left, rate)) is not None:
-                now, impulses, more, problem = struck
-                done, solved, works = [*done, impulses], [*solved, problem], works + more
+                now, impulses, more, pair = struck
+                done, solved, works = [*done, impulses], [*solved, pair], works + more
             length, m = self._until_impact(now, t, left) if cut < CUTS else (left, self._move(now, t, left, None))
             now, rate, left, clear = m.end, m.rate, left - length, m.clear
             done, solved, works = [*done, m.impulses], [*solved, (m.problem, m.solution)], works + m.works
@@ -344,7 +348,7 @@ class Stepper:
         if m.touched < h:
             # Not much farther, so that what is hit is seen from the side where it is.
             far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
-            within = m.touched + 0.05 * h * float(s.inscribed.min()) / float(far.max())
+            within = m.touched + 0.05 * h * s.smallest / float(far.max())
             if within < h:
                 return self._until_impact(begin, t, within)
         if m.unmet is None:
@@ -446,9 +450,10 @@ def _worst(solved: list[tuple[FC3D, Solution]]) -> tuple[FC3D, Solution]:
 
 def _joined(done: list[Impulses]) -> Impulses:
     """All that acted in a step, one after the other."""
-    contacts = ContactSet(*(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True)))
-    columns = [np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7]]
-    return Impulses(contacts, *columns, sum(a.joints for a in done), sum(a.created for a in done))
+    contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
+    frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
+    joints = np.sum([a.joints for a in done], axis=0)
+    return Impulses(contacts, frame, u, r, status, normal, friction, joints, sum(a.created for a in done))
 
 
 def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:

@@ -98,6 +98,15 @@ def least(x):
 
 
 @njit(cache=True)
+def most(x):
+    """The largest entry, or 0 if none is positive."""
+    out = 0.0
+    for i in range(x.size):
+        out = max(out, x[i])
+    return out
+
+
+@njit(cache=True)
 def approach(frame1, frame2, point, normal, x, linear, angular, out):
     """Normal velocities of contacts whose frames move as in `begin_velocities`, m/s, into out (nc,)."""
     for c in range(out.size):
@@ -272,7 +281,8 @@ def outcome(
 
     `states`; works (rows,) are those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns
     the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact
-    that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first step only
+    that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first step
+    only
     closed the gap; joint rows always do work.
     """
     nc, u_plus = status.size, np.empty(u.size)
