@@ -243,17 +243,17 @@ class Stepper:
         if self.dump_on_fail is not None and self.dump_on_fail.is_file():
             raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
-        self.solver: Solver = Auto() if solver is None else solver
+        solver = Auto() if solver is None else solver
         self.controller, self.external_force, self.on_fail = controller, external_force, on_fail
         self.dynamics, geoms = Dynamics(scene), scene.geoms()
         self.detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms), max_points)
         # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
         closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
-        self.closed = max(closed, self.solver.tol * self.dt)
+        self.closed = max(closed, solver.tol * self.dt)
         inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
         self.system = System(
-            self.dynamics, self.detector, self.solver, self.theta, self.dt, self.closed, inscribed,
+            self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
             float(inscribed.min(initial=np.inf)), impact,
         )  # fmt: skip
         if impact == "poisson" and len(rebounds := scene.restitutions()) > 1:
@@ -283,6 +283,11 @@ class Stepper:
     def t(self) -> float:
         """Time in s."""
         return self._state.t
+
+    @property
+    def solver(self) -> Solver:
+        """Of the contact problems."""
+        return self.system.solver
 
     def get_state(self) -> State:
         """State after the last step; with `set_state` a run goes on bit for bit, warm start included."""

@@ -401,8 +401,10 @@ def test_failing_step_is_dumped(tmp_path):
     for _ in range(3):
         stepper.step()
     assert not (tmp_path / "dumps").exists()
-    v = stepper.get_state().v.copy()
-    stepper.solver = nd.solvers.PGS(tol=1e-300)
+    state = stepper.get_state()
+    v = state.instant.v
+    stepper = nd.Stepper(stepper.scene, dt=1e-3, solver=nd.solvers.PGS(tol=1e-300), dump_on_fail=tmp_path / "dumps")
+    stepper.set_state(state)
     with pytest.raises(nd.NotConverged, match=r"its problem is in .*step-000004\.hdf5") as caught:
         stepper.step()
     path = tmp_path / "dumps" / "step-000004.hdf5"
