@@ -17,7 +17,7 @@ from nsdyn.impacts import Impact
 from nsdyn.problem import Array
 from nsdyn.solvers import Solver
 
-__all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "System", "account", "take"]
+__all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "Looked", "System", "account", "take"]
 
 NOTHING = np.empty(0)
 
@@ -32,7 +32,25 @@ falls so far is lifted again at the end, and the energy of that is numerical."""
 JOINT = 0.1
 """What counts for joint limits as the inscribed radius of a shape does, rad or m."""
 
+STILL = 1e-2
+"""Fraction of what counts as closed by which frames may have moved while the contacts that were found stay those."""
+
 Bools = NDArray[np.bool_]
+
+
+class Looked(NamedTuple):
+    """Where contacts were looked for, and how far.
+
+    Attributes
+    ----------
+    x, R : ndarray, shapes (frames, 3), (frames, 3, 3)
+    reach : ndarray, shape (frames,)
+        m.
+    """
+
+    x: Array
+    R: Array
+    reach: Array
 
 
 class System(NamedTuple):
@@ -53,6 +71,8 @@ class System(NamedTuple):
         Radii of balls inside the shapes, m; infinite of those that never move.
     smallest : float
         The least of them, m.
+    arm : ndarray, shape (frames,)
+        How far shapes reach from the origins of their frames, m.
     impact : str
         Law of impact.
     """
@@ -65,6 +85,7 @@ class System(NamedTuple):
     closed: float
     inscribed: Array
     smallest: float
+    arm: Array
     impact: str
 
     @property
@@ -75,6 +96,11 @@ class System(NamedTuple):
     def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:
         """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
         return self.detector.touches(begin, end, memory, known, FAST * self.inscribed)
+
+    def unmoved(self, looked: Looked, now: Placement, reach: Array) -> bool:
+        """Whether the contacts found somewhere are those of now, up to the gaps that `reach` (frames,) allows, m."""
+        same: bool = _law.unmoved(*looked, now.x, now.R, reach, self.arm, STILL * self.closed)
+        return same
 
     def deep(self, contacts: ContactSet) -> Array:
         """Overlaps, m, that a step may catch: deeper ones are impacts to be located; of joint limits DEEP JOINT."""
@@ -95,6 +121,8 @@ class Instant(NamedTuple):
     limits : ndarray
         Gaps of all joint limits, rad or m.
     memory : ContactMemory
+    looked : Looked
+        Where the contacts were found; not quite here if nothing has moved since.
     warm : Warm
     twists : two ndarrays of shape (frames, 3)
         Of the frames, world axes, m/s and rad/s.
@@ -106,6 +134,7 @@ class Instant(NamedTuple):
     contacts: ContactSet
     limits: Array
     memory: ContactMemory
+    looked: Looked
     warm: Warm
     twists: tuple[Array, Array]
 

@@ -14,7 +14,7 @@ from nsdyn.dynamics import Forces, Middle, Position
 from nsdyn.encounter import SOLVES, Encounter, foresee, meet, solve
 from nsdyn.energy import Works
 from nsdyn.impacts import Impact
-from nsdyn.instant import FAST, Bools, Impulses, Instant, System, account
+from nsdyn.instant import FAST, Bools, Impulses, Instant, Looked, System, account
 from nsdyn.joints import JointRows
 from nsdyn.problem import FC3D, Array, Index, Solution
 from nsdyn.projection import Placed, place, project
@@ -60,6 +60,21 @@ class Move(NamedTuple):
     unmet: Unmet | None
     touched: float
     rate: Array
+
+
+class Seen(NamedTuple):
+    """What was found where the impulses of a move act.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    memory : ContactMemory
+    looked : Looked
+    """
+
+    contacts: ContactSet
+    memory: ContactMemory
+    looked: Looked
 
 
 class Half(NamedTuple):
@@ -151,18 +166,21 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
         move then says what it ran into. None: all is caught.
     """
     half = _half(s, begin, t, h, callbacks)
-    contacts, joints, memory = _reachable(s, begin, half, barred)
-    response = _respond(s, begin, half, contacts, joints, memory, barred, None)
+    contacts, joints, seen = _reachable(s, begin, half, barred)
+    response = _respond(s, begin, half, contacts, joints, seen, barred, None)
     missed = np.empty(0, np.int64)
     for look in range(LOOKS - 1 if barred is None else 0):
         places = half.middle.placement, response.moved.placement
         found = response.moved.contacts
-        real, memory, missed = shown(s, response.met, response.solution.r, found, memory, places, half.fast, missed)
+        real, memory, missed = shown(
+            s, response.met, response.solution.r, found, seen.memory, places, half.fast, missed
+        )  # fmt: skip
+        seen = seen._replace(memory=memory)
         if real is response.met.contacts and not (response.otherwise and look == 0):
             break
-        response = _respond(s, begin, half, real, joints, memory, barred, response)
+        response = _respond(s, begin, half, real, joints, seen, barred, response)
     placed = project(s.dynamics, s.detector, response.moved, half.forces, s.closed)
-    return _finish(s, begin, half, joints, memory, response, placed, barred)
+    return _finish(s, begin, half, joints, seen, response, placed, barred)
 
 
 def _half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
@@ -178,23 +196,28 @@ def _half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -
 
 def _reachable(
     s: System, begin: Instant, half: Half, barred: Index | None
-) -> tuple[ContactSet, JointRows | None, ContactMemory]:
-    """Contacts and joint rows that the second half may need, but for what is to be left alone."""
+) -> tuple[ContactSet, JointRows | None, Seen]:
+    """Contacts and joint rows that the second half may need, but for what is to be left alone; all that was found."""
     middle, v = half.middle, half.forces.v
-    contacts, memory = s.detector.find(middle.placement.x, middle.placement.R, half.reach, begin.memory)
-    joints = s.dynamics.joint_rows(middle.position, middle.v, v, half.h)
+    x, R, _ = middle.placement
+    if s.unmoved(begin.looked, middle.placement, half.reach):
+        seen = Seen(begin.contacts, begin.memory, begin.looked)
+    else:
+        seen = Seen(*s.detector.find(x, R, half.reach, begin.memory), Looked(x, R, half.reach))
+    contacts, joints = seen.contacts, s.dynamics.joint_rows(middle.position, middle.v, v, half.h)
     if barred is None:
         if half.fast:
-            contacts, memory = reached(s, contacts, begin, middle.placement, memory)
-        return contacts, joints, memory
+            contacts, memory = reached(s, contacts, begin, middle.placement, seen.memory)
+            seen = seen._replace(memory=memory)
+        return contacts, joints, seen
     contacts = caught(s, contacts, begin, middle.placement, v, half.ahead, barred)
     if joints is not None:
         joints = caught_limits(s, joints, begin, v, half.ahead, barred)
-    return contacts, joints, memory
+    return contacts, joints, seen
 
 
 def _respond(
-    s: System, begin: Instant, half: Half, contacts: ContactSet, joints: JointRows | None, memory: ContactMemory,
+    s: System, begin: Instant, half: Half, contacts: ContactSet, joints: JointRows | None, seen: Seen,
     barred: Index | None, last: Response | None,
 ) -> Response:  # fmt: skip
     """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
@@ -212,8 +235,11 @@ def _respond(
     if d.trees:
         impulse = met.rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
     end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
-    wide = 2.0 * half.reach if barred is not None and barred.size else None
-    moved = place(d, s.detector, end, there, memory, wide)
+    near = 2.0 * half.reach if barred is not None and barred.size else np.zeros(d.frames)
+    if s.unmoved(seen.looked, there, near):
+        moved = Placed(end, there, seen.contacts, d.limits(end), seen.memory, True)
+    else:
+        moved = place(d, s.detector, end, there, seen.memory, near)
     return Response(met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, moved)
 
 
@@ -228,7 +254,7 @@ def _resume(met: Encounter, slides: Bools, last: Response) -> None:
 
 
 def _finish(
-    s: System, begin: Instant, half: Half, joints: JointRows | None, memory: ContactMemory, response: Response,
+    s: System, begin: Instant, half: Half, joints: JointRows | None, seen: Seen, response: Response,
     placed: Placed, barred: Index | None,
 ) -> Move:  # fmt: skip
     """The move that ends where it is placed."""
@@ -245,9 +271,12 @@ def _finish(
         slot = d.joints.limits[:0] if joints is None else joints.slot
         unmet = others(s, a.moved.contacts, a.met.contacts, a.moved.limits, slot)
         if half.fast:
-            until = touched(s, begin, middle.placement, a.moved.placement, memory, half.h)
+            until = touched(s, begin, middle.placement, a.moved.placement, seen.memory, half.h)
+    looked = seen.looked
+    if placed.contacts is not seen.contacts:
+        looked = Looked(placed.placement.x, placed.placement.R, np.zeros(d.frames))
     end = Instant(
-        placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, warm,
+        placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, looked, warm,
         d.twists(placed.placement, v_end),
     )  # fmt: skip
     rate = (half.forces.v - middle.v) / half.h

@@ -22,7 +22,7 @@ from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
-from nsdyn.instant import Impulses, Instant, System, take
+from nsdyn.instant import Impulses, Instant, Looked, System, take
 from nsdyn.move import Move, move
 from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution, Status
 from nsdyn.projection import place
@@ -254,7 +254,7 @@ class Stepper:
         inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
         self.system = System(
             self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
-            float(inscribed.min(initial=np.inf)), impact,
+            float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact,
         )  # fmt: skip
         if impact == "poisson" and len(rebounds := scene.restitutions()) > 1:
             warnings.warn(
@@ -274,7 +274,8 @@ class Stepper:
         warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
         twists = d.twists(placed.placement, v)
         placement, contacts = placed.placement, placed.contacts
-        instant = Instant(position, v, placement, contacts, placed.limits, placed.memory, warm, twists)
+        looked = Looked(placement.x, placement.R, np.zeros(d.frames))
+        instant = Instant(position, v, placement, contacts, placed.limits, placed.memory, looked, warm, twists)
         return instant, np.zeros(d.n), d.energies(position, v)
 
     # -- state -------------------------------------------------------------------------------------------------
@@ -459,6 +460,15 @@ def _joined(done: list[Impulses]) -> Impulses:
     frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
     joints = np.sum([a.joints for a in done], axis=0)
     return Impulses(contacts, frame, u, r, status, normal, friction, joints, sum(a.created for a in done))
+
+
+def _arms(geoms: list[Geom], frames: int) -> Array:
+    """How far shapes reach from the origins of the moving frames, m."""
+    out = np.zeros(frames)
+    for g in geoms:
+        if g.frame >= 0:
+            out[g.frame] = max(out[g.frame], float(np.linalg.norm(g.placement_t)) + g.shape.bounding_radius)
+    return out
 
 
 def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:

@@ -107,6 +107,20 @@ def most(x):
 
 
 @njit(cache=True)
+def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
+    """Whether no point of the frames, `arm` (n,) from their origins at most, has moved by tol, nor must see farther."""
+    for f in range(arm.size):
+        shift, turn = 0.0, 0.0
+        for i in range(3):
+            shift = max(shift, abs(x[f, i] - x_now[f, i]))
+            for j in range(3):
+                turn = max(turn, abs(R[f, i, j] - R_now[f, i, j]))
+        if shift + 3.0 * turn * arm[f] > tol or reach_now[f] > reach[f]:
+            return False
+    return True
+
+
+@njit(cache=True)
 def approach(frame1, frame2, point, normal, x, linear, angular, out):
     """Normal velocities of contacts whose frames move as in `begin_velocities`, m/s, into out (nc,)."""
     for c in range(out.size):
