@@ -12,6 +12,10 @@ from numba import njit
 from nsdyn._kernels.blocks import relative_velocity
 from nsdyn._kernels.manifold import along, cross, dot, minus, row
 
+ROLLS = 50.0
+"""How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10
+for a rattleback. What jumps from corner to corner goes farther in all but large steps."""
+
 
 @njit(cache=True)
 def places(old_key, new_key):
@@ -61,7 +65,7 @@ def begin_velocities(
         if k >= 0:
             d, m = minus(p, row(old_point, k)), row(old_normal, k)
             far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
-            there = dot(d, d) <= 16.0 * far * far and dot(m, n) > 0.5
+            there = dot(d, d) <= ROLLS * ROLLS * far * far and dot(m, n) > 0.5
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
