@@ -11,7 +11,7 @@ import nsdyn as nd
 
 g = 9.81
 
-EXACT = nd.solvers.Auto(tol=1e-14)
+EXACT = nd.solvers.Auto(tol=2e-14)
 """For thresholds at 1e-9 and forces at 1e-11: the default, 1e-8 m/s a step, is more than what they are about."""
 
 
