@@ -11,7 +11,7 @@ import nsdyn as nd
 
 g = 9.81
 
-EXACT = nd.solvers.Auto(tol=1e-14)
+EXACT = nd.solvers.Auto(tol=2e-14)
 """For thresholds at 1e-9 and forces at 1e-11: the default, 1e-8 m/s a step, is more than what they are about."""
 
 
@@ -146,7 +146,9 @@ def test_threshold_of_rolling(shape, excess, slips):
     """Case 11: rolls iff mu >= k/(1 + k) tan(alpha): 2/7, 1/3 and 1/2, ± 1e-9."""
     angle, k = math.radians(30.0), K[shape]
     mu = k / (1 + k) * math.tan(angle) * (1 + excess)
-    trajectory = nd.simulate(nd.scenes.load("roll_down")(shape=shape, angle=30.0, mu=mu), 1.0, dt=1e-2, solver=EXACT)
+    # Where it turns by 0.2 rad a step, dt = 1e-2, points that come down beside its line of contact are foreseen; pushed
+    # sideways against each other, the contacts then hold with a slip of 1e-10 m/s that the solver takes for none.
+    trajectory = nd.simulate(nd.scenes.load("roll_down")(shape=shape, angle=30.0, mu=mu), 1.0, dt=5e-3, solver=EXACT)
     body = trajectory.body("body")
     slip = body.linear_velocity[-1] @ downhill(30.0) - 0.1 * body.angular_velocity[-1, 1]
     # Friction short by 1e-9 mu m g cos: v grows by that over m, r w falls short by it over k m.
@@ -206,18 +208,22 @@ def oscillation(dt, x0=0.35, mu=0.3, stiffness=100.0):
 
 @pytest.mark.case(21)
 def test_coulomb_oscillator():
-    """Case 21: the amplitude falls by 4 mu m g/k per cycle, and the block stays where |x| <= mu m g/k."""
+    """Case 21: the amplitude falls by 4 mu m g/k per cycle, and the block stays where |x| <= mu m g/k.
+
+    Asked is the exact piecewise motion to 1e-4 m. Turning points keep it, to 5e-6 m; all times do only for h = 1e-4, as
+    below, with 5.5e-4 m at h = 1e-3.
+    """
     fall = 2 * 0.3 * g / 100.0  # per half cycle
     x, exact, turns = oscillation(1e-3)
     # 0.35 m is six half cycles, the last of which ends where friction wins.
     amplitudes = [(-1) ** k * (0.35 - k * fall) for k in range(1, 7)]
     assert 0.35 - 5 * fall > fall / 2 >= abs(amplitudes[-1])
-    np.testing.assert_allclose(turns, amplitudes, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(turns, amplitudes, rtol=0, atol=5e-6)
     assert np.ptp(x[-100:]) <= 1e-12
     # Friction is that of the end of the step all through the step in which the block turns: v errs by up to
     # 2 mu g h, which the turning points do not feel and the phase does, first order.
     fine = oscillation(2.5e-4)
-    assert np.abs(x - exact).max() <= 1e-3 and np.abs(fine[0] - fine[1]).max() <= 2.5e-4
+    assert np.abs(x - exact).max() <= 6e-4 and np.abs(fine[0] - fine[1]).max() <= 1.5e-4
 
 
 @pytest.mark.case(21)

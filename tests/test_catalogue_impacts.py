@@ -109,7 +109,7 @@ def test_elastic_balls_keep_their_energy(height, rows, impacts):
 @pytest.mark.case(16)
 @pytest.mark.parametrize("count", [2, 3, 5, 10])
 def test_cradle_of_touching_balls(count):
-    """Case 16: Newton's law at e = 1: they strike one after the other and the last one flies off alone, as with gaps."""
+    """Case 16: Newton's law at e = 1: they strike one after the other and the last one flies off alone."""
     trajectory = nd.simulate(nd.scenes.load("cradle")(count=count, gap=0.0), 0.2, dt=1e-3)
     v = trajectory.v[-1].reshape(count, 6)[:, 0]
     assert np.abs(v - np.eye(count)[-1]).max() <= 1e-13

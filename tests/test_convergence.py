@@ -56,7 +56,7 @@ def test_torque_free_body_keeps_energy_and_angular_momentum():
     assert trajectory.v[:, 4].min() < -0.99
 
 
-def test_period_of_the_tumbling_body_is_second_order():
+def test_period_of_the_tumbling_body_is_exact():
     J1, J2, J3 = INERTIA
     E2, L2 = INERTIA @ UNSTABLE**2, INERTIA**2 @ UNSTABLE**2
     # Landau & Lifshitz, Mechanics, §37, for L² > 2E J2.
@@ -69,21 +69,20 @@ def test_period_of_the_tumbling_body_is_second_order():
     def error(steps):
         return nd.simulate(spinning(INERTIA, UNSTABLE), period, dt=period / steps).v[-1, 3:] - UNSTABLE
 
-    # 5 % for the next order.
-    np.testing.assert_allclose(orders(error, (400, 800, 1600)), 2.0, rtol=0, atol=0.07)
+    # Sixth order, down to round-off.
+    assert np.abs(error(100)).max() <= 2e-11 and np.abs(error(400)).max() <= 5e-13
 
 
 @pytest.mark.parametrize("turn", [0.5, 1.9, 5.0, 50.0, 1000.0])
 def test_energy_does_not_grow_however_long_the_step(turn):
-    """`turn` radians per step; above 2 the direction of the angular momentum is lost, its length is not."""
+    """`turn` radians per step."""
     w = np.array([0.3, 1.0, 0.2])
     dt = turn / np.linalg.norm(w)
     trajectory = nd.simulate(spinning(INERTIA, w), 1000 * dt, dt=dt)
     kinetic, momentum = trajectory.energy.kinetic, angular_momentum(trajectory, INERTIA)
     np.testing.assert_allclose(kinetic, kinetic[0], rtol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(momentum, axis=1), np.linalg.norm(momentum[0]), rtol=1e-12)
-    if turn < 2.0:
-        assert np.abs(momentum - momentum[0]).max() <= 1e-12
+    # 1000 steps of round-off of up to 1000 rad.
+    assert np.abs(momentum - momentum[0]).max() <= 2e-12
 
 
 def test_steady_spin_is_exact():
@@ -233,8 +232,9 @@ def test_smooth_contact_is_second_order(name, tmp_path):
         assert all((trajectory.contacts(k).status > 0).any() for k in range(1, steps + 1)), "it stays in contact"
         return trajectory
 
-    # 0.2 for the next order at these steps, and 0.02 for the error of the fine run.
-    np.testing.assert_allclose(against_fine(final, (100, 200, 400), 3200), 2.0, rtol=0, atol=0.2)
+    # 0.2 for the next order at these steps, and 0.02 for the error of the fine run. At 100 steps, 6 ms, ellipsoids roll
+    # so far that what is left of their normal velocity strikes.
+    np.testing.assert_allclose(against_fine(final, (150, 300, 600), 4800), 2.0, rtol=0, atol=0.2)
 
 
 def test_ball_rolling_down_a_ball():
@@ -254,11 +254,10 @@ def test_ball_rolling_down_a_ball():
         assert np.linalg.norm(x) == pytest.approx(R + r, abs=1e-5), "it has not left"
         return math.atan2(x[0], x[2]) - exact[0], np.linalg.norm(v) / (R + r) - exact[1]
 
-    # The first two steps know no turning of the rows yet.
     np.testing.assert_allclose(orders(error, (200, 400, 800)), 2.0, rtol=0, atol=0.15)
 
 
-def test_pendulum_is_second_order(tmp_path):
+def test_pendulum_is_fourth_order(tmp_path):
     """A rod on a hinge, released at 1 rad, after one period 4 K(sin ½)/√(m g l/J)."""
     path = tmp_path / "pendulum.urdf"
     path.write_text(
@@ -276,8 +275,8 @@ def test_pendulum_is_second_order(tmp_path):
         trajectory = nd.simulate(scene, period, dt=period / steps)
         return trajectory.q[-1, 0] - 1.0, trajectory.v[-1, 0]
 
-    # 0.03 for the next order.
-    np.testing.assert_allclose(orders(error, (200, 400, 800)), 2.0, rtol=0, atol=0.05)
+    # 0.011 for the next order.
+    np.testing.assert_allclose(orders(error, (200, 400, 800)), 4.0, rtol=0, atol=0.02)
 
 
 def test_constant_sliding_is_exact():
@@ -319,8 +318,8 @@ def mean_orders(error, steps, samples=10):
     return np.log2(means[:-1] / means[1:])
 
 
-def test_first_order_through_impacts():
-    """Height of a ball after three bounces; what an impact costs depends on where in its step it falls."""
+def test_bounces_are_exact():
+    """Height of a ball after three bounces, whatever the step and wherever in it they fall."""
     e, duration = 0.8, 1.5
 
     def error(steps, shift):
@@ -333,8 +332,9 @@ def test_first_order_through_impacts():
         ball = nd.simulate(scene, duration, dt=duration / steps).body("ball")
         return ball.position[-1, 2] - 0.1 - (e * speed * t - 0.5 * g * t * t)
 
-    # Of four successive halvings, each a mean of random errors.
-    assert mean_orders(error, (75, 150, 300, 600)).mean() == pytest.approx(1.0, abs=0.2)
+    for steps in (75, 150, 300):
+        # Impacts are located to 1e-3 of a closed gap, 1e-13 m.
+        assert max(abs(error(steps, shift)) for shift in (0.0, 0.2, 0.5, 0.7)) <= 1e-12
 
 
 def test_stopping_time_and_place():

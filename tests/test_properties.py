@@ -46,7 +46,7 @@ def test_every_step(scene):
     for _ in range(60):
         before = stepper.get_state()
         step = stepper.step()
-        energy, r, u, mu = step.energy, step.r, step.u, step.contacts.mu
+        energy, r, mu = step.energy, step.r, step.contacts.mu
         scale = max(kinetic, energy["kinetic"], abs(energy["potential"]), 1.0)
         # The ledger closes whatever the solver did.
         assert abs(energy["defect"]) <= 1e-12 * scale
@@ -60,12 +60,13 @@ def test_every_step(scene):
         given_ = np.einsum("ci,cij->j", r[ground], step.frame[ground]) + mass.sum() * 5e-3 * scene.gravity
         np.testing.assert_allclose(change, given_, rtol=0, atol=1e-11 * max(1.0, mass.sum()))
         if step.solution.converged:
-            # With e = 0 contacts change T by U⁺·P - PᵀWP/2, and U⁺·P <= 0 up to the tolerance times the impulse.
             slack = 1e-7 * max(1.0, float(np.abs(r).sum(initial=0.0)))
-            assert (u * r).sum() <= slack
-            # Signorini: closed or speculative contacts do not close further, and an impulse holds only a contact.
-            w = step.solution.u[0::3] - u[:, 0]
-            assert (u[:, 0] + w >= -1e-7).all()
-            assert (np.abs(r[:, 0] * (u[:, 0] + w)) <= slack).all()
+            # Signorini: closed or speculative contacts do not close further, and an impulse holds only a contact. The
+            # problem is that of the last move, y its velocity with what the motion adds.
+            y, p = step.solution.u.reshape(-1, 3), step.solution.r.reshape(-1, 3)
+            assert (y[:, 0] >= -1e-7).all()
+            assert (np.abs(p[:, 0] * y[:, 0]) <= slack).all()
+            # Friction opposes slip.
+            assert (y * p).sum() <= slack
             assert step.gauss.gap <= slack
         kinetic = energy["kinetic"]
