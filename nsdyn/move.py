@@ -23,7 +23,7 @@ from nsdyn.trees import TreeEnd
 
 __all__ = ["Impulses", "Instant", "Move", "System", "Unmet", "collide", "move", "others", "take"]
 
-NOTHING = np.empty(0)
+NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
@@ -282,8 +282,8 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
     )  # fmt: skip
     unmet = None
     if barred is not None:
-        slot = d.joints.limits[:0] if joints is None else joints.slot
-        unmet = others(s, moved.contacts, met.contacts, moved.limits, slot)
+        limits = moved.limits if barred.size or (moved.limits < -s.closed).any() else NOTHING
+        unmet = others(s, moved.contacts, met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
     touched = h if barred is None or not fast else _touched(s, begin, middle.placement, there, memory, h)
     rate = (forces.v - middle.v) / h
     return Move(instant, impulses, works, problem, solution, placed.clear, unmet, touched, rate)
@@ -388,7 +388,7 @@ def _caught_limits(
 
 
 def others(s: System, found: ContactSet, met: ContactSet, limits: Array, slot: Index) -> Unmet | None:
-    """Of the contacts found and the gaps of all joint limits those not met; None where all are.
+    """Of the contacts found and the gaps of all joint limits, or of none, those not met; None where all are.
 
     Parameters
     ----------
