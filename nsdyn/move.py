@@ -23,6 +23,8 @@ from nsdyn.trees import TreeEnd
 
 __all__ = ["Move", "move"]
 
+NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
+
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
 
@@ -268,8 +270,8 @@ def _finish(
     if a.impulse is not None:
         works += _tree_works(s, half, a, a.impulse, placed.position)
     if barred is not None:
-        slot = d.joints.limits[:0] if joints is None else joints.slot
-        unmet = others(s, a.moved.contacts, a.met.contacts, a.moved.limits, slot)
+        limits = a.moved.limits if barred.size or _law.least(a.moved.limits) < -s.closed else NOTHING
+        unmet = others(s, a.moved.contacts, a.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
         if half.fast:
             until = touched(s, begin, middle.placement, a.moved.placement, seen.memory, half.h)
     looked = seen.looked

@@ -43,7 +43,7 @@ body at rest in every step."""
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
 
-CUTS, HITS, LOCATED = 8, 16, 100
+CUTS, HITS, LOCATED = 8, 16, 50
 """Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
 effort is bounded; beyond, impacts are caught within the step."""
 

@@ -47,6 +47,8 @@ class Surfaces:
 
     def advance(self, x: Array, quaternion: Array, step: Array) -> tuple[Array, Array]:
         """Poses of the driven bodies after small displacements (surfaces, 2, 3) in world axes."""
+        if not self._driven:
+            return x, quaternion
         step = step[: self._driven]
         x_out, quaternion_out, R = np.empty_like(x), np.empty_like(quaternion), np.empty((self._driven, 3, 3))
         _motion.rotations(quaternion, R)
