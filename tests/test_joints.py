@@ -245,8 +245,10 @@ def test_pendulum_bounces_off_its_stop(restitution):
     energy = trajectory.energy
     k = int(np.argmax(np.abs(np.diff(trajectory.v[:, 0])) > 0.1))  # gravity changes v by 0.015 a step
     taken = (1.0 - restitution**2) * 0.5 * G * (np.cos(0.3) - np.cos(1.0))
-    assert -energy.normal[k] == pytest.approx(taken, abs=1e-11)
-    assert energy.total[k] - energy.total[k + 1] == pytest.approx(taken, abs=1e-11)
+    # What does not rebound is located to 1e-4 rad only, in which it falls by at most G sin(0.3) 1e-4 = 3e-4 J.
+    off = 1e-11 if restitution else 3e-4
+    assert -energy.normal[k] == pytest.approx(taken, abs=off)
+    assert energy.total[k] - energy.total[k + 1] == pytest.approx(taken, abs=off)
     if restitution == 1.0:
         np.testing.assert_allclose(energy.total, energy.total[0], atol=1e-11)
 
