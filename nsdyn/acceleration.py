@@ -30,7 +30,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
-from nsdyn.dynamics import Dynamics, Position
+from nsdyn.dynamics import Dynamics, Forces, Position
 from nsdyn.problem import Array
 from nsdyn.scene import Scene
 from nsdyn.stepper import State
@@ -236,16 +236,18 @@ def least_constraint(
         raise ValueError("scene must have no closed loops or prescribed motions")
     geoms = scene.geoms()
     detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms))
-    position, v = d.start() if state is None else (state.position, state.v)
-    d.evaluate(position)
+    position, v = d.start() if state is None else (state.instant.position, state.instant.v)
     t = 0.0 if state is None else state.t
-    _, loads = d.free_velocity(position, position, v, t, 0.0, 1.0, np.zeros(d.n), wrenches, tau)
+    twists = d.surfaces.twists(t)
+    middle = d.halfway(position, v, 0.0, 0.5, twists)
+    forces = d.forces(middle, t, 0.0, wrenches, tau)
     joints = d.joint_rows(position, v, v, 0.0)
     if joints is not None and (joints.mu.any() or joints.gap.min() <= closed):
         raise ValueError("scene must have no dry joint friction, and no joint at its limit")
     reach = np.full(d.frames, closed)
-    found, memory = detector.find(d.x, d.R, reach, ContactMemory.empty())
-    blocks, frame = d.blocks(found)
+    found, memory = detector.find(*middle.placement[:2], reach, ContactMemory.empty())
+    rows, frame = d.rows(found, middle.placement, forces, None)
+    blocks = rows.full
     u = blocks.relative_velocity(v).reshape(-1, 3)
     touching = found.gap <= closed
     if (touching & (u[:, 0] < -still)).any():
@@ -254,20 +256,21 @@ def least_constraint(
         raise ValueError(f"{names[0]!r} and {names[1]!r} approach at {-u[c, 0]:.3g} m/s: an impact, no acceleration")
     keep = np.flatnonzero(touching & (u[:, 0] <= still))
     M, H = blocks.dense()
-    parts = [np.hstack((loads.force + d.mass[:, None] * d.gravity, loads.torque + loads.gyroscopic)).ravel()]
-    for tree, half, free in zip(d.trees, loads.halfway, loads.trees, strict=True):
+    omega = v[: 6 * d.free].reshape(-1, 6)[:, 3:]
+    torque = forces.torque - np.cross(omega, np.einsum("bij,bj->bi", d.J, omega))
+    parts = [np.hstack((forces.force + d.mass[:, None] * d.gravity, torque)).ravel()]
+    for tree, half, free in zip(d.trees, middle.trees, forces.trees, strict=True):
         parts.append(tree.forces(half, free, half.v).sum(axis=0) - tree.bias(half.q, half.v))
     f = np.concatenate(parts)
 
     # Relative velocities along the motion with v held, of the same contacts, in world axes and along their normals.
     size = min((g.shape.bounding_radius for g in geoms if g.frame >= 0), default=1.0)
-    twists = d.surfaces.twists(t)
-    rate = float((d.reach(v, 1e-9, twists, twists)[0] / 1e-9).max(initial=0.0))
+    rate = float((d.reach(middle.placement, v, 1e-9, 0.0, twists) / 1e-9).max(initial=0.0))
     p = np.zeros((found.key.size, 3))
     if rate > 0.0 and v.any():
         step = REACH * size / rate
         ahead, behind = (
-            _along(d, detector, position, v, s, reach + 10 * REACH * size, found, memory) for s in (step, -step)
+            _along(d, detector, position, v, s, forces, reach + 10 * REACH * size, found, memory) for s in (step, -step)
         )
         if not np.isfinite(ahead[keep] - behind[keep]).all():
             raise ValueError("a closed contact ends or begins at this very state: its acceleration is not defined")
@@ -287,15 +290,16 @@ def _along(
     position: Position,
     v: Array,
     s: float,
+    forces: Forces,
     reach: Array,
     found: ContactSet,
     memory: ContactMemory,
 ) -> Array:
     """Relative velocities (nc, 4) of the found contacts at position ⊕ s v: world axes, then normal; NaN if gone."""
-    d.evaluate(d.advance(position, v, s))
-    there, _ = detector.find(d.x, d.R, reach, memory)
-    blocks, frame = d.blocks(there)
-    u = blocks.relative_velocity(v).reshape(-1, 3)
+    place = d.place(d.shift(position, s * v))
+    there, _ = detector.find(*place[:2], reach, memory)
+    rows, frame = d.rows(there, place, forces, None)
+    u = rows.full.relative_velocity(v).reshape(-1, 3)
     out = np.full((found.key.size, 4), np.nan)
     _, here, others = np.intersect1d(found.key, there.key, return_indices=True)
     out[here, :3] = np.einsum("cij,ci->cj", frame[others], u[others])

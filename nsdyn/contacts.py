@@ -273,7 +273,10 @@ class Detector:
         keys.gaps(self._fields, *pose, *room, *old, *new, out)
         return out
 
-    def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet | None = None) -> Touches:
+    def touches(
+        self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet | None = None,
+        least: Array | None = None,
+    ) -> Touches:  # fmt: skip
         """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
 
         A pair is followed by conservative advancement [1]_: its distance over a bound of its approach speed is a time
@@ -287,6 +290,8 @@ class Detector:
             Of the configuration whose contacts go on, as for `find`.
         known : ContactSet, optional
             Pairs with a contact here, sorted as `find` returns them, are left out.
+        least : ndarray, shape (geoms,), optional
+            Pairs that move past each other by no more than the smaller of theirs are left out, m; default 0.
 
         References
         ----------
@@ -300,7 +305,8 @@ class Detector:
         candidates = self._first, self._second, codes
         pose = self._R, self._t
         count = sweep.may_touch(
-            self._fields, self._arm, *candidates, begin.x, end.x, turn, *pose, *boxes, pairs
+            self._fields, self._arm, np.zeros(len(self._arm)) if least is None else least, *candidates, begin.x, end.x,
+            turn, *pose, *boxes, pairs,
         )  # fmt: skip
         parts, fractions = [], []
         for p in pairs[:count].tolist():

@@ -30,6 +30,7 @@ Index = NDArray[np.int64]
 __all__ = ["Dynamics", "Forces", "Middle", "Placement", "Position"]
 
 NOTHING: Mapping[Any, Any] = {}
+NONE = np.empty(0)
 
 NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
 
@@ -240,7 +241,8 @@ class Dynamics:
         """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
         x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
         X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
-        _motion.flow(*self._principal, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
+        moments, axes = self._principal
+        _motion.flow(moments, axes, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
         return x, quaternion, after, X, R
 
     def shift(self, position: Position, step: Array) -> Position:
@@ -365,12 +367,19 @@ class Dynamics:
 
     def joint_rows(self, middle: Position, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""
-        if not self.joints.size:
-            return None
-        angle = np.zeros(self.n)
-        for t, q in zip(self.trees, middle.trees, strict=True):
-            angle[t.coordinates] = t.angle(q)
-        return self.joints.rows(angle, v, v_free, h)
+        return self.joints.rows(self._angles(middle), v, v_free, h) if self.joints.size else None
+
+    def limits(self, position: Position) -> Array:
+        """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
+        slots = self.joints.limits
+        return self.joints.gaps(slots, self._angles(position)) if slots.size else NONE
+
+    def _angles(self, position: Position) -> Array:
+        """Joint coordinates, shape (n,), 0 where there are none."""
+        out = np.zeros(self.n)
+        for t, q in zip(self.trees, position.trees, strict=True):
+            out[t.coordinates] = t.angle(q)
+        return out
 
     def rows(
         self, contacts: ContactSet, place: Placement, forces: Forces, joints: JointRows | None
@@ -404,7 +413,7 @@ class Dynamics:
     def lift(self, before: Position, after: Position, v: Array) -> tuple[Array, float]:
         """Velocity with the same momentum where a projection brought the free bodies, and what it did to their energy.
 
-        The angular momentum in space is kept, so that ω in body axes changes with the turn, and kinetic energy a little.
+        The angular momentum in space is kept, so that ω in body axes changes with the turn, and kinetic energy a bit.
         """
         out = np.empty(self.n)
         _motion.keep_spin(self.J, self._inverse_J, before.quaternion, after.quaternion, v, out)

@@ -26,7 +26,7 @@ from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, Index, Solution
 from nsdyn.solvers import Solver
 
-__all__ = ["Encounter", "Warm", "meet", "solve"]
+__all__ = ["SOLVES", "Encounter", "Warm", "foresee", "meet", "solve"]
 
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
@@ -124,7 +124,7 @@ def meet(
     joints: JointRows | None,
     middle: Middle,
     forces: Forces,
-    begin: tuple[ContactSet, Placement, tuple[Array, Array], Array, Warm],
+    begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
     reach: Array,
     surfaces: tuple[Array, Array],
     ahead: float,
@@ -139,7 +139,7 @@ def meet(
     joints : JointRows, optional
     middle : Middle
     forces : Forces
-    begin : (contacts, placement, twists, velocity, warm start)
+    begin : (contacts, positions of driven bodies, placement, twists, velocity, warm start)
         Where the step begins.
     reach : ndarray, shape (frames,)
         How far points of the frames move in about half a step, m.
@@ -154,11 +154,12 @@ def meet(
     nr = full.nc
     u_begin, u, u_free, turn, guess = np.empty((5, 3 * nr))
     end_gap = np.empty(nr)
-    old, place, twists, v_begin, warm = begin
+    old, driven_x, place, twists, v_begin, warm = begin
     drags = dynamics.surfaces.drags(contacts, frame, middle.position.driven_x, nr, *surfaces)
+    carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
     where = _law.meet(
-        full.offset, full.block, full.start, full.h, v_begin, middle.v, forces.v, *drags, rows.press, warm.key,
-        warm.impulse, old.key, old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1,
+        full.offset, full.block, full.start, full.h, v_begin, middle.v, forces.v, carried, *drags, rows.press,
+        warm.key, warm.impulse, old.key, old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1,
         contacts.frame2, contacts.point, frame, there.x, contacts.gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
     )  # fmt: skip
     mu, restitution = contacts.mu, contacts.restitution
@@ -172,8 +173,10 @@ def meet(
     )  # fmt: skip
 
 
-def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[FC3D, Solution]:
-    """Impulses that make the motion obey the contact law, and their problem.
+def solve(
+    met: Encounter, solver: Solver, ahead: float, closed: float, slides: Bools, back: bool, most: int
+) -> tuple[FC3D, Solution, bool]:
+    """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
 
     Parameters
     ----------
@@ -181,23 +184,36 @@ def solve(met: Encounter, solver: Solver, ahead: float, closed: float) -> tuple[
     solver : Solver
     ahead, closed : float
         h₂ [s], and the largest gap [m] that counts as closed.
+    slides : ndarray of bool, shape (nc,)
+        Which contacts slide through, as `foresee` says; changed to what the impulses show.
+    back : bool
+        Whether only those that stop are to be changed.
+    most : int
+        Most solves more for them.
     """
-    full, blocks, nc = met.rows.full, met.rows.blocks, met.frame.shape[0]
-    slides, b = np.empty(nc, np.bool_), np.empty(3 * full.nc)
-    velocities = met.u_begin, met.u, met.u_free, met.turn
-    _law.foresee(
-        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, *velocities, met.guess, slides
-    )  # fmt: skip
-    law = met.u, met.u_free, met.turn, met.end_gap, met.rebound
-    _law.offsets(*law, slides, ahead, closed, b)
-    problem = FC3D.from_blocks(blocks, b, met.mu)
+
+    def offsets() -> Array:
+        b = np.empty_like(met.u_free)
+        _law.offsets(met.u, met.u_free, met.turn, met.end_gap, met.rebound, slides, ahead, closed, b)
+        return b
+
+    problem = FC3D.from_blocks(met.rows.blocks, offsets(), met.mu)
     solution = solver(problem, met.guess)
-    for k in range(SOLVES):
-        u_plus = solution.u - b + met.u_free
-        if not _law.reconsider(solution.r, met.mu, met.u_begin, met.u, u_plus, met.turn, slides, k > 0):
-            break
-        b = np.empty(3 * full.nc)
-        _law.offsets(*law, slides, ahead, closed, b)
-        problem = problem.with_velocity(b)
-        solution = solver(problem, solution.r)
-    return problem, solution
+    for k in range(most + 1):
+        shown = solution.r, solution.u, problem.q, met.mu, met.u_begin, met.u, met.u_free, met.turn
+        if not _law.reconsider(*shown, slides, back or k > 0):
+            return problem, solution, False
+        if k < most:
+            problem = problem.with_velocity(offsets())
+            solution = solver(problem, solution.r)
+    return problem, solution, True
+
+
+def foresee(met: Encounter) -> Bools:
+    """Which contacts slide through the step, by the friction foreseen."""
+    full, slides = met.rows.full, np.empty(met.frame.shape[0], np.bool_)
+    _law.foresee(
+        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.u_begin, met.u, met.u_free,
+        met.turn, met.guess, slides,
+    )  # fmt: skip
+    return slides

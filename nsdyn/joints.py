@@ -50,6 +50,14 @@ class JointRows:
     mu: Array
     press: Array
 
+    def take(self, kept: NDArray[np.bool_]) -> JointRows | None:
+        """Some of the rows, None for none."""
+        if kept.all():
+            return self
+        if not kept.any():
+            return None
+        return JointRows(self.slot[kept], self.gap[kept], self.restitution[kept], self.mu[kept], self.press[kept])
+
 
 class JointLaws:
     """Limits and dry friction of the joints of all trees: a table of slots, each of which may become a row.
@@ -78,6 +86,7 @@ class JointLaws:
         self.coordinate, self.block = columns[0].astype(np.int64), columns[1].astype(np.int64)
         self.sign, self.bound, self.near, self.restitution = (np.ascontiguousarray(c) for c in columns[2:])
         self.size = len(table)
+        self.limits = np.flatnonzero(self.sign)
 
     def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of a step: all friction, and the limits the joints may reach; None when there are none.
@@ -100,6 +109,11 @@ class JointLaws:
     def gaps(self, slot: Index, angle: Array) -> Array:
         """Distances to the limits of some slots at the joint coordinates, rad or m; 0 for friction."""
         out: Array = self.sign[slot] * (angle[self.coordinate[slot]] - self.bound[slot])
+        return out
+
+    def rates(self, slot: Index, v: Array) -> Array:
+        """Rates of the gaps of some slots at the velocity v (n,), rad/s or m/s; 0 for friction."""
+        out: Array = self.sign[slot] * v[self.coordinate[slot]]
         return out
 
     def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:

@@ -34,6 +34,7 @@ class Status(IntEnum):
     STALLED = 2
     NOT_FINITE = 3
     NO_SLATER_POINT = 4
+    OVERLAP = 5
 
     @property
     def message(self) -> str:
@@ -45,6 +46,8 @@ class Status(IntEnum):
             Status.NOT_FINITE: "the iterates are not finite; check W, q and mu",
             Status.NO_SLATER_POINT: "no velocity opens every contact, so that a solution need not exist; "
             "look for walls or prescribed motions that contradict each other",
+            Status.OVERLAP: "converged, but no position without overlap was found where the step ends; look for bodies "
+            "that are squeezed",
         }[self]
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels import law as _law
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Forces, Placement, Position
 from nsdyn.problem import FC3D, Array
@@ -29,14 +30,17 @@ class Placed(NamedTuple):
     placement : Placement
     contacts : ContactSet
         With the true gaps of the shapes.
+    limits : ndarray
+        Gaps of all joint limits, rad or m.
     memory : ContactMemory
     clear : bool
-        Whether no shapes overlap by more than what counts as closed.
+        Whether no shapes overlap, and no joint is beyond its limits, by more than what counts as closed.
     """
 
     position: Position
     placement: Placement
     contacts: ContactSet
+    limits: Array
     memory: ContactMemory
     clear: bool
 
@@ -45,17 +49,17 @@ def place(
     dynamics: Dynamics, detector: Detector, position: Position, placement: Placement, memory: ContactMemory,
     reach: Array | None = None,
 ) -> Placed:  # fmt: skip
-    """The contacts at a position, whatever overlaps, up to the gaps that `reach` (frames,) allows, m."""
+    """The contacts and limits at a position, whatever overlaps, up to the gaps that `reach` (frames,) allows, m."""
     reach = np.zeros(dynamics.frames) if reach is None else reach
     contacts, memory = detector.find(placement.x, placement.R, reach, memory)
-    return Placed(position, placement, contacts, memory, True)
+    return Placed(position, placement, contacts, dynamics.limits(position), memory, True)
 
 
 def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forces, closed: float) -> Placed:
     """The closest position without overlap, in the kinetic metric: min ½‖δ‖²_M̃ under g + H_Nᵀ δ ≥ 0.
 
-    Each pass is a frictionless contact problem for the shift δ, on the gaps g of the shapes where the last one has
-    brought them.
+    Each pass is a frictionless contact problem for the shift δ, on the gaps g of the shapes and joint limits where the
+    last one has brought them.
 
     Parameters
     ----------
@@ -74,16 +78,28 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         `placed` itself where nothing overlaps; not `clear` where bodies are squeezed so that nothing helps.
     """
     for _ in range(PASSES):
-        gap = placed.contacts.gap
-        deepest = float(gap.min(initial=0.0))
+        gap, deepest = placed.contacts.gap, _least(placed)
         if deepest >= -closed:
             return placed
-        rows, _ = dynamics.rows(placed.contacts, placed.placement, forces, None)
+        joints = None
+        if placed.limits.size:
+            rest = np.zeros(dynamics.n)
+            joints = dynamics.joint_rows(placed.position, rest, rest, 0.0)
+            joints = None if joints is None else joints.take(joints.mu == 0.0)
+            gap = gap if joints is None else np.concatenate((gap, joints.gap))
+        rows, _ = dynamics.rows(placed.contacts, placed.placement, forces, joints)
         # In units of the deepest overlap, which the tolerance is a fraction of.
         g = np.zeros(3 * gap.size)
         g[0::3] = gap / -deepest
         problem = FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size))
         push = Auto(tol=max(COARSE, -0.5 * closed / deepest))(problem).r
         moved = dynamics.shift(placed.position, -deepest * rows.velocity_change(push))
-        placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory)
-    return placed._replace(clear=bool(placed.contacts.gap.min(initial=0.0) >= -closed))
+        # What the next shift may reach, which is about as far as this one, must be seen.
+        near = np.full(dynamics.frames, -deepest)
+        placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory, near)
+    return placed._replace(clear=_least(placed) >= -closed)
+
+
+def _least(placed: Placed) -> float:
+    """The least gap, 0 if none is negative."""
+    return min(float(_law.least(placed.contacts.gap)), float(_law.least(placed.limits)))

@@ -498,6 +498,18 @@ class Scene:
         Material(0.0 if mu is None else mu, 0.0 if restitution is None else restitution)
         self.pairs[frozenset((a, b))] = (mu, restitution)
 
+    def restitutions(self) -> list[float]:
+        """The restitutions that its contacts may have, ascending."""
+        geoms = self.geoms()
+        kinds: dict[tuple[float, bool], list[int]] = {}
+        for k, g in enumerate(geoms):
+            kinds.setdefault((g.material.restitution, g.frame < 0), []).append(k)
+        # Two of each kind stand for all; what is fixed does not touch what is fixed.
+        some = [k for members in kinds.values() for k in members[:2]]
+        pairs = [(i, j) for i in some for j in some if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)]
+        combined = self.pair_material(geoms)(*np.array(pairs, dtype=np.int64).reshape(-1, 2).T)[1]
+        return sorted({*combined.tolist(), *(e for _, e in self.pairs.values() if e is not None)})
+
     def pair_material(self, geoms: Sequence[Geom]) -> Callable[[Index, Index], tuple[Array, Array]]:
         """Function of two index arrays into `geoms` that returns (mu, restitution) of each pair."""
         mu = np.array([g.material.mu for g in geoms])

@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from nsdyn import fclib, gauss, impacts
+from nsdyn.collisions import collide
 from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
-from nsdyn.move import Impulses, Instant, Move, System, collide, move
-from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution
+from nsdyn.instant import Impulses, Instant, Looked, System, take
+from nsdyn.move import Move, move
+from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution, Status
 from nsdyn.projection import place
 from nsdyn.scene import Geom, Scene
+from nsdyn.sight import Unmet, others
 from nsdyn.solvers import Auto, Solver
 from nsdyn.trajectory import Recorder, Trajectory
 
@@ -40,11 +43,11 @@ body at rest in every step."""
 DEEPEST = 0.01
 """Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
 
-CUTS, HITS, LOCATED = 8, 16, 100
+CUTS, HITS, LOCATED = 8, 16, 50
 """Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
 effort is bounded; beyond, impacts are caught within the step."""
 
-NONE = np.empty(0, np.int64)
+NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
 class State(NamedTuple):
@@ -58,6 +61,8 @@ class State(NamedTuple):
         Position, velocity, contacts and warm start.
     rate : ndarray, shape (n,)
         Last free acceleration, m/s² and rad/s².
+    energies : (float, float)
+        Kinetic and potential, J.
     opening : gauss.Opening, optional
         Direction that the last certificate rests on.
     """
@@ -67,6 +72,7 @@ class State(NamedTuple):
     count: int  # type: ignore[assignment]  # tuple.count is of no use here
     instant: Instant
     rate: Array
+    energies: tuple[float, float]
     opening: gauss.Opening | None = None
 
     @property
@@ -106,15 +112,14 @@ class Step(NamedTuple):
     created : float
         Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
         chains, and Poisson's with several restitutions (`impacts`).
-    clear : bool
-        Whether no shapes overlap at the end by more than what counts as closed.
     ledger : Ledger
         Energies at the end and works of the step, J.
     gauss : Certificate
         Of the last problem.
     problem : FC3D
     solution : Solution
-        Of the last problem solved.
+        Of the last problem solved, or of the worst where any missed its tolerance; its status is OVERLAP where shapes
+        are left in each other by more than what counts as closed.
     """
 
     t: float
@@ -132,7 +137,6 @@ class Step(NamedTuple):
     work_friction: Array
     joint_impulse: Array
     created: float
-    clear: bool
     ledger: Ledger
     gauss: gauss.Certificate
     problem: FC3D
@@ -239,23 +243,29 @@ class Stepper:
         if self.dump_on_fail is not None and self.dump_on_fail.is_file():
             raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
-        self.solver: Solver = Auto() if solver is None else solver
+        solver = Auto() if solver is None else solver
         self.controller, self.external_force, self.on_fail = controller, external_force, on_fail
         self.dynamics, geoms = Dynamics(scene), scene.geoms()
         self.detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms), max_points)
         # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
         closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
-        self.closed = max(closed, self.solver.tol * self.dt)
+        self.closed = max(closed, solver.tol * self.dt)
+        inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
         self.system = System(
-            self.dynamics, self.detector, self.solver, self.theta, self.dt, self.closed,
-            np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms]), impact,
+            self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
+            float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact,
         )  # fmt: skip
+        if impact == "poisson" and len(rebounds := scene.restitutions()) > 1:
+            warnings.warn(
+                f"Poisson's law keeps energy from growing only where all contacts have one restitution, got {rebounds}",
+                stacklevel=2,
+            )
         self._failures = 0
         self._state = State(0.0, self.dt, 0, *self._start(geoms))
 
-    def _start(self, geoms: list[Geom]) -> tuple[Instant, Array]:
-        """The initial instant, whose bodies do not overlap deeply, and the free acceleration there."""
+    def _start(self, geoms: list[Geom]) -> tuple[Instant, Array, tuple[float, float]]:
+        """The initial instant, whose bodies do not overlap deeply, the free acceleration there, energies."""
         d = self.dynamics
         position, v = d.start()
         placed = place(d, self.detector, position, d.place(position), ContactMemory.empty())
@@ -263,8 +273,10 @@ class Stepper:
         none = np.empty((0, 3))
         warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
         twists = d.twists(placed.placement, v)
-        instant = Instant(position, v, placed.placement, placed.contacts, placed.memory, warm, twists)
-        return instant, np.zeros(d.n)
+        placement, contacts = placed.placement, placed.contacts
+        looked = Looked(placement.x, placement.R, np.zeros(d.frames))
+        instant = Instant(position, v, placement, contacts, placed.limits, placed.memory, looked, warm, twists)
+        return instant, np.zeros(d.n), d.energies(position, v)
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -272,6 +284,11 @@ class Stepper:
     def t(self) -> float:
         """Time in s."""
         return self._state.t
+
+    @property
+    def solver(self) -> Solver:
+        """Of the contact problems."""
+        return self.system.solver
 
     def get_state(self) -> State:
         """State after the last step; with `set_state` a run goes on bit for bit, warm start included."""
@@ -293,7 +310,7 @@ class Stepper:
     def start(self) -> Start:
         """The present state as row 0 of a recording."""
         s, d = self._state.instant, self.dynamics
-        kinetic, potential = d.energies(s.position, s.v)
+        kinetic, potential = self._state.energies
         q, v = d.pinocchio_state(s.position, s.v)
         x, quaternion = d.poses(s.position, s.placement)
         return Start(self.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
@@ -309,8 +326,8 @@ class Stepper:
         for cut in range(2 * CUTS):
             t = s.next_t - left
             if (struck := collide(self.system, now, t, left, rate)) is not None:
-                now, impulses, more, problem = struck
-                done, solved, works = [*done, impulses], [*solved, problem], works + more
+                now, impulses, more, pair = struck
+                done, solved, works = [*done, impulses], [*solved, pair], works + more
             length, m = self._until_impact(now, t, left) if cut < CUTS else (left, self._move(now, t, left, None))
             now, rate, left, clear = m.end, m.rate, left - length, m.clear
             done, solved, works = [*done, m.impulses], [*solved, (m.problem, m.solution)], works + m.works
@@ -320,52 +337,59 @@ class Stepper:
             if not solution.converged:
                 self._fail(problem, solution)
         certificate, opening = self._certify(solved, s.opening)
-        self._state = State(s.origin, s.dt, s.count + 1, now, rate, opening)
-        return self._record(s.instant, done, works, clear, certificate, *_worst(solved))
+        energies = self.dynamics.energies(now.position, now.v)
+        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
+        ledger = Ledger.of(s.energies, energies, works)
+        problem, solution = _worst(solved)
+        if solution.converged and not clear:
+            solution = solution._replace(status=Status.OVERLAP)
+        return self._record(done, ledger, certificate, problem, solution)
 
     def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Move]:
         """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
-        s, detector = self.system, self.detector
+        s = self.system
         if begin.contacts.gap.size > LOCATED:
             return h, self._move(begin, t, h, None)
         m = self._move(begin, t, h, NONE)
         if m.touched < h:
             # Not much farther, so that what is hit is seen from the side where it is.
             far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
-            within = m.touched + 0.05 * h * float(s.inscribed.min()) / float(far.max())
+            within = m.touched + 0.05 * h * s.smallest / float(far.max())
             if within < h:
                 return self._until_impact(begin, t, within)
         if m.unmet is None:
             return h, m
-        limit = np.where(m.unmet.restitution > 0.0, self.closed, s.deep(m.unmet))
-        hit = m.unmet.gap < -limit
+        hit = m.unmet.gap < -m.unmet.limit
         if not hit.any():
             return h, m
         if hit.sum() > HITS:
             return h, self._move(begin, t, h, None)
-        barred = np.unique(detector.codes(m.unmet)[hit])
-        held = begin.contacts.key[begin.contacts.gap <= self.closed]
+        barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
+        # What rebounds is located sharply; what does not may be anywhere between closed and deep.
+        aim, near = (0.0, 1e-3 * self.closed) if limit <= self.closed else (0.5 * limit, 0.5 * limit)
         far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
-        before, _ = detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
-        moves = {h: m}
+        found, _ = self.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
+        held = self.dynamics.joints.limits[begin.limits <= self.closed]
+        before = others(s, found, take(begin.contacts, begin.contacts.gap <= self.closed), begin.limits, held)
+        wide, moves = float(far.max(initial=self.closed)), {h: m}
 
-        def least(contacts: ContactSet, left: NDArray[np.bool_]) -> float:
-            """Least gap of what is hit, 0 where it is so small that it makes no difference."""
-            gap = float(contacts.gap[left & np.isin(detector.codes(contacts), barred)].min(initial=far.max()))
-            return 0.0 if abs(gap) <= 1e-3 * self.closed else gap
+        def least(left: Unmet | None) -> float:
+            """Least gap of what is hit, above that aimed at; 0 where the difference does not matter."""
+            gaps = NOTHING if left is None else left.gap[np.isin(left.code, barred)]
+            gap = (float(gaps.min()) if gaps.size else wide) + aim
+            return 0.0 if abs(gap) <= near else gap
 
         def gap(time: float) -> float:
             if time == 0.0:
-                return max(least(before, ~np.isin(before.key, held)), self.closed)
+                return max(least(before), self.closed)
             if time not in moves:
                 moves[time] = self._move(begin, t, time, barred)
-            left = moves[time].unmet
-            return float(far.max()) if left is None else least(left, np.ones(left.gap.size, np.bool_))
+            return least(moves[time].unmet)
 
         brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
         # Where another feature is the first to touch the gap jumps, and has no root.
         length = min(moves, key=lambda time: abs(gap(time)))
-        if abs(gap(length)) > float(limit[hit].min()):
+        if abs(gap(length)) > limit:
             return h, self._move(begin, t, h, None)
         return length, moves[length]
 
@@ -394,19 +418,17 @@ class Stepper:
         return gauss.Certificate(gap, shift, bound), opening
 
     def _record(
-        self, begin: Instant, done: list[Impulses], works: Works, clear: bool, certificate: gauss.Certificate,
-        problem: FC3D, solution: Solution,
-    ) -> Step:  # fmt: skip
+        self, done: list[Impulses], ledger: Ledger, certificate: gauss.Certificate, problem: FC3D, solution: Solution
+    ) -> Step:
         """What the moves and impacts of a step did."""
         d, end = self.dynamics, self._state.instant
-        ledger = Ledger.of(d.energies(begin.position, begin.v), d.energies(end.position, end.v), works)
         acted = done[0] if len(done) == 1 else _joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
         gap = self.detector.gaps(acted.contacts, end.contacts, Poses(*end.placement[:2]))
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
-            acted.normal, acted.friction, acted.joints, acted.created, clear, ledger, certificate, problem, solution,
+            acted.normal, acted.friction, acted.joints, acted.created, ledger, certificate, problem, solution,
         )  # fmt: skip
 
     def _fail(self, problem: FC3D, solution: Solution) -> None:
@@ -434,9 +456,19 @@ def _worst(solved: list[tuple[FC3D, Solution]]) -> tuple[FC3D, Solution]:
 
 def _joined(done: list[Impulses]) -> Impulses:
     """All that acted in a step, one after the other."""
-    contacts = ContactSet(*(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True)))
-    columns = [np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7]]
-    return Impulses(contacts, *columns, sum(a.joints for a in done), sum(a.created for a in done))
+    contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
+    frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
+    joints = np.sum([a.joints for a in done], axis=0)
+    return Impulses(contacts, frame, u, r, status, normal, friction, joints, sum(a.created for a in done))
+
+
+def _arms(geoms: list[Geom], frames: int) -> Array:
+    """How far shapes reach from the origins of the moving frames, m."""
+    out = np.zeros(frames)
+    for g in geoms:
+        if g.frame >= 0:
+            out[g.frame] = max(out[g.frame], float(np.linalg.norm(g.placement_t)) + g.shape.bounding_radius)
+    return out
 
 
 def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 __all__ = ["Surfaces"]
 
-NONE, NOTHING = np.empty((0, 2, 3)), np.empty(0)
+NONE, NOTHING, NO_VELOCITIES = np.empty((0, 2, 3)), np.empty(0), np.empty((0, 3))
 
 
 class Surfaces:
@@ -47,6 +47,8 @@ class Surfaces:
 
     def advance(self, x: Array, quaternion: Array, step: Array) -> tuple[Array, Array]:
         """Poses of the driven bodies after small displacements (surfaces, 2, 3) in world axes."""
+        if not self._driven:
+            return x, quaternion
         step = step[: self._driven]
         x_out, quaternion_out, R = np.empty_like(x), np.empty_like(quaternion), np.empty((self._driven, 3, 3))
         _motion.rotations(quaternion, R)
@@ -69,14 +71,18 @@ class Surfaces:
         """
         if not self.count:
             return NOTHING, NOTHING
-        where = contacts, frame, driven_x, rows
-        return self._drag(*where, begun), self._drag(*where, ended)
+        out = np.zeros((2, rows, 3))
+        for k, twist in enumerate((begun, ended)):
+            out[k, : len(frame)] = np.einsum("cij,cj->ci", frame, self.velocities(contacts, driven_x, twist))
+        return out[0].ravel(), out[1].ravel()
 
-    def _drag(self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, twist: Array) -> Array:
-        w = np.zeros(3 * rows)
-        origin = self._origin.copy()
+    def velocities(self, contacts: ContactSet, driven_x: Array, twist: Array) -> Array:
+        """What the surfaces add to the relative velocities, world axes, shape (nc, 3); (0, 3) without surfaces."""
+        if not self.count:
+            return NO_VELOCITIES
+        w, origin = np.zeros((contacts.gap.size, 3)), self._origin.copy()
         origin[: self._driven] = driven_x
         fields = self._motion_of_geom, origin, twist[:, 0].copy(), twist[:, 1].copy(), self._slides
-        _trees.surface_velocities(contacts.geom1, *fields, contacts.point, frame, -1.0, w)
-        _trees.surface_velocities(contacts.geom2, *fields, contacts.point, frame, 1.0, w)
+        _trees.surface_velocities(contacts.geom1, *fields, contacts.point, contacts.normal, -1.0, w)
+        _trees.surface_velocities(contacts.geom2, *fields, contacts.point, contacts.normal, 1.0, w)
         return w

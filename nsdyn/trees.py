@@ -583,9 +583,10 @@ class Tree:
             constraint = halfway.work + end.work + float((B @ end.mean) @ reaction)
         before, after = self.energies(halfway.begin, halfway.begin_v), self.energies(end.q, end.v)
         kinetic, potential = after if lifted is end.q else self.energies(lifted, end.v)
-        projection = kinetic + potential - sum(after)
-        change = kinetic + potential - sum(before)
-        integration = sum(after) - sum(before) - actuation - damping - constraint - pushed
+        # In the order of the ledger, whose round-off then is that of the changes, not of the energies.
+        projection = (kinetic - after[0]) + (potential - after[1])
+        change = (kinetic - before[0]) + (potential - before[1])
+        integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
         return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:

@@ -41,7 +41,7 @@ def test_stick_to_slip_where_the_step_says_so(excess):
     assert found.a[0] == pytest.approx(max(0.0, 0.5 * g * excess), abs=1e-7)
     stepper = nd.Stepper(scene, dt=1e-3, external_force=lambda t, q, v: {"box": (pull, 0, 0)}, solver=FINE)
     step = stepper.step()
-    assert stepper.get_state().v[0] / 1e-3 == pytest.approx(found.a[0], abs=1e-7)
+    assert stepper.get_state().instant.v[0] / 1e-3 == pytest.approx(found.a[0], abs=1e-7)
     assert (step.contact_status == 2).any() == (found.relative[:, 1:].any() and excess > 0)
 
 
@@ -63,9 +63,9 @@ def test_differences_of_velocity_converge_to_it(name, tmp_path):
         for _ in range(steps + 1):
             stepper.step()
             states.append(stepper.get_state())
-        before, now, after = states[-3:]
+        before, now, after = (state.instant for state in states[-3:])
         # Gaps and normal velocities of the run are of second order in dt.
-        problem = least_constraint(stepper.scene, now, closed=1e-4, still=1e-2)
+        problem = least_constraint(stepper.scene, states[-2], closed=1e-4, still=1e-2)
         found = accelerations(problem)
         assert found.existence is Existence.SOLVED
         ahead.append(np.abs((after.v - now.v) / dt - found.a).max())

@@ -197,7 +197,7 @@ def test_refused(robot, change, words):
 ARTICULATED = [name for name in nd.scenes.names() if nd.scenes.load(name)().articulations]
 
 
-def dense(dynamics, position):
+def dense(dynamics, position, R):
     """(M, {frame: (its Jacobian in world axes, its origin)}) of a scene, of trees from Pinocchio alone."""
     d = dynamics
     M, jacobians = np.zeros((d.n, d.n)), {}
@@ -205,7 +205,7 @@ def dense(dynamics, position):
         M[6 * k : 6 * k + 3, 6 * k : 6 * k + 3] = d.mass[k] * np.eye(3)
         M[6 * k + 3 : 6 * k + 6, 6 * k + 3 : 6 * k + 6] = d.J[k]
         J = np.zeros((6, d.n))
-        J[:3, 6 * k : 6 * k + 3], J[3:, 6 * k + 3 : 6 * k + 6] = np.eye(3), d.R[k]
+        J[:3, 6 * k : 6 * k + 3], J[3:, 6 * k + 3 : 6 * k + 6] = np.eye(3), R[k]
         jacobians[k] = J, position.x[k]
     for t, q in zip(d.trees, position.trees, strict=True):
         model, data, rows = t.model, t.model.createData(), t.coordinates
@@ -226,19 +226,19 @@ def test_step_against_dense_pinocchio(name):
     stepper = nd.Stepper(scene, dt=nd.scenes.module(name).DT, controller=nd.scenes.controller(name, scene))
     d, h = stepper.dynamics, 1e-5
     for _ in range(200):
-        before = stepper.get_state()
+        before = stepper.get_state().instant
         step = stepper.step()
         if (np.maximum(step.contacts.frame1, step.contacts.frame2) >= d.free).any():
             break
-    # The forces of one short step from there (θ = 1), without control, whose gains are in the mass matrix: M Δv =
-    # h (τ - g) with gravity terms g, damping and springs at its end; Coriolis terms are the motion's after them.
+    # The forces of one short step from there (θ = 1: at its beginning), without control, whose gains are in the mass
+    # matrix: M Δv = h (τ - g) with gravity terms g, damping and springs at its end; Coriolis terms are the flow's.
     q, v = before.position, before.v
-    M, jacobians = dense(d, q)
-    N = np.eye(d.n)
-    d.evaluate(q)
-    v_free, _ = d.free_velocity(q, q, v, 0.0, h, 1.0, np.zeros(d.n), None, None)
-    blocks, frame = d.blocks(step.contacts)
-    _, H = blocks.dense()
+    middle = d.halfway(q, v, h, 1.0, d.surfaces.twists(0.0))
+    forces = d.forces(middle, h, h, None, None)
+    M, jacobians = dense(d, q, middle.placement.R)
+    N, v_free = np.eye(d.n), forces.v
+    rows, frame = d.rows(step.contacts, middle.placement, forces, None)
+    _, H = rows.full.dense()
     c = step.contacts
     expected = np.zeros_like(H)
     for k in range(c.gap.size):
@@ -250,8 +250,8 @@ def test_step_against_dense_pinocchio(name):
     ours, minv = np.zeros((2, d.n, d.n))
     for k, (at, size) in enumerate(zip(d.m_start, np.diff(d.offset), strict=True)):
         rows = slice(d.offset[k], d.offset[k + 1])
-        ours[rows, rows] = d.m[at : at + size**2].reshape(size, size)
-        minv[rows, rows] = d.minv[at : at + size**2].reshape(size, size)
+        ours[rows, rows] = forces.m[at : at + size**2].reshape(size, size)
+        minv[rows, rows] = forces.minv[at : at + size**2].reshape(size, size)
     acceleration, bias = (v_free - v) / h, np.zeros(d.n)
     bias[: 6 * d.free] = -M[: 6 * d.free, : 6 * d.free] @ acceleration[: 6 * d.free]  # tested with the free bodies
     implicit = np.zeros(d.n)

@@ -135,7 +135,7 @@ def test_overlap_at_the_start():
         stepper = nd.Stepper(scene(0.0005))
     step = stepper.step()
     # Moved out at once, without any velocity.
-    assert stepper.get_state().position.x[0, 2] == pytest.approx(0.1, abs=1e-9)
+    assert stepper.get_state().instant.position.x[0, 2] == pytest.approx(0.1, abs=1e-9)
     assert np.abs(step.v).max() < 1e-9
     nd.Stepper(scene(1e-10))
 

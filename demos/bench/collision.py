@@ -91,20 +91,20 @@ def main() -> None:
     boxes = parser.parse_args().boxes
     scene = towers(boxes)
     dynamics, geoms = Dynamics(scene), scene.geoms()
-    dynamics.place(dynamics.start()[0])
+    x, R, _ = dynamics.place(dynamics.start()[0])
     detector = Detector(geoms, scene.pair_material(geoms))
     still = np.zeros(dynamics.frames)
-    contacts, memory = detector.find(dynamics.x, dynamics.R, still, ContactMemory.empty())
+    contacts, memory = detector.find(x, R, still, ContactMemory.empty())
     pairs = sorted(set(zip(contacts.geom1.tolist(), contacts.geom2.tolist(), strict=True)))
     touching = len(pairs)
     print(f"{boxes} boxes, {touching} pairs that touch, {contacts.gap.size} contacts{'a step':>34} {'a pair':>15}")
 
-    collide, patches = loop(dynamics.x, pairs)
+    collide, patches = loop(x, pairs)
     report("Python loop over the touching pairs: coal.collide", median(collide), touching)
     report("... and contact patches, their points read", median(patches), touching)
 
     some = min(boxes, ALL_PAIRS)
-    model, geometry = pinocchio_models(dynamics.x[:some])
+    model, geometry = pinocchio_models(x[:some])
     data, shapes = model.createData(), geometry.createData()
     q = pin.neutral(model)
     pin.updateGeometryPlacements(model, data, geometry, shapes, q)
@@ -123,7 +123,7 @@ def main() -> None:
     report(f"pin.computeCollisions over its broad phase, {some}", median(managed), touch)
 
     def find() -> object:
-        return detector.find(dynamics.x, dynamics.R, still, memory)
+        return detector.find(x, R, still, memory)
 
     def renew() -> None:
         detector._fat_lower[:] = np.inf

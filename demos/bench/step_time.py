@@ -1,4 +1,4 @@
-"""Time per step of ten stacks of ten boxes, its split, and MuJoCo's step on the same scene in the same run.
+"""Time per step of ten stacks of ten boxes, its parts, and MuJoCo's step on the same scene in the same run.
 
     python demos/bench/step_time.py [--scene stacks] [--dt 5e-3] [--tol 1e-6] [--steps 200]
 
@@ -8,32 +8,55 @@ MuJoCo (extra `peers`) runs at its defaults and at settings stiff enough for com
 import argparse
 import statistics
 import time
+from typing import Any
 
 import numpy as np
 
 import nsdyn as nd
 from nsdyn import audit, bench
 
-PHASES = ("broad phase", "Coal", "manifold and assembly", "solve", "the rest", "record")
+PHASES = ("contacts", "solve", "the rest", "record")
+
+
+class Timed:
+    """A function, or a solver, and the seconds spent in it."""
+
+    def __init__(self, function: Any) -> None:
+        self.function, self.seconds = function, 0.0
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call it."""
+        begin = time.perf_counter()
+        out = self.function(*arguments)
+        self.seconds += time.perf_counter() - begin
+        return out
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.function, name)
 
 
 def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> tuple[list[float], float, float]:
     """Median seconds of each phase, deepest overlap [m] and drift [m] after settling for a quarter of a second."""
     from nsdyn.trajectory import Recorder
 
-    stepper = nd.Stepper(scene, dt=dt, solver=nd.solvers.Auto(tol=tol))
-    start = stepper.get_state().position.x
+    solve = Timed(nd.solvers.Auto(tol=tol))
+    stepper = nd.Stepper(scene, dt=dt, solver=solve)
+    find = stepper.detector.find = Timed(stepper.detector.find)  # type: ignore[method-assign]
+    start = stepper.get_state().instant.position.x
     split, poses = [], []
     with Recorder(None, {"dt": dt, "theta": 0.5, "solver": ""}, scene.describe(), stepper.start()) as recorder:
         for k in range(steps + round(0.25 / dt)):
+            solve.seconds = find.seconds = 0.0
+            begin = time.perf_counter()
             step = stepper.step()
-            t = time.perf_counter()
+            end = time.perf_counter()
             recorder.append(step)
             if k >= 0.25 / dt:
-                split.append([*step.times, time.perf_counter() - t])
+                rest = end - begin - find.seconds - solve.seconds
+                split.append([find.seconds, solve.seconds, rest, time.perf_counter() - end])
                 poses.append(step.q)
     deepest = audit.deepest(scene.describe(), np.array(poses))
-    drift = float(np.abs(stepper.get_state().position.x - start).max())
+    drift = float(np.abs(stepper.get_state().instant.position.x - start).max())
     return [statistics.median(phase) for phase in zip(*split, strict=True)], deepest, drift
 
 

@@ -48,14 +48,15 @@ def warm_start(place, impulse, frame, r):
 
 @njit(cache=True)
 def begin_velocities(
-    place, old_point, old_normal, x_old, linear, angular, reach, frame1, frame2, point, frame, x, u
+    place, old_point, old_normal, x_old, linear, angular, carried, reach, frame1, frame2, point, frame, x, drag, u
 ):  # fmt: skip
     """Relative velocities of the contacts where the step begins, with the rows that they have there, into u (3 nc,).
 
     Frame f moves there with linear[f] + angular[f] x (p - x_old[f]). A contact that was found there too, at a point
     from which the motion may have carried it here, has that point and that normal, and its tangents are those of here
     turned by the least rotation from normal to normal; any other one has the arms and the frame of here. `reach` is how
-    far points of the frames move in about half a step.
+    far points of the frames move in about half a step. Surfaces that move add `carried` (old contacts, 3) there, in
+    world axes, and `drag` (3 nc,) here, in the frames; both are empty where none do.
     """
     for c in range(place.size):
         f1, f2, n = frame1[c], frame2[c], row(frame[c], 0)
@@ -71,11 +72,56 @@ def begin_velocities(
             if f >= 0:
                 arm = minus(row(old_point, k), row(x_old, f)) if there else minus(p, row(x, f))
                 w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
+        if there and carried.size:
+            w = along(w, 1.0, row(carried, k))
         if there:  # turned back by the rotation from n to m
             total = along(n, 1.0, m)
             w = along(along(w, -dot(total, w) / (1.0 + dot(n, m)), total), 2.0 * dot(m, w), n)
         for i in range(3):
             u[3 * c + i] = dot(row(frame[c], i), w)
+            if not there and drag.size:
+                u[3 * c + i] += drag[3 * c + i]
+
+
+@njit(cache=True)
+def any_positive(x):
+    """Whether an entry is positive; NumPy takes ten times as long for few."""
+    for i in range(x.size):
+        if x[i] > 0.0:
+            return True
+    return False
+
+
+@njit(cache=True)
+def least(x):
+    """The smallest entry, or 0 if none is negative."""
+    out = 0.0
+    for i in range(x.size):
+        out = min(out, x[i])
+    return out
+
+
+@njit(cache=True)
+def most(x):
+    """The largest entry, or 0 if none is positive."""
+    out = 0.0
+    for i in range(x.size):
+        out = max(out, x[i])
+    return out
+
+
+@njit(cache=True)
+def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
+    """Whether no point of the frames, `arm` (n,) from their origins at most, has moved by tol, nor must see farther."""
+    for f in range(arm.size):
+        shift, turn = 0.0, 0.0
+        for i in range(3):
+            shift = max(shift, abs(x[f, i] - x_now[f, i]))
+            for j in range(3):
+                turn = max(turn, abs(R[f, i, j] - R_now[f, i, j]))
+        if shift + 3.0 * turn * arm[f] > tol or reach_now[f] > reach[f]:
+            return False
+    return True
 
 
 @njit(cache=True)
@@ -114,15 +160,18 @@ def known(key, old_key, old_gap, closed, out):
 
 @njit(cache=True)
 def meet(
-    offset, block, start, h, v_begin, v, v_free, drag, drag_end, press, old_key, impulse, begin_key, begin_point, begin_normal,
-    x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
+    offset, block, start, h, v_begin, v, v_free, carried, drag, drag_end, press, old_key, impulse, begin_key,
+    begin_point, begin_normal, x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, ahead,
+    u_begin, u, u_free, turn, guess, end_gap,
 ):  # fmt: skip
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
-    u at v, u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces that move (`drag`, empty for none) and the normal
-    velocities of joint friction (`press`, the same). end_gap = gap - ahead/2 turn_N: the parabola whose speed at the
-    end of the step, `ahead` seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in
-    world axes start the solver; they need not be those found where the step begins.
+    u at v, u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces
+    that move (`carried` and `drag` as in `begin_velocities`, but all of these at the twists of the impulses, and
+    `drag_end` with those of the end) and the normal velocities of joint friction (`press`, empty for none). end_gap =
+    gap - ahead/2 turn_N, but for what the twists change: the parabola whose speed at the end of the step, `ahead`
+    seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in world axes start the
+    solver; they need not be those found where the step begins.
     """
     nc = key.size
     relative_velocity(offset, block, start, h, v, u)
@@ -132,20 +181,21 @@ def meet(
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(offset, block, start, h, v_begin, u_begin)
     begin_velocities(
-        places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, reach, frame1, frame2, point,
-        frame, x, u_begin,
+        places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, carried, reach, frame1, frame2,
+        point, frame, x, drag, u_begin,
     )  # fmt: skip
-    for i in range(u.size):
-        turn[i] = u[i] - u_begin[i]
     for i in range(drag.size):
-        u_begin[i] += drag[i]
         u[i] += drag[i]
         u_free[i] += drag[i]
+    for i in range(u.size):
+        turn[i] = u[i] - u_begin[i]
+    for c in range(nc):
+        end_gap[c] = gap[c] - 0.5 * ahead * turn[3 * c]
+    # Driven bodies go with the twist of the end all the way from here, which needs no time to be reached.
+    for i in range(drag.size):
         turn[i] += drag_end[i] - drag[i]
     for i in range(press.size):
         u_free[i] += press[i]
-    for c in range(nc):
-        end_gap[c] = gap[c] - 0.5 * ahead * turn[3 * c]
     return place
 
 
@@ -201,8 +251,8 @@ def offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b):
 
 
 @njit(cache=True)
-def reconsider(r, mu, u_begin, u, u_plus, turn, slides, back):
-    """Change `slides` (nc,) where the impulses show otherwise, and tell whether any has.
+def reconsider(r, y, b, mu, u_begin, u, u_free, turn, slides, back):
+    """Change `slides` (nc,) where the solution y = W r + b shows otherwise, and tell whether any has.
 
     One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
     stop but slips on in the direction it had slides through, unless it is only looked `back`.
@@ -210,14 +260,16 @@ def reconsider(r, mu, u_begin, u, u_plus, turn, slides, back):
     some = False
     for c in range(slides.size):
         i = 3 * c
-        x, y = u_plus[i + 1] + turn[i + 1], u_plus[i + 2] + turn[i + 2]
         found = state(r, mu[c], i)
+        # The relative velocities after the impulses, and at the end.
+        p, q = y[i + 1] - b[i + 1] + u_free[i + 1], y[i + 2] - b[i + 2] + u_free[i + 2]
+        e, f = p + turn[i + 1], q + turn[i + 2]
         if slides[c]:
-            mean = (u[i + 1] + u_plus[i + 1]) * x + (u[i + 2] + u_plus[i + 2]) * y
+            mean = (u[i + 1] + p) * e + (u[i + 2] + q) * f
             if found == 1 or (found == 2 and mean <= 0.0):
                 slides[c] = False
                 some = True
-        elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * x + u_begin[i + 2] * y > 0.0:
+        elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * e + u_begin[i + 2] * f > 0.0:
             slides[c] = True
             some = True
     return some
@@ -239,15 +291,22 @@ def states(r, mu, out):
 
 
 @njit(cache=True)
-def outcome(r, mu, place, old_status, struck, u, u_plus, turn, frame, status, normal, friction, u_end, world):
+def outcome(
+    offset, block, start, h, v_plus, drag, r, mu, place, old_status, struck, u, u_free, turn, frame, status, normal,
+    friction, u_end, world,
+):  # fmt: skip
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
-    `states`; works (rows,) are
-    those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns the sums of what they are in
-    the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact that stays closed, or was
-    struck, normal, and sticks, tangential; joint rows always do work.
+    `states`; works (rows,) are those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns
+    the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact
+    that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first step
+    only
+    closed the gap; joint rows always do work.
     """
-    nc = status.size
+    nc, u_plus = status.size, np.empty(u.size)
+    relative_velocity(offset, block, start, h, v_plus, u_plus)
+    for i in range(drag.size):
+        u_plus[i] += drag[i]
     impact, slip, rest = 0.0, 0.0, 0.0
     for c in range(normal.size):
         i = 3 * c
@@ -262,7 +321,8 @@ def outcome(r, mu, place, old_status, struck, u, u_plus, turn, frame, status, no
                 stays = True
             elif place[c] >= 0:
                 old = old_status[place[c]]
-                stays, sticks = old > 0, old == 1 and status[c] == 1
+                rests = u[i] - turn[i] >= -2.0 * (abs(u_free[i] - u[i]) + abs(turn[i]))
+                stays, sticks = old > 0 and rests, old == 1 and status[c] == 1
             for j in range(3):
                 world[c, j] = frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]
         if stays:

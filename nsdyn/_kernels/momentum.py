@@ -12,6 +12,7 @@ from numba import njit
 
 from nsdyn._kernels.cones import natural_error, natural_residual, project
 
+ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
 CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
 
 
@@ -109,13 +110,13 @@ def apply_normal(rows, c, body, z0, v):
 
 
 @njit(cache=True)
-def sweep(rows, body, steps, q, mu, v, r, x, t, keep):
-    """One sweep in place of r = y and of v = Ĥ y.
+def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
+    """One sweep over the contacts that are awake, in place of r = y and of v = Ĥ y.
 
     x is the last sweep's result; t shrinks to `keep` of itself where momentum was wrong. A contact takes its normal
     impulse exactly and its friction by a projected gradient step.
     """
-    for c in range(mu.size):
+    for c in awake:
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
         if mu[c] == 0.0:
             z0 = max(-r0, -(q[c, 0] + read_normal(rows, c, body, v)) * steps[c, 0])
@@ -144,9 +145,9 @@ def sweep(rows, body, steps, q, mu, v, r, x, t, keep):
 
 
 @njit(cache=True)
-def extrapolate(rows, body, mu, v, r, x, t):
-    """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it."""
-    for c in range(mu.size):
+def extrapolate(awake, rows, body, mu, v, r, x, t):
+    """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it; of contacts awake."""
+    for c in awake:
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
         b = (t[c] - 1.0) / (t[c] + 1.0)
         t[c] += 0.5
@@ -182,6 +183,21 @@ def measure(rows, body, q, mu, scales, q_norm, r, v, u):
 
 
 @njit(cache=True)
+def wake(u, last, r, x, awake):
+    """Put the contacts worth a sweep first in `awake` and return their number.
+
+    One without an impulse sleeps while it opens faster than its velocity u has changed from the `last` time.
+    """
+    count = 0
+    for c in range(r.shape[0]):
+        change = abs(u[c, 0] - last[c, 0])
+        if r[c, 0] > 0.0 or x[c, 0] > 0.0 or not u[c, 0] > ALERT * change:
+            awake[count] = c
+            count += 1
+    return count
+
+
+@njit(cache=True)
 def solve(
     rows, body, steps, q, mu, scales, q_norm, tol, best_r, y, x, v, t, count, last, best, keep, most, check, patience
 ):
@@ -190,23 +206,27 @@ def solve(
     x' = sweep(y), y = P_K(x' + b (x' - x)) with b = (t - 1)/(t + 1), t growing by 1/2 a sweep. A contact whose
     momentum points against its own step, (y - x')·(x' - x) > 0, halves its t, or loses it all once that cycles. Unlike
     a restart of all contacts or combinations of past iterates this survives contacts that change their state one after
-    the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested; best_r
-    keeps the best. Stops after `most` sweeps in all, or `patience` without a better one. Returns (sweeps, the one of
-    the best, its measure, keep).
+    the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested, and which
+    contacts are worth the next ones; best_r keeps the best. Stops after `most` sweeps in all, or `patience` without a
+    better one. Returns (sweeps, the one of the best, its measure, keep).
     """
-    u = np.zeros((mu.size, 3))
+    u, before = np.full((mu.size, 3), -np.inf), np.empty((mu.size, 3))
+    order = np.arange(mu.size)
+    awake = order
     while best > tol and count < most and count - last < patience:
         count += 1
-        sweep(rows, body, steps, q, mu, v, y, x, t, keep)
+        sweep(awake, rows, body, steps, q, mu, v, y, x, t, keep)
         if count % check == 0:
             refresh(rows, body, y, v)  # what the updates leave of round-off
+            before, u = u, before
             now = measure(rows, body, q, mu, scales, q_norm, y, v, u)
             if now < best:
                 best, last = now, count
                 best_r[:] = y
+            awake = order[: wake(u, before, y, x, order)]
         if count - last > CYCLE:
             keep = 0.0
-        extrapolate(rows, body, mu, v, y, x, t)
+        extrapolate(awake, rows, body, mu, v, y, x, t)
     return count, last, best, keep
 
 

@@ -89,11 +89,12 @@ def at_least_apart(geometry, i, j, R, t, lower, upper):
 
 
 @njit(cache=True)
-def may_touch(fields, arm, first, second, known, x0, x1, turn, R, t, lower, upper, out):
+def may_touch(fields, arm, least, first, second, known, x0, x1, turn, R, t, lower, upper, out):
     """Candidate pairs whose relative motion is longer than their distance, as indices into out; returns their number.
 
-    Pairs of the sorted codes `known` are left out. R, t, lower and upper are poses and bounds of the geoms at the
-    beginning, the other arguments as in `motions`; `fields` are those of `Geometry`.
+    Left out are pairs of the sorted codes `known`, and those whose relative motion is no longer than the smaller of
+    their `least`. R, t, lower and upper are poses and bounds of the geoms at the beginning, the other arguments as in
+    `motions`; `fields` are those of `Geometry`.
     """
     geometry = Geometry(*fields)
     count = 0
@@ -102,7 +103,7 @@ def may_touch(fields, arm, first, second, known, x0, x1, turn, R, t, lower, uppe
         if contains(known, i * geometry.kind.size + j):
             continue
         way = relative_motion(geometry.frame[i], geometry.frame[j], arm[i], arm[j], x0, x1, turn)
-        if way > at_least_apart(geometry, i, j, R, t, lower, upper):
+        if way > min(least[i], least[j]) and way > at_least_apart(geometry, i, j, R, t, lower, upper):
             out[count] = p
             count += 1
     return count

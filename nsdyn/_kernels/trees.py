@@ -374,8 +374,8 @@ def expand(offset, z_start, z, new_offset, y, v):
 
 
 @njit(cache=True)
-def surface_velocities(geom, motion_of_geom, origin, linear, angular, slides, point, frame, sign, w):
-    """Add the velocity of prescribed bodies at the contacts, times sign, in the contact frames, to w (3 nc,).
+def surface_velocities(geom, motion_of_geom, origin, linear, angular, slides, point, normal, sign, w):
+    """Add the velocity of prescribed bodies at the contacts, times sign, to w (nc, 3), world axes.
 
     Motion m has the velocity linear[m] + angular[m] x (p - origin[m]); where it slides in itself (a conveyor), only
     the tangential part counts.
@@ -389,5 +389,7 @@ def surface_velocities(geom, motion_of_geom, origin, linear, angular, slides, po
         v0 = linear[m, 0] + a[1] * p2 - a[2] * p1
         v1 = linear[m, 1] + a[2] * p0 - a[0] * p2
         v2 = linear[m, 2] + a[0] * p1 - a[1] * p0
-        for i in range(1 if slides[m] else 0, 3):
-            w[3 * c + i] += sign * (frame[c, i, 0] * v0 + frame[c, i, 1] * v1 + frame[c, i, 2] * v2)
+        out = normal[c, 0] * v0 + normal[c, 1] * v1 + normal[c, 2] * v2 if slides[m] else 0.0
+        w[c, 0] += sign * (v0 - out * normal[c, 0])
+        w[c, 1] += sign * (v1 - out * normal[c, 1])
+        w[c, 2] += sign * (v2 - out * normal[c, 2])
