@@ -297,11 +297,10 @@ def outcome(
 ):  # fmt: skip
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
-    `states`; works (rows,) are those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns
-    the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact
-    that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first step
-    only
-    closed the gap; joint rows always do work.
+    The states are those of `states`, the works (rows,) those of the impulses at the one configuration where they act,
+    ½ (u + u⁺)·r. Returns the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is
+    the work of a contact that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an
+    impact whose first step only closed the gap; joint rows always do work.
     """
     nc, u_plus = status.size, np.empty(u.size)
     relative_velocity(offset, block, start, h, v_plus, u_plus)
