@@ -12,7 +12,7 @@ from numba import njit
 from nsdyn._kernels.blocks import relative_velocity
 from nsdyn._kernels.manifold import along, cross, dot, minus, row
 
-ROLLS = 50.0
+ROLLS = 12.0
 """How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10
 for a rattleback. What jumps from corner to corner goes farther in all but large steps."""
 
