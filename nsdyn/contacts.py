@@ -265,11 +265,12 @@ class Detector:
         """Gaps of contacts at later poses, shape (nc,), m.
 
         A contact that is still among those `found` there has its gap, known by its key. Any other has the separation of
-        its geoms along its own normal, which is no more than their distance.
+        its geoms along its own normal, or their least gap found, if that is more: they overlap only where one is found.
         """
         c, out = contacts, np.empty(contacts.gap.size)
         pose, room = (poses.x, poses.R), (self._R, self._t)
-        keys.gaps(self._fields, *pose, *room, c.geom1, c.geom2, c.normal, c.key, found.key, found.gap, out)
+        old, new = (c.geom1, c.geom2, c.normal, c.key), (found.geom1, found.geom2, found.key, found.gap)
+        keys.gaps(self._fields, *pose, *room, *old, *new, out)
         return out
 
     def touches(

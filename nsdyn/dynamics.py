@@ -241,7 +241,8 @@ class Dynamics:
         """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
         x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
         X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
-        _motion.flow(*self._principal, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
+        moments, axes = self._principal
+        _motion.flow(moments, axes, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
         return x, quaternion, after, X, R
 
     def shift(self, position: Position, step: Array) -> Position:

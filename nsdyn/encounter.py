@@ -191,20 +191,19 @@ def solve(
     most : int
         Most solves more for them.
     """
-
-    def offsets() -> Array:
-        b = np.empty_like(met.u_free)
-        _law.offsets(met.u, met.u_free, met.turn, met.end_gap, met.rebound, slides, ahead, closed, b)
-        return b
-
-    problem = FC3D.from_blocks(met.rows.blocks, offsets(), met.mu)
+    b = np.empty_like(met.u_free)
+    law = met.u, met.u_free, met.turn, met.end_gap, met.rebound, slides, ahead, closed
+    _law.offsets(*law, b)
+    problem = FC3D.from_blocks(met.rows.blocks, b, met.mu)
     solution = solver(problem, met.guess)
     for k in range(most + 1):
-        shown = solution.r, solution.u, problem.q, met.mu, met.u_begin, met.u, met.u_free, met.turn
+        shown = solution.r, solution.u, b, met.mu, met.u_begin, met.u, met.u_free, met.turn
         if not _law.reconsider(*shown, slides, back or k > 0):
             return problem, solution, False
         if k < most:
-            problem = problem.with_velocity(offsets())
+            b = np.empty_like(b)
+            _law.offsets(*law, b)
+            problem = problem.with_velocity(b)
             solution = solver(problem, solution.r)
     return problem, solution, True
 

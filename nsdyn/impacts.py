@@ -136,7 +136,7 @@ def _round(
         given = np.repeat(1.0 + e, 3) * solver(FC3D.from_blocks(own, b, mu), None).r
         b += own.relative_velocity(own.velocity_change(given))
     else:
-        given = 0.0
+        given = np.zeros_like(b)
         b[0::3] += e * before[0::3]
     if law == "fremond":
         b[0::3] += np.where(hit, 0.0, np.maximum(before[0::3], 0.0))

@@ -102,4 +102,4 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
 
 def _least(placed: Placed) -> float:
     """The least gap, 0 if none is negative."""
-    return min(_law.least(placed.contacts.gap), _law.least(placed.limits))
+    return min(float(_law.least(placed.contacts.gap)), float(_law.least(placed.limits)))

@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from nsdyn import fclib, gauss, impacts
+from nsdyn.collisions import collide
 from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
-from nsdyn.move import Impulses, Instant, Move, System, Unmet, collide, move, others, take
+from nsdyn.instant import Impulses, Instant, Looked, System, take
+from nsdyn.move import Move, move
 from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution, Status
 from nsdyn.projection import place
 from nsdyn.scene import Geom, Scene
+from nsdyn.sight import Unmet, others
 from nsdyn.solvers import Auto, Solver
 from nsdyn.trajectory import Recorder, Trajectory
 
@@ -248,9 +251,10 @@ class Stepper:
         closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(closed, solver.tol * self.dt)
+        inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
         self.system = System(
-            self.dynamics, self.detector, solver, self.theta, self.dt, self.closed,
-            np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms]), impact,
+            self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
+            float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact,
         )  # fmt: skip
         if impact == "poisson" and len(rebounds := scene.restitutions()) > 1:
             warnings.warn(
@@ -270,7 +274,8 @@ class Stepper:
         warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
         twists = d.twists(placed.placement, v)
         placement, contacts = placed.placement, placed.contacts
-        instant = Instant(position, v, placement, contacts, placed.limits, placed.memory, warm, twists)
+        looked = Looked(placement.x, placement.R, np.zeros(d.frames))
+        instant = Instant(position, v, placement, contacts, placed.limits, placed.memory, looked, warm, twists)
         return instant, np.zeros(d.n), d.energies(position, v)
 
     # -- state -------------------------------------------------------------------------------------------------
@@ -321,8 +326,8 @@ class Stepper:
         for cut in range(2 * CUTS):
             t = s.next_t - left
             if (struck := collide(self.system, now, t, left, rate)) is not None:
-                now, impulses, more, problem = struck
-                done, solved, works = [*done, impulses], [*solved, problem], works + more
+                now, impulses, more, pair = struck
+                done, solved, works = [*done, impulses], [*solved, pair], works + more
             length, m = self._until_impact(now, t, left) if cut < CUTS else (left, self._move(now, t, left, None))
             now, rate, left, clear = m.end, m.rate, left - length, m.clear
             done, solved, works = [*done, m.impulses], [*solved, (m.problem, m.solution)], works + m.works
@@ -349,7 +354,7 @@ class Stepper:
         if m.touched < h:
             # Not much farther, so that what is hit is seen from the side where it is.
             far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
-            within = m.touched + 0.05 * h * float(s.inscribed.min()) / float(far.max())
+            within = m.touched + 0.05 * h * s.smallest / float(far.max())
             if within < h:
                 return self._until_impact(begin, t, within)
         if m.unmet is None:
@@ -360,9 +365,8 @@ class Stepper:
         if hit.sum() > HITS:
             return h, self._move(begin, t, h, None)
         barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
-        # What rebounds has to be there in time; what does not may be late by less than is deep.
-        exact = limit <= self.closed
-        early, late = (1e-3 * self.closed, 1e-3 * self.closed) if exact else (self.closed, 0.5 * limit)
+        # What rebounds is located sharply; what does not may be anywhere between closed and deep.
+        aim, near = (0.0, 1e-3 * self.closed) if limit <= self.closed else (0.5 * limit, 0.5 * limit)
         far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
         found, _ = self.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
         held = self.dynamics.joints.limits[begin.limits <= self.closed]
@@ -370,10 +374,10 @@ class Stepper:
         wide, moves = float(far.max(initial=self.closed)), {h: m}
 
         def least(left: Unmet | None) -> float:
-            """Least gap of what is hit, 0 where it is so small that it makes no difference."""
+            """Least gap of what is hit, above that aimed at; 0 where the difference does not matter."""
             gaps = NOTHING if left is None else left.gap[np.isin(left.code, barred)]
-            gap = float(gaps.min()) if gaps.size else wide
-            return 0.0 if -late <= gap <= early else gap
+            gap = (float(gaps.min()) if gaps.size else wide) + aim
+            return 0.0 if abs(gap) <= near else gap
 
         def gap(time: float) -> float:
             if time == 0.0:
@@ -452,9 +456,19 @@ def _worst(solved: list[tuple[FC3D, Solution]]) -> tuple[FC3D, Solution]:
 
 def _joined(done: list[Impulses]) -> Impulses:
     """All that acted in a step, one after the other."""
-    contacts = ContactSet(*(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True)))
-    columns = [np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7]]
-    return Impulses(contacts, *columns, sum(a.joints for a in done), sum(a.created for a in done))
+    contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
+    frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
+    joints = np.sum([a.joints for a in done], axis=0)
+    return Impulses(contacts, frame, u, r, status, normal, friction, joints, sum(a.created for a in done))
+
+
+def _arms(geoms: list[Geom], frames: int) -> Array:
+    """How far shapes reach from the origins of the moving frames, m."""
+    out = np.zeros(frames)
+    for g in geoms:
+        if g.frame >= 0:
+            out[g.frame] = max(out[g.frame], float(np.linalg.norm(g.placement_t)) + g.shape.bounding_radius)
+    return out
 
 
 def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:

@@ -49,8 +49,8 @@ def rest_error(dt, height, restitution=0.5):
     end = math.sqrt(2 * height / g) * (1 + restitution) / (1 - restitution)
     trajectory = nd.simulate(nd.scenes.load("bounce")(height=height, restitution=restitution), 1.2 * end, dt=dt)
     moving = np.flatnonzero(np.abs(trajectory.v).max(axis=1) > 1e-12)
-    # No bounce gives energy. An impact that only gravity makes fast within its step is left to the next one: the ball
-    # sinks in by the order of g h², and what pushing it out costs is booked.
+    # No bounce gives energy. An impact too slow to be located is caught within its step: the ball sinks in by the order
+    # of g h², and what pushing it out costs is booked.
     energy = trajectory.energy
     assert (np.diff(energy.total) - energy.projection).max() <= 1e-12  # of 1 to 2 J
     assert energy.projection.max() <= 2 * (g * dt) ** 2
@@ -61,38 +61,41 @@ def rest_error(dt, height, restitution=0.5):
 
 @pytest.mark.case(14)
 def test_zeno_ball_comes_to_rest_in_time():
-    """Case 14: at t = sqrt(2 H/g) (1 + e)/(1 - e), to first order in h up to a logarithm."""
+    """Case 14: at t = sqrt(2 H/g) (1 + e)/(1 - e), less what is left of the series at 2 g h: at most 4 h.
+
+    An impact slower than 2 g h gives nothing back, of which 2 e/(1 - e) times its speed over g would have come. All
+    impacts before are exact, so the error is that and the part of a step in which the ball is already at rest.
+    """
     heights = np.linspace(0.1, 0.2, 12)
-    size = []
     for h in (8e-3, 1e-3):
         errors = np.array([rest_error(h, height) for height in heights])
-        # The ball bounces until its speed, halved each time, is 2 g h. Each impact costs a time of order h, on average
-        # h: gravity pulls down for the part of the step after it, which the law, e times the speed before, leaves out.
-        bounces = np.log2(np.sqrt(2 * g * heights) / (2 * g * h))
-        assert (np.abs(errors) <= 2 * h * bounces).all()
-        size.append(np.sqrt((errors**2).mean()))
-    # A step eight times shorter, twice the bounces.
-    assert size[0] / size[1] >= 3
+        assert (errors >= -4 * h).all() and (errors <= h).all()
 
 
 @pytest.mark.case(14)
 @pytest.mark.parametrize("restitution", [0.5, 0.8])
-def test_apexes_of_a_bouncing_ball(restitution):
-    """Case 14: apex n at e^(2 n) H; the impact is dated to the start of its step, worth h v of height at most."""
-    height, h = 1.0, 1e-3
-    trajectory = nd.simulate(nd.scenes.load("bounce")(height=height, restitution=restitution), 2.0, dt=h)
+@pytest.mark.parametrize("h", [1e-2, 1e-3])
+def test_apexes_of_a_bouncing_ball(restitution, h):
+    """Case 14: apex n at e^(2 n) H, at any step, of every bounce faster than the 2 g h at which the ball rests."""
+    trajectory = nd.simulate(nd.scenes.load("bounce")(height=1.0, restitution=restitution), 2.0, dt=h)
     z = trajectory.body("ball").position[:, 2] - 0.1
     v = trajectory.body("ball").linear_velocity[:, 2]
-    tops = [k for k in range(1, len(z) - 1) if v[k] >= 0 > v[k + 1]][:5]
-    apexes = height * restitution ** (2 * np.arange(1, len(tops) + 1))
-    assert len(tops) >= 2
-    np.testing.assert_allclose(z[tops], apexes, rtol=0, atol=h * math.sqrt(2 * g * height))
+    tops = [k for k in range(1, len(z) - 1) if v[k] >= 0 > v[k + 1]]
+    apexes = restitution ** (2 * np.arange(1, len(tops) + 1))
+    fast = np.sqrt(2 * g * apexes) > restitution * 2 * g * h
+    assert fast.sum() >= 3
+    # The parabola from the last step before the top; what is left is the 1e-3 of a closed gap, 1e-13 m, at which an
+    # impact is located.
+    np.testing.assert_allclose((z + v**2 / (2 * g))[tops][fast], apexes[fast], rtol=0, atol=2e-13)
 
 
 @pytest.mark.case(15)
 @pytest.mark.parametrize(("height", "rows", "impacts"), [(5.0, 7, 400), (0.0125, 8, 10_000)])
 def test_elastic_balls_keep_their_energy(height, rows, impacts):
-    """Case 15: e = 1, theta = 1/2: no drift of energy over 1e4 impacts in 20 s, nor in SimBenchmark's 7 x 7 balls."""
+    """Case 15: e = 1, theta = 1/2: no drift of energy over 1e4 impacts in 20 s, nor in SimBenchmark's 7 x 7 balls.
+
+    Up to sixteen contacts are hit at a time that is located; in steps with more, Newton's law holds all the same.
+    """
     scene = nd.scenes.load("bouncing_balls")(rows=rows, height=height)
     trajectory = nd.simulate(scene, 20.0, dt=1e-2)
     total = trajectory.energy.total
@@ -106,10 +109,10 @@ def test_elastic_balls_keep_their_energy(height, rows, impacts):
 @pytest.mark.case(16)
 @pytest.mark.parametrize("count", [2, 3, 5, 10])
 def test_cradle_of_touching_balls(count):
-    """Case 16: Newton's law at e = 1: -(n - 2)/n for the first, 2/n for all others; energy and momentum kept."""
+    """Case 16: Newton's law at e = 1: they strike one after the other, the last flies off alone, as with gaps."""
     trajectory = nd.simulate(nd.scenes.load("cradle")(count=count, gap=0.0), 0.2, dt=1e-3)
     v = trajectory.v[-1].reshape(count, 6)[:, 0]
-    assert abs(v[0] + (count - 2) / count) <= 1e-13 and np.abs(v[1:] - 2 / count).max() <= 1e-13
+    assert np.abs(v - np.eye(count)[-1]).max() <= 1e-13
     assert np.ptp(trajectory.energy.kinetic) <= 1e-13 and abs(v.sum() - 1.0) <= 1e-13
 
 
@@ -147,14 +150,11 @@ def test_oblique_collision(mu, parameters):
 
 @pytest.mark.case(17)
 def test_oblique_collision_in_space_with_spin():
-    """Case 17: momentum to round-off; angular momentum to the O(h²) by which a spinning ball turns in the impact."""
+    """Case 17: both momenta to round-off with spins about all axes too: the impact is located, and free spin exact."""
     scene = nd.scenes.load("collision")(spin_x=2.0, spin_y=5.0, spin_z=-3.0, offset_y=0.1)
-    errors = []
-    for dt in (1e-3, 5e-4):
+    for dt in (1e-2, 1e-3):
         p, L = momenta(nd.simulate(scene, 0.3, dt=dt))
-        assert np.abs(p - p[0]).max() <= 3e-14
-        errors.append(np.abs(L - L[0]).max())
-    assert errors[0] <= 1e-6 and errors[1] <= errors[0] / 3
+        assert np.abs(p - p[0]).max() <= 1e-14 and np.abs(L - L[0]).max() <= 1e-13
 
 
 @pytest.mark.case(18)
@@ -163,9 +163,10 @@ def test_kane_and_levinson():
     parameters = {"angle": 60.0, "mu": 0.5, "slip": 1.0, "fall": 1.0, "gravity": 0.0}
     stepper = nd.Stepper(nd.scenes.load("rod")(restitution=1.0, **parameters), dt=1e-3)
     before = stepper.start().energy["kinetic"]
-    step = stepper.step()
     # The end sticks: dv = W r with dv = (2, -1), and the normal works do nothing at e = 1.
-    W = step.problem.W.toarray()
+    d, now = stepper.dynamics, stepper.get_state().instant
+    W = d.rows(now.contacts, now.placement, d.inertia(now.position, now.v), None)[0].blocks.delassus().toarray()
+    step = stepper.step()
     friction = np.linalg.solve(W, [2.0, -1.0, 0.0])[1] / 2
     assert friction > 0.1
     assert abs(step.energy["friction"] - friction) <= 1e-13 and abs(step.energy["normal"]) <= 1e-13
@@ -274,10 +275,12 @@ def test_threshold_of_the_painleve_rod(angle):
     # The impulse that stops the end dead: W r = (0, 1) for a unit of slip.
     jam = np.linalg.solve([[p0, -slope], [-slope, 1 + 3 * math.sin(a) ** 2]], [0.0, 1.0])[0]
     for h in (1e-9, 1e-10):
-        below = nd.Stepper(nd.scenes.load("rod")(angle=angle, mu=p0 / slope * (1 - 1e-6)), dt=h).step()
+        # Gravity gives 1e-9 m/s in a step, which the default tolerance would not see.
+        exact = {"dt": h, "solver": nd.solvers.Auto(tol=1e-12)}
+        below = nd.Stepper(nd.scenes.load("rod")(angle=angle, mu=p0 / slope * (1 - 1e-6)), **exact).step()
         # N p = g: a million times the weight, and still a force.
         assert below.r[0, 0] == pytest.approx(h * g / (1e-6 * p0), rel=1e-3)
-        above = nd.Stepper(nd.scenes.load("rod")(angle=angle, mu=p0 / slope * (1 + 1e-6)), dt=h).step()
+        above = nd.Stepper(nd.scenes.load("rod")(angle=angle, mu=p0 / slope * (1 + 1e-6)), **exact).step()
         assert above.r[0, 0] == pytest.approx(jam, rel=1e-6)
 
 

@@ -10,8 +10,9 @@ ORDER = [
     ["workers", "_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
     ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
     ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
-    ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"], ["move", "trajectory"],
-    ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench"], ["cli"], ["__main__"],
+    ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"], ["instant", "trajectory"],
+    ["collisions", "sight"], ["move"], ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench"], ["cli"],
+    ["__main__"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
 MATHEMATICS = {"_kernels", "cones", "problem", "formulations", "solvers", "fclib", "gauss"}

@@ -55,7 +55,7 @@ def test_every_step(scene):
         assert (np.hypot(r[:, 1], r[:, 2]) <= mu * r[:, 0] * (1 + 1e-12) + 1e-300).all()
         # Momentum: what the contacts with the ground gave and what gravity gave.
         mass = stepper.dynamics.mass
-        change = (mass[:, None] * (stepper.get_state().v.reshape(-1, 6) - before.v.reshape(-1, 6))[:, :3]).sum(axis=0)
+        change = (mass[:, None] * (stepper.get_state().instant.v - before.instant.v).reshape(-1, 6)[:, :3]).sum(axis=0)
         ground = step.contacts.frame1 < 0
         given_ = np.einsum("ci,cij->j", r[ground], step.frame[ground]) + mass.sum() * 5e-3 * scene.gravity
         np.testing.assert_allclose(change, given_, rtol=0, atol=1e-11 * max(1.0, mass.sum()))

@@ -85,11 +85,15 @@ def collect(
 
 
 @njit(cache=True)
-def gaps(fields, x, R_frames, R, t, geom1, geom2, normal, key, found_key, found_gap, out):
+def gaps(
+    fields, x, R_frames, R, t, geom1, geom2, normal, key, found1, found2, found_key, found_gap, out
+):  # fmt: skip
     """Gaps of contacts at a later configuration, into out: of the same key there, else between the whole geoms.
 
-    The latter is their `separation` along the normal of the contact. `fields` are those of `Geometry`; x, R_frames are
-    the poses of the frames, R, t room for those of the geoms.
+    The latter is their separation along the normal of the contact, but no less than the least gap found between them,
+    which is their distance, or than 0 if none was: the normal may have turned with the body that it left. `found1`,
+    `found2` are sorted. `fields` are those of `Geometry`; x, R_frames are the poses of the frames, R, t room for those
+    of the geoms.
     """
     geometry = Geometry(*fields)
     order = np.argsort(found_key)
@@ -108,4 +112,16 @@ def gaps(fields, x, R_frames, R, t, geom1, geom2, normal, key, found_key, found_
             if not placed:
                 place(geometry, x, R_frames, R, t)
                 placed = True
-            out[c] = gap_along(geometry, geom1[c], geom2[c], R, t, row(normal, c))
+            low, high = 0, found1.size
+            while low < high:
+                middle = (low + high) // 2
+                if found1[middle] < geom1[c] or (found1[middle] == geom1[c] and found2[middle] < geom2[c]):
+                    low = middle + 1
+                else:
+                    high = middle
+            least = np.inf
+            while low < found1.size and found1[low] == geom1[c] and found2[low] == geom2[c]:
+                least = min(least, found_gap[low])
+                low += 1
+            apart = gap_along(geometry, geom1[c], geom2[c], R, t, row(normal, c))
+            out[c] = max(apart, least if least < np.inf else 0.0)

@@ -12,6 +12,10 @@ from numba import njit
 from nsdyn._kernels.blocks import relative_velocity
 from nsdyn._kernels.manifold import along, cross, dot, minus, row
 
+ROLLS = 50.0
+"""How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10
+for a rattleback. What jumps from corner to corner goes farther in all but large steps."""
+
 
 @njit(cache=True)
 def places(old_key, new_key):
@@ -61,7 +65,7 @@ def begin_velocities(
         if k >= 0:
             d, m = minus(p, row(old_point, k)), row(old_normal, k)
             far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
-            there = dot(d, d) <= 16.0 * far * far and dot(m, n) > 0.5
+            there = dot(d, d) <= ROLLS * ROLLS * far * far and dot(m, n) > 0.5
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
@@ -95,6 +99,29 @@ def least(x):
     for i in range(x.size):
         out = min(out, x[i])
     return out
+
+
+@njit(cache=True)
+def most(x):
+    """The largest entry, or 0 if none is positive."""
+    out = 0.0
+    for i in range(x.size):
+        out = max(out, x[i])
+    return out
+
+
+@njit(cache=True)
+def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
+    """Whether no point of the frames, `arm` (n,) from their origins at most, has moved by tol, nor must see farther."""
+    for f in range(arm.size):
+        shift, turn = 0.0, 0.0
+        for i in range(3):
+            shift = max(shift, abs(x[f, i] - x_now[f, i]))
+            for j in range(3):
+                turn = max(turn, abs(R[f, i, j] - R_now[f, i, j]))
+        if shift + 3.0 * turn * arm[f] > tol or reach_now[f] > reach[f]:
+            return False
+    return True
 
 
 @njit(cache=True)
@@ -272,7 +299,8 @@ def outcome(
 
     `states`; works (rows,) are those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns
     the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact
-    that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first step only
+    that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first step
+    only
     closed the gap; joint rows always do work.
     """
     nc, u_plus = status.size, np.empty(u.size)

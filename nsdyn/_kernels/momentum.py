@@ -207,8 +207,8 @@ def solve(
     momentum points against its own step, (y - x')·(x' - x) > 0, halves its t, or loses it all once that cycles. Unlike
     a restart of all contacts or combinations of past iterates this survives contacts that change their state one after
     the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested, and which
-    contacts are worth the next ones; best_r keeps the best. Stops after `most` sweeps in all, or `patience` without a better one. Returns (sweeps, the one of
-    the best, its measure, keep).
+    contacts are worth the next ones; best_r keeps the best. Stops after `most` sweeps in all, or `patience` without a
+    better one. Returns (sweeps, the one of the best, its measure, keep).
     """
     u, before = np.full((mu.size, 3), -np.inf), np.empty((mu.size, 3))
     order = np.arange(mu.size)
