@@ -10,7 +10,8 @@ ORDER = [
     ["workers", "_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
     ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
     ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
-    ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"], ["instant", "trajectory"],
+    ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"],
+    ["instant", "trajectory"],
     ["collisions", "sight"], ["move"], ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench"], ["cli"],
     ["__main__"],
 ]  # fmt: skip
