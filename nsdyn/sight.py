@@ -42,11 +42,18 @@ class Unmet(NamedTuple):
 def caught(
     s: System, contacts: ContactSet, begin: Instant, placement: Placement, v: Array, ahead: float, barred: Index
 ) -> ContactSet:
-    """Contacts that a move need not leave alone: closed where it begins, or neither barred, deep nor elastic."""
+    """Contacts that a move need not leave alone: closed where it begins, or neither barred, deep nor elastic.
+
+    What pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed:
+    of that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
+    """
     held = np.empty(contacts.gap.size, np.bool_)
     if _law.known(contacts.key, begin.contacts.key, begin.contacts.gap, s.closed, held):
         return contacts
-    shallow = contacts.gap + ahead * approach(s.dynamics, contacts, placement, v) > -s.deep(contacts)
+    warm = begin.warm
+    pressed = np.isin(contacts.key, warm.key[warm.status > 0])
+    loaded, free = (approach(s.dynamics, contacts, placement, w) for w in (begin.v, v))
+    shallow = contacts.gap + ahead * np.where(pressed, loaded, free) > -s.deep(contacts)
     shallow &= ~np.isin(s.detector.codes(contacts), barred)
     return take(contacts, held | (shallow & (contacts.restitution == 0.0)))
 
@@ -59,7 +66,9 @@ def caught_limits(
     place = np.searchsorted(laws.limits, joints.slot)
     friction = joints.mu > 0.0
     held = begin.limits[np.where(friction, 0, place)] <= s.closed if begin.limits.size else friction
-    shallow = joints.gap + ahead * laws.rates(joints.slot, v) > -DEEP * JOINT
+    pressed = begin.warm.joints[joints.slot, 0] > 0.0
+    rate = np.where(pressed, laws.rates(joints.slot, begin.v), laws.rates(joints.slot, v))
+    shallow = joints.gap + ahead * rate > -DEEP * JOINT
     shallow &= ~np.isin(-1 - place, barred)
     return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
 
@@ -81,11 +90,10 @@ def others(s: System, found: ContactSet, met: ContactSet, limits: Array, slot: I
     left = take(found, ~same)
     code, gap, limit = s.detector.codes(left), left.gap, np.where(left.restitution > 0.0, s.closed, s.deep(left))
     if limits.size:
-        laws = s.dynamics.joints
-        k = np.flatnonzero(~np.isin(laws.limits, slot))
-        depth = np.where(laws.restitution[laws.limits[k]] > 0.0, s.closed, DEEP * JOINT)
+        # Strikes on these are few: they are located sharply, with restitution or without.
+        k = np.flatnonzero(~np.isin(s.dynamics.joints.limits, slot))
         code, gap = np.concatenate((code, -1 - k)), np.concatenate((gap, limits[k]))
-        limit = np.concatenate((limit, depth))
+        limit = np.concatenate((limit, np.full(k.size, s.closed)))
     return Unmet(code, gap, limit)
 
 
