@@ -130,7 +130,7 @@ class Auto:
     """
 
     tol: float = 1e-8
-    accept: float = 0.4
+    accept: float = 1.0
     heavy_tol: float = 0.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
