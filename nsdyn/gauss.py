@@ -46,6 +46,10 @@ SLACK = 0.1
 WEAK = 4.0
 """Where a direction found for other contacts needs a λ of so many times the largest -u_N, a new one is found."""
 
+ENOUGH, SWEEPS = 0.5, 1000
+"""A direction for other contacts is changed until κ is at least so much everywhere, in at most so many sweeps; a few do
+where few contacts have changed, a hundred or more where a heap is struck, and Newton's method costs as much as that."""
+
 PENALTY, GROWTH, LARGEST = 10.0, 10.0, 1e9
 """Penalty times λ_max(W_cc) of the first Newton step, its growth with every full step, and its limit."""
 
@@ -139,7 +143,9 @@ def certify(
     if not math.isfinite(gap + shift):
         return Certificate(gap, shift, math.inf), opening
     if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):
-        d = _open(problem, u, speed)
+        d = _relaxed(problem, opening.d if opening else NOTHING)
+        if not d.size:
+            d = _open(problem, u, speed)
         if d.size or step == math.inf:
             opening = Opening(d, problem.nc, speed)
             o, square = _along(problem, d)
@@ -157,6 +163,16 @@ def _along(problem: FC3D, d: Array) -> tuple[Array, float]:
     if b is not None and d.size == b.n:
         return o, float(_kernels.along_blocks(b.offset, b.block, b.start, b.h, b.m_start, b.m, d, o))
     return o, 0.0
+
+
+def _relaxed(problem: FC3D, d: Array) -> Array:
+    """`Opening.d` from one of other contacts, where few of them have changed; empty where that does not suffice."""
+    b = problem.blocks
+    if b is None or d.size != b.n:
+        return NOTHING
+    d = d.copy()
+    found = _kernels.relax(b.offset, b.block, b.start, b.h, b.m_start, b.minv, problem.mu, ENOUGH, SWEEPS, d)
+    return d if found else NOTHING
 
 
 def _open(problem: FC3D, u: Array, speed: float) -> Array:

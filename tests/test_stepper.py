@@ -19,7 +19,9 @@ def test_ledger_closes_on_every_named_scene(name):
     # The same sum over all steps; 60 additions of numbers as large as the potential energy.
     change = sum(getattr(energy, term).sum() for term in works)
     assert total[-1] - total[0] == pytest.approx(change, abs=1e-12 * max(largest, 1e-3))
-    assert (trajectory.solver.status == nd.Status.CONVERGED).all()
+    # No position of the squeezed peg is without overlap, and the status of each of its steps says so.
+    expected = nd.Status.OVERLAP if name == "peg" else nd.Status.CONVERGED
+    assert (trajectory.solver.status == expected).all()
 
 
 def test_contact_works_add_up_and_friction_only_dissipates():

@@ -125,3 +125,56 @@ def least_opening(o, b, mu):
         if not kappa >= least:
             least = kappa
     return least
+
+
+@njit(cache=True)
+def relax(offset, block, start, h, m_start, minv, mu, enough, sweeps, d):
+    """Change d (n,) until κ ≥ `enough` < 1 at every contact, by projections; whether that was reached.
+
+    Each contact in turn where κ is less gets the shortest change, in the kinetic norm, that brings the linearised κ to
+    1: along the impulse g = (1, -μ o_T/|o_T|), the gradient of κ = o_N - μ|o_T|. Where directions with κ > 1 exist,
+    d comes closer to all of them with every change, and finitely many do.
+    """
+    for _ in range(sweeps):
+        found = True
+        for c in range(mu.size):
+            o0, o1, o2 = 0.0, 0.0, 0.0
+            for s in range(2):
+                k = block[c, s]
+                if k >= 0:
+                    o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                    e, f = a + n, a + n + n
+                    for j in range(n):
+                        x = d[o + j]
+                        o0 += h[a + j] * x
+                        o1 += h[e + j] * x
+                        o2 += h[f + j] * x
+            slip = math.sqrt(o1 * o1 + o2 * o2)
+            kappa = o0 - mu[c] * slip
+            if kappa >= enough:
+                continue
+            found = False
+            g1, g2 = (-mu[c] * o1 / slip, -mu[c] * o2 / slip) if slip > 0.0 else (0.0, 0.0)
+            # First p = H g and p·M⁻¹ p, then the change along M⁻¹ p.
+            square, change = 0.0, 0.0
+            for stage in range(2):
+                for s in range(2):
+                    k = block[c, s]
+                    if k >= 0:
+                        o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                        e, f, row = a + n, a + n + n, np.uint64(m_start[k])
+                        for i in range(n):
+                            w = 0.0
+                            for j in range(n):
+                                w += minv[row + j] * (h[a + j] + g1 * h[e + j] + g2 * h[f + j])
+                            row += n
+                            if stage == 0:
+                                square += w * (h[a + i] + g1 * h[e + i] + g2 * h[f + i])
+                            else:
+                                d[o + i] += change * w
+                if not square > 0.0:
+                    return False
+                change = (1.0 - kappa) / square
+        if found:
+            return True
+    return False
