@@ -30,6 +30,10 @@ class Factor:
         self.indptr, self.indices, self.slot, self.diagonal = _matrix.pattern(offset, block)
         n = int(offset[-1])
         self.K = sp.csc_matrix((np.empty(self.indices.size), self.indices, self.indptr), shape=(n, n))
+        column = np.repeat(np.arange(n), np.diff(self.indptr))
+        self.upper = np.flatnonzero(self.indices <= column)
+        end = np.searchsorted(self.upper, self.indptr)
+        self.U = sp.csc_matrix((np.empty(self.upper.size), self.indices[self.upper], end), shape=(n, n))
         self.ldl: Any = None
 
     def _assemble(self, blocks: Blocks, A: Array) -> None:
@@ -49,10 +53,12 @@ class Factor:
         if not _matrix.symmetric(A):
             return self.lu(blocks, A)(b)
         self._assemble(blocks, A)
+        # QDLDL wants the upper triangle; to have it cut out by SciPy costs as much as the factorisation.
+        np.take(self.K.data, self.upper, out=self.U.data)
         if self.ldl is None:
-            self.ldl = qdldl.Solver(self.K)
+            self.ldl = qdldl.Solver(self.U, upper=True)
         else:
-            self.ldl.update(self.K)
+            self.ldl.update(self.U, upper=True)
         out: Array = self.ldl.solve(b)
         return out
 
