@@ -63,7 +63,7 @@ def collide(
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
     here = Middle(at.position, at.v, at.placement, ())
     start = contacts, at.position.driven_x, at.placement, at.twists, at.v, at.warm
-    met = meet(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0)
+    met = meet(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0, 0.0)
     # What the solver's tolerance leaves of a velocity is no approach.
     resting = s.solver.tol + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
     # What was pressed before turns with its bodies: it closes a little without striking.

@@ -50,12 +50,15 @@ class Warm(NamedTuple):
         0 open, 1 stick, 2 slip.
     joints : ndarray, shape (slots, 3)
         Impulses of joint limits and joint friction, by the slots of `nsdyn.joints.JointLaws`.
+    h : float
+        Length of the move that they are of, s: those of loads grow with it.
     """
 
     key: Index
     impulse: Array
     status: NDArray[np.int8]
     joints: Array
+    h: float
 
 
 class Encounter(NamedTuple):
@@ -127,6 +130,7 @@ def meet(
     begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
     reach: Array,
     surfaces: tuple[Array, Array],
+    h: float,
     ahead: float,
 ) -> Encounter:
     """Relative velocities of a step at its contacts and joint rows.
@@ -145,8 +149,8 @@ def meet(
         How far points of the frames move in about half a step, m.
     surfaces : two ndarrays of shape (surfaces, 2, 3)
         Twists of what moves as prescribed, when the impulses act and at the end.
-    ahead : float
-        h₂, s.
+    h, ahead : float
+        The move, and h₂, s.
     """
     there = middle.placement
     rows, frame = dynamics.rows(contacts, there, forces, joints)
@@ -160,11 +164,12 @@ def meet(
     where = _law.meet(
         full.offset, full.block, full.start, full.h, v_begin, middle.v, forces.v, carried, *drags, rows.press,
         warm.key, warm.impulse, old.key, old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1,
-        contacts.frame2, contacts.point, frame, there.x, contacts.gap, ahead, u_begin, u, u_free, turn, guess, end_gap,
+        contacts.frame2, contacts.point, frame, there.x, contacts.gap, h / warm.h, ahead, u_begin, u, u_free,
+        turn, guess, end_gap,
     )  # fmt: skip
     mu, restitution = contacts.mu, contacts.restitution
     if joints is not None:
-        guess[3 * nc :] = warm.joints[joints.slot].ravel()
+        guess[3 * nc :] = h / warm.h * warm.joints[joints.slot].ravel()
         end_gap[nc:] = joints.gap - 0.5 * ahead * turn[3 * nc :: 3]
         mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
     return Encounter(
@@ -213,7 +218,7 @@ def foresee(met: Encounter) -> Bools:
     """Which contacts slide through the step, by the friction foreseen."""
     full, slides = met.rows.full, np.empty(met.frame.shape[0], np.bool_)
     _law.foresee(
-        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.u_begin, met.u, met.u_free,
-        met.turn, met.guess, slides,
+        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.place, met.status,
+        met.u_begin, met.u, met.u_free, met.turn, met.guess, slides,
     )  # fmt: skip
     return slides

@@ -208,4 +208,4 @@ def account(
         met.contacts, met.frame, u_end.reshape(-1, 3)[:nc], total.reshape(-1, 3)[:nc], status, normal[:nc],
         friction[:nc], on_joints, created,
     )  # fmt: skip
-    return impulses, works, Warm(met.contacts.key, world, status, slots)
+    return impulses, works, Warm(met.contacts.key, world, status, slots, h)

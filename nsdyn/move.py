@@ -21,7 +21,7 @@ from nsdyn.projection import Placed, place, project
 from nsdyn.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.trees import TreeEnd
 
-__all__ = ["Move", "move"]
+__all__ = ["Move", "Trial", "finish", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 
@@ -44,11 +44,6 @@ class Move(NamedTuple):
         Of the last problem solved.
     clear : bool
         Whether the end is without overlap.
-    unmet : Unmet, optional
-        What the motion did not meet, where it ends; None where there is nothing or all was caught.
-    touched : float
-        Time until a pair that is open where the move begins touches on its way, s; that of the move if none does, or
-        if nothing is so fast that it might go unseen.
     rate : ndarray, shape (n,)
         Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
     """
@@ -59,8 +54,6 @@ class Move(NamedTuple):
     problem: FC3D
     solution: Solution
     clear: bool
-    unmet: Unmet | None
-    touched: float
     rate: Array
 
 
@@ -146,14 +139,38 @@ class Response(NamedTuple):
     moved: Placed
 
 
-def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, barred: Index | None) -> Move:
+class Trial(NamedTuple):
+    """A move whose end may still overlap, and what it ran into.
+
+    Attributes
+    ----------
+    half : Half
+    joints : JointRows or None
+    seen : Seen
+    response : Response
+    unmet : Unmet, optional
+        What the motion did not meet, where it ends; None where there is nothing or all was caught.
+    touched : float
+        Time until a pair that is open where the move begins touches on its way, s; that of the move if none does, or
+        if nothing is so fast that it might go unseen.
+    """
+
+    half: Half
+    joints: JointRows | None
+    seen: Seen
+    response: Response
+    unmet: Unmet | None
+    touched: float
+
+
+def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, barred: Index | None) -> Trial:
     """Move for h seconds from the time t.
 
     With the state (q_k, v_k) and the free flow Φ:
 
         q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
 
-    and the contact law of `encounter`, with the contacts that the motion shows; then positions without overlap.
+    and the contact law of `encounter`, with the contacts that the motion shows.
 
     Parameters
     ----------
@@ -181,8 +198,14 @@ def move(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, ba
         if real is response.met.contacts and not (response.otherwise and look == 0):
             break
         response = _respond(s, begin, half, real, joints, seen, barred, response)
-    placed = project(s.dynamics, s.detector, response.moved, half.forces, s.closed)
-    return _finish(s, begin, half, joints, seen, response, placed, barred)
+    unmet, until = None, h
+    if barred is not None:
+        moved = response.moved
+        limits = moved.limits if barred.size or _law.least(moved.limits) < -s.closed else NOTHING
+        unmet = others(s, moved.contacts, response.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
+        if half.fast:
+            until = touched(s, begin, half.middle.placement, moved.placement, seen.memory, h)
+    return Trial(half, joints, seen, response, unmet, until)
 
 
 def _half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
@@ -225,7 +248,7 @@ def _respond(
     """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
     d, middle, forces = s.dynamics, half.middle, half.forces
     start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-    met = meet(d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.ahead)
+    met = meet(d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead)
     met, impact, kick = caught_impacts(s, met, half.h)
     slides = foresee(met)
     if last is not None:
@@ -255,25 +278,18 @@ def _resume(met: Encounter, slides: Bools, last: Response) -> None:
     guess[nc:] = r[key.size :]
 
 
-def _finish(
-    s: System, begin: Instant, half: Half, joints: JointRows | None, seen: Seen, response: Response,
-    placed: Placed, barred: Index | None,
-) -> Move:  # fmt: skip
-    """The move that ends where it is placed."""
-    d, middle, a = s.dynamics, half.middle, response
-    velocities = middle.v, middle.v + a.kick, a.v
+def finish(s: System, begin: Instant, tried: Trial) -> Move:
+    """The move to a position without overlap, and what was done on its way."""
+    d, half, seen, a = s.dynamics, tried.half, tried.seen, tried.response
+    placed = project(d, s.detector, a.moved, half.forces, s.closed)
+    velocities = half.middle.v, half.middle.v + a.kick, a.v
     impulses, works, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact)
-    v_end, unmet, until = a.v_end, None, half.h
+    v_end = a.v_end
     if placed is not a.moved:
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
         works += Works(projection=lifted)
     if a.impulse is not None:
         works += _tree_works(s, half, a, a.impulse, placed.position)
-    if barred is not None:
-        limits = a.moved.limits if barred.size or _law.least(a.moved.limits) < -s.closed else NOTHING
-        unmet = others(s, a.moved.contacts, a.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
-        if half.fast:
-            until = touched(s, begin, middle.placement, a.moved.placement, seen.memory, half.h)
     looked = seen.looked
     if placed.contacts is not seen.contacts:
         looked = Looked(placed.placement.x, placed.placement.R, np.zeros(d.frames))
@@ -281,8 +297,8 @@ def _finish(
         placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, looked, warm,
         d.twists(placed.placement, v_end),
     )  # fmt: skip
-    rate = (half.forces.v - middle.v) / half.h
-    return Move(end, impulses, works, a.problem, a.solution, placed.clear, unmet, until, rate)
+    rate = (half.forces.v - half.middle.v) / half.h
+    return Move(end, impulses, works, a.problem, a.solution, placed.clear, rate)
 
 
 def _tree_works(s: System, half: Half, a: Response, impulse: Array, lifted: Position) -> Works:

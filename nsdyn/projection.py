@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels import blocks as _blocks
 from nsdyn._kernels import law as _law
 from nsdyn.contacts import ContactMemory, ContactSet, Detector
 from nsdyn.dynamics import Dynamics, Forces, Placement, Position
-from nsdyn.problem import FC3D, Array
+from nsdyn.problem import FC3D, Array, Blocks, Solution
 from nsdyn.solvers import Auto
 
 __all__ = ["Placed", "place", "project"]
@@ -76,7 +77,8 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
     Returns
     -------
     Placed
-        `placed` itself where nothing overlaps; not `clear` where bodies are squeezed so that nothing helps.
+        `placed` itself where nothing overlaps; not `clear` where bodies are squeezed so that nothing helps: these, and
+        what touches them, stay.
     """
     for _ in range(PASSES):
         gap, deepest = placed.contacts.gap, _least(placed)
@@ -93,12 +95,24 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         g = np.zeros(3 * gap.size)
         g[0::3] = gap / -deepest
         problem = FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size))
-        push = Auto(tol=max(COARSE, -0.5 * closed / deepest))(problem).r
+        solution = Auto(tol=max(COARSE, -0.5 * closed / deepest))(problem)
+        push = solution.r if solution.converged else _without_squeezed(rows.blocks, solution)
+        if not push.any():
+            break
         moved = dynamics.shift(placed.position, -deepest * rows.velocity_change(push))
         # What the next shift may reach, which is about as far as this one, must be seen.
         near = np.full(dynamics.frames, -deepest)
         placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory, near)
     return placed._replace(clear=_least(placed) >= -closed)
+
+
+def _without_squeezed(blocks: Blocks, solution: Solution) -> Array:
+    """The impulses of a projection, none in islands where they do not even halve an overlap."""
+    label = np.empty(blocks.block.shape[0], np.int64)
+    _blocks.islands(blocks.block, blocks.offset.size - 1, label)
+    squeezed = np.isin(label, label[solution.u[0::3] < -0.5])
+    out: Array = np.where(np.repeat(squeezed, 3), 0.0, solution.r)
+    return out
 
 
 def _least(placed: Placed) -> float:

@@ -23,7 +23,7 @@ from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
 from nsdyn.instant import Impulses, Instant, Looked, System, take
-from nsdyn.move import Move, move
+from nsdyn.move import Trial, finish, trial
 from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution, Status
 from nsdyn.projection import place
 from nsdyn.scene import Geom, Scene
@@ -271,7 +271,7 @@ class Stepper:
         placed = place(d, self.detector, position, d.place(position), ContactMemory.empty())
         _check_overlap(geoms, placed.contacts)
         none = np.empty((0, 3))
-        warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
+        warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), self.dt)
         twists = d.twists(placed.placement, v)
         placement, contacts = placed.placement, placed.contacts
         looked = Looked(placement.x, placement.R, np.zeros(d.frames))
@@ -302,9 +302,7 @@ class Stepper:
         if v.shape != (self.dynamics.n,) or x.shape != (self.dynamics.free, 3):
             raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {v.shape}")
         if state.dt != self.dt:
-            warm, ratio = state.instant.warm, self.dt / state.dt
-            warm = warm._replace(impulse=ratio * warm.impulse, joints=ratio * warm.joints)
-            state = state._replace(origin=state.t, dt=self.dt, count=0, instant=state.instant._replace(warm=warm))
+            state = state._replace(origin=state.t, dt=self.dt, count=0)
         self._state = state
 
     def start(self) -> Start:
@@ -328,7 +326,8 @@ class Stepper:
             if (struck := collide(self.system, now, t, left, rate)) is not None:
                 now, impulses, more, pair = struck
                 done, solved, works = [*done, impulses], [*solved, pair], works + more
-            length, m = self._until_impact(now, t, left) if cut < CUTS else (left, self._move(now, t, left, None))
+            length, tried = self._until_impact(now, t, left) if cut < CUTS else (left, self._try(now, t, left, None))
+            m = finish(self.system, now, tried)
             now, rate, left, clear = m.end, m.rate, left - length, m.clear
             done, solved, works = [*done, m.impulses], [*solved, (m.problem, m.solution)], works + m.works
             if left <= 1e-12 * self.dt:
@@ -345,12 +344,12 @@ class Stepper:
             solution = solution._replace(status=Status.OVERLAP)
         return self._record(done, ledger, certificate, problem, solution)
 
-    def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Move]:
+    def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Trial]:
         """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
         s = self.system
         if begin.contacts.gap.size > LOCATED:
-            return h, self._move(begin, t, h, None)
-        m = self._move(begin, t, h, NONE)
+            return h, self._try(begin, t, h, None)
+        m = self._try(begin, t, h, NONE)
         if m.touched < h:
             # Not much farther, so that what is hit is seen from the side where it is.
             far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
@@ -363,7 +362,7 @@ class Stepper:
         if not hit.any():
             return h, m
         if hit.sum() > HITS:
-            return h, self._move(begin, t, h, None)
+            return h, self._try(begin, t, h, None)
         barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
         # What rebounds is located sharply; what does not may be anywhere between closed and deep.
         aim, near = (0.0, 1e-3 * self.closed) if limit <= self.closed else (0.5 * limit, 0.5 * limit)
@@ -383,17 +382,17 @@ class Stepper:
             if time == 0.0:
                 return max(least(before), self.closed)
             if time not in moves:
-                moves[time] = self._move(begin, t, time, barred)
+                moves[time] = self._try(begin, t, time, barred)
             return least(moves[time].unmet)
 
         brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
         # Where another feature is the first to touch the gap jumps, and has no root.
         length = min(moves, key=lambda time: abs(gap(time)))
         if abs(gap(length)) > limit:
-            return h, self._move(begin, t, h, None)
+            return h, self._try(begin, t, h, None)
         return length, moves[length]
 
-    def _move(self, begin: Instant, t: float, h: float, barred: Index | None) -> Move:
+    def _try(self, begin: Instant, t: float, h: float, barred: Index | None) -> Trial:
         """A move of h seconds, with the user's callbacks."""
 
         def callbacks(middle: Position, v: Array) -> tuple[Any, Any]:
@@ -405,7 +404,7 @@ class Stepper:
                 self.controller(*at) if self.controller else None,
             )
 
-        return move(self.system, begin, t, h, callbacks, barred)
+        return trial(self.system, begin, t, h, callbacks, barred)
 
     def _certify(
         self, solved: list[tuple[FC3D, Solution]], opening: gauss.Opening | None

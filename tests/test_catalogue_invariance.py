@@ -127,7 +127,6 @@ def test_larger_scene(case, factor):
 
 
 @pytest.mark.case(47)
-@pytest.mark.xfail(strict=False, reason="dominoes: impacts of many corners at once are told apart by round-off")
 def test_bodies_in_another_order(case):
     scene, duration, dt, (_, x, v, w) = case
     order = np.random.default_rng(5).permutation(len(scene.bodies))

@@ -36,14 +36,14 @@ def places(old_key, new_key):
 
 
 @njit(cache=True)
-def warm_start(place, impulse, frame, r):
+def warm_start(place, impulse, factor, frame, r):
     """World impulses of old contacts in the frames of those that continue them, 0 for new ones, into r (3 nc,)."""
     for c in range(place.size):
         for i in range(3):
             r[3 * c + i] = 0.0
             if place[c] >= 0:
                 p = impulse[place[c]]
-                r[3 * c + i] = frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2]
+                r[3 * c + i] = factor * (frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2])
 
 
 @njit(cache=True)
@@ -161,8 +161,8 @@ def known(key, old_key, old_gap, closed, out):
 @njit(cache=True)
 def meet(
     offset, block, start, h, v_begin, v, v_free, carried, drag, drag_end, press, old_key, impulse, begin_key,
-    begin_point, begin_normal, x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, ahead,
-    u_begin, u, u_free, turn, guess, end_gap,
+    begin_point, begin_normal, x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, longer,
+    ahead, u_begin, u, u_free, turn, guess, end_gap,
 ):  # fmt: skip
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
@@ -171,13 +171,13 @@ def meet(
     `drag_end` with those of the end) and the normal velocities of joint friction (`press`, empty for none). end_gap =
     gap - ahead/2 turn_N, but for what the twists change: the parabola whose speed at the end of the step, `ahead`
     seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in world axes start the
-    solver; they need not be those found where the step begins.
+    solver, `longer` times as large, as the move is; they need not be those found where the step begins.
     """
     nc = key.size
     relative_velocity(offset, block, start, h, v, u)
     relative_velocity(offset, block, start, h, v_free, u_free)
     place = places(old_key, key)
-    warm_start(place, impulse, frame, guess)
+    warm_start(place, impulse, longer, frame, guess)
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(offset, block, start, h, v_begin, u_begin)
     begin_velocities(
@@ -200,12 +200,17 @@ def meet(
 
 
 @njit(cache=True)
-def foresee(offset, block, start, h, m_start, minv, mu, u_begin, u, u_free, turn, guess, slides):
-    """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen."""
+def foresee(offset, block, start, h, m_start, minv, mu, place, old_status, u_begin, u, u_free, turn, guess, slides):
+    """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
+
+    What stuck begins without slip, but for what the solver's tolerance left.
+    """
     for c in range(slides.size):
         i = 3 * c
-        slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
         slides[c] = False
+        if place[c] >= 0 and old_status[place[c]] == 1:
+            continue
+        slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
         if slip <= 2.0 * math.sqrt(turn[i + 1] ** 2 + turn[i + 2] ** 2) or mu[c] == 0.0:
             continue
         normal, tangential = 0.0, 0.0
