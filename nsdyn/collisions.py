@@ -74,7 +74,7 @@ def collide(
     if impact.problem is None or impact.solution is None:
         return None
     v = at.v + met.rows.velocity_change(impact.r)
-    impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact)
+    impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact, None)
     return at._replace(v=v, twists=d.twists(at.placement, v)), impulses, works, (impact.problem, impact.solution)
 
 

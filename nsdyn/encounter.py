@@ -26,7 +26,7 @@ from nsdyn.joints import JointRows, Rows
 from nsdyn.problem import FC3D, Array, Index, Solution
 from nsdyn.solvers import Solver
 
-__all__ = ["SOLVES", "Encounter", "Warm", "foresee", "meet", "solve"]
+__all__ = ["SOLVES", "Basis", "Encounter", "Warm", "foresee", "meet", "solve"]
 
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
@@ -35,6 +35,24 @@ that stop, whose slip would else be turned round."""
 NOTHING = np.empty(0)
 
 Bools = NDArray[np.bool_]
+
+
+class Basis(NamedTuple):
+    """Contacts and their rows, which serve as long as nothing moves.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    rows : Rows
+    frame : ndarray, shape (nc, 3, 3)
+    problem : FC3D
+        Of the last move.
+    """
+
+    contacts: ContactSet
+    rows: Rows
+    frame: Array
+    problem: FC3D
 
 
 class Warm(NamedTuple):
@@ -52,6 +70,7 @@ class Warm(NamedTuple):
         Impulses of joint limits and joint friction, by the slots of `nsdyn.joints.JointLaws`.
     h : float
         Length of the move that they are of, s: those of loads grow with it.
+    basis : Basis, optional
     """
 
     key: Index
@@ -59,6 +78,7 @@ class Warm(NamedTuple):
     status: NDArray[np.int8]
     joints: Array
     h: float
+    basis: Basis | None
 
 
 class Encounter(NamedTuple):
@@ -71,6 +91,8 @@ class Encounter(NamedTuple):
     rows : Rows
     frame : ndarray, shape (nc, 3, 3)
         Rows (n, t1, t2), world axes.
+    alike : FC3D or None
+        A problem that differs in its velocities only.
     mu, restitution : ndarray, shape (rows,)
     place : ndarray of int, shape (nc,)
         Where the contacts stand in the warm start, -1 for new ones.
@@ -96,6 +118,7 @@ class Encounter(NamedTuple):
     joints: JointRows | None
     rows: Rows
     frame: Array
+    alike: FC3D | None
     mu: Array
     restitution: Array
     place: Index
@@ -153,12 +176,16 @@ def meet(
         The move, and h₂, s.
     """
     there = middle.placement
-    rows, frame = dynamics.rows(contacts, there, forces, joints)
+    old, driven_x, place, twists, v_begin, warm = begin
+    basis = warm.basis
+    if basis is not None and basis.contacts is contacts and joints is None and not dynamics.trees:
+        _, rows, frame, alike = basis
+    else:
+        (rows, frame), alike = dynamics.rows(contacts, there, forces, joints), None
     full, nc = rows.full, contacts.gap.size
     nr = full.nc
     u_begin, u, u_free, turn, guess = np.empty((5, 3 * nr))
     end_gap = np.empty(nr)
-    old, driven_x, place, twists, v_begin, warm = begin
     drags = dynamics.surfaces.drags(contacts, frame, middle.position.driven_x, nr, *surfaces)
     carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
     where = _law.meet(
@@ -173,8 +200,8 @@ def meet(
         end_gap[nc:] = joints.gap - 0.5 * ahead * turn[3 * nc :: 3]
         mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
     return Encounter(
-        contacts, joints, rows, frame, mu, restitution, where, warm.status, u_begin, u, u_free, turn, end_gap, guess,
-        drags[0],
+        contacts, joints, rows, frame, alike, mu, restitution, where, warm.status, u_begin, u, u_free, turn,
+        end_gap, guess, drags[0],
     )  # fmt: skip
 
 
@@ -202,7 +229,8 @@ def solve(
         _law.offsets(met.u, met.u_free, met.turn, met.end_gap, met.rebound, slides, ahead, closed, b)
         return b
 
-    problem = FC3D.from_blocks(met.rows.blocks, offsets(), met.mu)
+    alike = met.alike
+    problem = alike.with_velocity(offsets()) if alike else FC3D.from_blocks(met.rows.blocks, offsets(), met.mu)
     solution = solver(problem, met.guess)
     for k in range(most + 1):
         shown = solution.r, solution.u, problem.q, met.mu, met.u_begin, met.u, met.u_free, met.turn

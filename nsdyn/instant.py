@@ -11,10 +11,10 @@ from nsdyn._kernels import law as _law
 from nsdyn._kernels import motion as _motion
 from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses, Touches
 from nsdyn.dynamics import Dynamics, Forces, Placement, Position
-from nsdyn.encounter import Encounter, Warm
+from nsdyn.encounter import Basis, Encounter, Warm
 from nsdyn.energy import Works
 from nsdyn.impacts import Impact
-from nsdyn.problem import Array
+from nsdyn.problem import FC3D, Array
 from nsdyn.solvers import Solver
 
 __all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "Looked", "System", "account", "take"]
@@ -32,7 +32,7 @@ falls so far is lifted again at the end, and the energy of that is numerical."""
 JOINT = 0.1
 """What counts for joint limits as the inscribed radius of a shape does, rad or m."""
 
-STILL = 1e-2
+STILL = 0.5
 """Fraction of what counts as closed by which frames may have moved while the contacts that were found stay those."""
 
 Bools = NDArray[np.bool_]
@@ -176,11 +176,11 @@ def take(contacts: ContactSet, kept: Bools) -> ContactSet:
 
 def account(
     s: System, met: Encounter, forces: Forces, velocities: tuple[Array, Array, Array], r: Array, h: float,
-    impact: Impact | None,
+    impact: Impact | None, problem: FC3D | None,
 ) -> tuple[Impulses, Works, Warm]:  # fmt: skip
     """What the impulses r of a move, empty for none, and its impacts did, their works, and what they leave.
 
-    The velocities are those before the impacts, after them, and after r.
+    The velocities are those before the impacts, after them, and after r, which solves the problem.
     """
     d, nc, nr = s.dynamics, met.frame.shape[0], met.mu.size
     normal, friction, total, u_end = np.zeros(nr), np.zeros(nr), r, met.u if impact is None else impact.u
@@ -204,8 +204,9 @@ def account(
     if met.drag.size:
         works += Works(constraint=-float(met.drag @ total))
     slots, on_joints = d.joints.impulses(met.joints, total.reshape(-1, 3)[nc:], d.n)
+    basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     impulses = Impulses(
         met.contacts, met.frame, u_end.reshape(-1, 3)[:nc], total.reshape(-1, 3)[:nc], status, normal[:nc],
         friction[:nc], on_joints, created,
     )  # fmt: skip
-    return impulses, works, Warm(met.contacts.key, world, status, slots, h)
+    return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)

@@ -253,8 +253,9 @@ def _respond(
     slides = foresee(met)
     if last is not None:
         _resume(met, slides, last)
-    most = 0 if barred is None else SOLVES
-    problem, solution, otherwise = solve(met, s.solver, half.ahead, s.closed, slides, last is not None, most)
+    # What catches its impacts is of first order anyway: there only what stops is worth another solve.
+    most, back = (0, True) if barred is None else (SOLVES, last is not None)
+    problem, solution, otherwise = solve(met, s.solver, half.ahead, s.closed, slides, back, most)
     v = forces.v + kick + met.rows.velocity_change(solution.r)
     impulse = None
     if d.trees:
@@ -283,7 +284,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
     d, half, seen, a = s.dynamics, tried.half, tried.seen, tried.response
     placed = project(d, s.detector, a.moved, half.forces, s.closed)
     velocities = half.middle.v, half.middle.v + a.kick, a.v
-    impulses, works, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact)
+    impulses, works, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem)
     v_end = a.v_end
     if placed is not a.moved:
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)

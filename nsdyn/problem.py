@@ -7,7 +7,6 @@ in m/s, r in N·s. The judge is not the player: every solver's answer is measure
 from __future__ import annotations
 
 import math
-from copy import copy
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -218,10 +217,13 @@ class FC3D:
 
     def with_velocity(self, q: Any, mu: Any = None) -> FC3D:
         """The same contacts with another q (and μ), without looking at W again."""
-        problem = copy(self)
-        problem.__dict__.pop("q_norm", None)
+        problem = FC3D.__new__(FC3D)
+        problem.__dict__.update(self.__dict__)
         problem._set(q, self.mu if mu is None else mu)
-        problem._check_values()
+        q_norm, good = _blocks.size_of(problem.q, problem.mu)
+        if not good:
+            problem._check_values()
+        problem.q_norm = q_norm or 1.0
         return problem
 
     def _set(self, q: Any, mu: Any) -> None:

@@ -271,7 +271,7 @@ class Stepper:
         placed = place(d, self.detector, position, d.place(position), ContactMemory.empty())
         _check_overlap(geoms, placed.contacts)
         none = np.empty((0, 3))
-        warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), self.dt)
+        warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), self.dt, None)
         twists = d.twists(placed.placement, v)
         placement, contacts = placed.placement, placed.contacts
         looked = Looked(placement.x, placement.R, np.zeros(d.frames))

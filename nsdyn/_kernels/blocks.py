@@ -198,11 +198,20 @@ def judged(offset, block, start, h, m_start, minv, q, mu, scales, r, u):
 def prepare(offset, block, start, h, m_start, minv, q, mu, scales):
     """`delassus_scales`; returns the norm of q, and whether q, mu and the scales are what they have to be."""
     delassus_scales(offset, block, start, h, m_start, minv, scales)
+    norm, good = size_of(q, mu)
+    for c in range(mu.size):
+        good = good and scales[c] > 0.0
+    return norm, good
+
+
+@njit(cache=True)
+def size_of(q, mu):
+    """The norm of q, and whether q and mu are what they have to be."""
     total, good = 0.0, True
     for c in range(mu.size):
         for i in range(3):
             total += q[3 * c + i] ** 2
-        good = good and 0.0 <= mu[c] < np.inf and scales[c] > 0.0
+        good = good and 0.0 <= mu[c] < np.inf
     return math.sqrt(total), good and total < np.inf
 
 
