@@ -34,8 +34,10 @@ class Works(NamedTuple):
     projection: float = 0.0
     """Of the position projection."""
 
-    def __add__(self, other: Works) -> Works:  # type: ignore[override]
-        return Works(*(a + b for a, b in zip(self, other, strict=True)))
+    @staticmethod
+    def total(parts: list[Works]) -> Works:
+        """The sum of the works of several parts."""
+        return parts[0] if len(parts) == 1 else Works(*map(sum, zip(*parts, strict=True)))
 
 
 class Ledger(NamedTuple):

@@ -184,10 +184,11 @@ def account(
     """
     d, nc, nr = s.dynamics, met.frame.shape[0], met.mu.size
     normal, friction, total, u_end = np.zeros(nr), np.zeros(nr), r, met.u if impact is None else impact.u
-    status, world, works, created = np.zeros(nc, np.int8), np.zeros((nc, 3)), Works(), 0.0
+    status, world, created = np.zeros(nc, np.int8), np.zeros((nc, 3)), 0.0
+    external = beyond = 0.0
+    done = 0.0, 0.0, 0.0
     if h > 0.0:
         external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
-        works = Works(external, integration=beyond)
     if r.size:
         struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
         full = met.rows.full
@@ -195,14 +196,16 @@ def account(
             full.offset, full.block, full.start, full.h, velocities[2], met.drag, r, met.mu, met.place, met.status,
             struck, met.u, met.u_free, met.turn, met.frame, status, normal, friction, u_end, world,
         )  # fmt: skip
-        works += Works(normal=done[0], friction=done[1], integration=done[2])
+    struck_normal = struck_friction = 0.0
     if impact is not None:
         total = total + impact.r if r.size else impact.r
         normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
-        works += Works(normal=float(impact.normal.sum()), friction=float(impact.friction.sum()))
+        struck_normal, struck_friction = float(impact.normal.sum()), float(impact.friction.sum())
         _law.states(total, met.mu, status)
-    if met.drag.size:
-        works += Works(constraint=-float(met.drag @ total))
+    constraint = -float(met.drag @ total) if met.drag.size else 0.0
+    works = Works(
+        external, done[0] + struck_normal, done[1] + struck_friction, 0.0, constraint, beyond + done[2], 0.0
+    )  # fmt: skip
     slots, on_joints = d.joints.impulses(met.joints, total.reshape(-1, 3)[nc:], d.n)
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     impulses = Impulses(

@@ -24,6 +24,7 @@ Index = NDArray[np.int64]
 __all__ = ["JointLaws", "JointRows", "Rows"]
 
 NOTHING = np.empty(0)
+NO_IMPULSES = np.empty((0, 3))
 
 NEAR = 1e-2
 """A limit takes part in a step when the joint is this fraction of its range away from it, plus what it moves."""
@@ -118,7 +119,10 @@ class JointLaws:
 
     def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:
         """Impulses r (nj, 3) by slot, shape (slots, 3), and on the coordinates, shape (n,)."""
-        by_slot, on_coordinate = np.zeros((self.size, 3)), np.zeros(n)
+        on_coordinate = np.zeros(n)
+        if not self.size:
+            return NO_IMPULSES, on_coordinate
+        by_slot = np.zeros((self.size, 3))
         if rows is not None:
             by_slot[rows.slot] = r
             np.add.at(on_coordinate, self.coordinate[rows.slot], self.sign[rows.slot] * r[:, 0] + rows.mu * r[:, 1])

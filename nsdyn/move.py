@@ -38,7 +38,8 @@ class Move(NamedTuple):
     ----------
     end : Instant
     impulses : Impulses
-    works : Works
+    works : list of Works
+        Of its parts.
     problem : FC3D
     solution : Solution
         Of the last problem solved.
@@ -50,7 +51,7 @@ class Move(NamedTuple):
 
     end: Instant
     impulses: Impulses
-    works: Works
+    works: list[Works]
     problem: FC3D
     solution: Solution
     clear: bool
@@ -284,11 +285,12 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
     d, half, seen, a = s.dynamics, tried.half, tried.seen, tried.response
     placed = project(d, s.detector, a.moved, half.forces, s.closed)
     velocities = half.middle.v, half.middle.v + a.kick, a.v
-    impulses, works, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem)
+    impulses, own, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem)
+    works = [own]
     v_end = a.v_end
     if placed is not a.moved:
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
-        works += Works(projection=lifted)
+        works.append(Works(projection=lifted))
     if a.impulse is not None:
         works += _tree_works(s, half, a, a.impulse, placed.position)
     looked = seen.looked
@@ -302,9 +304,9 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
     return Move(end, impulses, works, a.problem, a.solution, placed.clear, rate)
 
 
-def _tree_works(s: System, half: Half, a: Response, impulse: Array, lifted: Position) -> Works:
+def _tree_works(s: System, half: Half, a: Response, impulse: Array, lifted: Position) -> list[Works]:
     """Works of the trees besides those of contacts and joint rows, J."""
-    out, middle = Works(), half.middle
+    out, middle = [], half.middle
     if a.impact is not None:
         # The rows do their work in two parts, at two mean velocities.
         full, struck = a.met.rows.full, middle.v + a.kick
@@ -318,5 +320,5 @@ def _tree_works(s: System, half: Half, a: Response, impulse: Array, lifted: Posi
         integration = w.integration
         if a.impact is not None:
             integration += float(impulse[own] @ end.mean - booked[own].sum())
-        out += Works(w.actuation, 0.0, 0.0, w.damping, w.constraint, integration, w.projection)
+        out.append(Works(w.actuation, 0.0, 0.0, w.damping, w.constraint, integration, w.projection))
     return out

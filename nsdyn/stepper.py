@@ -320,12 +320,13 @@ class Stepper:
         s, now, rate, left = self._state, self._state.instant, self._state.rate, self.dt
         done: list[Impulses] = []
         solved: list[tuple[FC3D, Solution]] = []
-        works, clear = Works(), True
+        works: list[Works] = []
+        clear = True
         for cut in range(2 * CUTS):
             t = s.next_t - left
             if (struck := collide(self.system, now, t, left, rate)) is not None:
                 now, impulses, more, pair = struck
-                done, solved, works = [*done, impulses], [*solved, pair], works + more
+                done, solved, works = [*done, impulses], [*solved, pair], [*works, more]
             length, tried = self._until_impact(now, t, left) if cut < CUTS else (left, self._try(now, t, left, None))
             m = finish(self.system, now, tried)
             now, rate, left, clear = m.end, m.rate, left - length, m.clear
@@ -338,7 +339,7 @@ class Stepper:
         certificate, opening = self._certify(solved, s.opening)
         energies = self.dynamics.energies(now.position, now.v)
         self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
-        ledger = Ledger.of(s.energies, energies, works)
+        ledger = Ledger.of(s.energies, energies, Works.total(works))
         problem, solution = _worst(solved)
         if solution.converged and not clear:
             solution = solution._replace(status=Status.OVERLAP)

@@ -112,14 +112,14 @@ def most(x):
 
 @njit(cache=True)
 def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
-    """Whether no point of the frames, `arm` (n,) from their origins at most, has moved by tol, nor must see farther."""
+    """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see that farther."""
     for f in range(arm.size):
         shift, turn = 0.0, 0.0
         for i in range(3):
             shift = max(shift, abs(x[f, i] - x_now[f, i]))
             for j in range(3):
                 turn = max(turn, abs(R[f, i, j] - R_now[f, i, j]))
-        if shift + 3.0 * turn * arm[f] > tol or reach_now[f] > reach[f]:
+        if shift + 3.0 * turn * arm[f] > tol or reach_now[f] > reach[f] + tol:
             return False
     return True
 
