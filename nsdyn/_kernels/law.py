@@ -112,7 +112,7 @@ def most(x):
 
 @njit(cache=True)
 def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
-    """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see that farther."""
+    """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far."""
     for f in range(arm.size):
         shift, turn = 0.0, 0.0
         for i in range(3):
@@ -203,12 +203,12 @@ def meet(
 def foresee(offset, block, start, h, m_start, minv, mu, place, old_status, u_begin, u, u_free, turn, guess, slides):
     """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
 
-    What stuck begins without slip, but for what the solver's tolerance left.
+    What stuck begins without slip, but for what the solver's tolerance left; of what is new nothing can be foreseen.
     """
     for c in range(slides.size):
         i = 3 * c
         slides[c] = False
-        if place[c] >= 0 and old_status[place[c]] == 1:
+        if place[c] < 0 or old_status[place[c]] != 2:
             continue
         slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
         if slip <= 2.0 * math.sqrt(turn[i + 1] ** 2 + turn[i + 2] ** 2) or mu[c] == 0.0:
