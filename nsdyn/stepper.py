@@ -47,6 +47,9 @@ CUTS, HITS, LOCATED = 8, 16, 50
 """Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
 effort is bounded; beyond, impacts are caught within the step."""
 
+WORST = 1e-3
+"""Error above which an answer is none."""
+
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
@@ -194,8 +197,10 @@ class Stepper:
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's
         frame. Nothing persists to the next step.
-    on_fail : {"raise", "warn", "ignore"}
-        What to do when the solver misses its tolerance; the status is always recorded.
+    on_fail : {"warn", "raise", "ignore"}
+        What to do when the solver misses its tolerance. The status is always recorded. "warn" goes on with the best
+        answer and warns once, but raises where that is none: an error above 1e-3, or no velocity that opens every
+        contact, which a solution needs.
     max_points : int
         Most contact points per pair of shapes.
     dump_on_fail : path, optional
@@ -223,7 +228,7 @@ class Stepper:
         solver: Solver | None = None,
         controller: Callback | None = None,
         external_force: Callback | None = None,
-        on_fail: str = "raise",
+        on_fail: str = "warn",
         max_points: int = 8,
         dump_on_fail: str | Path | None = None,
         impact: str = "newton",
@@ -232,8 +237,8 @@ class Stepper:
             raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
         if not 0.5 <= theta <= 1.0:
             raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
-        if on_fail not in ("raise", "warn", "ignore"):
-            raise ValueError(f"on_fail must be 'raise', 'warn' or 'ignore', got {on_fail!r}")
+        if on_fail not in ("warn", "raise", "ignore"):
+            raise ValueError(f"on_fail must be 'warn', 'raise' or 'ignore', got {on_fail!r}")
         for what, given in (("controller", controller), ("external_force", external_force)):
             if given is not None and not callable(given):
                 raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
@@ -441,7 +446,8 @@ class Stepper:
             path = self.dump_on_fail / f"step-{self._state.count + 1:06d}.hdf5"
             fclib.write(path, problem, guesses=[solution.r], description=message, overwrite=True)
             message += f"; its problem is in {path}"
-        if self.on_fail == "raise":
+        none = solution.status is Status.NO_SLATER_POINT or not solution.error <= WORST
+        if self.on_fail == "raise" or (self.on_fail == "warn" and none):
             raise NotConverged(message, problem, solution)
         if self.on_fail == "warn" and not self._failures:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
@@ -494,7 +500,7 @@ def simulate(
     solver: Solver | None = None,
     controller: Callback | None = None,
     external_force: Callback | None = None,
-    on_fail: str = "raise",
+    on_fail: str = "warn",
     record: str | Path | None = None,
     progress: bool = False,
     max_points: int = 8,
@@ -524,7 +530,7 @@ def simulate(
     ValueError
         For bad arguments, before anything is written.
     NotConverged
-        If a step misses the tolerance and ``on_fail="raise"``; the steps before it are in `record`.
+        As `on_fail` has it; the steps before are in `record`.
     """
     from tqdm import tqdm  # costs 50 ms that a library user may not need
 

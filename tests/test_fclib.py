@@ -402,7 +402,10 @@ def test_failing_step_is_dumped(tmp_path):
         stepper.step()
     assert not (tmp_path / "dumps").exists()
     state = stepper.get_state()
-    stepper = nd.Stepper(stepper.scene, dt=1e-3, solver=nd.solvers.PGS(tol=1e-300), dump_on_fail=tmp_path / "dumps")
+    impossible = nd.solvers.PGS(tol=1e-300)
+    stepper = nd.Stepper(
+        stepper.scene, dt=1e-3, solver=impossible, on_fail="raise", dump_on_fail=tmp_path / "dumps"
+    )  # fmt: skip
     stepper.set_state(state)
     with pytest.raises(nd.NotConverged, match=r"its problem is in .*step-000004\.hdf5") as caught:
         stepper.step()

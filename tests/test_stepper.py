@@ -106,19 +106,34 @@ def test_bad_arguments_write_nothing(arguments, words, tmp_path):
 def test_failure_raises_warns_or_is_recorded(tmp_path):
     scene = nd.scenes.load("stack")(height=4)
     lazy = nd.solvers.PGS(tol=1e-12, max_iter=1, memory=0)
-    with pytest.raises(nd.NotConverged, match="did not converge") as caught:
-        nd.simulate(scene, 0.1, dt=1e-2, solver=lazy)
-    assert caught.value.problem.nc == 16 and caught.value.solution.iterations == 1
+    for on_fail in ("raise", "warn"):  # after one sweep from nothing the error is 0.5, which is no answer
+        with pytest.raises(nd.NotConverged, match="did not converge") as caught:
+            nd.simulate(scene, 0.1, dt=1e-2, solver=lazy, on_fail=on_fail)
+        assert caught.value.problem.nc == 16 and caught.value.solution.iterations == 1
+    nd.simulate(scene, 0.1, dt=1e-2, solver=lazy, on_fail="ignore")
+    lazy = nd.solvers.PGS(tol=1e-12, max_iter=100, memory=0)
     with pytest.warns(UserWarning, match="did not converge") as warned:
-        trajectory = nd.simulate(scene, 0.1, dt=1e-2, solver=lazy, on_fail="warn")
+        trajectory = nd.simulate(scene, 0.1, dt=1e-2, solver=lazy)
     assert len(warned) == 1, "one warning a run"
     assert (trajectory.solver.status == nd.Status.MAX_ITERATIONS).any()
-    nd.simulate(scene, 0.1, dt=1e-2, solver=lazy, on_fail="ignore")
+    assert trajectory.steps == 10
+
+
+def test_what_is_no_answer_stops_a_run(tmp_path):
+    """One sweep from nothing over a tall stack is far from any solution; what was simulated before is kept."""
+    scene, path = nd.scenes.load("stack")(height=30), tmp_path / "run.h5"
+    hasty = nd.solvers.PGS(tol=1e-12, max_iter=1, memory=0)
+    with pytest.raises(nd.NotConverged, match="did not converge"):
+        nd.simulate(scene, 0.1, dt=1e-2, solver=hasty, record=path)
+    assert nd.Trajectory.load(path).steps == 0
 
 
 def test_failed_step_leaves_the_state():
     stepper = nd.Stepper(
-        nd.scenes.load("stack")(height=4), dt=1e-2, solver=nd.solvers.PGS(tol=1e-12, max_iter=1, memory=0)
+        nd.scenes.load("stack")(height=4),
+        dt=1e-2,
+        solver=nd.solvers.PGS(tol=1e-12, max_iter=1, memory=0),
+        on_fail="raise",
     )
     before = stepper.get_state()
     with pytest.raises(nd.NotConverged):
