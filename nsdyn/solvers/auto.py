@@ -64,6 +64,9 @@ FINISH = 1e3, 3
 INTERIOR = 40, 2500
 """Limits of the interior point method and of the Newton steps that finish it."""
 
+MATRIX = 1.5e-6
+"""Seconds that a factorisation takes for a block of W given by itself, the median of 5e-7 to 3e-6 measured."""
+
 LAST = 60
 """Newton steps in the impulses: where they converge they do so within these. They factorise W, whose size grows with
 the contacts, so that few of them are affordable where contacts are many, and then there are none."""
@@ -100,9 +103,9 @@ def _sweeps_first(blocks: Blocks, q: Array, worth: float, tol: float) -> bool:
     return worth > HEAVY[0] or (tol >= MOVING[1] and bool(speed.max() > MOTION * np.median(speed)))
 
 
-def _limits(cost: float) -> tuple[int, int]:
-    """INTERIOR where a factorisation takes so many seconds, and within EFFORT."""
-    return INTERIOR[0], min(INTERIOR[1], max(INTERIOR[0], int(EFFORT / cost)))
+def _limits(cost: float, effort: float) -> tuple[int, int]:
+    """INTERIOR where a factorisation takes so many seconds, and within that effort."""
+    return INTERIOR[0], min(INTERIOR[1], max(INTERIOR[0], int(effort / cost)))
 
 
 @dataclass(frozen=True)
@@ -197,8 +200,8 @@ class Auto:
             count += used
             if best > tol:
                 y = np.empty_like(x)
-                # About a microsecond for a block of W, five with the fill of a factorisation
-                used, now = solve_by_matrix(W, q, mu, scales, y, tol, q_norm, _limits(5e-6 * columns.size))
+                limits = _limits(MATRIX * columns.size, LONGEST)
+                used, now = solve_by_matrix(W, q, mu, scales, y, tol, q_norm, limits)
                 count += used
                 x = y if now < best else x
             r[i] = x
@@ -275,7 +278,7 @@ class Auto:
         count += used
         if best > tol:
             x = np.empty_like(r)
-            used, now = solve_by_factors(blocks, q, mu, scales, x, tol, q_norm, _limits(cost))
+            used, now = solve_by_factors(blocks, q, mu, scales, x, tol, q_norm, _limits(cost, EFFORT))
             count += used
             r, best = (x, now) if now < best else (r, best)
         if best > tol and LAST * cost * max(1.0, 3.0 * blocks.nc / blocks.n) ** 3 <= EFFORT:
