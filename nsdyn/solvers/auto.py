@@ -57,6 +57,9 @@ LAST, CUBE = 60, 1.3e-10
 """Newton steps in the impulses: where they converge they do so within these; and seconds of one over the cube of its
 rows."""
 
+AFTER = 2
+"""Round after which the interior point method is tried in between."""
+
 RESTART = 0.5
 """Sweeps lose their momentum and go on from what Newton found only where that is so much better."""
 
@@ -84,6 +87,7 @@ class Search:
         self.means, self.r, self.tol, self.loose = means, r, tol, loose
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, LONGEST
         self._sweeps: Momentum | None = None
+        self._tried: list[Callable[..., tuple[int, float]]] = []
         p = means.problem
         _, error, residual, _ = p.solved(r, tol)
         self.abrupt = bool(r.any()) and residual > ABRUPT * loose
@@ -128,8 +132,9 @@ class Search:
     def cold(self, method: Callable[..., tuple[int, float]], most: tuple[int, int]) -> None:
         """A method from nothing and Newton from where it ends, kept where that is better than the best."""
         cost = self.means.factorisation
-        if self._over(self.tol) or self.spent + most[0] * cost > self.limit:
+        if self._over(self.tol) or self.spent + most[0] * cost > self.limit or method in self._tried:
             return
+        self._tried.append(method)
         m, x = self.means, np.zeros_like(self.r)
         p = m.problem
         used, best = method(m.operator, p.q, p.mu, p.scales, x, self.tol, m.q_norm, most[0])
@@ -156,14 +161,16 @@ class Search:
         self._note(self._sweeps.best, used, used * cost)
 
     def rounds(self, tol: float) -> None:
-        """Sweeps and Newton in turn, the next time twice as long: sweeps unless they are stuck, else Newton."""
+        """Sweeps and Newton in turn, the next time twice as long but for sweeps that are stuck."""
         lengths = [LOOSELY[0], LOOSELY[1]]
-        for _ in range(LOOSELY[2]):
+        for k in range(LOOSELY[2]):
             start = self.best
             self.sweep(lengths[0], tol)
             stuck = self.best > 0.5 * start
             self.newton(FAR, lengths[1], tol)
-            lengths[stuck] *= 2
+            lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
+            if k == AFTER and self.best > tol and not self.abrupt:
+                self.cold(interior, INTERIOR)
 
     def impulses(self) -> None:
         """Newton in the impulses, where it is affordable: it factorises W, whose size grows with the contacts."""
@@ -192,7 +199,7 @@ class Search:
         self.sweep(LASTLY[0], self.tol)
         self.newton(FAR, LASTLY[1], self.tol)
         self.impulses()
-        if self.best <= self.tol and not (large and self.abrupt):
+        if self.best <= self.tol and not (large and (self.abrupt or self.tol > COARSE)):
             # To the last digits, see POLISH.
             self.count += self.means.newton(self.r, max(POLISH * self.tol, FLOOR), NEAR, FINISH)[0]
 
@@ -228,7 +235,7 @@ class Auto:
 
     tol: float = 1e-8
     loose: float = 1e-4
-    effort: float = 4.0
+    effort: float = 6.0
     accept: float = 1.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
