@@ -34,6 +34,7 @@ class Status(IntEnum):
     NOT_FINITE = 3
     NO_SLATER_POINT = 4
     OVERLAP = 5
+    LOOSE = 6
 
     @property
     def message(self) -> str:
@@ -47,6 +48,7 @@ class Status(IntEnum):
             "look for walls or prescribed motions that contradict each other",
             Status.OVERLAP: "converged, but no position without overlap was found where the step ends; look for bodies "
             "that are squeezed",
+            Status.LOOSE: "within the loose tolerance, where the other costs too much; accepted",
         }[self]
 
 
@@ -366,6 +368,11 @@ class Solution(NamedTuple):
     def converged(self) -> bool:
         """Whether both measures met the tolerance."""
         return self.status is Status.CONVERGED
+
+    @property
+    def accepted(self) -> bool:
+        """Whether a simulation goes on with it: converged, or within a loose tolerance where that was given."""
+        return self.status in (Status.CONVERGED, Status.LOOSE)
 
     @staticmethod
     def judge(

@@ -339,14 +339,14 @@ class Stepper:
             if left <= 1e-12 * self.dt:
                 break
         for problem, solution in solved:
-            if not solution.converged:
+            if not solution.accepted:
                 self._fail(problem, solution)
         certificate, opening = self._certify(solved, s.opening)
         energies = self.dynamics.energies(now.position, now.v)
         self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
         ledger = Ledger.of(s.energies, energies, Works.total(works))
         problem, solution = _worst(solved)
-        if solution.converged and not clear:
+        if solution.accepted and not clear:
             solution = solution._replace(status=Status.OVERLAP)
         return self._record(done, ledger, certificate, problem, solution)
 

@@ -10,7 +10,8 @@ from test_problem import corner_box
 import nsdyn as nd
 from nsdyn._kernels import interior as kernels
 from nsdyn._kernels import linear, local
-from nsdyn.solvers import interior
+from nsdyn._kernels import smoothing as smooth
+from nsdyn.solvers import interior, smoothing
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 SOLVERS = ("auto", "interior")
@@ -81,6 +82,62 @@ def test_unsymmetric_matrix(solver, seed):
     solution = nd.solve(problem, solver, tol=1e-10)
     assert solution.converged
     np.testing.assert_allclose(solution.u, W @ solution.r + problem.q, rtol=0, atol=1e-12)
+
+
+def test_what_is_out_of_reach_is_loose_and_accepted():
+    """No solver meets 1e-300: the answer is recorded as within the loose tolerance, and refused where there is none."""
+    problem = kicked_stack()
+    loose = nd.solvers.Auto(tol=1e-300)(problem)
+    assert loose.status is nd.Status.LOOSE and loose.accepted and not loose.converged
+    assert max(loose.error, loose.residual) <= 1e-4
+    strict = nd.solve(problem, tol=1e-300)
+    assert strict.status is nd.Status.MAX_ITERATIONS and not strict.accepted
+    assert nd.solvers.Auto(tol=1e-3)(problem).converged
+
+
+def test_effort_beyond_the_loose_tolerance_is_bounded():
+    """Where the tolerance is out of reach a solve ends after the work it may do, the same in every run."""
+    problem = kicked_stack(height=40)
+    solver = nd.solvers.Auto(tol=1e-300)
+    counts = [solver(problem).iterations for _ in range(2)]
+    assert counts[0] == counts[1]
+    assert counts[0] < nd.solve(problem, tol=1e-300).iterations
+    more = nd.solvers.Auto(tol=1e-300, effort=100.0)(problem)
+    assert counts[0] < more.iterations
+
+
+@pytest.mark.parametrize("operator", ["Velocity", "Local"])
+def test_smoothing_newton_from_nothing(operator):
+    problem = kicked_stack(height=3)
+    W = interior.Velocity(problem.blocks) if operator == "Velocity" else interior.Local(problem.W)
+    r = np.empty_like(problem.q)
+    used, measure = smoothing.smoothing(W, problem.q, problem.mu, problem.scales, r, 1e-6, problem.q_norm, 60)
+    assert problem.solved(r, 1e-6)[0] and measure <= 1e-6 and 5 < used < 20
+
+
+@pytest.mark.parametrize("tau", [1e-12, 1e-3, 10.0])
+def test_smoothed_law(tau, rng):
+    """The three equations of the law and z = r - κ u, on random z and without friction; its tangent by differences."""
+    nc = 40
+    z, kappa, mu = rng.normal(size=3 * nc), rng.uniform(0.1, 10, nc), rng.uniform(0.05, 1.5, nc)
+    mu[:3] = 0.0
+    r, u, slip = np.empty(3 * nc), np.empty(3 * nc), np.empty((nc, 2))
+    smooth.law(z, mu, kappa, tau, r, u, slip)
+    R, U, Z = r.reshape(-1, 3), u.reshape(-1, 3), z.reshape(-1, 3).copy()
+    Z[:3, 1:] = 0.0
+    np.testing.assert_allclose(R - kappa[:, None] * U, Z, rtol=0, atol=1e-11 * np.abs(R).max())
+    np.testing.assert_allclose(R[:, 0] * U[:, 0], tau, rtol=1e-12)
+    rubs, (lam, D) = mu > 0, slip[mu > 0].T
+    np.testing.assert_allclose(U[rubs, 1:], -lam[:, None] * R[rubs, 1:], rtol=1e-12)
+    assert (D > 0).all() and (lam * D == pytest.approx(2 * tau, rel=1e-12))
+    A, h = np.empty((nc, 3, 3)), 1e-7
+    smooth.tangent(r, u, slip, mu, np.ones(nc), 1e300, A)
+    for j in range(3) if tau >= 1e-3 else ():
+        moved, r2, u2 = Z.copy(), np.empty(3 * nc), np.empty(3 * nc)
+        moved[:, j] += h
+        smooth.law(moved.ravel(), mu, kappa, tau, r2, u2, slip.copy())
+        change = np.einsum("cij,cj->ci", A, (u2 - u).reshape(-1, 3))
+        np.testing.assert_allclose((r2 - r).reshape(-1, 3)[rubs] / h, -change[rubs] / h, rtol=1e-3, atol=1e-4)
 
 
 def test_islands_of_a_matrix():

@@ -6,7 +6,7 @@ import pytest
 import nsdyn as nd
 from nsdyn._kernels import sparse as _matrix
 from nsdyn.problem import Status
-from nsdyn.solvers import auto
+from nsdyn.solvers import momentum
 
 
 def settling(steps: int = 60) -> nd.FC3D:
@@ -93,27 +93,13 @@ def test_frictionless_contacts_have_one_row(pile: nd.FC3D) -> None:
     assert np.abs(solution.u - nd.solve(problem, tol=1e-10).u).max() < 1e-4  # as above
 
 
-def test_sweeps_come_first_where_factorisations_fill_in(pile: nd.FC3D) -> None:
-    assert pile.blocks is not None
-    assert pile.blocks.n > auto.DENSE
-    rest, motion = np.ones_like(pile.q), np.ones_like(pile.q)
-    motion[0] = 10.0
-
-    def first(q: np.ndarray, sweeps: float, tol: float) -> bool:
-        return auto._sweeps_first(pile.blocks, q, sweeps, tol)
-
-    assert first(rest, 100.0, 1e-6)  # a factorisation costs a hundred sweeps
-    assert not first(rest, 100.0, 1e-8)  # where sweeps would take for ever
-    assert not first(rest, 20.0, 1e-4)  # impulses at rest last: they are worth Newton's accuracy
-    assert first(motion, 20.0, 1e-4)
-    assert not first(motion, 20.0, 1e-6)
-    assert not first(motion, 5.0, 1e-4)
-
-
-def test_a_heavy_island_may_be_solved_coarsely(pile: nd.FC3D, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(auto, "HEAVY", (0.0, 1e-7))
-    fine = nd.solvers.Auto(tol=1e-9)(pile)
-    coarse = nd.solvers.Auto(tol=1e-9, heavy_tol=1e-3)(pile)
-    assert coarse.converged
-    assert 1e-8 < max(coarse.error, coarse.residual) <= 1e-3
-    assert coarse.iterations < fine.iterations
+def test_sweeps_on_a_given_matrix_are_those_on_factors(pile: nd.FC3D) -> None:
+    """The same method where W is given instead of its factors."""
+    r, x = np.zeros_like(pile.q), np.zeros_like(pile.q)
+    free = momentum.Sweeps(pile.blocks, pile.q, pile.mu, pile.scales, r, pile.q_norm)
+    given = momentum.MatrixSweeps(pile.csr, pile.q, pile.mu, pile.scales, x, pile.q_norm)
+    assert given.best == pytest.approx(free.best, rel=1e-12)
+    for sweeps in (free, given):
+        sweeps.run(1e-6, 3000, 3000)
+        assert sweeps.best <= 1e-6
+    assert np.abs(pile.velocity(r) - pile.velocity(x)).max() < 1e-4  # as above

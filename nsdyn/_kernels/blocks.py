@@ -86,7 +86,7 @@ def contacts_of_blocks(block, count):
 @njit(cache=True)
 def weighted_rows(offset, block, start, h, m_start, minv):
     """Rows of (M⁻¹ H)ᵀ in the layout of h."""
-    y = np.zeros_like(h)
+    y = np.empty_like(h)
     for c in range(block.shape[0]):
         for s in range(2):
             k = block[c, s]
@@ -94,6 +94,7 @@ def weighted_rows(offset, block, start, h, m_start, minv):
                 n = offset[k + 1] - offset[k]
                 for i in range(3):
                     row = start[c, s] + i * n
+                    y[row : row + n] = 0.0  # contacts may share their rows
                     for l in range(n):
                         x = h[row + l]
                         if x != 0.0:

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from nsdyn._kernels.cones import natural_error, natural_residual, project
+from nsdyn._kernels.pgs import velocity, velocity_of
 
 ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
 CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
@@ -240,3 +241,71 @@ def begin(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, v):
     refresh(rows, body, r, v)
     best = measure(rows, body, q, mu, scales, q_norm, r, v, np.empty((mu.size, 3)))
     return rows, body, local_steps(rows, mu), best
+
+
+@njit(cache=True)
+def steps_of_matrix(indptr, indices, data, mu):
+    """`local_steps` of a block-sparse W."""
+    out = np.zeros((mu.size, 4))
+    for c in range(mu.size):
+        for p in range(indptr[c], indptr[c + 1]):
+            if indices[p] != c:
+                continue
+            w = data[p]
+            out[c, 0] = 1.0 / w[0, 0] if w[0, 0] > 0.0 else 0.0
+            mean, half = 0.5 * (w[1, 1] + w[2, 2]), 0.5 * (w[1, 1] - w[2, 2])
+            largest = mean + math.hypot(half, 0.5 * (w[1, 2] + w[2, 1]))
+            if mu[c] > 0.0 and largest > 0.0:
+                out[c, 1], out[c, 2], out[c, 3] = w[1, 0], w[2, 0], 1.0 / largest
+    return out
+
+
+@njit(cache=True)
+def sweep_matrix(indptr, indices, data, steps, q, mu, r, x, t, keep):
+    """`sweep` over all contacts of a block-sparse W, in place of r = y."""
+    for c in range(mu.size):
+        u0, u1, u2 = velocity_of(indptr, indices, data, q, r, c)
+        r0, r1, r2 = r[3 * c], r[3 * c + 1], r[3 * c + 2]
+        z0 = max(-r0, -u0 * steps[c, 0])
+        x0 = r0 + z0
+        x1 = r1 - (u1 + steps[c, 1] * z0) * steps[c, 3]
+        x2 = r2 - (u2 + steps[c, 2] * z0) * steps[c, 3]
+        slip, limit = x1 * x1 + x2 * x2, mu[c] * x0
+        if slip > limit * limit:
+            f = limit / math.sqrt(slip)
+            x1 *= f
+            x2 *= f
+        back = z0 * (x0 - x[3 * c]) + (x1 - r1) * (x1 - x[3 * c + 1]) + (x2 - r2) * (x2 - x[3 * c + 2])
+        r[3 * c], r[3 * c + 1], r[3 * c + 2] = x0, x1, x2
+        if back < 0.0:
+            t[c] = max(1.0, keep * t[c])
+
+
+@njit(cache=True)
+def solve_matrix(
+    indptr, indices, data, steps, q, mu, scales, q_norm, tol, best_r, y, x, t, count, last, best, keep, most, check,
+    patience,
+):  # fmt: skip
+    """`solve` for a block-sparse W, which need not be symmetric; all contacts are awake."""
+    u = np.empty(y.size)
+    while best > tol and count < most and count - last < patience:
+        count += 1
+        sweep_matrix(indptr, indices, data, steps, q, mu, y, x, t, keep)
+        if count % check == 0:
+            velocity(indptr, indices, data, q, y, u)
+            now = max(natural_residual(scales, u, y, mu), natural_error(u, y, mu) / q_norm)
+            if now < best:
+                best, last = now, count
+                best_r[:] = y
+        if count - last > CYCLE:
+            keep = 0.0
+        for c in range(mu.size):
+            i = 3 * c
+            b = (t[c] - 1.0) / (t[c] + 1.0)
+            t[c] += 0.5
+            r0, r1, r2 = y[i], y[i + 1], y[i + 2]
+            y[i], y[i + 1], y[i + 2] = project(
+                r0 + b * (r0 - x[i]), r1 + b * (r1 - x[i + 1]), r2 + b * (r2 - x[i + 2]), mu[c]
+            )
+            x[i], x[i + 1], x[i + 2] = r0, r1, r2
+    return count, last, best, keep

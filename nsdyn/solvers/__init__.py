@@ -78,12 +78,13 @@ SOLVERS: dict[str, type] = {
 
 
 def by_name(name: str, tol: float = 1e-8) -> Solver:
-    """Return the solver of that name at tolerance `tol`; ValueError naming the known ones, or for tol ≤ 0."""
+    """Return the solver of that name at tolerance `tol`, and no looser; ValueError naming the known, or for tol ≤ 0."""
     if name not in SOLVERS:
         raise ValueError(f"solver must be one of {sorted(SOLVERS)}, got {name!r}")
     if not tol > 0.0:
         raise ValueError(f"tol must be positive, got {tol}")
-    solver: Solver = SOLVERS[name](tol=tol)
+    made = SOLVERS[name]
+    solver: Solver = made(tol=tol, loose=tol) if made is Auto else made(tol=tol)
     return solver
 
 

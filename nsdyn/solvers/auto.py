@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from nsdyn._kernels import cones as _cones
 from nsdyn._kernels import local as _local
-from nsdyn._kernels import pgs as _pgs
-from nsdyn._kernels import sparse as _matrix
+from nsdyn._kernels import newton as _newton
 from nsdyn._kernels import warm as _warm
 from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
-from nsdyn.solvers.interior import Local, solve_by_factors, solve_by_matrix
-from nsdyn.solvers.mending import mend
-from nsdyn.solvers.momentum import Sweeps, solve_free
-from nsdyn.solvers.newton import DENSE, island, rows, solve_blocks
+from nsdyn.solvers.interior import interior
+from nsdyn.solvers.means import ByFactors, ByMatrix, Means, Momentum
+from nsdyn.solvers.newton import DENSE, island, rows
+from nsdyn.solvers.smoothing import smoothing
 
 POLISH, FLOOR = 1e-5, 1e-14
 """Islands are solved to this fraction of the tolerance where Newton reaches it, but not below the round-off of FLOOR
@@ -29,121 +27,238 @@ what is left of all velocities is the gap that certifies the step."""
 LARGEST = 100
 """Contacts up to which an island given by W alone is solved densely, all such islands in one kernel call."""
 
-WARM = 1e2, 6
-"""Penalty and Newton steps of a warm start."""
+HEAVY = 10.0
+"""A large island whose factorisation costs more sweeps than this begins with sweeps."""
+
+ABRUPT = 10.0
+"""Misfit of a warm start, in loose tolerances, that tells a collision from rest and smooth motion."""
+
+FREE, LONGEST = 2e-3, 20.0
+"""Seconds, by counts of operations, that every problem may take, and that none may exceed."""
+
+WARM, PEEK = (1e2, 6), 2
+"""Penalty and Newton steps of a warm start, and those of a large one that have to gain a tenth for the others."""
 
 SWEEPS, PATIENCE = 400, 20
-"""Sweeps of Gauss–Seidel a cold start may take, which cost about as much as the interior point method, and the number
-from which on it is foreseen whether they suffice."""
+"""Accelerated Gauss–Seidel sweeps of a cold start, which cost about as much as the interior point method, and the
+number from which on it is foreseen whether they suffice."""
 
-HEAVY, MOVING = (40.0, 1e-7), (10.0, 1e-5)
-"""Where a factorisation costs more sweeps than the first number and the tolerance is no tighter than the second, sweeps
-come first and the polish is left out: in any island, and in one that is in motion."""
+INTERIOR, SMOOTHING = (40, 60), (60, 60)
+"""Factorisations of the two cold starts, which converge within these where they do, and of Newton after them."""
 
-MOTION = 5.0
-"""An island is in motion where the largest velocity without impulses is so many times the median: at rest all are those
-that the weight gives in a step, and an impulse is worth polishing, since it will last."""
+NEAR, FAR = 1e3, 10.0
+"""Penalty of Newton from what was found by factorisations, and by sweeps, on the wrong side of many kinks."""
 
-TRAVEL, AGAIN = (8000, 2500), (300, 300)
-"""Sweeps with momentum for impulses to travel through such an island, and those it may spend without gain: at first,
-and after a region where they were stuck has been solved by itself."""
+LOOSELY, LASTLY = (12, 4, 8), (64, 2500)
+"""Factorisations that sweeps and Newton take as long as in the first round to the loose tolerance, and number of
+rounds; those that sweeps may take in the end, and Newton, which creeps along folds and must not be interrupted."""
 
-PAUSE, BRIEF = (500, 9.0), (10.0, 3)
-"""Sweeps after which a few Newton steps may already do, at least so many and that many times what a factorisation is
-worth; penalty and Newton steps."""
+LAST, CUBE = 60, 1.3e-10
+"""Newton steps in the impulses: where they converge they do so within these; and seconds of one over the cube of its
+rows."""
 
-PATIENT = 10.0, 80
-"""Penalty and Newton steps from where sweeps are stuck: near the solution, but on the wrong side of many kinks."""
+AFTER = 2
+"""Round after which the interior point method is tried in between."""
 
-MENDS = 10
-"""Regions solved by themselves in turn."""
+RESTART = 0.5
+"""Sweeps lose their momentum and go on from what Newton found only where that is so much better."""
 
-FINISH = 1e3, 3
-"""Penalty and Newton steps of the polish."""
+COARSE = 5e-5
+"""No looser tolerance is of use to begin with, nor a tighter one."""
 
-INTERIOR = 40, 2500
-"""Limits of the interior point method and of the Newton steps that finish it."""
-
-LAST = 60
-"""Newton steps in the impulses: where they converge they do so within these. They factorise W, whose size grows with
-the contacts, so that few of them are affordable where contacts are many, and then there are none."""
-
-EFFORT, LONGEST = 3.0, 10.0
-"""Seconds, by counts of operations, that those Newton steps may take, and that the interior point method may take to be
-tried after sweeps: the same result whatever the machine is busy with."""
+FINISH = 3
+"""Newton steps of the polish."""
 
 
-def _sweep(W: Any, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float) -> tuple[int, float]:
-    """Accelerated Gauss–Seidel in place of r, W a `Matrix` or `Factors`: (sweeps, measure)."""
-    used, best = _pgs.accelerated(W, q, mu, scales, r, tol, q_norm, SWEEPS, 5, min(20, mu.size + 1), PATIENCE)
-    return int(used), float(best)
+class Search:
+    """The best impulse of one island so far, and what it has cost.
 
-
-def _cost(blocks: Blocks) -> float:
-    """Seconds of a factorisation by counts of operations.
-
-    Measured: 1.2 us for a coordinate and 0.09 ns for a multiplication of `elimination_work`.
+    Attributes
+    ----------
+    r, best : ndarray, float
+        Impulse, in place, and its measure.
+    count : int
+        Sweeps and factorisations.
+    spent, limit : float
+        Seconds by counts of operations; from the loose tolerance on the limit is a multiple of what that has cost.
     """
-    return 1.2e-6 * blocks.n + 0.9e-10 * float(_matrix.elimination_work(blocks.offset, blocks.block))
 
+    def __init__(self, means: Means, r: Array, tol: float, loose: float, effort: float) -> None:
+        self.means, self.r, self.tol, self.loose = means, r, tol, loose
+        self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, LONGEST
+        self._sweeps: Momentum | None = None
+        self._tried: list[Callable[..., tuple[int, float]]] = []
+        p = means.problem
+        _, error, residual, _ = p.solved(r, tol)
+        self.abrupt = bool(r.any()) and residual > ABRUPT * loose
+        self._effort = 0.0 if self.abrupt else effort
+        self._note(max(error * p.q_norm / means.q_norm, residual), 0, 0.0)
 
-def _worth(blocks: Blocks, cost: float) -> float:
-    """How many sweeps, 85 ns per contact, a factorisation of that cost is worth."""
-    return cost / (85e-9 * blocks.nc)
+    def _note(self, best: float, count: int, seconds: float) -> None:
+        """Book what was done."""
+        self.count, self.spent = self.count + count, self.spent + seconds
+        if best <= self.loose < self.best:
+            self.limit = min(LONGEST, max(FREE, self._effort * self.spent))
+        self.best = min(self.best, best)
 
+    def _over(self, tol: float) -> bool:
+        """Whether a tolerance is met or the effort spent."""
+        return self.best <= tol or self.spent >= self.limit
 
-def _sweeps_first(blocks: Blocks, q: Array, worth: float, tol: float) -> bool:
-    """Whether a factorisation worth so many sweeps outweighs too many of them, over free bodies."""
-    if worth < MOVING[0] or tol < HEAVY[1] or blocks.n <= DENSE or (np.diff(blocks.offset) != 6).any():
-        return False
-    speed = np.abs(q).reshape(-1, 3).max(axis=1)
-    return worth > HEAVY[0] or (tol >= MOVING[1] and bool(speed.max() > MOTION * np.median(speed)))
+    def _most(self, cost: float, most: float) -> int:
+        """So many iterations of that cost, or what is left of the effort if that is less, but one."""
+        return max(1, int(min(most, (self.limit - self.spent) / cost)))
 
+    def accelerated(self) -> None:
+        """Accelerated Gauss–Seidel, as long as it is foreseen to suffice."""
+        if not self._over(self.tol):
+            used, best = self.means.accelerated(self.r, self.tol, SWEEPS, PATIENCE)
+            self._note(best, used, used * self.means.accelerated_sweep)
 
-def _limits(cost: float) -> tuple[int, int]:
-    """INTERIOR where a factorisation takes so many seconds, and within EFFORT."""
-    return INTERIOR[0], min(INTERIOR[1], max(INTERIOR[0], int(EFFORT / cost)))
+    def newton(self, penalty: float, most: int, tol: float) -> None:
+        """Newton from the best impulse."""
+        if not self._over(tol):
+            cost = self.means.factorisation
+            used, best = self.means.newton(self.r, tol, penalty, self._most(cost, most))
+            self._note(best, used, used * cost)
+
+    def warm(self) -> None:
+        """Newton from a warm start, as long as its first steps are of use."""
+        start = self.best
+        self.newton(WARM[0], PEEK, self.tol)
+        if self.best <= 0.1 * start:
+            self.newton(*WARM, self.tol)
+
+    def cold(self, method: Callable[..., tuple[int, float]], most: tuple[int, int]) -> None:
+        """A method from nothing and Newton from where it ends, kept where that is better than the best."""
+        cost = self.means.factorisation
+        if self._over(self.tol) or self.spent + most[0] * cost > self.limit or method in self._tried:
+            return
+        self._tried.append(method)
+        m, x = self.means, np.zeros_like(self.r)
+        p = m.problem
+        used, best = method(m.operator, p.q, p.mu, p.scales, x, self.tol, m.q_norm, most[0])
+        if best > self.tol:
+            more, best = m.newton(x, self.tol, NEAR, most[1])
+            used += more
+        if best < self.best:
+            self.r[:] = x
+        self._note(best, used, used * cost)
+
+    def sweep(self, factorisations: float, tol: float) -> None:
+        """Sweeps with momentum that take as long as so many factorisations, from the best or on from the last."""
+        if self._over(tol):
+            return
+        if self._sweeps is None or self.best < RESTART * self._sweeps.best:
+            self._x = self.r.copy()
+            self._sweeps = self.means.momentum(self._x)
+        cost, before = self.means.sweep, self._sweeps.count
+        most = before + self._most(cost, factorisations * self.means.factorisation / cost)
+        self._sweeps.run(tol, most, most)
+        if self._sweeps.best < self.best:
+            self.r[:] = self._x
+        used = self._sweeps.count - before
+        self._note(self._sweeps.best, used, used * cost)
+
+    def rounds(self, tol: float) -> None:
+        """Sweeps and Newton in turn, the next time twice as long but for sweeps that are stuck."""
+        lengths = [LOOSELY[0], LOOSELY[1]]
+        for k in range(LOOSELY[2]):
+            start = self.best
+            self.sweep(lengths[0], tol)
+            stuck = self.best > 0.5 * start
+            self.newton(FAR, lengths[1], tol)
+            lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
+            if k == AFTER and self.best > tol and not self.abrupt:
+                self.cold(interior, INTERIOR)
+
+    def impulses(self) -> None:
+        """Newton in the impulses, where it is affordable: it factorises W, whose size grows with the contacts."""
+        cost = CUBE * float(self.r.size) ** 3
+        if self._over(self.tol) or self.spent + LAST * cost > self.limit:
+            return
+        p = self.means.problem
+        solution = ImpulseNewton(self.tol, LAST)(p, self.r)
+        best = max(solution.error * p.q_norm / self.means.q_norm, solution.residual)
+        if best < self.best:
+            self.r[:] = solution.r
+        self._note(best, solution.iterations, solution.iterations * cost)
+
+    def run(self, large: bool) -> None:
+        """All means in turn: for a large problem first what reaches `loose`, then what is quick, then all the rest."""
+        if self.r.any() and not self.abrupt:
+            self.warm()
+        if large and self.loose >= COARSE:
+            self.rounds(self.loose)
+        if not (large and self.abrupt):
+            self.accelerated()
+            self.cold(interior, INTERIOR)
+        self.cold(smoothing, SMOOTHING)
+        if large:
+            self.rounds(max(self.tol, COARSE))
+        self.sweep(LASTLY[0], self.tol)
+        self.newton(FAR, LASTLY[1], self.tol)
+        self.impulses()
+        if self.best <= self.tol and not (large and (self.abrupt or self.tol > COARSE)):
+            # To the last digits, see POLISH.
+            self.count += self.means.newton(self.r, max(POLISH * self.tol, FLOOR), NEAR, FINISH)[0]
 
 
 @dataclass(frozen=True)
 class Auto:
-    """Portfolio, island by island: closed form, warm Newton, accelerated Gauss–Seidel, Newton, interior point, Newton.
-
-    Piles of free bodies whose factorisations fill in first try sweeps with momentum, unless the tolerance is tight, and
-    regions where those are stuck are solved by themselves, the impulses elsewhere frozen.
+    """Portfolio, island by island, to a tolerance where it buys something and with a bound on effort everywhere.
 
     An island with one contact is solved in closed form. A warm start first gets a few Newton steps, since the contact
-    states of the last step mostly hold. Otherwise accelerated Gauss–Seidel finds the states and Newton finishes from
-    them; where it does not, the interior point method finds them and Newton finishes, or Newton in the impulses as the
-    last resort. A problem given by W alone is solved on its impulses, so that W need not be symmetric. What is not
-    solved is checked for a Slater point, without which no solution is guaranteed, and its status says so.
+    states of the last step mostly hold. Otherwise come accelerated Gauss–Seidel, as long as it is foreseen to suffice,
+    the interior point method and the smoothing Newton method from nothing, each finished by Newton, and rounds of
+    sweeps with momentum and of Newton from the best so far, each twice as long as the one before. Islands in heavy
+    motion, whose factorisations are worth many sweeps, begin with those rounds.
+
+    What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
+    operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
+    accepted, with its error on record. In heavy motion, a collision, problems have many solutions, further apart than
+    answers of either tolerance, and nothing is done beyond `loose`. What misses `loose` has failed; it is checked for
+    a Slater point, without which no solution is guaranteed, and its status says so.
 
     Parameters
     ----------
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    loose : float
+        What is acceptable where `tol` costs too much; `tol` itself where that is looser, and then every problem gets
+        all means.
+    effort : float
+        Effort towards `tol`, as a multiple of that for `loose`; small problems may take as much as they need.
     accept : float
         Fraction of the tolerance within which a warm start is the solution of an island.
-    heavy_tol : float
-        Tolerance that is enough for islands whose factorisations cost too much, and by which the whole is judged, where
-        it is looser.
     """
 
     tol: float = 1e-8
+    loose: float = 1e-4
+    effort: float = 6.0
     accept: float = 1.0
-    heavy_tol: float = 0.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         start = time.perf_counter()
         r = np.zeros(problem.q.size) if r0 is None else problem.impulse(r0).copy()
-        tol = max(self.tol, self.heavy_tol)
         if problem.nc and problem.blocks is not None:
-            solution = self._given_factors(problem, problem.blocks, r, tol, start)
+            solution = self._given_factors(problem, problem.blocks, r, start)
         else:
             count = 0 if not problem.nc or problem.solved(r, self.tol)[0] else self._given_matrix(problem, r)
-            solution = Solution.judge(problem, r, tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
-        return solution if solution.converged else self._explained(problem, solution)
+            solution = self._judged(problem, r, count, start)
+        return solution if solution.accepted else self._explained(problem, solution)
+
+    def _judged(self, problem: FC3D, r: Array, count: int, start: float) -> Solution:
+        """Solution of an impulse, since the time `start`."""
+        _, error, residual, u = problem.solved(r, self.tol)
+        return self._measured(r, u, error, residual, count, start)
+
+    def _measured(self, r: Array, u: Array, error: float, residual: float, count: int, start: float) -> Solution:
+        """Solution of an impulse of those measures."""
+        otherwise = Status.LOOSE if max(error, residual) <= self.loose else Status.MAX_ITERATIONS
+        spent = time.perf_counter() - start
+        return Solution.measured(r, u, error, residual, self.tol, count, spent, otherwise)
 
     @staticmethod
     def _explained(problem: FC3D, solution: Solution) -> Solution:
@@ -154,8 +269,8 @@ class Auto:
             return solution._replace(status=Status.NO_SLATER_POINT)
         return solution
 
-    def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, tol: float, start: float) -> Solution:
-        """Solve a problem with factors from r, in place of r, since the time `start`; judged by `tol`."""
+    def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, start: float) -> Solution:
+        """Solve a problem with factors from r, in place of r, since the time `start`."""
         q_norm, enough, nc = problem.q_norm, max(POLISH * self.tol, FLOOR), problem.nc
         u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
         found, left, count, error, residual = _warm.improve(
@@ -163,124 +278,48 @@ class Auto:
             q_norm, DENSE, *WARM,
         )  # fmt: skip
         if not left:
-            spent = time.perf_counter() - start
-            return Solution.measured(r, u, error, residual, tol, count, spent, Status.MAX_ITERATIONS)
+            return self._measured(r, u, error, residual, count, start)
         measures, share = islands[:, :found]
         for k in (~(measures <= enough)).nonzero()[0].tolist():
             contacts, part = island(blocks, label, k)
             i = rows(contacts, problem.nc)
             given = problem.q[i], problem.mu[contacts], problem.scales[contacts]
-            r[i], used = self._island(part, *given, r[i].copy(), 0.9 * self.tol * float(share[k]), q_norm)
-            count += used
-        return Solution.judge(problem, r, tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+            x = r[i].copy()
+            if part.nc == 1:
+                _cones.solve_one(part.delassus().data[0], given[0], given[1][0], x)
+                count += 1
+            else:
+                count += self._island(ByFactors(part, *given, q_norm), x, float(share[k]), part.n > DENSE)
+            r[i] = x
+        return self._judged(problem, r, count, start)
 
     def _given_matrix(self, problem: FC3D, r: Array) -> int:
         """Solve a problem given by W alone in place of r; iterations used."""
         indptr, indices, data = problem.csr
         label, found = _local.islands(indptr, indices)
-        q_norm = problem.q_norm
-        tol = 0.9 * self.tol / np.sqrt(found)
+        q, mu, scales, q_norm = problem.q, problem.mu, problem.scales, problem.q_norm
+        share = 1.0 / np.sqrt(found)
+        tol = 0.9 * self.tol * share
         count = int(
             _local.solve_small(
-                indptr, indices, data, problem.q, problem.mu, problem.scales, r, tol, q_norm, label, found,
-                LARGEST, bool(r.any()), SWEEPS, PATIENCE,
+                indptr, indices, data, q, mu, scales, r, tol, q_norm, label, found, LARGEST, bool(r.any()), SWEEPS,
+                PATIENCE,
             )
         )  # fmt: skip
-        for k in np.flatnonzero(np.bincount(label) > LARGEST) if problem.nc > LARGEST else ():
+        measures = _newton.measures_of_islands(label, found, scales, q_norm, problem.velocity(r), r, mu)
+        for k in np.flatnonzero(~(measures <= tol)):
             contacts = np.flatnonzero(label == k)
             i = rows(contacts, problem.nc)
-            start, columns, values = _local.extract(indptr, indices, data, contacts)
-            q, mu, scales = problem.q[i], problem.mu[contacts], problem.scales[contacts]
+            W = _local.extract(indptr, indices, data, contacts)
             x = r[i]
-            W = Local(sp.bsr_array((values, columns, start), shape=(x.size, x.size)))
-            used, best = _sweep(_pgs.matrix(start, columns, values), q, mu, scales, x, tol, q_norm)
-            count += used
-            if best > tol:
-                y = np.empty_like(x)
-                # About a microsecond for a block of W, five with the fill of a factorisation
-                used, now = solve_by_matrix(W, q, mu, scales, y, tol, q_norm, _limits(5e-6 * columns.size))
-                count += used
-                x = y if now < best else x
+            means = ByMatrix(W, q[i], mu[contacts], scales[contacts], q_norm)
+            count += self._island(means, x, share, contacts.size > LARGEST)
             r[i] = x
         return count
 
-    def _island(
-        self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float
-    ) -> tuple[Array, int]:
-        """Impulse of one island and the iterations used."""
-        if blocks.nc == 1:
-            _cones.solve_one(blocks.delassus().data[0], q, mu[0], r)
-            return r, 1
-        cost, count = _cost(blocks), 0
-        worth = _worth(blocks, cost)
-        if _sweeps_first(blocks, q, worth, max(self.tol, self.heavy_tol)):
-            enough = max(tol, self.heavy_tol)
-            count, best = self._sweep_and_mend(blocks, q, mu, scales, r, enough, q_norm, worth)
-            if best <= enough or INTERIOR[0] * cost > LONGEST:
-                return r, count
-            used, best = solve_blocks(blocks, q, mu, scales, r, enough, q_norm, *PATIENT)
-            count += used
-            if best <= enough:
-                return r, count
-        r, used = self._factorise(blocks, q, mu, scales, r, tol, q_norm)
-        return r, count + used
-
-    def _sweep_and_mend(
-        self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, worth: float
-    ) -> tuple[int, float]:
-        """Sweeps with momentum in place of r, Newton now and then, and direct solves of regions that are stuck."""
-
-        def direct(part: Blocks, q: Array, mu: Array, scales: Array, r: Array) -> tuple[Array, int]:
-            return self._factorise(part, q, mu, scales, r, 0.1 * tol, q_norm)
-
-        sweeps, pause = Sweeps(blocks, q, mu, scales, r, q_norm), max(PAUSE[0], int(PAUSE[1] * worth))
-        most, patience = TRAVEL
-        count = 0
-        while sweeps.run(tol, min(most, sweeps.count + pause), patience) and sweeps.count < most:
-            x = r.copy()
-            used, now = solve_blocks(blocks, q, mu, scales, x, tol, q_norm, *BRIEF)
-            count += used
-            if now <= tol:
-                r[:] = x
-                return count + sweeps.count, now
-        count, best = count + sweeps.count, sweeps.best
-        if best <= tol:
-            return count, best
-        problem, x = FC3D.from_blocks(blocks, q, mu), r.copy()
-        for _ in range(MENDS):
-            used = mend(problem, x, tol, direct)
-            if not used:
-                break
-            more, now = solve_free(blocks, q, mu, scales, x, tol, q_norm, *AGAIN)
-            count += used + more
-            if now < best:
-                best = now
-                r[:] = x
-            if best <= tol:
-                break
-        return count, best
-
-    def _factorise(
-        self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float
-    ) -> tuple[Array, int]:
-        """Impulse by warm Newton, sweeps, interior point, Newton, and the iterations used."""
-        sharp, cost, count = max(POLISH * tol, FLOOR), _cost(blocks), 0
-        if r.any() and blocks.n > DENSE:
-            used, best = solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, *WARM)
-            count += used
-            if best <= tol:
-                return r, count
-        W = _pgs.factors(blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.minv)
-        used, best = _sweep(W, q, mu, scales, r, tol, q_norm)
-        count += used
-        if best > tol:
-            x = np.empty_like(r)
-            used, now = solve_by_factors(blocks, q, mu, scales, x, tol, q_norm, _limits(cost))
-            count += used
-            r, best = (x, now) if now < best else (r, best)
-        if best > tol and LAST * cost * max(1.0, 3.0 * blocks.nc / blocks.n) ** 3 <= EFFORT:
-            last = ImpulseNewton(tol, LAST)(FC3D.from_blocks(blocks, q, mu), r)
-            count += last.iterations
-            r = last.r if last.converged else r
-        count += solve_blocks(blocks, q, mu, scales, r, sharp, q_norm, *FINISH)[0]
-        return r, count
+    def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
+        """Solve one island in place of r, to its share of the tolerances; iterations used."""
+        loose = max(self.tol, self.loose)
+        search = Search(means, r, 0.9 * share * self.tol, 0.9 * share * loose, self.effort)
+        search.run(large and means.factorisation > HEAVY * means.sweep)
+        return search.count

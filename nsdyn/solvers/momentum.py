@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nsdyn._kernels import cones as _cones
 from nsdyn._kernels import momentum as _kernels
-from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
+from nsdyn._kernels import pgs as _pgs
+from nsdyn.problem import FC3D, Array, Blocks, Index, Solution, Status
 
 CHECK = 10
 """Sweeps between two measurements."""
@@ -40,6 +42,28 @@ class Sweeps:
         """Go on to the tolerance, to so many sweeps in all or so many without gain; whether it is worth going on."""
         self.count, self._last, self.best, self._keep = _kernels.solve(
             *self._given, tol, self._best_r, self._y, self._x, self._v, self._t, self.count, self._last, self.best,
+            self._keep, most, CHECK, patience,
+        )  # fmt: skip
+        return bool(self.best > tol and self.count - self._last < patience)
+
+
+class MatrixSweeps:
+    """`Sweeps` on a problem given by a block-sparse W, (indptr, indices, data)."""
+
+    def __init__(
+        self, W: tuple[Index, Index, Array], q: Array, mu: Array, scales: Array, r: Array, q_norm: float
+    ) -> None:
+        u = np.empty_like(q)
+        _pgs.velocity(*W, q, r, u)
+        self.best = float(max(_cones.natural_residual(scales, u, r, mu), _cones.natural_error(u, r, mu) / q_norm))
+        self._best_r, self._given = r, (*W, _kernels.steps_of_matrix(*W, mu), q, mu, scales, q_norm)
+        self._y, self._x, self._t = r.copy(), r.copy(), np.ones(mu.size)
+        self.count, self._last, self._keep = 0, 0, 0.5
+
+    def run(self, tol: float, most: int, patience: int) -> bool:
+        """Go on as `Sweeps.run` does."""
+        self.count, self._last, self.best, self._keep = _kernels.solve_matrix(
+            *self._given, tol, self._best_r, self._y, self._x, self._t, self.count, self._last, self.best,
             self._keep, most, CHECK, patience,
         )  # fmt: skip
         return bool(self.best > tol and self.count - self._last < patience)

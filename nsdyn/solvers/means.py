@@ -1,0 +1,129 @@
+"""One connected problem and the means to solve it, alike for a problem given by factors and for one given by W."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from nsdyn._kernels import pgs as _pgs
+from nsdyn._kernels import sparse as _matrix
+from nsdyn.problem import FC3D, Array, Blocks, Index
+from nsdyn.solvers.interior import Local, Operator, Velocity, newton
+from nsdyn.solvers.momentum import MatrixSweeps, Sweeps
+from nsdyn.solvers.newton import solve_blocks
+
+COORDINATE, MULTIPLICATION, BLOCK = 2.5e-6, 0.9e-10, 1.5e-6
+"""Seconds that a factorisation takes per coordinate and per multiplication of `elimination_work`, or per block of a
+given W: measured, the last between 5e-7 and 3e-6."""
+
+CONTACT, COUPLING, ACCELERATED = 45e-9, 12e-9, 3e-7
+"""Seconds that a sweep with momentum takes per contact of free bodies and per block of W, and an accelerated one per
+contact: measured."""
+
+
+class Momentum(Protocol):
+    """Sweeps with momentum that may be interrupted: `momentum.Sweeps`."""
+
+    count: int
+    best: float
+
+    def run(self, tol: float, most: int, patience: int) -> bool:
+        """Go on; whether it is worth going on."""
+
+
+class Means(Protocol):
+    """A connected problem and ways to solve it, all in place of an impulse r, returning (iterations, measure of r).
+
+    Attributes
+    ----------
+    problem : FC3D
+    q_norm : float
+        Of the whole problem that this is an island of.
+    operator : Operator
+        W for `interior` and `smoothing`.
+    factorisation, sweep, accelerated_sweep : float
+        Seconds they take, by counts of operations: the same whatever the machine is busy with.
+    """
+
+    problem: FC3D
+    q_norm: float
+    operator: Operator
+    factorisation: float
+    sweep: float
+    accelerated_sweep: float
+
+    def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
+        """Accelerated Gauss–Seidel."""
+
+    def momentum(self, r: Array) -> Momentum:
+        """Sweeps with momentum from r, the best into r."""
+
+    def newton(self, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
+        """Semismooth Newton of at most so many factorisations."""
+
+
+def _accelerated(
+    W: Any, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, most: int, patience: int
+) -> tuple[int, float]:
+    """Accelerated Gauss–Seidel in place of r, W a `Matrix` or `Factors`: (sweeps, measure)."""
+    used, best = _pgs.accelerated(W, q, mu, scales, r, tol, q_norm, most, 5, min(20, mu.size + 1), patience)
+    return int(used), float(best)
+
+
+class ByFactors:
+    """Means for a problem given by factors."""
+
+    def __init__(self, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> None:
+        self.blocks, self.q_norm = blocks, q_norm
+        self.problem = FC3D.from_blocks(blocks, q, mu)
+        self._given = q, mu, scales
+        self.operator: Operator = Velocity(blocks)
+        work = float(_matrix.elimination_work(blocks.offset, blocks.block))
+        self.factorisation = COORDINATE * blocks.n + MULTIPLICATION * work
+        self.free = bool((np.diff(blocks.offset) == 6).all())
+        self.sweep = CONTACT * blocks.nc if self.free else COUPLING * self.problem.csr[1].size
+        self.accelerated_sweep = ACCELERATED * blocks.nc
+
+    def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
+        """Accelerated Gauss–Seidel."""
+        b = self.blocks
+        W = _pgs.factors(b.offset, b.block, b.start, b.h, b.m_start, b.minv)
+        return _accelerated(W, *self._given, r, tol, self.q_norm, most, patience)
+
+    def momentum(self, r: Array) -> Momentum:
+        """Sweeps with momentum from r, the best into r."""
+        if self.free:
+            return Sweeps(self.blocks, *self._given, r, self.q_norm)
+        return MatrixSweeps(self.problem.csr, *self._given, r, self.q_norm)
+
+    def newton(self, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
+        """Semismooth Newton of at most so many factorisations."""
+        return solve_blocks(self.blocks, *self._given, r, tol, self.q_norm, penalty, most)
+
+
+class ByMatrix:
+    """Means for a problem given by a block-sparse W, which need not be symmetric."""
+
+    def __init__(self, W: tuple[Index, Index, Array], q: Array, mu: Array, scales: Array, q_norm: float) -> None:
+        self.W, self.q_norm = W, q_norm
+        start, columns, values = W
+        given = sp.bsr_array((values, columns, start), shape=(q.size, q.size))
+        self.problem = FC3D(given, q, mu)
+        self._given = q, mu, scales
+        self.operator: Operator = Local(given)
+        self.factorisation, self.sweep = BLOCK * columns.size, COUPLING * columns.size
+        self.accelerated_sweep = self.sweep + ACCELERATED * mu.size
+
+    def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
+        """Accelerated Gauss–Seidel."""
+        return _accelerated(_pgs.matrix(*self.W), *self._given, r, tol, self.q_norm, most, patience)
+
+    def momentum(self, r: Array) -> Momentum:
+        """Sweeps with momentum from r, the best into r."""
+        return MatrixSweeps(self.W, *self._given, r, self.q_norm)
+
+    def newton(self, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
+        """Semismooth Newton of at most so many factorisations."""
+        return newton(self.operator, *self._given, r, tol, self.q_norm, penalty, most)
