@@ -1,11 +1,8 @@
 """Compiled kernels: functions of arrays and scalars, the only place where numba is imported.
 
 Each kernel has a NumPy twin of the same meaning, in `nsdyn.cones`, `nsdyn.problem` or its test, and gives the same
-answer with ``NUMBA_DISABLE_JIT=1``. The first use on a machine compiles them and keeps the machine code in numba's
-cache; the logger "nsdyn" says so, at INFO also which.
-
-For developers: numba's cache sees a change of a kernel's own file only. After editing a kernel that another file calls,
-delete ``_kernels/__pycache__``.
+answer with ``NUMBA_DISABLE_JIT=1``. The first use on a machine compiles them and keeps the machine code in a folder of
+the user, as `nsdyn._kernels.compiled` tells; the logger "nsdyn" says so, at INFO also which.
 """
 
 import logging
