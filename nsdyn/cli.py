@@ -87,6 +87,7 @@ def _parser() -> _Parser:
     _add_json(p)
 
     p = command("doctor", _doctor, "Show versions and places of what nsdyn depends on, and check that it works.")
+    p.add_argument("--compile", action="store_true", help="first compile all kernels, in as many processes as cores")
     _add_json(p)
 
     p = command("run", _run, "Simulate a named scene and print its energy ledger.")
@@ -619,8 +620,10 @@ def _version(distribution: str) -> str | None:
 
 def _doctor(arguments: argparse.Namespace) -> int:
     from nsdyn import viewer
-    from nsdyn._kernels import compiled
+    from nsdyn._kernels import ahead, compiled
 
+    if arguments.compile:
+        ahead.compile_examples("all")
     packages: dict[str, Any] = {}
     for distribution, module in _PACKAGES.items():
         spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 import nsdyn
+from nsdyn import compilation
+from nsdyn._kernels import ahead
 
 HERE = Path(nsdyn.__file__).parent
 COMMAND = """
@@ -81,3 +83,18 @@ def test_without_a_cache_it_works(tmp_path):
     (tmp_path / "file").touch()
     for _ in range(2):
         assert python("-c", COMMAND, NSDYN_CACHE_DIR=str(tmp_path / "file" / "below")).stdout == "(2.0, 0.3, 0.4) 1\n"
+
+
+def test_examples_run_as_python():
+    calls = compilation.noted("step").calls
+    assert {"manifold", "newton", "motion"} <= {kernel.name.partition(".")[0] for kernel, _ in calls}
+    assert set(calls) <= set(compilation.noted("all").calls)
+
+
+def test_several_processes_compile_each_kernel_once(tmp_path, monkeypatch):
+    """And they start no others, nor do they need more than the caller's path."""
+    monkeypatch.setenv("NSDYN_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("NSDYN_COMPILE_PROCESSES", "2")
+    ahead.compile_examples("contact")
+    names = [path.name.rpartition("-")[0] for path in tmp_path.glob("*.nbc")]
+    assert len(names) == len(set(names)) >= 2

@@ -9,6 +9,8 @@ import logging
 
 from numba.core import event
 
+from nsdyn._kernels import ahead
+
 _log = logging.getLogger("nsdyn")
 
 
@@ -23,8 +25,7 @@ class _Announce(event.Listener):  # type: ignore[misc]  # numba is not typed
         module = event.data["dispatcher"].py_func.__module__
         if not module.startswith(__name__) or module in self.seen:
             return
-        if not self.seen:
-            _log.warning("compiling the kernels, once on this machine: about a minute")
+        ahead.announce()
         self.seen.add(module)
         _log.info("compiling %s", module.removeprefix(__name__ + "."))
 

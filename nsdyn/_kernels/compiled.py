@@ -7,6 +7,7 @@ versions of Python, numba and NumPy. Nothing is ever out of date, environments s
 removed after a while.
 """
 
+import errno
 import fcntl
 import gc
 import hashlib
@@ -18,9 +19,9 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
@@ -78,9 +79,10 @@ class Cache(NullCache):
     """Machine code of one kernel: a file for each list of types of arguments."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self._name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
         # Now, since the file may be edited before the first call
-        self._contents = function.__module__, function.__qualname__, contents(function.__module__)
+        content = contents(function.__module__).hex()
+        self.name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}-{content[:16]}"
+        self._contents = function.__module__, content
 
     @property
     def cache_path(self) -> str | None:
@@ -93,8 +95,8 @@ class Cache(NullCache):
         if place is None:
             return None
         on = PLATFORM, config.BOUNDSCHECK, context.codegen().magic_tuple()
-        key = hashlib.sha256(repr((self._contents, str(types), on)).encode()).hexdigest()
-        return place / f"{self._name}-{key[:32]}.nbc"
+        key = hashlib.sha256(repr((self.name, self._contents, str(types), on)).encode()).hexdigest()
+        return place / f"{self.name}-{key[:32]}.nbc"
 
     def load_overload(self, types: Any, context: Any) -> CompileResult | None:
         """The compiled kernel, None if it is not in the cache."""
@@ -143,15 +145,20 @@ def _locks(place: Path) -> int:
 
 
 @contextmanager
-def _alone(file: Path | None) -> Iterator[None]:
-    """Wait for another process that compiles the same; without locks both do."""
+def alone(file: Path | None, wait: bool = True) -> Iterator[bool]:
+    """Wait for another process that does the same, or tell whether there is none; without locks all do it."""
     held = None
     if file is not None:
-        with suppress(OSError):
-            held = _locks(file.parent), int(file.stem.rpartition("-")[2][:15], 16)
-            fcntl.lockf(held[0], fcntl.LOCK_EX, 1, held[1])
+        try:
+            held = _locks(file.parent), int(hashlib.sha256(file.name.encode()).hexdigest()[:15], 16)
+            fcntl.lockf(held[0], fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB), 1, held[1])
+        except OSError as error:
+            held = None
+            if not wait and error.errno in (errno.EACCES, errno.EAGAIN):
+                yield False
+                return
     try:
-        yield
+        yield True
     finally:
         if held is not None:
             with suppress(OSError):
@@ -170,23 +177,63 @@ def _no_garbage() -> Iterator[None]:
             gc.enable()
 
 
+class Notes:
+    """Calls of kernels from Python, in their order, while all kernels run as Python."""
+
+    def __init__(self) -> None:
+        self.calls: dict[tuple[Kernel, Any], None] = {}
+        self._inside = False
+
+    def call(self, kernel: "Kernel", *args: Any, **kws: Any) -> Any:
+        """Run a kernel as Python; those it calls are none of Python's."""
+        if self._inside:
+            return kernel.py_func(*args, **kws)
+        types = tuple(map(kernel.typeof_pyval, args)), {k: kernel.typeof_pyval(v) for k, v in kws.items()}
+        self.calls[kernel, tuple(kernel.fold_argument_types(*types)[1])] = None
+        self._inside = True
+        try:
+            return kernel.py_func(*args, **kws)
+        finally:
+            self._inside = False
+
+
 class Kernel(CPUDispatcher):
     """Compiled function: compiled by one process while others wait, and for variables where it is given constants."""
+
+    known: ClassVar[list["Kernel"]] = []
+    notes: ClassVar[Notes | None] = None
+    """Where not None, nothing is compiled."""
+
+    prepare: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
+    """Called before a process compiles what Python calls."""
 
     def enable_caching(self) -> None:
         """As numba does, in our cache."""
         self._cache = Cache(self.py_func)
+        self.known.append(self)
+
+    @property
+    def name(self) -> str:
+        """Module, name and contents: the beginning of the names of its files."""
+        return self._cache.name
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Meaning of a call in another kernel; numba would compile f(0) and f(i) both."""
         return super().get_call_template(tuple(map(unliteral, args)), {k: unliteral(t) for k, t in kws.items()})
 
-    def compile(self, types: Any) -> Any:
-        """Load or compile for these types."""
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        """What to call instead, at a call from Python with new types."""
+        if Kernel.notes is not None:
+            return partial(Kernel.notes.call, self)
+        Kernel.prepare()
+        return super()._compile_for_args(*args, **kws)
+
+    def compile(self, types: Any, wait: bool = True) -> Any:
+        """Load or compile for these types; without waiting None where another process does."""
         if types in self.overloads:
             return super().compile(types)
-        with _no_garbage(), _alone(self._cache.file(types, self.targetctx)):
-            return super().compile(types)
+        with _no_garbage(), alone(self._cache.file(types, self.targetctx), wait) as free:
+            return super().compile(types) if free else None
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
