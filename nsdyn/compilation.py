@@ -21,12 +21,18 @@ from nsdyn.stepper import Stepper
 
 __all__ = ["EXAMPLES", "noted", "work"]
 
+SCENES = (
+    "arm_pushes_box", "bounce", "bricard", "bullet", "euler_disk", "gripper", "quadruped", "rattleback", "rocking",
+    "rolling", "slider_crank", "woodpecker",
+)  # fmt: skip
+"""Named scenes whose first steps call what others do."""
 
-def _steps(name: str, count: int, impact: str = "newton", solver: str = "auto", **parameters: float) -> None:
+
+def _steps(name: str, count: int, impact: str = "newton") -> None:
     """Some steps of a named scene."""
-    scene = scenes.load(name)(**parameters)
+    scene = scenes.load(name)()
     stepper = Stepper(
-        scene, scenes.module(name).DT, solver=solvers.by_name(solver, 1e-8), controller=scenes.controller(name, scene),
+        scene, scenes.module(name).DT, controller=scenes.controller(name, scene),
         external_force=scenes.external_force(name, scene), on_fail="ignore", impact=impact,
     )  # fmt: skip
     for _ in range(count):
@@ -42,9 +48,13 @@ def _step() -> None:
 def _all() -> None:
     """What anything calls."""
     _step()
+    for name in SCENES:
+        _steps(name, 3)
+    for impact in ("poisson", "fremond"):
+        _steps("woodpecker", 1, impact)
     problem = FC3D(np.eye(6) + 0.1, np.array([-1.0, 2.0, 0.0, -1.0, 0.1, 0.0]), np.full(2, 0.5))
-    for name in solvers.SOLVERS:
-        solvers.by_name(name, 1e-8)(problem)
+    for solver in solvers.SOLVERS:
+        solvers.by_name(solver, 1e-8)(problem)
 
 
 def _contact() -> None:
