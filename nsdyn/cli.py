@@ -87,6 +87,7 @@ def _parser() -> _Parser:
     _add_json(p)
 
     p = command("doctor", _doctor, "Show versions and places of what nsdyn depends on, and check that it works.")
+    p.add_argument("--compile", action="store_true", help="first compile all kernels, in as many processes as cores")
     _add_json(p)
 
     p = command("run", _run, "Simulate a named scene and print its energy ledger.")
@@ -619,19 +620,22 @@ def _version(distribution: str) -> str | None:
 
 def _doctor(arguments: argparse.Namespace) -> int:
     from nsdyn import viewer
+    from nsdyn._kernels import ahead, compiled
 
+    if arguments.compile:
+        ahead.compile_examples("all")
     packages: dict[str, Any] = {}
     for distribution, module in _PACKAGES.items():
         spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server
         packages[distribution] = {"version": _version(distribution), "file": spec.origin if spec else None}
-    cache, writable = _numba_cache()
+    cache = compiled.folder()
     checks = {name: _outcome(check) for name, check in _CHECKS.items()}
     sound = all(p["version"] and p["file"] for p in packages.values()) and all(c == "ok" for c in checks.values())
     figures: dict[str, Any] = {
         "python": {"version": sys.version.split()[0], "file": sys.executable},
         "packages": packages,
         "chromium": viewer.chromium(),
-        "numba_cache": {"folder": cache, "writable": writable},
+        "cache": cache,
         "checks": checks,
         "ok": sound,
     }
@@ -641,21 +645,11 @@ def _doctor(arguments: argparse.Namespace) -> int:
     for name, found in {"python": figures["python"], **packages}.items():
         print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
     print(f"{'chromium':12} {figures['chromium'] or 'not found; only pictures (nsdyn view --png) need it'}")
-    note = "" if writable else " is not writable: compilation is repeated at every start unless NUMBA_CACHE_DIR is set"
-    print(f"{'numba cache':12} {cache}{note}")
+    none = f"none can be written: every start compiles unless {compiled.FOLDER} names a folder"
+    print(f"{'cache':12} {cache or none}")
     for name, outcome in checks.items():
         print(f"check        {name}: {outcome}")
     return 0 if sound else 1
-
-
-def _numba_cache() -> tuple[Path, bool]:
-    """Folder of the compiled kernels, and whether it can be written."""
-    import nsdyn
-
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    cache = Path(given) if given else Path(nsdyn.__file__).parent / "_kernels" / "__pycache__"
-    existing = next(folder for folder in (cache, *cache.absolute().parents) if folder.exists())
-    return cache, os.access(existing, os.W_OK)
 
 
 def _outcome(check: Callable[[], bool]) -> str:

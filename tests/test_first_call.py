@@ -1,19 +1,99 @@
-"""The first use on a machine compiles, and says so."""
+"""The first use on a machine compiles and says so; nothing is compiled twice, and nothing stale is used."""
 
+import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
-COMMAND = "import logging; logging.basicConfig(level=logging.INFO); from nsdyn._kernels import cones; " \
-    "cones.project(1.0, 2.0, 3.0, 0.5)"  # fmt: skip
+import pytest
+
+import nsdyn
+from nsdyn import compilation
+from nsdyn._kernels import ahead
+
+HERE = Path(nsdyn.__file__).parent
+COMMAND = """
+import logging; logging.basicConfig(level=logging.INFO)
+from nsdyn._kernels import cones, reference
+print(cones.project(2.0, 0.3, 0.4, 0.5), sum(cones.project.stats.cache_misses.values()))
+"""
+CALLER = """
+from nsdyn._kernels import callee
+from nsdyn._kernels.compiled import kernel
+
+@kernel
+def twice(x):
+    return 2.0 * callee.given(x)
+
+print(twice(1.0), sum(twice.stats.cache_misses.values()))
+"""
+CALLEE = """
+from nsdyn._kernels.compiled import kernel
+
+@kernel
+def given(x):
+    return x
+"""
 
 
-def test_compiling_is_announced_once(tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+def python(*command: str, **environment: str) -> subprocess.CompletedProcess:
+    # Safe: not the package of the current folder
+    variables = os.environ | {"PYTHONPATH": str(HERE.parent), "PYTHONSAFEPATH": "1"} | environment
+    return subprocess.run([sys.executable, *command], capture_output=True, text=True, check=True, env=variables)
 
-    def heard():
-        return subprocess.run([sys.executable, "-c", COMMAND], capture_output=True, text=True, check=True).stderr
 
-    first = heard()
-    assert first.count("compiling the kernels, once on this machine") == 1
-    assert first.count("compiling cones") == 1
-    assert heard() == ""
+def test_compiling_is_announced_once(tmp_path):
+    first = python("-c", COMMAND, NSDYN_CACHE_DIR=str(tmp_path))
+    assert first.stdout == "(2.0, 0.3, 0.4) 1\n"
+    assert first.stderr.count("compiling the kernels, once on this machine") == 1
+    assert first.stderr.count("compiling cones") == 1
+    second = python("-c", COMMAND, NSDYN_CACHE_DIR=str(tmp_path))
+    assert second.stdout == "(2.0, 0.3, 0.4) 0\n" and second.stderr == ""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """Copy of the package in another place, as another environment has one."""
+    shutil.copytree(HERE, tmp_path / "a" / "nsdyn", ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path / "a"
+
+
+def test_another_environment_compiles_nothing(package, tmp_path):
+    for path in (package, shutil.copytree(package, tmp_path / "b")):
+        done = python("-c", COMMAND, PYTHONPATH=str(path), NSDYN_CACHE_DIR=str(tmp_path / "cache"))
+    assert done.stdout.endswith(" 0\n")
+
+
+def test_an_edited_callee_is_seen_and_nothing_else_compiled(package, tmp_path):
+    kernels, environment = package / "nsdyn" / "_kernels", {"PYTHONPATH": str(package)}
+    environment["NSDYN_CACHE_DIR"] = str(tmp_path / "cache")
+    (kernels / "caller.py").write_text(CALLER)
+    (kernels / "callee.py").write_text(CALLEE)
+    assert python("-c", "import nsdyn._kernels.caller", **environment).stdout == "2.0 1\n"
+    (kernels / "callee.py").write_text(CALLEE.replace("return x", "return x + 1.0"))
+    assert python("-c", "import nsdyn._kernels.caller", **environment).stdout == "4.0 1\n"
+    python("-c", COMMAND, **environment)
+    (kernels / "callee.py").write_text(CALLEE)
+    assert python("-c", "import nsdyn._kernels.caller", **environment).stdout == "2.0 0\n"
+    assert python("-c", COMMAND, **environment).stdout.endswith(" 0\n")
+
+
+def test_without_a_cache_it_works(tmp_path):
+    (tmp_path / "file").touch()
+    for _ in range(2):
+        assert python("-c", COMMAND, NSDYN_CACHE_DIR=str(tmp_path / "file" / "below")).stdout == "(2.0, 0.3, 0.4) 1\n"
+
+
+def test_examples_run_as_python():
+    calls = compilation.noted("step").calls
+    assert {"manifold", "newton", "motion"} <= {kernel.name.partition(".")[0] for kernel, _ in calls}
+
+
+def test_several_processes_compile_each_kernel_once(tmp_path, monkeypatch):
+    """And they start no others, nor do they need more than the caller's path."""
+    monkeypatch.setenv("NSDYN_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("NSDYN_COMPILE_PROCESSES", "2")
+    ahead.compile_examples("contact")
+    names = [path.name.rpartition("-")[0] for path in tmp_path.glob("*.nbc")]
+    assert len(names) == len(set(names)) >= 2

@@ -12,7 +12,7 @@ ORDER = [
     ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"],
     ["instant", "trajectory"], ["collisions", "sight"], ["move"],
-    ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench"], ["cli"], ["__main__"],
+    ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench", "compilation"], ["cli"], ["__main__"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
 MATHEMATICS = {"_kernels", "cones", "problem", "formulations", "solvers", "fclib", "gauss"}

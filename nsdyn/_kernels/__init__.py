@@ -1,16 +1,15 @@
 """Compiled kernels: functions of arrays and scalars, the only place where numba is imported.
 
 Each kernel has a NumPy twin of the same meaning, in `nsdyn.cones`, `nsdyn.problem` or its test, and gives the same
-answer with ``NUMBA_DISABLE_JIT=1``. The first use on a machine compiles them and keeps the machine code in numba's
-cache; the logger "nsdyn" says so, at INFO also which.
-
-For developers: numba's cache sees a change of a kernel's own file only. After editing a kernel that another file calls,
-delete ``_kernels/__pycache__``.
+answer with ``NUMBA_DISABLE_JIT=1``. The first use on a machine compiles them and keeps the machine code in a folder of
+the user, as `nsdyn._kernels.compiled` tells; the logger "nsdyn" says so, at INFO also which.
 """
 
 import logging
 
 from numba.core import event
+
+from nsdyn._kernels import ahead
 
 _log = logging.getLogger("nsdyn")
 
@@ -26,8 +25,7 @@ class _Announce(event.Listener):  # type: ignore[misc]  # numba is not typed
         module = event.data["dispatcher"].py_func.__module__
         if not module.startswith(__name__) or module in self.seen:
             return
-        if not self.seen:
-            _log.warning("compiling the kernels, once on this machine: about a minute")
+        ahead.announce()
         self.seen.add(module)
         _log.info("compiling %s", module.removeprefix(__name__ + "."))
 

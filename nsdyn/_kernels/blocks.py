@@ -8,12 +8,12 @@ Coordinates come in blocks (a free body: 6, an articulated tree: its nv). Contac
 import math
 
 import numpy as np
-from numba import njit
 
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.cones import largest_eigenvalue, measures
 
 
-@njit(cache=True)
+@kernel
 def relative_velocity(offset, block, start, h, v, u):
     """u = Hᵀ v, into u (3 nc,)."""
     for c in range(block.shape[0]):
@@ -32,7 +32,7 @@ def relative_velocity(offset, block, start, h, v, u):
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = u0, u1, u2
 
 
-@njit(cache=True)
+@kernel
 def momentum(offset, block, start, h, r, p):
     """p = H r, into p (n,)."""
     p[:] = 0.0
@@ -49,7 +49,7 @@ def momentum(offset, block, start, h, r, p):
                     p[o + j] += h[a + j] * r0 + h[d + j] * r1 + h[e + j] * r2
 
 
-@njit(cache=True)
+@kernel
 def block_product(offset, m_start, m, x, y):
     """y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
     for k in range(offset.size - 1):
@@ -62,7 +62,7 @@ def block_product(offset, m_start, m, x, y):
             row += n
 
 
-@njit(cache=True)
+@kernel
 def contacts_of_blocks(block, count):
     """Contacts of every block as (pointer, list), each list ascending."""
     pointer = np.zeros(count + 1, np.int64)
@@ -83,7 +83,7 @@ def contacts_of_blocks(block, count):
     return pointer, members
 
 
-@njit(cache=True)
+@kernel
 def weighted_rows(offset, block, start, h, m_start, minv):
     """Rows of (M⁻¹ H)ᵀ in the layout of h."""
     y = np.empty_like(h)
@@ -104,7 +104,7 @@ def weighted_rows(offset, block, start, h, m_start, minv):
     return y
 
 
-@njit(cache=True)
+@kernel
 def _add_coupling(offset, block, start, h, y, a, b, out):
     """Add Σ over shared blocks of H_aᵀ M⁻¹ H_b to out (3, 3)."""
     for s in range(2):
@@ -123,7 +123,7 @@ def _add_coupling(offset, block, start, h, y, a, b, out):
                         out[i, j] += total
 
 
-@njit(cache=True)
+@kernel
 def delassus(offset, block, start, h, m_start, minv):
     """Block-sparse W = Hᵀ M⁻¹ H as (indptr, indices, data (nnz, 3, 3)), exactly symmetric, columns ascending."""
     nc, count = block.shape[0], offset.size - 1
@@ -177,7 +177,7 @@ def delassus(offset, block, start, h, m_start, minv):
     return indptr, indices, data
 
 
-@njit(cache=True)
+@kernel
 def velocity_change(offset, block, start, h, m_start, minv, r, v):
     """v = M⁻¹ H r, into v (n,)."""
     p = np.empty(v.size)
@@ -185,7 +185,7 @@ def velocity_change(offset, block, start, h, m_start, minv, r, v):
     block_product(offset, m_start, minv, p, v)
 
 
-@njit(cache=True)
+@kernel
 def judged(offset, block, start, h, m_start, minv, q, mu, scales, r, u):
     """u = Hᵀ M⁻¹ H r + q, into u; returns the two `measures` of r."""
     v = np.empty(offset[-1])
@@ -195,7 +195,7 @@ def judged(offset, block, start, h, m_start, minv, q, mu, scales, r, u):
     return measures(scales, u, r, mu)
 
 
-@njit(cache=True)
+@kernel
 def prepare(offset, block, start, h, m_start, minv, q, mu, scales):
     """`delassus_scales`; returns the norm of q, and whether q, mu and the scales are what they have to be."""
     delassus_scales(offset, block, start, h, m_start, minv, scales)
@@ -205,7 +205,7 @@ def prepare(offset, block, start, h, m_start, minv, q, mu, scales):
     return norm, good
 
 
-@njit(cache=True)
+@kernel
 def size_of(q, mu):
     """The norm of q, and whether q and mu are what they have to be."""
     total, good = 0.0, True
@@ -216,7 +216,7 @@ def size_of(q, mu):
     return math.sqrt(total), good and total < np.inf
 
 
-@njit(cache=True)
+@kernel
 def delassus_scales(offset, block, start, h, m_start, minv, out):
     """lambda_max of every diagonal block W_cc, without the rest of W, into out (nc,)."""
     nc = block.shape[0]
@@ -252,7 +252,7 @@ def delassus_scales(offset, block, start, h, m_start, minv, out):
         out[c] = largest_eigenvalue(w)
 
 
-@njit(cache=True)
+@kernel
 def unite(parent, a, b):
     """Join the components of a and b in a union-find forest; the smaller root stays."""
     while parent[a] != a:
@@ -267,7 +267,7 @@ def unite(parent, a, b):
         parent[a] = b
 
 
-@njit(cache=True)
+@kernel
 def islands(block, count, label):
     """Connected components of the graph of blocks and contacts; contacts are connected when they share a block.
 

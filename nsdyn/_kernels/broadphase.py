@@ -4,7 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from nsdyn._kernels.compiled import kernel
 
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
 
@@ -32,7 +33,7 @@ class Geometry(NamedTuple):
     placement_t: np.ndarray
 
 
-@njit(cache=True)
+@kernel
 def place(geometry, x, R, out_R, out_t):
     """World pose of every geom on a moving frame; the others keep theirs."""
     for g in range(geometry.kind.size):
@@ -51,7 +52,7 @@ def place(geometry, x, R, out_R, out_t):
             out_t[g, i] = t
 
 
-@njit(cache=True)
+@kernel
 def bound(geometry, g, R, t, lower, upper):
     """Smallest axis-aligned box of geom g at the pose (R, t), from its supports along the axes, into rows g."""
     kind, a, h = geometry.kind[g], geometry.size[g, 0], geometry.size[g, 1]
@@ -78,7 +79,7 @@ def bound(geometry, g, R, t, lower, upper):
         lower[g, i], upper[g, i] = t[i] - e, t[i] + e
 
 
-@njit(cache=True)
+@kernel
 def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fat_lower, fat_upper):
     """World poses, reaches and bounds of the geoms on moving frames, into R, t, reach, lower and upper.
 
@@ -99,7 +100,7 @@ def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fa
     return out
 
 
-@njit(cache=True)
+@kernel
 def contains(sorted_codes, code):
     """Whether a sorted array holds the code."""
     low, high = 0, sorted_codes.size
@@ -112,7 +113,7 @@ def contains(sorted_codes, code):
     return low < sorted_codes.size and sorted_codes[low] == code
 
 
-@njit(cache=True)
+@kernel
 def below(geometry, h, R, t, lower, upper):
     """Whether a box reaches into the fixed half-space h."""
     depth = -geometry.offset[h]
@@ -122,7 +123,7 @@ def below(geometry, h, R, t, lower, upper):
     return depth <= 0.0
 
 
-@njit(cache=True)
+@kernel
 def append(codes, count, code):
     """Array with the code at position `count`, grown when it is full."""
     if count == codes.size:
@@ -133,7 +134,7 @@ def append(codes, count, code):
     return codes
 
 
-@njit(cache=True)
+@kernel
 def fatten(fields, base, reach, skin, ahead, lower, upper, fat_lower, fat_upper):
     """Boxes that serve for several steps, into fat_lower and fat_upper; `fields` as in `follow`.
 
@@ -148,7 +149,7 @@ def fatten(fields, base, reach, skin, ahead, lower, upper, fat_lower, fat_upper)
             fat_lower[g, i], fat_upper[g, i] = lower[g, i] - more, upper[g, i] + more
 
 
-@njit(cache=True)
+@kernel
 def widest(geometry, t):
     """The axis along which the geoms that are not half-spaces are spread most."""
     best, axis = -1.0, 0
@@ -165,7 +166,7 @@ def widest(geometry, t):
     return axis
 
 
-@njit(cache=True)
+@kernel
 def candidates(fields, R, t, lower, upper, excluded):
     """Codes n i + j (i < j) of all pairs of geoms whose boxes meet, sorted; `fields` as in `follow`.
 

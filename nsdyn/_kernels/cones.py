@@ -3,12 +3,13 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from nsdyn._kernels.compiled import kernel
 
 ROUNDING = 2.0**-52
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def project(zn, z1, z2, mu):
     """Projection of (zn, z1, z2) on K = {|r_T| <= mu r_N}; returns three scalars."""
     t = math.sqrt(z1 * z1 + z2 * z2)
@@ -21,7 +22,7 @@ def project(zn, z1, z2, mu):
     return pn, s * z1, s * z2
 
 
-@njit(cache=True)
+@kernel
 def project_all(z, mu, out):
     """Projection of every contact of z (3 nc,) on its cone, into out (3 nc,)."""
     for c in range(mu.size):
@@ -29,7 +30,7 @@ def project_all(z, mu, out):
         out[i], out[i + 1], out[i + 2] = project(z[i], z[i + 1], z[i + 2], mu[c])
 
 
-@njit(cache=True)
+@kernel
 def projection_jacobian(zn, z1, z2, mu, D):
     """Element of the generalised Jacobian of the projection at z, into D (3, 3); symmetric, between 0 and I."""
     D[:] = 0.0
@@ -49,7 +50,7 @@ def projection_jacobian(zn, z1, z2, mu, D):
         D[1, 2] = D[2, 1] = e * a * b
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _residual(scale, u, r, mu, i):
     """|r - P_K(r - rho u_hat)| / rho with rho = 1 / scale, in m/s, of the contact whose rows begin at i.
 
@@ -63,7 +64,7 @@ def _residual(scale, u, r, mu, i):
     return floor if e < floor else e
 
 
-@njit(cache=True)
+@kernel
 def natural_residual(W_diagonal, u, r, mu):
     """Largest residual over contacts, with rho = 1 / W_diagonal[c], in m/s."""
     worst = 0.0
@@ -74,14 +75,14 @@ def natural_residual(W_diagonal, u, r, mu):
     return worst
 
 
-@njit(cache=True)
+@kernel
 def natural_residuals(W_diagonal, u, r, mu, out):
     """The residual of every contact, with rho = 1 / W_diagonal[c], in m/s, into out (nc,)."""
     for c in range(mu.size):
         out[c] = _residual(W_diagonal[c], u, r, mu[c], 3 * c)
 
 
-@njit(cache=True)
+@kernel
 def natural_error(u, r, mu):
     """|r - P_K(r - u_hat)|_2 over all contacts (rho = 1): the numerator of the literature's error."""
     total = 0.0
@@ -93,13 +94,13 @@ def natural_error(u, r, mu):
     return math.sqrt(total)
 
 
-@njit(cache=True)
+@kernel
 def measures(W_diagonal, u, r, mu):
     """(natural_error, natural_residual) in one call."""
     return natural_error(u, r, mu), natural_residual(W_diagonal, u, r, mu)
 
 
-@njit(cache=True)
+@kernel
 def duality_gap(u, r, mu):
     """(Σ r·(u + (delta + mu |u_T|) e_N), |delta|_2) with delta = max(0, -u_N) and r projected on its cone."""
     gap, shift = 0.0, 0.0
@@ -112,7 +113,7 @@ def duality_gap(u, r, mu):
     return max(gap, 0.0), math.sqrt(shift)
 
 
-@njit(cache=True)
+@kernel
 def _slip(W, q, alpha):
     """Impulse with u_N = 0 and u_T = -alpha r_T: returns r_N, r_T1, r_T2."""
     a, b, c, d = W[1, 1] + alpha, W[1, 2], W[2, 1], W[2, 2] + alpha
@@ -126,7 +127,7 @@ def _slip(W, q, alpha):
     return rn, x1 + y1 * rn, x2 + y2 * rn
 
 
-@njit(cache=True)
+@kernel
 def solve_one(W, q, mu, r):
     """Exact solution of the one-contact problem u = W r + q, K* ∋ u_hat ⟂ r ∈ K, into r (3,).
 
@@ -200,7 +201,7 @@ def solve_one(W, q, mu, r):
     r[0], r[1], r[2] = rn, s * r1, s * r2
 
 
-@njit(cache=True)
+@kernel
 def largest_eigenvalue(W):
     """Largest eigenvalue of the symmetric part of a 3x3 block (trigonometric form)."""
     a, b, c = W[0, 0], W[1, 1], W[2, 2]
@@ -215,7 +216,7 @@ def largest_eigenvalue(W):
     return mean + 2.0 * p * math.cos(math.acos(min(1.0, max(-1.0, half_det))) / 3.0)
 
 
-@njit(cache=True)
+@kernel
 def diagonal_scales(indptr, indices, data, out):
     """lambda_max of the diagonal block of every contact of a block-sparse W, into out (nc,)."""
     block = np.empty((3, 3))

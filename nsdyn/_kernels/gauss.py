@@ -3,13 +3,13 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from nsdyn._kernels.blocks import block_product, relative_velocity
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.cones import ROUNDING, duality_gap, project, projection_jacobian
 
 
-@njit(cache=True)
+@kernel
 def into_cones(r, mu, out):
     """P_K(r), into out (3 nc,); returns whether that is more than round-off away from r."""
     moved = False
@@ -22,13 +22,13 @@ def into_cones(r, mu, out):
     return moved
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _opening(o, i, mu):
     """κ = o_N - mu |o_T| of the contact whose rows begin at i: o is in κ e_N + K*."""
     return o[i] - mu * math.sqrt(o[i + 1] * o[i + 1] + o[i + 2] * o[i + 2])
 
 
-@njit(cache=True)
+@kernel
 def _step_along(u, o, mu, speed):
     """A λ ≥ 0 with û + λ o in K* at every contact; inf if there is none among the two tried.
 
@@ -56,7 +56,7 @@ def _step_along(u, o, mu, speed):
     return speed
 
 
-@njit(cache=True)
+@kernel
 def certificate(u, r, o, mu):
     """(gap, |δ|_2, max δ, λ, Σ r·(û + λ o)) of an impulse in K, with o = Hᵀ d; every term of the sum is ≥ 0.
 
@@ -79,7 +79,7 @@ def certificate(u, r, o, mu):
     return gap, shift, speed, step, total
 
 
-@njit(cache=True)
+@kernel
 def along_blocks(offset, block, start, h, m_start, m, d, o):
     """o = Hᵀ d, into o (3 nc,); returns ‖d‖²_M."""
     relative_velocity(offset, block, start, h, d, o)
@@ -91,7 +91,7 @@ def along_blocks(offset, block, start, h, m_start, m, d, o):
     return total
 
 
-@njit(cache=True)
+@kernel
 def pull(o, b, rho, mu, A, g):
     """Newton's step on ½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ: d = (M + Σ H_c A_c H_cᵀ)⁻¹ H g, into A and g."""
     for c in range(mu.size):
@@ -105,7 +105,7 @@ def pull(o, b, rho, mu, A, g):
             g[i + j] += B[j, 0] * o[i] + B[j, 1] * o[i + 1] + B[j, 2] * o[i + 2]
 
 
-@njit(cache=True)
+@kernel
 def merit(square, o, b, rho, mu):
     """½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ, which `pull` descends, from ‖d‖²_M and o = Hᵀ d."""
     total = square
@@ -116,7 +116,7 @@ def merit(square, o, b, rho, mu):
     return 0.5 * total
 
 
-@njit(cache=True)
+@kernel
 def least_opening(o, b, mu):
     """Largest t with o - b in t e_N + K* at every contact."""
     excess, least = o - b, np.inf
@@ -127,7 +127,7 @@ def least_opening(o, b, mu):
     return least
 
 
-@njit(cache=True)
+@kernel
 def relax(offset, block, start, h, m_start, minv, mu, enough, sweeps, d):
     """Change d (n,) until κ ≥ `enough` < 1 at every contact, by projections; whether that was reached.
 

@@ -13,15 +13,15 @@ where max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact with μ = 0 has on
 import math
 
 import numpy as np
-from numba import njit
 
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.cones import natural_error, natural_residual
 from nsdyn._kernels.linear import factorise, substitute
 
 START = 100.0  # first x and z: far inside, whatever the solution of a problem of unit size
 
 
-@njit(cache=True)
+@kernel
 def start(q, mu, u, z):
     """First point: u_T = q_T, everything else far inside the cones."""
     for c in range(mu.size):
@@ -30,7 +30,7 @@ def start(q, mu, u, z):
         z[c, 0], z[c, 1], z[c, 2] = START, 0.0, 0.0
 
 
-@njit(cache=True)
+@kernel
 def impulse(z, mu, unit, r):
     """Impulses of z in units of `unit`, into r (3 nc,)."""
     for c in range(mu.size):
@@ -38,7 +38,7 @@ def impulse(z, mu, unit, r):
         r[3 * c + 1], r[3 * c + 2] = z[c, 1] * unit, z[c, 2] * unit
 
 
-@njit(cache=True)
+@kernel
 def defect(u, v, mu, F):
     """F = u - v for v = W r + q, into F (nc, 3); returns its largest entry."""
     worst = 0.0
@@ -49,7 +49,7 @@ def defect(u, v, mu, F):
     return worst
 
 
-@njit(cache=True)
+@kernel
 def scaling(u, z, mu, T, V, C, A, lam):
     """T, V = T⁻¹, C, A and λ = T z of every contact; returns the mean of x·z."""
     total = 0.0
@@ -95,7 +95,7 @@ def scaling(u, z, mu, T, V, C, A, lam):
     return total / mu.size
 
 
-@njit(cache=True)
+@kernel
 def target(lam, T, V, dx, dz, sigma, correct, d):
     """Solve λ ∘ d = σ e - λ ∘ λ - (T⁻¹ dx) ∘ (T dz), the last term (Mehrotra's) only when `correct`."""
     for c in range(lam.shape[0]):
@@ -118,7 +118,7 @@ def target(lam, T, V, dx, dz, sigma, correct, d):
         d[c, 2] = (b2 - d[c, 0] * l2) / l0
 
 
-@njit(cache=True)
+@kernel
 def right_side(mu, V, A, d, F, g):
     """G = E T⁻¹ d + A F, into g (3 nc,)."""
     for c in range(mu.size):
@@ -132,7 +132,7 @@ def right_side(mu, V, A, d, F, g):
             g[3 * c + 1] = g[3 * c + 2] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def recover(mu, V, C, d, F, Wp, du, dx, dz):
     """Set du = W p - F, dx = C du, dz = T⁻¹ (d - T⁻¹ dx)."""
     for c in range(mu.size):
@@ -149,7 +149,7 @@ def recover(mu, V, C, d, F, Wp, du, dx, dz):
             dz[c, 1] = dz[c, 2] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def longest(u, z, du, dz):
     """Largest step that keeps u_N, z_N and the slack z_N - ‖z_T‖ (to first order) from becoming negative."""
     a = 1e300
@@ -167,7 +167,7 @@ def longest(u, z, du, dz):
     return a
 
 
-@njit(cache=True)
+@kernel
 def move(mu, u, z, du, dz, a, nu, nz):
     """Points after a step a, into nu and nz; returns the mean of x·z there.
 
@@ -196,7 +196,7 @@ def move(mu, u, z, du, dz, a, nu, nz):
     return total / mu.size
 
 
-@njit(cache=True)
+@kernel
 def centring(gap, after, full, worst, last):
     """Share of the gap to aim at: after the affine step `full`, with the defect `worst` and the last step `last`."""
     if last < 0.1:  # the last step hit the boundary at once
@@ -204,7 +204,7 @@ def centring(gap, after, full, worst, last):
     return max(min(1.0, (after / gap) ** 3), 1e-4, 0.5 * (1.0 - full) ** 3, min(1.0, 0.1 * worst / gap))
 
 
-@njit(cache=True)
+@kernel
 def system(W, A, unit, S):
     """S = I + unit A W for a dense W, into S."""
     n = W.shape[0]
@@ -218,7 +218,7 @@ def system(W, A, unit, S):
             row[3 * c + i] += 1.0
 
 
-@njit(cache=True)
+@kernel
 def product(W, x, y):
     """y = W x for a dense W, into y."""
     for i in range(x.size):
@@ -228,7 +228,7 @@ def product(W, x, y):
         y[i] = total
 
 
-@njit(cache=True)
+@kernel
 def measure(W, q, mu, scales, q_norm, r, u):
     """Larger of the literature's error and the residual in m/s of impulse r for a dense W, its velocity into u."""
     product(W, r, u)
@@ -237,7 +237,7 @@ def measure(W, q, mu, scales, q_norm, r, u):
     return max(natural_residual(scales, u, r, mu), natural_error(u, r, mu) / q_norm)
 
 
-@njit(cache=True)
+@kernel
 def dense(W, q_given, mu, scales, r, tol, q_norm, max_iter):
     """Solve from nothing for a dense W (n, n), into r the best impulse seen; returns (factorisations, its measure)."""
     nc, n = mu.size, q_given.size

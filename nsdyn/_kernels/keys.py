@@ -1,13 +1,13 @@
 """Keys of contacts: which contact of one configuration goes on from the one before."""
 
 import numpy as np
-from numba import njit
 
 from nsdyn._kernels.broadphase import Geometry, place
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.manifold import dot, gap_along, minus, put, row, to_local
 
 
-@njit(cache=True)
+@kernel
 def match(
     radius, R, t, first, second, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key,
     key, local1, local2,
@@ -60,7 +60,7 @@ def match(
     return next_key
 
 
-@njit(cache=True)
+@kernel
 def collect(
     pair, first, second, frame, mu, restitution, point, normal, gap, radius, R, t, tolerance, slack, old_names,
     old_points, next_key, names, points, scalars,
@@ -84,7 +84,7 @@ def collect(
     )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def gaps(
     fields, x, R_frames, R, t, geom1, geom2, normal, key, found1, found2, found_key, found_gap, out
 ):  # fmt: skip

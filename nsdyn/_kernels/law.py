@@ -7,9 +7,9 @@ of `nsdyn.encounter`.
 import math
 
 import numpy as np
-from numba import njit
 
 from nsdyn._kernels.blocks import relative_velocity
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.manifold import along, cross, dot, minus, row
 
 ROLLS = 12.0
@@ -17,7 +17,7 @@ ROLLS = 12.0
 for a rattleback. What jumps from corner to corner goes farther in all but large steps."""
 
 
-@njit(cache=True)
+@kernel
 def places(old_key, new_key):
     """Where every new key stands among the old ones, -1 where it does not."""
     out = np.full(new_key.size, -1)
@@ -35,7 +35,7 @@ def places(old_key, new_key):
     return out
 
 
-@njit(cache=True)
+@kernel
 def warm_start(place, impulse, factor, frame, r):
     """World impulses of old contacts in the frames of those that continue them, 0 for new ones, into r (3 nc,)."""
     for c in range(place.size):
@@ -46,7 +46,7 @@ def warm_start(place, impulse, factor, frame, r):
                 r[3 * c + i] = factor * (frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2])
 
 
-@njit(cache=True)
+@kernel
 def begin_velocities(
     place, old_point, old_normal, x_old, linear, angular, carried, reach, frame1, frame2, point, frame, x, drag, u
 ):  # fmt: skip
@@ -83,7 +83,7 @@ def begin_velocities(
                 u[3 * c + i] += drag[3 * c + i]
 
 
-@njit(cache=True)
+@kernel
 def any_positive(x):
     """Whether an entry is positive; NumPy takes ten times as long for few."""
     for i in range(x.size):
@@ -92,7 +92,7 @@ def any_positive(x):
     return False
 
 
-@njit(cache=True)
+@kernel
 def least(x):
     """The smallest entry, or 0 if none is negative."""
     out = 0.0
@@ -101,7 +101,7 @@ def least(x):
     return out
 
 
-@njit(cache=True)
+@kernel
 def most(x):
     """The largest entry, or 0 if none is positive."""
     out = 0.0
@@ -110,7 +110,7 @@ def most(x):
     return out
 
 
-@njit(cache=True)
+@kernel
 def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
     """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far."""
     for f in range(arm.size):
@@ -124,7 +124,7 @@ def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
     return True
 
 
-@njit(cache=True)
+@kernel
 def approach(frame1, frame2, point, normal, x, linear, angular, out):
     """Normal velocities of contacts whose frames move as in `begin_velocities`, m/s, into out (nc,)."""
     for c in range(out.size):
@@ -137,7 +137,7 @@ def approach(frame1, frame2, point, normal, x, linear, angular, out):
         out[c] = dot(row(normal, c), w)
 
 
-@njit(cache=True)
+@kernel
 def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
     """The least normal velocity of contacts that are closed, m/s, 0 if none is negative."""
     out, least = np.empty(gap.size), 0.0
@@ -148,7 +148,7 @@ def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
     return least
 
 
-@njit(cache=True)
+@kernel
 def known(key, old_key, old_gap, closed, out):
     """Which contacts are among old ones that are closed, into out (nc,); whether all are."""
     place, every = places(old_key, key), True
@@ -158,7 +158,7 @@ def known(key, old_key, old_gap, closed, out):
     return every
 
 
-@njit(cache=True)
+@kernel
 def meet(
     offset, block, start, h, v_begin, v, v_free, carried, drag, drag_end, press, old_key, impulse, begin_key,
     begin_point, begin_normal, x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, longer,
@@ -199,7 +199,7 @@ def meet(
     return place
 
 
-@njit(cache=True)
+@kernel
 def foresee(offset, block, start, h, m_start, minv, mu, place, old_status, u_begin, u, u_free, turn, guess, slides):
     """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
 
@@ -234,7 +234,7 @@ def foresee(offset, block, start, h, m_start, minv, mu, place, old_status, u_beg
         slides[c] = slip > mu[c] * max(press, guess[i]) * tangential
 
 
-@njit(cache=True)
+@kernel
 def offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
@@ -255,7 +255,7 @@ def offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b):
             b[i + 1], b[i + 2] = u_free[i + 1] + turn[i + 1], u_free[i + 2] + turn[i + 2]
 
 
-@njit(cache=True)
+@kernel
 def reconsider(r, y, b, mu, u_begin, u, u_free, turn, slides, back):
     """Change `slides` (nc,) where the solution y = W r + b shows otherwise, and tell whether any has.
 
@@ -280,7 +280,7 @@ def reconsider(r, y, b, mu, u_begin, u, u_free, turn, slides, back):
     return some
 
 
-@njit(cache=True)
+@kernel
 def state(r, mu, i):
     """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary) of rows i to i + 2."""
     if r[i] <= 0.0:
@@ -288,14 +288,14 @@ def state(r, mu, i):
     return 1 if math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu * r[i] * (1.0 - 1e-9) else 2
 
 
-@njit(cache=True)
+@kernel
 def states(r, mu, out):
     """`state` of every contact, into out (nc,)."""
     for c in range(out.size):
         out[c] = state(r, mu[c], 3 * c)
 
 
-@njit(cache=True)
+@kernel
 def outcome(
     offset, block, start, h, v_plus, drag, r, mu, place, old_status, struck, u, u_free, turn, frame, status, normal,
     friction, u_end, world,

@@ -1,10 +1,11 @@
 """LU factorisation of a dense matrix that skips the zeros outside its profile: chains and stacks are narrow."""
 
 import numpy as np
-from numba import njit
+
+from nsdyn._kernels.compiled import kernel
 
 
-@njit(cache=True)
+@kernel
 def factorise(S, pivot, low, end):
     """LU with partial pivoting in place of S (n, n); False when S is singular or not finite.
 
@@ -43,7 +44,7 @@ def factorise(S, pivot, low, end):
     return True
 
 
-@njit(cache=True)
+@kernel
 def substitute(S, pivot, low, end, b):
     """Solution of the factorised system in place of b."""
     n = pivot.size

@@ -1,16 +1,16 @@
 """Problems given by W alone: Newton on impulses, and whole islands solved in one call."""
 
 import numpy as np
-from numba import njit
 
 from nsdyn._kernels import interior, pgs
 from nsdyn._kernels.blocks import unite
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.cones import solve_one
 from nsdyn._kernels.linear import factorise, substitute
 from nsdyn._kernels.newton import PATIENCE, grown, projected, stiffness
 
 
-@njit(cache=True)
+@kernel
 def settled(Wf, f, Wd, d, scales):
     """The rule of `newton.settled` for the defect f = x - P and the multiplier step d, with Wf = W f and Wd = W d."""
     left, total, weighed = 0.0, 0.0, 0.0
@@ -21,7 +21,7 @@ def settled(Wf, f, Wd, d, scales):
     return left <= max(1e-4 * total, 1e-10 * weighed)
 
 
-@njit(cache=True)
+@kernel
 def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     """The method of `newton.dense` for a dense W, which need not be symmetric, in place of r.
 
@@ -74,7 +74,7 @@ def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     return count, best
 
 
-@njit(cache=True)
+@kernel
 def islands(indptr, indices):
     """Connected components of the pattern of W: (label of every contact, number), by first contact."""
     nc = indptr.size - 1
@@ -95,7 +95,7 @@ def islands(indptr, indices):
     return label, found
 
 
-@njit(cache=True)
+@kernel
 def narrow(indptr, indices, contacts):
     """Contacts of an island in the order of Cuthill and McKee, from one of fewest neighbours: a narrow profile."""
     seen = np.zeros(indptr.size - 1, np.bool_)
@@ -123,7 +123,7 @@ def narrow(indptr, indices, contacts):
     return order
 
 
-@njit(cache=True)
+@kernel
 def extract(indptr, indices, data, contacts):
     """Block-sparse W of some contacts that nothing connects with others: (indptr, indices, data)."""
     new = np.empty(indptr.size - 1, np.int64)
@@ -142,7 +142,7 @@ def extract(indptr, indices, data, contacts):
     return start, columns, values
 
 
-@njit(cache=True)
+@kernel
 def filled(indptr, indices, data):
     """Dense W of a block-sparse one."""
     n = 3 * (indptr.size - 1)
@@ -156,7 +156,7 @@ def filled(indptr, indices, data):
     return W
 
 
-@njit(cache=True)
+@kernel
 def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, found, largest, warm, sweeps, patience):
     """Every island of at most `largest` contacts in place of r; returns the iterations.
 

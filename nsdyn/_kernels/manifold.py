@@ -19,9 +19,9 @@ Vectors are tuples of three floats: they live in registers. R (n, 3, 3) and t (n
 import math
 
 import numpy as np
-from numba import njit
 
 from nsdyn._kernels.broadphase import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, POLYTOPE, SPHERE, Geometry
+from nsdyn._kernels.compiled import kernel
 
 ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
 SHARP = 1e-6  # rad; the same for corners and edges beside such a face
@@ -38,37 +38,37 @@ INSIDE = 1e-9  # a point this fraction of the size outside a side plane is on it
 # -- vectors -----------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def dot(a, b):
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@kernel
 def cross(a, b):
     """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@kernel
 def along(a, s, b):
     """Point a + s b."""
     return a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
 
 
-@njit(cache=True)
+@kernel
 def minus(a, b):
     """Difference a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(cache=True)
+@kernel
 def times(s, a):
     """Multiple s a."""
     return s * a[0], s * a[1], s * a[2]
 
 
-@njit(cache=True)
+@kernel
 def unit(a):
     """Direction of a, and its length; a itself where the length is 0 or not finite."""
     length = math.sqrt(dot(a, a))
@@ -77,7 +77,7 @@ def unit(a):
     return a, length
 
 
-@njit(cache=True)
+@kernel
 def perpendicular(d):
     """A unit vector perpendicular to the unit vector d, the same for the same d; z when d is 0."""
     k = 0
@@ -89,19 +89,19 @@ def perpendicular(d):
     return v if dot(d, d) > 0.0 else (0.0, 0.0, 1.0)
 
 
-@njit(cache=True)
+@kernel
 def row(a, k):
     """Row k of an array as a vector."""
     return a[k, 0], a[k, 1], a[k, 2]
 
 
-@njit(cache=True)
+@kernel
 def put(a, k, v):
     """Write the vector v into row k of an array."""
     a[k, 0], a[k, 1], a[k, 2] = v
 
 
-@njit(cache=True)
+@kernel
 def to_world(R, g, v):
     """Vector v of the shape frame of geom g, in the world frame."""
     return (
@@ -111,7 +111,7 @@ def to_world(R, g, v):
     )
 
 
-@njit(cache=True)
+@kernel
 def to_local(R, g, v):
     """Vector v of the world frame, in the shape frame of geom g."""
     return (
@@ -121,7 +121,7 @@ def to_local(R, g, v):
     )
 
 
-@njit(cache=True)
+@kernel
 def axis(R, g):
     """The z axis of geom g in the world frame."""
     return R[g, 0, 2], R[g, 1, 2], R[g, 2, 2]
@@ -130,7 +130,7 @@ def axis(R, g):
 # -- shapes ------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def deepest_vertex(geometry, g, n):
     """Row of the vertex of polytope g farthest along n (shape frame)."""
     best, k = -math.inf, -1
@@ -141,14 +141,14 @@ def deepest_vertex(geometry, g, n):
     return k
 
 
-@njit(cache=True)
+@kernel
 def on_ellipsoid(s, n):
     """Point of the ellipsoid of radii s with the outward normal n, and the height of its tangent plane."""
     height = math.sqrt((s[0] * n[0]) ** 2 + (s[1] * n[1]) ** 2 + (s[2] * n[2]) ** 2)
     return (s[0] ** 2 * n[0] / height, s[1] ** 2 * n[1] / height, s[2] ** 2 * n[2] / height), height
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def support(geometry, g, R, t, n):
     """A point of geom g outermost along n."""
     kind, s, c = geometry.kind[g], row(geometry.size, g), row(t, g)
@@ -170,7 +170,7 @@ def support(geometry, g, R, t, n):
     return along(c, 1.0, to_world(R, g, p))
 
 
-@njit(cache=True)
+@kernel
 def separation(geometry, i, j, R, t, n):
     """Gap of two geoms along n (width of the slab of normal n between them), and the support points p, q.
 
@@ -181,7 +181,7 @@ def separation(geometry, i, j, R, t, n):
     return dot(n, minus(q, p)), p, q
 
 
-@njit(cache=True)
+@kernel
 def gap_along(geometry, i, j, R, t, n):
     """`separation` of two geoms along n, or along the normal of a half-space if one of them is one."""
     for h, g in ((i, j), (j, i)):
@@ -191,7 +191,7 @@ def gap_along(geometry, i, j, R, t, n):
     return separation(geometry, i, j, R, t, n)[0]
 
 
-@njit(cache=True)
+@kernel
 def bend(geometry, g, R, n, a, b):
     """Form a·(dp/dn) b of the support point p of an ellipsoid or of the rim of a cylinder; else 0."""
     kind, s = geometry.kind[g], row(geometry.size, g)
@@ -209,13 +209,13 @@ def bend(geometry, g, R, n, a, b):
 # -- faces -------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def face_count(geometry, g):
     """Number of faces: those of a polytope, the caps of a cylinder."""
     return 2 if geometry.kind[g] == CYLINDER else geometry.face_ptr[g + 1] - geometry.face_ptr[g]
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def face_normal(geometry, g, face):
     """Outward normal of a face in the shape frame: of a polytope, of a cylinder (0 above, 1 below), of a half-space."""
     kind = geometry.kind[g]
@@ -226,7 +226,7 @@ def face_normal(geometry, g, face):
     return row(geometry.face_normals, geometry.face_ptr[g] + face)
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def aligned_face(geometry, g, R, n, angle):
     """The face of geom g whose normal is closest to n, and |difference|; (-1, inf) if that is not below `angle`."""
     m = to_local(R, g, n)
@@ -239,7 +239,7 @@ def aligned_face(geometry, g, R, n, angle):
     return face, math.sqrt(best) if face >= 0 else math.inf
 
 
-@njit(cache=True)
+@kernel
 def reference_face(geometry, i, j, R, n, angle):
     """The reference of the normal n: (face of geom i, -1), (-1, face of geom j), or (-1, -1) beyond `angle`."""
     face1, error1 = aligned_face(geometry, i, R, n, angle)
@@ -249,7 +249,7 @@ def reference_face(geometry, i, j, R, n, angle):
     return -1, face2
 
 
-@njit(cache=True)
+@kernel
 def best_normal(geometry, i, j, R, t, n, gain):
     """The face normal or line of centres that separates best; n itself unless that is better by `gain`."""
     best, p, q = separation(geometry, i, j, R, t, n)
@@ -270,7 +270,7 @@ def best_normal(geometry, i, j, R, t, n, gain):
     return n
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def incident(geometry, g, R, t, n, whole, rim, poly):
     """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius).
 
@@ -309,7 +309,7 @@ def incident(geometry, g, R, t, n, whole, rim, poly):
     return corners(geometry, g, R, t, face, poly), 0.0, face
 
 
-@njit(cache=True)
+@kernel
 def corners(geometry, g, R, t, face, poly):
     """The polygon of a face (a row) of polytope g, into poly; returns its number of points."""
     first, begin, end = geometry.vertex_ptr[g], geometry.loop_ptr[face], geometry.loop_ptr[face + 1]
@@ -319,7 +319,7 @@ def corners(geometry, g, R, t, face, poly):
     return end - begin
 
 
-@njit(cache=True)
+@kernel
 def of_cylinder(geometry, g, R, t, m, cap, rim, poly):
     """The cap of cylinder g outermost along m (shape frame) as `rim` points, or that line of its side; their number."""
     s, c, side = row(geometry.size, g), row(t, g), math.hypot(m[0], m[1])
@@ -337,7 +337,7 @@ def of_cylinder(geometry, g, R, t, m, cap, rim, poly):
     return 2
 
 
-@njit(cache=True)
+@kernel
 def other_feature(geometry, g, R, t, m, low, rim, poly):
     """The line of a cylinder's side when its cap faces -m, else the cap; into poly if that reaches below m·x = low.
 
@@ -351,7 +351,7 @@ def other_feature(geometry, g, R, t, m, low, rim, poly):
     return of_cylinder(geometry, g, R, t, times(-1.0, m), not cap, rim, poly)
 
 
-@njit(cache=True)
+@kernel
 def next_feature(geometry, g, face, main, m, low):
     """The first face of polytope g from `face` on (rows) that faces -m and has a corner with m·corner ≤ low.
 
@@ -372,7 +372,7 @@ def next_feature(geometry, g, face, main, m, low):
     return last
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def dipping(geometry, g, main, m, low):
     """Whether any corner of polytope g with m·corner ≤ low is not one of the face `main` (a row)."""
     if geometry.size[g, 0] > 0.0:  # a box, faces two by two: the lowest of these corners is opposite the lowest of main
@@ -386,7 +386,7 @@ def dipping(geometry, g, main, m, low):
     return count > 0
 
 
-@njit(cache=True)
+@kernel
 def cut(poly, count, heights, tol, out):
     """Part of a polygon, segment or point where the linear function with these values at its corners is ≤ 0.
 
@@ -409,7 +409,7 @@ def cut(poly, count, heights, tol, out):
     return kept
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
     """Clip a polygon by the sides of a polytope face of world normal n; returns its new number of points."""
     first, tol, c = geometry.vertex_ptr[g], INSIDE * geometry.radius[g], row(t, g)
@@ -432,7 +432,7 @@ def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
     return count
 
 
-@njit(cache=True)
+@kernel
 def clip_to_disk(radius, g, R, t, poly, count, rim, other):
     """Points that span the part of a polygon, segment or point above or below a disk about the z axis of geom g.
 
@@ -484,7 +484,7 @@ def clip_to_disk(radius, g, R, t, poly, count, rim, other):
     return kept
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def over_face(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, other, values, points, heights):
     """Contacts of a face of geom i (or, if face1 < 0, of geom j) with the other geom, into points and heights.
 
@@ -529,7 +529,7 @@ def over_face(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, othe
     return kept, times(sign, n)
 
 
-@njit(cache=True)
+@kernel
 def merge(poly, gap, count, tol):
     """Keep one of several points within tol of each other, the deepest; returns the number left, in order."""
     kept = 0
@@ -548,14 +548,14 @@ def merge(poly, gap, count, tol):
     return kept
 
 
-@njit(cache=True)
+@kernel
 def triangle(x, y, hull, p, q, r):
     """Twice the area of the triangle of three corners of a hull."""
     a, b, c = hull[p], hull[q], hull[r]
     return abs((x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a]))
 
 
-@njit(cache=True)
+@kernel
 def reduce(poly, gap, count, n, limit, margin, close):
     """Keep at most `limit` points: the deepest and the corners of the patch that hold most of its area.
 
@@ -662,7 +662,7 @@ def reduce(poly, gap, count, n, limit, margin, close):
 # -- segments ----------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def segment(geometry, g, R, t, n, angle):
     """Segment (or point) of geom g that is outermost along n: (its ends p, q, its radius, valid)."""
     kind, s, c, z = geometry.kind[g], row(geometry.size, g), row(t, g), axis(R, g)
@@ -696,7 +696,7 @@ def segment(geometry, g, R, t, n, angle):
     return along(c, 1.0, to_world(R, g, p)), along(c, 1.0, to_world(R, g, q)), 0.0, valid
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def closest(p, d, length1, q, e, length2):
     """Arc lengths (s, r) of the closest points p + s d, q + r e of two segments with unit directions d, e."""
     b = dot(d, e)
@@ -717,7 +717,7 @@ def closest(p, d, length1, q, e, length2):
     return s, r
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def touch(a, radius1, b, radius2, n, point, normal, gap, at):
     """Write the contact of two balls (or of two points, with the known normal n) at index `at`."""
     if radius1 + radius2 > 0.0:
@@ -727,7 +727,7 @@ def touch(a, radius1, b, radius2, n, point, normal, gap, at):
     put(point, at, times(0.5, along(along(along(a, radius1, n), 1.0, b), -radius2, n)))
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def segments(p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, point, normal, gap, at):
     """Contacts of two segments with radii, into the outputs from index `at` on; returns their number.
 
@@ -777,7 +777,7 @@ def segments(p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, poi
     return 0 if (flat1 and abs(dot(m, d)) > INSIDE) or (flat2 and abs(dot(m, e)) > INSIDE) else 1
 
 
-@njit(cache=True)
+@kernel
 def ends(geometry, i, j, R, t, n, angle, margin, near, point, normal, gap, at, count):
     """Further contacts of two segments with radii: their ends opposite the other segment, up to the margin.
 
@@ -826,7 +826,7 @@ def ends(geometry, i, j, R, t, n, angle, margin, near, point, normal, gap, at, c
 # -- curved surfaces ---------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, valid2, point, normal, gap, at):
     """Write the contact of two geoms of which one at least is an ellipsoid or touches with the rim of a cylinder.
 
@@ -917,7 +917,7 @@ def smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, va
 # -- pairs -------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def apart(geometry, i, j, R, t, margin):
     """Whether the bounding spheres (or a sphere and a half-space) are farther apart than margin."""
     d = minus(row(t, j), row(t, i))
@@ -929,7 +929,7 @@ def apart(geometry, i, j, R, t, margin):
     return dot(d, d) > reach * reach
 
 
-@njit(cache=True)
+@kernel
 def of_features(geometry, i, j, R, t, known, n, angle, margin, near, point, normal, gap, at):
     """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number.
 
@@ -943,7 +943,7 @@ def of_features(geometry, i, j, R, t, known, n, angle, margin, near, point, norm
     return count
 
 
-@njit(cache=True)
+@kernel
 def closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, at):
     """Contacts of the features that are outermost along n, where they are closest; returns their number."""
     size = min(geometry.radius[i], geometry.radius[j])
@@ -966,7 +966,7 @@ def closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, 
     return 1
 
 
-@njit(cache=True)
+@kernel
 def pair_contacts(
     geometry, i, j, R, t, slack, known, trusted, n, base, margin, limit, poly, other, values, points, heights, point,
     normal, gap, at,
@@ -1032,7 +1032,7 @@ def pair_contacts(
     return first + count
 
 
-@njit(cache=True)
+@kernel
 def manifolds(
     fields, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, values, points, heights, point,
     normal, gap, pair,

@@ -8,8 +8,8 @@ frictionless contact has one row.
 import math
 
 import numpy as np
-from numba import njit
 
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.cones import natural_error, natural_residual, project
 from nsdyn._kernels.pgs import velocity, velocity_of
 
@@ -17,7 +17,7 @@ ALERT = 2.0  # times its last change that the opening speed of a contact must be
 CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
 
 
-@njit(cache=True)
+@kernel
 def rows_in_unit_mass(offset, block, start, h, m_start, minv, mu):
     """Rows of Ĥᵀ, (nc, 2, 18) made flat, zeros for a missing body or row, and bodies (nc, 2), 0 for a missing one."""
     G = np.zeros_like(minv)
@@ -43,7 +43,7 @@ def rows_in_unit_mass(offset, block, start, h, m_start, minv, mu):
     return out.reshape(-1), body
 
 
-@njit(cache=True)
+@kernel
 def local_steps(rows, mu):
     """1/W_NN, W_TN and 1/lambda_max(W_TT) of every contact, shape (nc, 4); zeros for a missing row."""
     out = np.zeros((mu.size, 4))
@@ -65,7 +65,7 @@ def local_steps(rows, mu):
     return out
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def read(rows, c, body, v):
     """Ĥ_cᵀ v: normal, first and second tangent."""
     u0, u1, u2 = 0.0, 0.0, 0.0
@@ -80,7 +80,7 @@ def read(rows, c, body, v):
     return u0, u1, u2
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def apply(rows, c, body, z0, z1, z2, v):
     """v += Ĥ_c z."""
     for s in range(2):
@@ -90,7 +90,7 @@ def apply(rows, c, body, z0, z1, z2, v):
             v[a + np.uint64(l)] += rows[e] * z0 + rows[e + np.uint64(6)] * z1 + rows[e + np.uint64(12)] * z2
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def read_normal(rows, c, body, v):
     """The normal component of Ĥ_cᵀ v."""
     u0 = 0.0
@@ -101,7 +101,7 @@ def read_normal(rows, c, body, v):
     return u0
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def apply_normal(rows, c, body, z0, v):
     """v += Ĥ_c z for an impulse along the normal."""
     for s in range(2):
@@ -110,7 +110,7 @@ def apply_normal(rows, c, body, z0, v):
             v[a + np.uint64(l)] += rows[o + np.uint64(l)] * z0
 
 
-@njit(cache=True)
+@kernel
 def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
     """One sweep over the contacts that are awake, in place of r = y and of v = Ĥ y.
 
@@ -145,7 +145,7 @@ def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
                 t[c] = max(1.0, keep * t[c])
 
 
-@njit(cache=True)
+@kernel
 def extrapolate(awake, rows, body, mu, v, r, x, t):
     """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it; of contacts awake."""
     for c in awake:
@@ -164,7 +164,7 @@ def extrapolate(awake, rows, body, mu, v, r, x, t):
             apply(rows, c, body, y0 - r0, y1 - r1, y2 - r2, v)
 
 
-@njit(cache=True)
+@kernel
 def refresh(rows, body, r, v):
     """v = Ĥ r."""
     v[:] = 0.0
@@ -173,7 +173,7 @@ def refresh(rows, body, r, v):
             apply(rows, c, body, r[c, 0], r[c, 1], r[c, 2], v)
 
 
-@njit(cache=True)
+@kernel
 def measure(rows, body, q, mu, scales, q_norm, r, v, u):
     """Larger of the literature's error and the residual in m/s of an impulse r, given v = Ĥ r."""
     for c in range(mu.size):
@@ -183,7 +183,7 @@ def measure(rows, body, q, mu, scales, q_norm, r, v, u):
     return max(natural_residual(scales, flat, own, mu), natural_error(flat, own, mu) / q_norm)
 
 
-@njit(cache=True)
+@kernel
 def wake(u, last, r, x, awake):
     """Put the contacts worth a sweep first in `awake` and return their number.
 
@@ -198,7 +198,7 @@ def wake(u, last, r, x, awake):
     return count
 
 
-@njit(cache=True)
+@kernel
 def solve(
     rows, body, steps, q, mu, scales, q_norm, tol, best_r, y, x, v, t, count, last, best, keep, most, check, patience
 ):
@@ -231,7 +231,7 @@ def solve(
     return count, last, best, keep
 
 
-@njit(cache=True)
+@kernel
 def begin(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, v):
     """Rows, bodies and steps of the contacts, v = Ĥ r, and the measure of r (nc, 3), whose missing rows become 0."""
     rows, body = rows_in_unit_mass(offset, block, start, h, m_start, minv, mu)
@@ -243,7 +243,7 @@ def begin(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, v):
     return rows, body, local_steps(rows, mu), best
 
 
-@njit(cache=True)
+@kernel
 def steps_of_matrix(indptr, indices, data, mu):
     """`local_steps` of a block-sparse W."""
     out = np.zeros((mu.size, 4))
@@ -260,7 +260,7 @@ def steps_of_matrix(indptr, indices, data, mu):
     return out
 
 
-@njit(cache=True)
+@kernel
 def sweep_matrix(indptr, indices, data, steps, q, mu, r, x, t, keep):
     """`sweep` over all contacts of a block-sparse W, in place of r = y."""
     for c in range(mu.size):
@@ -281,7 +281,7 @@ def sweep_matrix(indptr, indices, data, steps, q, mu, r, x, t, keep):
             t[c] = max(1.0, keep * t[c])
 
 
-@njit(cache=True)
+@kernel
 def solve_matrix(
     indptr, indices, data, steps, q, mu, scales, q_norm, tol, best_r, y, x, t, count, last, best, keep, most, check,
     patience,

@@ -13,22 +13,22 @@ that F' is symmetric unless a contact slips.
 import math
 
 import numpy as np
-from numba import njit
 
 from nsdyn._kernels.blocks import block_product, islands, momentum, relative_velocity
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.cones import natural_error, natural_residual
 from nsdyn._kernels.linear import factorise, substitute
 
 PATIENCE = 5  # Newton steps without settling after which a penalty is called too large
 
 
-@njit(cache=True)
+@kernel
 def grown(penalty, inner):
     """Next penalty after settling in `inner` steps: twice as large after a quick success."""
     return min(2.0 * penalty, 1e8) if inner <= 2 else penalty
 
 
-@njit(cache=True)
+@kernel
 def projected(u, r, rho, mu, P):
     """P(u) of every contact, into P (3 nc,)."""
     for c in range(mu.size):
@@ -43,7 +43,7 @@ def projected(u, r, rho, mu, P):
         P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
 
 
-@njit(cache=True)
+@kernel
 def stiffness(u, r, rho, mu, A):
     """A_c = -dP_c/du_c of every contact, into A (nc, 3, 3)."""
     for c in range(mu.size):
@@ -65,7 +65,7 @@ def stiffness(u, r, rho, mu, A):
         B[1, 2] = B[2, 1] = -k * x * y
 
 
-@njit(cache=True)
+@kernel
 def assemble_dense(offset, block, start, h, m_start, m, A, K):
     """K = M + Σ H_c A_c H_cᵀ as a dense matrix, into K (n, n)."""
     K[:] = 0.0
@@ -103,7 +103,7 @@ def assemble_dense(offset, block, start, h, m_start, m, A, K):
                         K[ok + i, ol + j] += y0 * h[hl + j] + y1 * h[hl + nl + j] + y2 * h[hl + 2 * nl + j]
 
 
-@njit(cache=True)
+@kernel
 def defect(offset, block, start, h, m_start, m, y, P, F, work):
     """F = M y - H P, into F (n,)."""
     momentum(offset, block, start, h, P, F)
@@ -112,7 +112,7 @@ def defect(offset, block, start, h, m_start, m, y, P, F, work):
         F[i] = work[i] - F[i]
 
 
-@njit(cache=True)
+@kernel
 def velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work):
     """y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
     momentum(offset, block, start, h, r, work)
@@ -122,14 +122,14 @@ def velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work):
         u[i] += q[i]
 
 
-@njit(cache=True)
+@kernel
 def measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, y, u, work):
     """Larger of the literature's error and the residual in m/s of impulse r, with its own y and u."""
     velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work)
     return max(natural_residual(scales, u, r, mu), natural_error(u, r, mu) / q_norm)
 
 
-@njit(cache=True)
+@kernel
 def measures_of_islands(label, found, scales, q_norm, u, r, mu):
     """The measure of every island by itself, shape (found,), for the impulse r and its velocity u."""
     residual, squares = np.zeros(found), np.zeros(found)
@@ -141,7 +141,7 @@ def measures_of_islands(label, found, scales, q_norm, u, r, mu):
     return np.maximum(residual, np.sqrt(squares) / q_norm)
 
 
-@njit(cache=True)
+@kernel
 def settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F, work):
     """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)).
 
@@ -164,7 +164,7 @@ def settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F
     return left <= max(1e-4 * total, 1e-10 * weighed)
 
 
-@njit(cache=True)
+@kernel
 def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
 
@@ -214,7 +214,7 @@ def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_no
     return count, best
 
 
-@njit(cache=True)
+@kernel
 def extract(offset, block, start, h, m_start, m, minv, label, island):
     """Blocks and contacts of one island: (contacts, offset, block, start, h, m_start, m, minv)."""
     contacts = np.flatnonzero(label == island)
@@ -257,7 +257,7 @@ def extract(offset, block, start, h, m_start, m, minv, label, island):
     return contacts, o, b, st, hh, ms[:-1].copy(), mm, mi
 
 
-@njit(cache=True)
+@kernel
 def warm_islands(
     offset, block, start, h, m_start, m, minv, q, mu, scales, r, u, label, tol, accept, q_norm, largest, penalty,
     max_iter,

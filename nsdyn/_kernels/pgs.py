@@ -8,10 +8,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 
 from nsdyn._kernels.blocks import momentum, relative_velocity, weighted_rows
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.cones import natural_error, natural_residual, project_all, solve_one
 from nsdyn._kernels.linear import factorise, substitute
 
@@ -37,7 +37,7 @@ class Factors(NamedTuple):
     inverse: np.ndarray
 
 
-@njit(cache=True)
+@kernel
 def invert(W, S):
     """Inverse of a 3 x 3 block into S; 0 where it is singular to round-off."""
     c0 = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1]
@@ -55,7 +55,7 @@ def invert(W, S):
         S[2, 2] = (W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]) / det
 
 
-@njit(cache=True)
+@kernel
 def matrix(indptr, indices, data):
     """`Matrix` of a block-sparse W."""
     S = np.zeros((indptr.size - 1, 3, 3))
@@ -66,7 +66,7 @@ def matrix(indptr, indices, data):
     return Matrix(indptr, indices, data, S)
 
 
-@njit(cache=True)
+@kernel
 def factors(offset, block, start, h, m_start, minv):
     """`Factors` of W = Hᵀ M⁻¹ H."""
     nc = block.shape[0]
@@ -89,7 +89,7 @@ def factors(offset, block, start, h, m_start, minv):
     return Factors(offset, block, start, h, y, D, S)
 
 
-@njit(cache=True)
+@kernel
 def solve_contact(W, S, b0, b1, b2, mu, b, x):
     """Impulse of one contact with free velocity b: the cheap cases here, slip by `solve_one`; b and x are scratch."""
     if b0 >= 0.0:
@@ -104,7 +104,7 @@ def solve_contact(W, S, b0, b1, b2, mu, b, x):
     return x[0], x[1], x[2]
 
 
-@njit(cache=True)
+@kernel
 def sweep_matrix(W, q, mu, r):
     """One Gauss–Seidel sweep in place: each contact solved exactly with the others frozen."""
     indptr, indices, data, inverse = W
@@ -126,7 +126,7 @@ def sweep_matrix(W, q, mu, r):
         r[i], r[i + 1], r[i + 2] = solve_contact(data[own], inverse[c], b0, b1, b2, mu[c], b, x)
 
 
-@njit(cache=True)
+@kernel
 def sweep_factors(W, q, mu, v, r):
     """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
     offset, block, start, h, y, diagonal, inverse = W
@@ -162,7 +162,7 @@ def sweep_factors(W, q, mu, v, r):
                         v[o + l] += y[a + l] * x0 + y[d + l] * x1 + y[e + l] * x2
 
 
-@njit(cache=True)
+@kernel
 def change_of(W, r):
     """v = M⁻¹ H r by the factors, shape (n,)."""
     v = np.zeros(W.offset[-1])
@@ -208,7 +208,7 @@ def _velocity_of(W, q, r, u):
     return by_factors
 
 
-@njit(cache=True)
+@kernel
 def velocity_of(indptr, indices, data, q, r, c):
     """u_c = (W r + q)_c of contact c: three scalars."""
     u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
@@ -221,14 +221,14 @@ def velocity_of(indptr, indices, data, q, r, c):
     return u0, u1, u2
 
 
-@njit(cache=True)
+@kernel
 def velocity(indptr, indices, data, q, r, u):
     """u = W r + q, into u (3 nc,)."""
     for c in range(indptr.size - 1):
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(indptr, indices, data, q, r, c)
 
 
-@njit(cache=True)
+@kernel
 def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, patience):
     """Anderson-accelerated sweeps (type II) in place of r; memory 0 is plain Gauss–Seidel.
 

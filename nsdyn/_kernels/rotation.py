@@ -9,7 +9,8 @@ principal axis, keeps R L as well, and ψ' = (ω·L + |L| ω₃)/(|L| + L₃) is
 import math
 
 import numpy as np
-from numba import njit
+
+from nsdyn._kernels.compiled import kernel
 
 PART = 0.5
 """Radians that one collocation turns at most: its error is then 1e-9, 1e-7 at worst, after some 13 iterations."""
@@ -56,7 +57,7 @@ def principal(J):
     return moments, axes
 
 
-@njit(cache=True)
+@kernel
 def _times(q0, q1, q2, q3, e0, e1, e2, e3):
     """Unit quaternion of q e, e of any length."""
     p0 = q3 * e0 + q0 * e3 + q1 * e2 - q2 * e1
@@ -67,7 +68,7 @@ def _times(q0, q1, q2, q3, e0, e1, e2, e3):
     return k * p0, k * p1, k * p2, k * p3
 
 
-@njit(cache=True)
+@kernel
 def _collocate(I, w, h, stage, slope, e):
     """Torque-free rotation over h in principal axes: w becomes the spin at its end, R e the attitude, e of any length.
 
@@ -122,7 +123,7 @@ def _collocate(I, w, h, stage, slope, e):
     e[3] = m * p - pb * mb - pc * mc
 
 
-@njit(cache=True)
+@kernel
 def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
     """Motion of free bodies over h without forces, into the outputs, which may be the inputs.
 

@@ -13,10 +13,10 @@ R dr to the velocity of a step, the linearised law reads dr = -A (du - R dr),
 
 import math
 
-from numba import njit
+from nsdyn._kernels.compiled import kernel
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _short(t, radius, s):
     """e = R - ‖r_T‖ > 0 with (R - e) (1 + s / (e (2 R - e))) = t, R the radius of the disk and s = 2 κ τ.
 
@@ -36,7 +36,7 @@ def _short(t, radius, s):
     return e
 
 
-@njit(cache=True)
+@kernel
 def law(z, mu, kappa, tau, r, u, slip):
     """Solution (r, u) of the smoothed law for z, all (3 nc,), into r and u; λ and D into slip (nc, 2)."""
     for c in range(mu.size):
@@ -59,7 +59,7 @@ def law(z, mu, kappa, tau, r, u, slip):
             u[j] = -l * r[j]
 
 
-@njit(cache=True)
+@kernel
 def tangent(r, u, slip, mu, scales, damping, A):
     """A of every contact with the compliance R = λ_max(W_cc) / damping, into A (nc, 3, 3)."""
     for c in range(mu.size):
@@ -80,7 +80,7 @@ def tangent(r, u, slip, mu, scales, damping, A):
         B[2, 0] = g * (B[2, 1] * x + B[2, 2] * y)
 
 
-@njit(cache=True)
+@kernel
 def right_side(x, v, r, u, mu, A, G, g):
     """G = v - u and g = r - x - A G, into G and g."""
     for c in range(mu.size):
@@ -91,7 +91,7 @@ def right_side(x, v, r, u, mu, A, G, g):
             g[i + j] = r[i + j] - x[i + j] - (A[c, j, 0] * G[i] + A[c, j, 1] * G[i + 1] + A[c, j, 2] * G[i + 2])
 
 
-@njit(cache=True)
+@kernel
 def direction(dv, r, x, G, mu, kappa, scales, damping, A, dx, dz):
     """The step of Newton from dv = W dx: dr = -A (dv + G), dx = dr + r - x, dz = dr - κ (dv + G + R dr)."""
     for c in range(mu.size):
@@ -105,7 +105,7 @@ def direction(dv, r, x, G, mu, kappa, scales, damping, A, dx, dz):
             dz[i + j] = d - kappa[c] * (b + soft * d)
 
 
-@njit(cache=True)
+@kernel
 def merit(x, v, r, own, u, mu, kappa):
     """Root of (x - r)ᵀ W (x - r) + Σ κ ‖v - u‖², with v = W x + q and own = W r + q."""
     total = 0.0

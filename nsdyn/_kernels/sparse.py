@@ -1,10 +1,11 @@
 """The matrix K = M + Σ H_c A_c H_cᵀ of `newton` in compressed columns: its pattern, its entries, its elimination."""
 
 import numpy as np
-from numba import njit
+
+from nsdyn._kernels.compiled import kernel
 
 
-@njit(cache=True)
+@kernel
 def pattern(offset, block):
     """Sparsity of K, compressed columns: (indptr, indices, slot).
 
@@ -53,7 +54,7 @@ def pattern(offset, block):
     return indptr, indices, slot, diagonal
 
 
-@njit(cache=True)
+@kernel
 def elimination_work(offset, block):
     """Multiplications that eliminating K takes in breadth-first order from a far end of the graph, about.
 
@@ -106,7 +107,7 @@ def elimination_work(offset, block):
     return work
 
 
-@njit(cache=True)
+@kernel
 def assemble_sparse(offset, block, start, h, m_start, m, A, indptr, slot, diagonal, data):
     """K = M + Σ H_c A_c H_cᵀ in the layout of `pattern`, into data."""
     data[:] = 0.0
@@ -149,7 +150,7 @@ def assemble_sparse(offset, block, start, h, m_start, m, A, indptr, slot, diagon
                         data[base + i] += h[hk + i] * y0 + h[hk + nk + i] * y1 + h[hk + 2 * nk + i] * y2
 
 
-@njit(cache=True)
+@kernel
 def symmetric(A):
     """Whether every A_c is symmetric, so that K is symmetric positive definite."""
     for c in range(A.shape[0]):

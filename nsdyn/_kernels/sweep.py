@@ -3,19 +3,19 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from nsdyn._kernels.broadphase import HALFSPACE, Geometry, contains
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.manifold import along, cross, dot, gap_along, minus, put, row, times, to_world, unit
 
 
-@njit(cache=True)
+@kernel
 def element(A, B, f, i, k):
     """Element (i, k) of ``B[f] @ A[f].T``."""
     return B[f, i, 0] * A[f, k, 0] + B[f, i, 1] * A[f, k, 1] + B[f, i, 2] * A[f, k, 2]
 
 
-@njit(cache=True)
+@kernel
 def turn_between(A, B, f):
     """Rotation vector w, world axes, |w| ≤ π, with ``B[f] = exp([w]x) A[f]``."""
     d11, d12, d13 = element(A, B, f, 0, 0), element(A, B, f, 0, 1), element(A, B, f, 0, 2)
@@ -36,7 +36,7 @@ def turn_between(A, B, f):
     return times(angle if dot(u, a) >= 0.0 else -angle, u)
 
 
-@njit(cache=True)
+@kernel
 def motions(frame, arm, x0, R0, x1, R1, turn, reach):
     """Rotation vectors of the frames, into turn (nframes, 3), and how far any point of their geoms moves, into reach.
 
@@ -53,7 +53,7 @@ def motions(frame, arm, x0, R0, x1, R1, turn, reach):
         reach[f] = math.sqrt(dot(d, d)) + math.sqrt(dot(w, w)) * reach[f]
 
 
-@njit(cache=True)
+@kernel
 def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
     """Bound on the way of any point of one geom as seen from the other; f1, f2 are their frames, -1 for the world.
 
@@ -75,7 +75,7 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
     return least
 
 
-@njit(cache=True)
+@kernel
 def at_least_apart(geometry, i, j, R, t, lower, upper):
     """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
     if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
@@ -88,7 +88,7 @@ def at_least_apart(geometry, i, j, R, t, lower, upper):
     return max(math.sqrt(square), math.sqrt(dot(d, d)) - geometry.radius[i] - geometry.radius[j])
 
 
-@njit(cache=True)
+@kernel
 def may_touch(fields, arm, least, first, second, known, x0, x1, turn, R, t, lower, upper, out):
     """Candidate pairs whose relative motion is longer than their distance, as indices into out; returns their number.
 
@@ -109,7 +109,7 @@ def may_touch(fields, arm, least, first, second, known, x0, x1, turn, R, t, lowe
     return count
 
 
-@njit(cache=True)
+@kernel
 def carried(f, p, x0, R0, x1, R1):
     """Where the point p fixed in frame f goes when the frame goes from its pose 0 to pose 1."""
     if f < 0:
@@ -120,7 +120,7 @@ def carried(f, p, x0, R0, x1, R1):
     return along(row(x1, f), 1.0, to_world(R1, f, (a[0], a[1], a[2])))
 
 
-@njit(cache=True)
+@kernel
 def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, point_out, gap_out):
     """Contacts whose points are fixed in both bodies and whose normals are fixed in space, from poses 0 to poses 1."""
     for c in range(gap.size):
@@ -131,7 +131,7 @@ def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, point_out, gap_out
         put(point_out, c, times(0.5, along(a, 1.0, b)))
 
 
-@njit(cache=True)
+@kernel
 def turned(w, s, p):
     """Vector p rotated by exp(s [w]x), Rodrigues' formula."""
     angle = math.sqrt(dot(w, w))
@@ -142,7 +142,7 @@ def turned(w, s, p):
     return along(along(p, math.sin(s * angle), c), 1.0 - math.cos(s * angle), cross(u, c))
 
 
-@njit(cache=True)
+@kernel
 def place_at(frame, placement_R, placement_t, x0, R0, x1, turn, s, geoms, R, t):
     """World poses of two geoms at the fraction s of the way, into rows 0 and 1 of R and t."""
     for k in range(2):
@@ -160,7 +160,7 @@ def place_at(frame, placement_R, placement_t, x0, R0, x1, turn, s, geoms, R, t):
         put(t, k, a)
 
 
-@njit(cache=True)
+@kernel
 def approach(frame, arm, x0, x1, turn, s, geoms, normal, point1, point2):
     """(bound of the approach speed, approach speed) of two geoms at their nearest points, m per way.
 

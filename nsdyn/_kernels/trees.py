@@ -8,10 +8,11 @@ a coordinate of its own, pressed so that r_N = h tau_c exactly. Rows that are no
 import math
 
 import numpy as np
-from numba import njit
+
+from nsdyn._kernels.compiled import kernel
 
 
-@njit(cache=True)
+@kernel
 def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, minv, force):
     """The forces linear in the velocity v' after the forces: the effective mass matrix, its inverse, and what is left.
 
@@ -57,7 +58,7 @@ def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, min
     return True
 
 
-@njit(cache=True)
+@kernel
 def forces(damping, stiffness, kp, kd, tau, stretch, v0, v1, h, theta, out):
     """Actuation, damping and springs of a step, from the velocities before and after its forces, into out (3, n)."""
     for j in range(v0.size):
@@ -67,7 +68,7 @@ def forces(damping, stiffness, kp, kd, tau, stretch, v0, v1, h, theta, out):
         out[2, j] = -stiffness[j] * (stretch[j] + move)
 
 
-@njit(cache=True)
+@kernel
 def works(damping, stiffness, kp, kd, tau, stretch, v0, v1, mean, impulse, h, theta):
     """Works of actuation, of damping and of an impulse on the velocity `mean` (n,), J."""
     parts = np.empty((3, v0.size))
@@ -80,7 +81,7 @@ def works(damping, stiffness, kp, kd, tau, stretch, v0, v1, mean, impulse, h, th
     return actuation, dissipation, push
 
 
-@njit(cache=True)
+@kernel
 def respond(start, minv, force, bias, h, v):
     """V = start + h minv (force - bias), into v (n,); returns its relative change."""
     change, size = 0.0, 0.0
@@ -93,7 +94,7 @@ def respond(start, minv, force, bias, h, v):
     return change / size if size > 0.0 else 0.0
 
 
-@njit(cache=True)
+@kernel
 def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, out):
     """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n)."""
     for j in range(v1.size):
@@ -104,7 +105,7 @@ def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, out):
         out[3, j] = (v1[j] + middle + v4[j]) / 6.0
 
 
-@njit(cache=True)
+@kernel
 def fastest(v, turns):
     """(largest entry of |v|, the same of those coordinates that turn)."""
     most, turn = 0.0, 0.0
@@ -115,7 +116,7 @@ def fastest(v, turns):
     return most, turn
 
 
-@njit(cache=True)
+@kernel
 def gather(x, R, joints, x_out, R_out):
     """Poses of some joints, from (n, 3), (n, 3, 3) into x_out and R_out."""
     for k in range(joints.size):
@@ -125,7 +126,7 @@ def gather(x, R, joints, x_out, R_out):
                 R_out[k, i, j] = R[joints[k], i, j]
 
 
-@njit(cache=True)
+@kernel
 def quaternions(R, out):
     """Unit quaternions xyzw of rotation matrices, w >= 0 unless the turn is near half, into out (n, 4)."""
     for b in range(R.shape[0]):
@@ -150,7 +151,7 @@ def quaternions(R, out):
             out[b, 3] = (R[b, k, j] - R[b, j, k]) / s
 
 
-@njit(cache=True)
+@kernel
 def link_rows(frame1, frame2, point, frame, first, support, J, start, h):
     """Add the rows of Hᵀ on the links of one tree.
 
@@ -179,7 +180,7 @@ def link_rows(frame1, frame2, point, frame, first, support, J, start, h):
                         )
 
 
-@njit(cache=True)
+@kernel
 def carry_gaps(frame1, frame2, geom1, geom2, gap, point, normal, tree, round_, x0, R0, x1, quaternion, out):
     """Gaps where frames have moved from (x0, R0) to (x1, quaternion), of contacts of a link with the world, into out.
 
@@ -215,7 +216,7 @@ def carry_gaps(frame1, frame2, geom1, geom2, gap, point, normal, tree, round_, x
         out[c] = gap[c] + sign * moved
 
 
-@njit(cache=True)
+@kernel
 def link_twists(x, support, J, v, linear, angular):
     """Velocities of the origins x (k, 3) of some frames, and of their rotations, world axes, into (k, 3) each."""
     for f in range(support.shape[0]):
@@ -231,7 +232,7 @@ def link_twists(x, support, J, v, linear, angular):
         linear[f, 2] += w[0] * x[f, 1] - w[1] * x[f, 0]
 
 
-@njit(cache=True)
+@kernel
 def link_reach(x, support, J, v, h, radius, fall, out):
     """How far any point of each link's shapes moves in a step of h at velocity v, and by `fall`, m, into out (n,)."""
     linear, angular = np.empty(x.shape), np.empty(x.shape)
@@ -242,7 +243,7 @@ def link_reach(x, support, J, v, h, radius, fall, out):
         out[f] = h * (speed + spin * radius[f]) + fall
 
 
-@njit(cache=True)
+@kernel
 def active_rows(coordinate, sign, bound, near, angle, v, v_free, h):
     """The joint rows of a step: all friction (sign 0), and the limits that the joint may reach; ascending."""
     rows = np.empty(coordinate.size, np.int64)
@@ -256,7 +257,7 @@ def active_rows(coordinate, sign, bound, near, angle, v, v_free, h):
     return rows[:count]
 
 
-@njit(cache=True)
+@kernel
 def append_rows(slots, coordinate, tree, sign, offset, block, start, h):
     """Contacts followed by the joint rows of the given slots: (block, start, h)."""
     nc, nj, size = block.shape[0], slots.size, h.size
@@ -279,7 +280,7 @@ def append_rows(slots, coordinate, tree, sign, offset, block, start, h):
     return new_block, new_start, new_h
 
 
-@njit(cache=True)
+@kernel
 def joint_impact_law(u, u_free, gap, restitution, h_theta, closed, w):
     """Normal offset w_N of joint rows as `motion.impact_law` has it, into w (nj,).
 
@@ -294,7 +295,7 @@ def joint_impact_law(u, u_free, gap, restitution, h_theta, closed, w):
             w[k] = gap[k] / h_theta if gap[k] > closed else 0.0
 
 
-@njit(cache=True)
+@kernel
 def reduce_rows(offset, block, start, h, m_start, m, minv, bases, z_start, z, pressed, press):
     """The factors in the coordinates y that constraints leave, v = Z y, and those of joint friction after them.
 
@@ -358,7 +359,7 @@ def reduce_rows(offset, block, start, h, m_start, m, minv, bases, z_start, z, pr
     return new_offset, new_block, new_start, new_h, new_m_start[:-1], new_m, new_minv, where, velocity
 
 
-@njit(cache=True)
+@kernel
 def expand(offset, z_start, z, new_offset, y, v):
     """V = Z y block by block, into v (n,)."""
     for k in range(offset.size - 1):
@@ -373,7 +374,7 @@ def expand(offset, z_start, z, new_offset, y, v):
                 v[o + i] = total
 
 
-@njit(cache=True)
+@kernel
 def surface_velocities(geom, motion_of_geom, origin, linear, angular, slides, point, normal, sign, w):
     """Add the velocity of prescribed bodies at the contacts, times sign, to w (nc, 3), world axes.
 

@@ -1,12 +1,11 @@
 """A warm start: judged, improved by a few Newton steps island by island, and judged again, in one call."""
 
-from numba import njit
-
 from nsdyn._kernels.blocks import judged
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.newton import warm_islands
 
 
-@njit(cache=True)
+@kernel
 def improve(
     offset, block, start, h, m_start, m, minv, q, mu, scales, r, u, label, islands, enough, accept, q_norm, largest,
     penalty, max_iter,

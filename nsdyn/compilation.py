@@ -1,0 +1,88 @@
+"""What is compiled before it is needed: nothing tells what a simulation calls, and for which types, but simulating.
+
+Each process runs small examples, the kernels as plain Python, which takes a second, and compiles what was called. All
+do so with the same list, from different places on, and leave out what another has compiled or is compiling.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+
+from nsdyn import scenes, solvers
+from nsdyn._kernels import cones
+from nsdyn._kernels.compiled import Kernel, Notes
+from nsdyn.problem import FC3D
+from nsdyn.stepper import Stepper
+
+__all__ = ["EXAMPLES", "noted", "work"]
+
+SCENES = (
+    "arm_pushes_box", "bounce", "bricard", "bullet", "euler_disk", "gripper", "quadruped", "rattleback", "rocking",
+    "rolling", "slider_crank", "woodpecker",
+)  # fmt: skip
+"""Named scenes whose first steps call what others do."""
+
+
+def _steps(name: str, count: int, impact: str = "newton") -> None:
+    """Some steps of a named scene."""
+    scene = scenes.load(name)()
+    stepper = Stepper(
+        scene, scenes.module(name).DT, controller=scenes.controller(name, scene),
+        external_force=scenes.external_force(name, scene), on_fail="ignore", impact=impact,
+    )  # fmt: skip
+    for _ in range(count):
+        stepper.step()
+
+
+def _step() -> None:
+    """What most simulations of free bodies call."""
+    _steps("slide", 3)
+    _steps("stack", 1)
+
+
+def _all() -> None:
+    """What anything calls."""
+    _step()
+    for name in SCENES:
+        _steps(name, 3)
+    for impact in ("poisson", "fremond"):
+        _steps("woodpecker", 1, impact)
+    problem = FC3D(np.eye(6) + 0.1, np.array([-1.0, 2.0, 0.0, -1.0, 0.1, 0.0]), np.full(2, 0.5))
+    for solver in solvers.SOLVERS:
+        solvers.by_name(solver, 1e-8)(problem)
+
+
+def _contact() -> None:
+    """One contact: little, for tests."""
+    cones.solve_one(np.eye(3), np.array([-1.0, 2.0, 0.0]), 0.5, np.zeros(3))
+
+
+EXAMPLES: dict[str, Callable[[], None]] = {"step": _step, "all": _all, "contact": _contact}
+
+
+def noted(group: str) -> Notes:
+    """Calls of kernels in a group of examples, which run as Python."""
+    Kernel.notes = notes = Notes()
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            EXAMPLES[group]()
+    finally:
+        Kernel.notes = None
+    return notes
+
+
+def work(group: str, begin: float) -> None:
+    """Compile what a group needs, from a fraction of the list on, and print the index of each and their number."""
+    logging.getLogger("nsdyn").setLevel(logging.ERROR)
+    calls = list(noted(group).calls)
+    for k in range(len(calls)):
+        index = (k + int(begin * len(calls))) % len(calls)
+        kernel, types = calls[index]
+        if kernel.compile(types, wait=False) is not None:
+            os.write(1, f"{index} {len(calls)}\n".encode())
