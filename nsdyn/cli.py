@@ -19,8 +19,10 @@ import sys
 import tempfile
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
@@ -102,6 +104,10 @@ def _parser() -> _Parser:
     _add_simulation(p)
     p.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
+    p.add_argument(
+        "--on-fail", choices=("warn", "raise", "ignore"), default="warn",
+        help="what to do where a step misses its tolerance: go on with the best answer, or stop (default: %(default)s)",
+    )  # fmt: skip
     p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
     p.add_argument("--check", action="store_true", help="audit the motion; the exit code is 0 only if it passes")
     _add_json(p)
@@ -182,6 +188,10 @@ def _add_simulation(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
     parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
     parser.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
+    parser.add_argument(
+        "--loose", type=float, metavar="E",
+        help="of solver auto: what is accepted where its tolerance costs too much (default: 1e-4)",
+    )  # fmt: skip
 
 
 def _add_json(parser: argparse.ArgumentParser) -> None:
@@ -280,13 +290,43 @@ def _parse(text: str, default: Any, name: str) -> Any:
     return text
 
 
+def _solver(arguments: argparse.Namespace) -> Any:
+    """The solver of a simulation, with a loose tolerance where it takes one."""
+    import nsdyn
+
+    solver = nsdyn.solvers.by_name(arguments.solver, arguments.tol)
+    if not isinstance(solver, nsdyn.solvers.Auto):
+        if arguments.loose is not None:
+            raise ValueError(f"--loose is for the solver 'auto', got {arguments.solver!r}")
+        return solver
+    loose = type(solver).loose if arguments.loose is None else arguments.loose
+    if not loose > 0.0:
+        raise ValueError(f"loose must be positive, got {loose}")
+    return replace(solver, loose=max(loose, solver.tol))
+
+
+def _met(trajectory: Any, solver: Any) -> str:
+    """How many steps met which tolerance, in words."""
+    from nsdyn import Status
+
+    count = Counter(trajectory.solver.status.tolist())
+    parts = [f"{count.pop(Status.CONVERGED, 0)} steps to {solver.tol:g}"]
+    if loose := count.pop(Status.LOOSE, 0):
+        parts.append(f"{loose} to {solver.loose:g}")
+    if squeezed := count.pop(Status.OVERLAP, 0):
+        parts.append(f"{squeezed} with an overlap that nothing removed")
+    if missed := count.total():
+        parts.append(f"{missed} missed their tolerance (largest error {trajectory.solver.error.max():.1e})")
+    return ", ".join(parts)
+
+
 def _run(arguments: argparse.Namespace) -> int:
     import nsdyn
 
     name = arguments.scene
     scene_function, module = nsdyn.scenes.load(name), nsdyn.scenes.module(name)
     settings = _settings(name, arguments.set)
-    solver = nsdyn.solvers.by_name(arguments.solver, arguments.tol)
+    solver = _solver(arguments)
     _check_outputs(arguments.output, arguments.html)
     scene = scene_function(**settings)
     start = time.perf_counter()
@@ -301,6 +341,7 @@ def _run(arguments: argparse.Namespace) -> int:
             external_force=nsdyn.scenes.external_force(name, scene),
             record=arguments.output,
             progress=True,
+            on_fail=arguments.on_fail,
             dump_on_fail=arguments.dump_on_fail,
         )
     except nsdyn.NotConverged as failure:
@@ -329,7 +370,7 @@ def _run(arguments: argparse.Namespace) -> int:
     print(trajectory.energy_table())
     worst = trajectory.worst()
     print(
-        f"{trajectory.steps} steps in {wall:.2f} s ({1e3 * wall / trajectory.steps:.2f} ms each), "
+        f"{_met(trajectory, solver)}; {wall:.2f} s ({1e3 * wall / trajectory.steps:.2f} ms each), "
         f"{figures['contacts']:.1f} contacts on average; worst residual {worst['residual']:.1e} m/s, "
         f"Gauss bound {worst['gauss_bound']:.1e} √J, defect {worst['defect']:.1e} J, "
         f"penetration {worst['penetration']:.1e} m"
@@ -352,7 +393,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
         key: [_parse(value, default, key) for value in text.split(",")]
         for key, text, default in _assignments(name, arguments.set)
     }
-    solver = nsdyn.solvers.by_name(arguments.solver, arguments.tol)
+    solver = _solver(arguments)
     _check_outputs(arguments.csv)
     with _executor(arguments) as executor:
         members = ensemble.sweep(

@@ -17,7 +17,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                                                    before version 3 gyroscopic, theta and mass make up integration
     /energy/created                                (n,)  J, no term of the balance; since version 3
     /gauss/gap, shift, bound                       (n,)  J, m/s, sqrt(J)
-    /solver/residual, iterations, status, time     (n,)  m/s, -, `nsdyn.problem.Status`, s
+    /solver/error, residual, iterations, status, time
+                                                   (n,)  -, m/s, -, `nsdyn.problem.Status`, s; error since version 3
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
                                                    rows offset[k-1] to offset[k] of
     /contacts/geom1, geom2, key                    indices of the shapes; key of the warm start
@@ -135,8 +136,8 @@ class SolverLog:
 
     Attributes
     ----------
-    residual : ndarray
-        `FC3D.residual`, m/s.
+    error, residual : ndarray
+        `FC3D.error` [-] and `FC3D.residual` [m/s].
     iterations : ndarray of int
     status : ndarray of int8
         Values of `nsdyn.problem.Status`; 0 is converged.
@@ -144,6 +145,7 @@ class SolverLog:
         Wall time of the solve, s.
     """
 
+    error: Array
     residual: Array
     iterations: NDArray[np.int32]
     status: NDArray[np.int8]
@@ -161,7 +163,7 @@ _ENERGIES = ("kinetic", "potential")
 _PHYSICS = ("external", "normal", "friction", "damping", "constraint")
 _WORKS = (*_PHYSICS, "integration", "projection", "defect")
 _GAUSS = tuple(f.name for f in fields(Gauss))
-_SOLVER = {"residual": "f8", "iterations": "i4", "status": "i1", "time": "f8"}
+_SOLVER = {"error": "f8", "residual": "f8", "iterations": "i4", "status": "i1", "time": "f8"}
 # Columns of a contact by name: (where a step has it, type, components).
 _CONTACT = {
     "geom1": ("contacts.geom1", "i4", 1),
@@ -200,6 +202,7 @@ _ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
     (2, "energy/constraint", (), 0.0),
     (3, "energy/integration", ("energy/gyroscopic", "energy/theta", "energy/mass"), 0.0),
     (3, "energy/created", (), math.nan),
+    (3, "solver/error", (), math.nan),
 ]
 _CONTACTS = [f"contacts/{name}" for name in _CONTACT]
 
@@ -263,7 +266,7 @@ class Recorder:
     frames_x, frames_quat         (nframes, 3), (nframes, 4) xyzw, or None in scenes without articulations
     energy                        mapping of the `names` of `Energy` to floats, J
     gauss                         attributes gap, shift, bound
-    solution                      attributes residual, iterations, status, time
+    solution                      attributes error, residual, iterations, status, time
     contacts                      ContactSet: geom1, geom2, point, normal, mu, restitution, key
     gap                           (nc,), at the end of the step
     u, r, tangent                 (nc, 3) each

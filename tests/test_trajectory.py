@@ -74,7 +74,9 @@ def rows(n: int, links: bool = False, seed: int = 0):
             contact_status=rng.integers(0, 3, nc).astype(np.int8),
             work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc), created=1e-3 * k,
             gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k),
-            solution=SimpleNamespace(residual=1e-9 * k, iterations=k, status=nd.Status.CONVERGED, time=1e-4),
+            solution=SimpleNamespace(
+                error=1e-10 * k, residual=1e-9 * k, iterations=k, status=nd.Status.CONVERGED, time=1e-4
+            ),
         )  # fmt: skip
 
     return SimpleNamespace(**state(0)), [step(k) for k in range(1, n + 1)]
@@ -137,7 +139,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         assert set(file["energy"]) == {"kinetic", "potential", *WORKS, "created"}
         assert file["energy/kinetic"].shape == (8,) and file["energy/defect"].shape == (7,)
         assert set(file["gauss"]) == {"gap", "shift", "bound"}
-        assert set(file["solver"]) == {"residual", "iterations", "status", "time"}
+        assert set(file["solver"]) == {"error", "residual", "iterations", "status", "time"}
         offset = file["contacts/offset"][:]
         assert offset.shape == (8,) and offset[0] == 0
         columns = set(file["contacts"]) - {"offset"}
@@ -290,7 +292,7 @@ def test_damaged_file_is_named(damage, message, tmp_path):
 def to_version_2(file):
     """Three terms in place of `integration`, 1, 2 and 3 J a step, and no `created`."""
     n = len(file["energy/integration"])
-    del file["energy/integration"], file["energy/created"]
+    del file["energy/integration"], file["energy/created"], file["solver/error"]
     for work, name in enumerate(("gyroscopic", "theta", "mass"), start=1):
         file[f"energy/{name}"] = np.full(n, float(work))
 
@@ -304,7 +306,7 @@ def test_recordings_of_version_2_are_read(tmp_path):
         to_version_2(file)
     old = Trajectory.load(path)
     np.testing.assert_array_equal(old.energy.integration, np.full(5, 6.0))
-    assert np.isnan(old.energy.created).all()
+    assert np.isnan(old.energy.created).all() and np.isnan(old.solver.error).all()
     old.save(path)
     np.testing.assert_array_equal(Trajectory.load(path).energy.integration, np.full(5, 6.0))
 
