@@ -6,11 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import nsdyn
 from nsdyn import compilation
-from nsdyn._kernels import ahead
+from nsdyn._kernels import ahead, sorting
 
 HERE = Path(nsdyn.__file__).parent
 COMMAND = """
@@ -83,6 +84,13 @@ def test_without_a_cache_it_works(tmp_path):
     (tmp_path / "file").touch()
     for _ in range(2):
         assert python("-c", COMMAND, NSDYN_CACHE_DIR=str(tmp_path / "file" / "below")).stdout == "(2.0, 0.3, 0.4) 1\n"
+
+
+def test_sorting(rng):
+    for keys in (rng.integers(0, 20, 57), rng.normal(size=8), np.empty(0)):
+        order = sorting.order(keys)
+        assert (order == np.argsort(keys, kind="stable")).all()
+        assert all(sorting.place_of(keys[order], key) == np.searchsorted(keys[order], key) for key in keys)
 
 
 def test_examples_run_as_python():

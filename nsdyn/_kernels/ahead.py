@@ -4,6 +4,7 @@ import logging
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from functools import lru_cache
 
 from nsdyn._kernels.compiled import Kernel, alone, folder
@@ -42,7 +43,8 @@ def _prepare() -> None:
     """Before the first compilation of a simulation: what all simulations need, unless most of it is there."""
     if "nsdyn.stepper" not in sys.modules or processes() == 1 or not _few_known():
         return
-    with alone(folder() / "examples"):
+    # Where no process can be started, this one compiles
+    with suppress(OSError), alone(folder() / "examples"):
         if _few_known():
             announce()
             compile_examples("step")

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.sorting import order as order_of
 
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
 
@@ -175,7 +176,7 @@ def candidates(fields, R, t, lower, upper, excluded):
     """
     geometry = Geometry(*fields)
     axis, solids = widest(geometry, t), np.flatnonzero(geometry.kind != HALFSPACE)
-    order = solids[np.argsort(lower[solids, axis], kind="mergesort")]
+    order = solids[order_of(lower[solids, axis])]
     n, m = geometry.kind.size, order.size
     codes = np.empty(64, dtype=np.int64)
     count = 0
@@ -207,4 +208,5 @@ def candidates(fields, R, t, lower, upper, excluded):
                 if not contains(excluded, code):
                     codes = append(codes, count, code)
                     count += 1
-    return np.sort(codes[:count])
+    codes = codes[:count]
+    return codes[order_of(codes)]

@@ -5,6 +5,7 @@ import numpy as np
 from nsdyn._kernels.broadphase import Geometry, place
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.manifold import dot, gap_along, minus, put, row, to_local
+from nsdyn._kernels.sorting import order as order_of
 
 
 @kernel
@@ -96,7 +97,7 @@ def gaps(
     of the geoms.
     """
     geometry = Geometry(*fields)
-    order = np.argsort(found_key)
+    order = order_of(found_key)
     placed = False
     for c in range(key.size):
         low, high = 0, order.size

@@ -11,6 +11,7 @@ import numpy as np
 from nsdyn._kernels.blocks import relative_velocity
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.manifold import along, cross, dot, minus, row
+from nsdyn._kernels.sorting import order, place_of
 
 ROLLS = 12.0
 """How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10
@@ -26,12 +27,12 @@ def places(old_key, new_key):
         out[known] = known
         known += 1
     if known < new_key.size:
-        order = np.argsort(old_key)
-        keys = old_key[order]
-        place = np.searchsorted(keys, new_key)
+        old = order(old_key)
+        keys = old_key[old]
         for c in range(known, new_key.size):
-            if place[c] < order.size and keys[place[c]] == new_key[c]:
-                out[c] = order[place[c]]
+            k = place_of(keys, new_key[c])
+            if k < keys.size and keys[k] == new_key[c]:
+                out[c] = old[k]
     return out
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.sorting import order, place_of
 
 
 @kernel
@@ -25,7 +26,15 @@ def pattern(offset, block):
             pairs[count] = a * nb + b
             pairs[count + 1] = b * nb + a
             count += 2
-    codes = np.unique(pairs[:count])  # ascending: column block first, then row block
+    pairs = pairs[:count]
+    pairs = pairs[order(pairs)]
+    codes = np.empty(count, np.int64)  # ascending: column block first, then row block
+    found = 0
+    for code in pairs:
+        if found == 0 or code > codes[found - 1]:
+            codes[found] = code
+            found += 1
+    codes = codes[:found]
     indptr = np.zeros(offset[-1] + 1, np.int32)
     place = np.empty(codes.size, np.int64)
     diagonal = np.empty(nb, np.int64)
@@ -50,7 +59,7 @@ def pattern(offset, block):
         for s in range(2):
             for t in range(2):
                 if block[c, s] >= 0 and block[c, t] >= 0:
-                    slot[c, s, t] = place[np.searchsorted(codes, block[c, t] * nb + block[c, s])]
+                    slot[c, s, t] = place[place_of(codes, block[c, t] * nb + block[c, s])]
     return indptr, indices, slot, diagonal
 
 
