@@ -189,7 +189,7 @@ class Stepper:
         In [½, 1]: 1 - θ is the fraction of a step before its impulses. More than ½ is first order, and damps joint
         springs and stiff trees.
     solver : Solver
-        Default ``Auto(tol=1e-8)``.
+        Default ``Auto(tol=1e-8, loose=1e-4)``.
     controller : callable, optional
         ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}; called with the time and
         configuration of the impulses and the velocity at the beginning, Pinocchio's layout.

@@ -44,14 +44,14 @@ SWEEPS, PATIENCE = 400, 20
 number from which on it is foreseen whether they suffice."""
 
 INTERIOR, SMOOTHING = (40, 60), (60, 60)
-"""Factorisations of the two cold starts, which converge within these where they do, and of Newton after them."""
+"""Factorisations of the two cold starts, which converge within these where they do, and of Newton after each."""
 
 NEAR, FAR = 1e3, 10.0
 """Penalty of Newton from what was found by factorisations, and by sweeps, on the wrong side of many kinks."""
 
-LOOSELY, LASTLY = (12, 4, 8), (64, 2500)
-"""Factorisations that sweeps and Newton take as long as in the first round to the loose tolerance, and number of
-rounds; those that sweeps may take in the end, and Newton, which creeps along folds and must not be interrupted."""
+LOOSELY, LASTLY = (12, 4, 8), (64, 300, 4)
+"""In factorisations: what sweeps and Newton take in the first round to the loose tolerance, and the number of rounds;
+the same to the other, where Newton creeps along folds and is not interrupted soon. It takes twice as long each time."""
 
 LAST, CUBE = 60, 1.3e-10
 """Newton steps in the impulses: where they converge they do so within these; and seconds of one over the cube of its
@@ -64,7 +64,7 @@ RESTART = 0.5
 """Sweeps lose their momentum and go on from what Newton found only where that is so much better."""
 
 COARSE = 5e-5
-"""No looser tolerance is of use to begin with, nor a tighter one."""
+"""What sweeps may be asked for: beyond it they crawl, m/s."""
 
 FINISH = 3
 """Newton steps of the polish."""
@@ -193,11 +193,14 @@ class Search:
         if not (large and self.abrupt):
             self.accelerated()
             self.cold(interior, INTERIOR)
-        self.cold(smoothing, SMOOTHING)
         if large:
             self.rounds(max(self.tol, COARSE))
-        self.sweep(LASTLY[0], self.tol)
-        self.newton(FAR, LASTLY[1], self.tol)
+            self.sweep(LASTLY[0], self.tol)
+            self.newton(FAR, LASTLY[1], self.tol)
+        self.cold(smoothing, SMOOTHING)
+        for k in range(1, LASTLY[2]):
+            self.sweep(LASTLY[0], self.tol)
+            self.newton(FAR, LASTLY[1] << k, self.tol)
         self.impulses()
         if self.best <= self.tol and not (large and (self.abrupt or self.tol > COARSE)):
             # To the last digits, see POLISH.
@@ -209,16 +212,17 @@ class Auto:
     """Portfolio, island by island, to a tolerance where it buys something and with a bound on effort everywhere.
 
     An island with one contact is solved in closed form. A warm start first gets a few Newton steps, since the contact
-    states of the last step mostly hold. Otherwise come accelerated Gauss–Seidel, as long as it is foreseen to suffice,
-    the interior point method and the smoothing Newton method from nothing, each finished by Newton, and rounds of
-    sweeps with momentum and of Newton from the best so far, each twice as long as the one before. Islands in heavy
-    motion, whose factorisations are worth many sweeps, begin with those rounds.
+    states of the last step mostly hold. Large islands, where a factorisation is worth many sweeps, then come to `loose`
+    in rounds of sweeps with momentum and of Newton, each twice as long as the one before. Towards `tol` there are
+    accelerated Gauss–Seidel, as long as it is foreseen to suffice, the interior point method and the smoothing Newton
+    method from nothing, each followed by Newton, and sweeps and Newton from the best so far. A problem given by W alone
+    is solved on its impulses by the same means, so that W need not be symmetric.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
-    accepted, with its error on record. In heavy motion, a collision, problems have many solutions, further apart than
-    answers of either tolerance, and nothing is done beyond `loose`. What misses `loose` has failed; it is checked for
-    a Slater point, without which no solution is guaranteed, and its status says so.
+    accepted, with its error on record. Where the warm start misses by far, in a collision, a problem has many solutions
+    further apart than answers of either tolerance, and nothing is done beyond `loose`. What misses `loose` has failed;
+    it is checked for a Slater point, without which no solution is guaranteed, and its status says so.
 
     Parameters
     ----------
@@ -228,7 +232,7 @@ class Auto:
         What is acceptable where `tol` costs too much; `tol` itself where that is looser, and then every problem gets
         all means.
     effort : float
-        Effort towards `tol`, as a multiple of that for `loose`; small problems may take as much as they need.
+        Bound on all effort, as a multiple of that for `loose`; small problems may take `FREE` seconds in any case.
     accept : float
         Fraction of the tolerance within which a warm start is the solution of an island.
     """

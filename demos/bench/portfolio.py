@@ -1,0 +1,92 @@
+"""What `auto` solves and costs, on problems from files and on a wall that a ball hits.
+
+    python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [FOLDER ...]
+
+Processor time. For every folder of FCLIB files: problems solved, the geometric mean, the mean and the longest solve
+from nothing, by their factors if the file has them and by W alone. For the wall: the mean and longest time of a step
+with the solver, at defaults, and how many solves ended within the loose tolerance only or failed.
+"""
+
+import argparse
+import statistics
+import time
+from collections import Counter
+from pathlib import Path
+
+import nsdyn as nd
+from nsdyn.problem import Array
+
+
+class Timed:
+    """A solver that notes what it costs."""
+
+    def __init__(self, solver: nd.solvers.Auto) -> None:
+        self.solver, self.tol, self.spent = solver, solver.tol, 0.0
+        self.status: Counter[str] = Counter()
+
+    def __call__(self, problem: nd.FC3D, r0: Array | None = None) -> nd.Solution:
+        """Solve the problem."""
+        start = time.process_time()
+        solution = self.solver(problem, r0)
+        self.spent += time.process_time() - start
+        self.status[solution.status.name] += 1
+        return solution
+
+
+def summary(times: list[float]) -> str:
+    """Geometric mean, mean and longest of some seconds."""
+    of = statistics.geometric_mean(times), statistics.mean(times), max(times)
+    return "geometric mean {:.2f} ms, mean {:.1f} ms, longest {:.0f} ms".format(*(1e3 * t for t in of))
+
+
+def files(folder: Path, tol: float) -> None:
+    """Print what the problems of a folder cost."""
+    problems = [nd.fclib.read(path) for path in sorted(folder.glob("*.hdf5"))]
+    if not problems:
+        print(f"{folder}: skipped, no FCLIB files there")
+        return
+    for form, given in (("as in the file", problems), ("W alone", [nd.FC3D(p.W, p.q, p.mu) for p in problems])):
+        solver = Timed(nd.solvers.Auto(tol=tol, loose=tol))
+        times = []
+        for problem in [given[0], *given]:  # the first twice: it loads the kernels
+            before = solver.spent
+            solver(problem)
+            times.append(solver.spent - before)
+        solved = solver.status["CONVERGED"] - int(solver.solver(given[0]).converged)
+        print(f"{folder.name}, {form}, {tol:.0e}: {solved} of {len(given)}, {summary(times[1:])}")
+
+
+def wall(steps: int) -> None:
+    """Print what the steps of a wall of 100 bricks cost that a ball hits at 15 m/s."""
+    scene = nd.scenes.load("wall")()
+    scene.add_sphere(
+        "ball", 0.15, 16.0, position=(1.013, -0.6, 0.507), linear_velocity=(0, 15, 0), material=nd.Material(mu=0.6)
+    )
+    solver = Timed(nd.solvers.Auto())
+    stepper = nd.Stepper(scene, dt=5e-3, solver=solver, on_fail="ignore")
+    begin = stepper.get_state()
+    stepper.step()  # loads the kernels
+    stepper.set_state(begin)
+    solver.status.clear()
+    times = []
+    for _ in range(steps):
+        before = solver.spent
+        stepper.step()
+        times.append(solver.spent - before)
+    print(f"wall hit by a ball, {steps} steps: {summary(times)}; solves {dict(solver.status)}")
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="*", type=Path)
+    parser.add_argument("--tol", type=float, default=1e-8)
+    parser.add_argument("--steps", type=int, default=200)
+    arguments = parser.parse_args()
+    for folder in arguments.folders:
+        files(folder, arguments.tol)
+    wall(arguments.steps)
+
+
+if __name__ == "__main__":
+    main()
