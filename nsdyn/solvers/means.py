@@ -14,9 +14,9 @@ from nsdyn.solvers.interior import Local, Operator, Velocity, newton
 from nsdyn.solvers.momentum import MatrixSweeps, Sweeps
 from nsdyn.solvers.newton import solve_blocks
 
-COORDINATE, MULTIPLICATION, BLOCK = 2.5e-6, 0.9e-10, 1.5e-6
+COORDINATE, MULTIPLICATION, BLOCK = 2.5e-6, 0.9e-10, 8e-7
 """Seconds that a factorisation takes per coordinate and per multiplication of `elimination_work`, or per block of a
-given W: measured, the last between 5e-7 and 3e-6."""
+given W: measured, the last between 5e-7 and 3e-6, least where contacts form a chain."""
 
 CONTACT, COUPLING, ACCELERATED = 45e-9, 12e-9, 3e-7
 """Seconds that a sweep with momentum takes per contact of free bodies and per block of W, and an accelerated one per
