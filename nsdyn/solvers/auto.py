@@ -169,8 +169,9 @@ class Search:
             stuck = self.best > 0.5 * start
             self.newton(FAR, lengths[1], tol)
             lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
-            if k == AFTER and self.best > tol and not self.abrupt:
+            if k == AFTER and self.best > tol:
                 self.cold(interior, INTERIOR)
+                self.cold(smoothing, SMOOTHING)
 
     def impulses(self) -> None:
         """Newton in the impulses, where it is affordable: it factorises W, whose size grows with the contacts."""
