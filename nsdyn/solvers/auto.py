@@ -36,8 +36,12 @@ ABRUPT = 10.0
 FREE, LONGEST = 2e-3, 20.0
 """Seconds, by counts of operations, that every problem may take, and that none may exceed."""
 
+CALM = 12
+"""Factorisations that every problem may take but a collision, for which a warm start is within `loose` at no cost: what
+is left at rest and in smooth motion lasts, and is worth them."""
+
 WARM, PEEK = (1e2, 6), 2
-"""Penalty and Newton steps of a warm start, and those of a large one that have to gain a tenth for the others."""
+"""Penalty and Newton steps of a warm start, and those after which one that misses by far must have gained a tenth."""
 
 SWEEPS, PATIENCE = 400, 20
 """Accelerated Gauss–Seidel sweeps of a cold start, which cost about as much as the interior point method, and the
@@ -91,15 +95,21 @@ class Search:
         p = means.problem
         _, error, residual, _ = p.solved(r, tol)
         self.abrupt = bool(r.any()) and residual > ABRUPT * loose
-        self._effort = 0.0 if self.abrupt else effort
+        self._effort = effort
         self._note(max(error * p.q_norm / means.q_norm, residual), 0, 0.0)
 
     def _note(self, best: float, count: int, seconds: float) -> None:
         """Book what was done."""
         self.count, self.spent = self.count + count, self.spent + seconds
-        if best <= self.loose < self.best:
-            self.limit = min(LONGEST, max(FREE, self._effort * self.spent))
-        self.best = min(self.best, best)
+        before, self.best = self.best, min(self.best, best)
+        if best <= self.loose < before:
+            self._bound()
+
+    def _bound(self) -> None:
+        """Bound the effort by what has been spent, where that has reached `loose`."""
+        calm = 0.0 if self.abrupt else max(CALM * self.means.factorisation, self._effort * self.spent)
+        if self.best <= self.loose:
+            self.limit = min(LONGEST, max(FREE, calm))
 
     def _over(self, tol: float) -> bool:
         """Whether a tolerance is met or the effort spent."""
@@ -123,11 +133,15 @@ class Search:
             self._note(best, used, used * cost)
 
     def warm(self) -> None:
-        """Newton from a warm start, as long as its first steps are of use."""
-        start = self.best
-        self.newton(WARM[0], PEEK, self.tol)
-        if self.best <= 0.1 * start:
-            self.newton(*WARM, self.tol)
+        """Newton from a warm start; one that misses by far and gains nothing in a few steps is of a collision."""
+        start, sharp = self.best, max(POLISH * self.tol, FLOOR)
+        if self.abrupt:
+            self.newton(WARM[0], PEEK, sharp)
+            self.abrupt = self.best > 0.1 * start
+            if self.abrupt:
+                return
+            self._bound()
+        self.newton(*WARM, sharp)
 
     def cold(self, method: Callable[..., tuple[int, float]], most: tuple[int, int]) -> None:
         """A method from nothing and Newton from where it ends, kept where that is better than the best."""
@@ -187,7 +201,7 @@ class Search:
 
     def run(self, large: bool) -> None:
         """All means in turn: for a large problem first what reaches `loose`, then what is quick, then all the rest."""
-        if self.r.any() and not self.abrupt:
+        if self.r.any():
             self.warm()
         if large and self.loose >= COARSE:
             self.rounds(self.loose)
