@@ -104,10 +104,6 @@ def _parser() -> _Parser:
     _add_simulation(p)
     p.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
-    p.add_argument(
-        "--on-fail", choices=("warn", "raise", "ignore"), default="warn",
-        help="what to do where a step misses its tolerance: go on with the best answer, or stop (default: %(default)s)",
-    )  # fmt: skip
     p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
     p.add_argument("--check", action="store_true", help="audit the motion; the exit code is 0 only if it passes")
     _add_json(p)
@@ -191,6 +187,10 @@ def _add_simulation(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--loose", type=float, metavar="E",
         help="of solver auto: what is accepted where its tolerance costs too much (default: 1e-4)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--on-fail", choices=("warn", "raise", "ignore"), default="warn",
+        help="what to do where a step misses its tolerance: go on with the best answer, or stop (default: %(default)s)",
     )  # fmt: skip
 
 
@@ -400,6 +400,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
             name,
             settings,
             module.DURATION if arguments.time is None else arguments.time,
+            on_fail=arguments.on_fail,
             executor=executor,
             keep=ensemble.figures,
             progress=True,

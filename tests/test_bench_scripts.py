@@ -14,6 +14,7 @@ SCRIPTS = {
     "collision.py": (["--boxes", "20"], r"18 pairs that touch, 72 contacts(.*\n)+nsdyn: batches"),
     "scaling.py": (["--only", "boxes", "2"], r'{"time": [\d.e-]+, "memory": [\d.]+}'),
     "at_rest.py": (["slide", "--rounds", "1"], r"slide +[\d.]+"),
+    "portfolio.py": (["--steps", "2"], r"mean [\d.]+ ms"),
     "truth.py": (["slow_ball", "--quick"], r"slow_ball +speed +[\d.e+-]+ +1e-09"),
     "quadruped.py": (["--time", "0.05", "--robots", "1"], r"nsdyn +0.005 +1 +\d+"),
 }

@@ -65,7 +65,9 @@ def test_same_bits_from_dask(serial):
 def test_a_run_that_does_not_converge_loses_only_itself():
     """Nothing reaches 1e-300, but a ball in flight need not."""
     solver = nd.solvers.by_name("pgs", 1e-300)
-    flying, sliding = nd.sweep(lambda name: nd.scenes.load(name)(), {"name": ["bounce", "slide"]}, 0.02, solver=solver)
+    flying, sliding = nd.sweep(
+        lambda name: nd.scenes.load(name)(), {"name": ["bounce", "slide"]}, 0.02, solver=solver, on_fail="raise"
+    )
     assert flying.failure == "" and flying.result.steps == 20
     assert sliding.result is None and "did not converge" in sliding.failure
 
@@ -103,7 +105,9 @@ def test_command(capsys, tmp_path):
 
 
 def test_command_with_a_failing_run(capsys):
-    code, out, err = run(capsys, "slide", "--solver", "pgs", "--tol", "1e-300", "--time", "0.02", "--set", "mu=0.1")
+    code, out, err = run(
+        capsys, "slide", "--solver", "pgs", "--tol", "1e-300", "--time", "0.02", "--on-fail", "raise", "--set", "mu=0.1"
+    )
     assert code == 1 and out.splitlines()[0].split() == ["mu"] and "not converged: {'mu': 0.1}" in err
 
 

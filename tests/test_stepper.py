@@ -20,8 +20,10 @@ def test_ledger_closes_on_every_named_scene(name):
     change = sum(getattr(energy, term).sum() for term in works)
     assert total[-1] - total[0] == pytest.approx(change, abs=1e-12 * max(largest, 1e-3))
     # No position of the squeezed peg is without overlap, and the status of each of its steps says so.
-    expected = nd.Status.OVERLAP if name == "peg" else nd.Status.CONVERGED
-    assert (trajectory.solver.status == expected).all()
+    expected = [nd.Status.OVERLAP] if name == "peg" else [nd.Status.CONVERGED]
+    if name == "pile":  # whose bodies collide
+        expected += [nd.Status.LOOSE]
+    assert np.isin(trajectory.solver.status, expected).all()
 
 
 def test_contact_works_add_up_and_friction_only_dissipates():
