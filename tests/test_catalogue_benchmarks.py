@@ -89,7 +89,7 @@ def test_box_and_balls_pushed(heading):
 )
 def test_falling_balls_do_not_overlap(side, dt, duration):
     trajectory = nd.simulate(nd.scenes.load("six_cubed")(side=side), duration, dt=dt)
-    assert (trajectory.solver.status == nd.Status.CONVERGED).all()
+    assert np.isin(trajectory.solver.status, (nd.Status.CONVERGED, nd.Status.LOOSE)).all()
     assert len(trajectory.contacts(-1)) > side**2
     # The best mean square of the peers is 1.35e-4 m², at dt = 1e-3.
     assert penetration(trajectory) <= 1e-8

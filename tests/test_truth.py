@@ -15,8 +15,13 @@ QUICK = [name for name, claim in truth.BARS.items() if claim.quick]
 
 
 # Where the bar is missed, what is reached: the projection of positions lifts what rests by what a step has left of the
-# curvature of its motion, and that energy is booked as numerics (`projection`), not taken from anywhere.
-REACHED = {"pressed_box": {"created": 1e-3}, "random_scenes": {"created": 1e-3}}
+# curvature of its motion, and that energy is booked as numerics (`projection`), not taken from anywhere. Of a thousand
+# elastic impacts one, of two corners of a pair in nearly one instant, is not located but lifted so.
+REACHED = {
+    "pressed_box": {"created": 1e-3},
+    "random_scenes": {"created": 1e-3},
+    "elastic_box": {"energy": 1e-3},
+}
 
 
 def misses(name, cases):

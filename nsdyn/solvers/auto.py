@@ -33,12 +33,12 @@ HEAVY = 10.0
 ABRUPT = 10.0
 """Misfit of a warm start, in loose tolerances, that tells a collision from rest and smooth motion."""
 
-FREE, LONGEST = 2e-3, 20.0
+FREE, LONGEST = 2e-3, 5.0
 """Seconds, by counts of operations, that every problem may take, and that none may exceed."""
 
-CALM = 12
-"""Factorisations that every problem may take but a collision, for which a warm start is within `loose` at no cost: what
-is left at rest and in smooth motion lasts, and is worth them."""
+CALM, REST = (12, 100), 0.1
+"""Factorisations that every problem may take but a collision, in motion and at rest, and misfit of a warm start, in
+loose tolerances, that tells rest: what is left there lasts, and is worth them."""
 
 WARM, PEEK = (1e2, 6), 2
 """Penalty and Newton steps of a warm start, and those after which one that misses by far must have gained a tenth."""
@@ -95,7 +95,7 @@ class Search:
         p = means.problem
         _, error, residual, _ = p.solved(r, tol)
         self.abrupt = bool(r.any()) and residual > ABRUPT * loose
-        self._effort = effort
+        self._effort, self._calm = effort, CALM[1] if residual <= REST * loose else CALM[0]
         self._note(max(error * p.q_norm / means.q_norm, residual), 0, 0.0)
 
     def _note(self, best: float, count: int, seconds: float) -> None:
@@ -107,7 +107,7 @@ class Search:
 
     def _bound(self) -> None:
         """Bound the effort by what has been spent, where that has reached `loose`."""
-        calm = 0.0 if self.abrupt else max(CALM * self.means.factorisation, self._effort * self.spent)
+        calm = 0.0 if self.abrupt else max(self._calm * self.means.factorisation, self._effort * self.spent)
         if self.best <= self.loose:
             self.limit = min(LONGEST, max(FREE, calm))
 
@@ -201,7 +201,7 @@ class Search:
 
     def run(self, large: bool) -> None:
         """All means in turn: for a large problem first what reaches `loose`, then what is quick, then all the rest."""
-        if self.r.any():
+        if self.r.any() and not (large and self.tol > COARSE):
             self.warm()
         if large and self.loose >= COARSE:
             self.rounds(self.loose)
