@@ -23,6 +23,9 @@ from nsdyn.problem import Array, Index
 __all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "reached", "shown", "touched"]
 
 
+NONE = np.empty(0, np.int64)
+
+
 class Unmet(NamedTuple):
     """Contacts and joint limits that a move leaves alone, at one instant.
 
@@ -44,18 +47,30 @@ def caught(
 ) -> ContactSet:
     """Contacts that a move need not leave alone: closed where it begins, or neither barred, deep nor elastic.
 
-    What pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed:
-    of that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
+    What parts there after a rebound is left alone, too: where bodies turn, it may strike again within the move. What
+    pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
+    that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
     """
-    held = np.empty(contacts.gap.size, np.bool_)
-    if _law.known(contacts.key, begin.contacts.key, begin.contacts.gap, s.closed, held):
+    held, parted = np.empty(contacts.gap.size, np.bool_), _parted(s, begin, v, ahead)
+    if _law.known(contacts.key, begin.contacts.key, begin.contacts.gap, s.closed, held) and not parted.size:
         return contacts
+    held &= ~np.isin(contacts.key, parted)
     warm = begin.warm
     pressed = np.isin(contacts.key, warm.key[warm.status > 0])
     loaded, free = (approach(s.dynamics, contacts, placement, w) for w in (begin.v, v))
     shallow = contacts.gap + ahead * np.where(pressed, loaded, free) > -s.deep(contacts)
     shallow &= ~np.isin(s.detector.codes(contacts), barred)
     return take(contacts, held | (shallow & (contacts.restitution == 0.0)))
+
+
+def _parted(s: System, begin: Instant, v: Array, ahead: float) -> Index:
+    """Keys of elastic contacts that are closed where a move begins, but part faster than forces make them rest."""
+    c = begin.contacts
+    if not _law.any_positive(c.restitution):
+        return NONE
+    parts, free = (approach(s.dynamics, c, begin.placement, w) for w in (begin.v, v))
+    rests = s.solver.tol + 2.0 * s.dt * s.theta / ahead * np.abs(free - parts)
+    return c.key[(c.restitution > 0.0) & (c.gap <= s.closed) & (parts > rests)]
 
 
 def caught_limits(

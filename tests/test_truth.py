@@ -15,8 +15,8 @@ QUICK = [name for name, claim in truth.BARS.items() if claim.quick]
 
 
 # Where the bar is missed, what is reached: the projection of positions lifts what rests by what a step has left of the
-# curvature of its motion, and that energy is booked as numerics (`projection`), not taken from anywhere. Of a thousand
-# elastic impacts one, of two corners of a pair in nearly one instant, is not located but lifted so.
+# curvature of its motion, and that energy is booked as numerics (`projection`), not taken from anywhere. Elastic
+# bodies under gravity lose what impacts have that are slower than their weight makes in two steps: these rest.
 REACHED = {
     "pressed_box": {"created": 1e-3},
     "random_scenes": {"created": 1e-3},
