@@ -110,9 +110,8 @@ def test_iterations_hardly_depend_on_the_mass_ratio(form):
         solution = nd.solve(form(kicked_stack(height=20, ratio=ratio)))
         assert solution.converged, (ratio, solution.error, solution.residual)
         counts.append(solution.iterations)
-    # Sweeps alone, which grow with the square of the ratio, would give 1e6. Where the cold starts do not converge,
-    # rounds of them are among the stages, a hundred for the cost of a factorisation.
-    assert max(counts) <= 20_000, counts
+    # Sweeps, which grow with the square of the ratio, would give 1e6; the factor is for stages taken or left out.
+    assert max(counts) <= 4 * min(counts), counts
 
 
 @FORMS

@@ -14,10 +14,11 @@ spec.loader.exec_module(truth)
 QUICK = [name for name, claim in truth.BARS.items() if claim.quick]
 
 
-# Where the bar is missed, what is reached: the projection of positions lifts what rests by what a step has left of the
-# curvature of its motion, and that energy is booked as numerics (`projection`), not taken from anywhere. Elastic
-# bodies under gravity lose what impacts have that are slower than their weight makes in two steps: these rest.
-# One impact in 3000 leaves a slip of the size of the solver's tolerance, 1e-8, which friction does not oppose exactly.
+# Where a bar is missed, what is reached: more fails, what lies between is an expected failure that names its figures.
+# The projection of positions lifts what rests by what a step has left of the curvature of its motion, and that energy
+# is booked as numerics (`projection`), not taken from anywhere. Elastic bodies under gravity lose what impacts have
+# that are slower than their weight makes in two steps: these rest. One impact in 3000 leaves a slip of the size of the
+# solver's tolerance, 1e-8, which friction does not oppose exactly.
 REACHED = {
     "pressed_box": {"created": 1e-3},
     "random_scenes": {"created": 1e-3},
@@ -26,20 +27,21 @@ REACHED = {
 }
 
 
-def misses(name, cases):
-    """Figures above their bars, by case."""
+def check(name, cases):
+    """Fail where a figure is worse than reached before, and report those above their bars as expected failures."""
     claim = truth.BARS[name]
-    limits = claim.limits | REACHED.get(name, {})
-    out = []
-    for case in cases:
-        figures = claim.figures(case)
-        out += [(case, what, value) for what, value in figures.items() if not value <= limits[what]]
-    return out
+    found = [(case, what, value) for case in cases for what, value in claim.figures(case).items()]
+    reached = claim.limits | REACHED.get(name, {})
+    worse = [row for row in found if not row[2] <= reached[row[1]]]
+    assert not worse
+    missed = [row for row in found if not row[2] <= claim.limits[row[1]]]
+    if missed:
+        pytest.xfail(f"above the bar: {missed}")
 
 
 @pytest.mark.parametrize("name", QUICK)
 def test_bar(name):
-    assert not misses(name, truth.BARS[name].quick)
+    check(name, truth.BARS[name].quick)
 
 
 # Too long for a test: `python demos/bench/truth.py NAME` runs them, 2 to 10 minutes each.
@@ -49,7 +51,7 @@ LONG = "cubes", "ball_on_wall", "models", "random_scenes"
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in QUICK if name not in LONG])
 def test_bar_in_full(name):
-    assert not misses(name, truth.BARS[name].full)
+    check(name, truth.BARS[name].full)
 
 
 def test_the_measures_see_what_is_wrong():

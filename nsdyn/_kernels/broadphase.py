@@ -7,6 +7,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.sorting import order as order_of
+from nsdyn._kernels.sorting import place_of
 
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
 
@@ -104,14 +105,8 @@ def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fa
 @kernel
 def contains(sorted_codes, code):
     """Whether a sorted array holds the code."""
-    low, high = 0, sorted_codes.size
-    while low < high:
-        middle = (low + high) // 2
-        if sorted_codes[middle] < code:
-            low = middle + 1
-        else:
-            high = middle
-    return low < sorted_codes.size and sorted_codes[low] == code
+    at = place_of(sorted_codes, code)
+    return at < sorted_codes.size and sorted_codes[at] == code
 
 
 @kernel

@@ -47,7 +47,7 @@ SWEEPS, PATIENCE = 400, 20
 """Accelerated Gauss–Seidel sweeps of a cold start, which cost about as much as the interior point method, and the
 number from which on it is foreseen whether they suffice."""
 
-INTERIOR, SMOOTHING = (40, 60), (60, 60)
+INTERIOR, SMOOTHING = (40, 200), (60, 60)
 """Factorisations of the two cold starts, which converge within these where they do, and of Newton after each."""
 
 NEAR, FAR = 1e3, 10.0
