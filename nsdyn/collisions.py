@@ -21,7 +21,7 @@ def caught_impacts(s: System, met: Encounter, h: float) -> tuple[Encounter, Impa
 
     What the others meet then, the impacts, and the change of v by them, 0 where there are none.
     """
-    if not _law.any_positive(met.restitution):
+    if not s.elastic:
         return met, None, 0.0
     fall = 2.0 * s.dt / h * np.abs((met.u_free - met.u)[0::3])
     closes = met.end_gap + s.theta * h * (met.u_free + met.turn)[0::3] <= 0.0
@@ -56,7 +56,7 @@ def collide(
     joints = d.joint_rows(at.position, at.v, at.v, 0.0)
     if not (d.surfaces.count or (joints is not None and _hits(s, joints, at.v, h))):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
-        limit = s.solver.tol if _law.any_positive(c.restitution) else s.slow / h
+        limit = s.solver.tol if s.elastic and _law.any_positive(c.restitution) else s.slow / h
         if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -limit:
             return None
     contacts = take(c, c.gap <= s.closed)

@@ -267,6 +267,8 @@ class Detector:
         A contact that is still among those `found` there has its gap, known by its key. Any other has the separation of
         its geoms along its own normal, or their least gap found, if that is more: they overlap only where one is found.
         """
+        if contacts is found:
+            return contacts.gap
         c, out = contacts, np.empty(contacts.gap.size)
         pose, room = (poses.x, poses.R), (self._R, self._t)
         old, new = (c.geom1, c.geom2, c.normal, c.key), (found.geom1, found.geom2, found.key, found.gap)

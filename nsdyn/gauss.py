@@ -138,20 +138,31 @@ def certify(
     mu, impulse = problem.mu, np.empty_like(problem.q)
     if _kernels.into_cones(r, mu, impulse) or u is None:
         u = problem.velocity(impulse)
-    o, square = _along(problem, opening.d if opening else NOTHING)
-    gap, shift, speed, step, total = _kernels.certificate(u, impulse, o, mu)
+    d = opening.d if opening else NOTHING
+    gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
     if not math.isfinite(gap + shift):
         return Certificate(gap, shift, math.inf), opening
     if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):
-        d = _relaxed(problem, opening.d if opening else NOTHING)
+        d = _relaxed(problem, d)
         if not d.size:
             d = _open(problem, u, speed)
         if d.size or step == math.inf:
             opening = Opening(d, problem.nc, speed)
-            o, square = _along(problem, d)
-            step, total = _kernels.certificate(u, impulse, o, mu)[3:]
+            step, total, square = _along_direction(problem, u, impulse, d)[3:]
     half = 0.5 * step * math.sqrt(square) if step < math.inf else math.inf
     return Certificate(gap, shift, half + math.sqrt(half * half + total)), opening
+
+
+def _along_direction(
+    problem: FC3D, u: Array, r: Array, d: Array
+) -> tuple[float, float, float, float, float, float]:
+    """(gap, |δ|_2, max δ, λ, Σ r·(û + λ Hᵀ d), ‖d‖²_M) along `Opening.d`."""
+    b = problem.blocks
+    if b is not None:
+        factors = b.offset, b.block, b.start, b.h, b.m_start, b.m
+        return _kernels.certificate_along(*factors, u, r, problem.mu, d)  # type: ignore[no-any-return]
+    o, square = _along(problem, d)
+    return *_kernels.certificate(u, r, o, problem.mu), square
 
 
 def _along(problem: FC3D, d: Array) -> tuple[Array, float]:

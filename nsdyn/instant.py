@@ -75,6 +75,8 @@ class System(NamedTuple):
         How far shapes reach from the origins of their frames, m.
     impact : str
         Law of impact.
+    elastic : bool
+        Whether any contact or joint limit has restitution.
     """
 
     dynamics: Dynamics
@@ -87,6 +89,7 @@ class System(NamedTuple):
     smallest: float
     arm: Array
     impact: str
+    elastic: bool
 
     @property
     def slow(self) -> float:

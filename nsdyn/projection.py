@@ -117,4 +117,5 @@ def _without_squeezed(blocks: Blocks, solution: Solution) -> Array:
 
 def _least(placed: Placed) -> float:
     """The least gap, 0 if none is negative."""
-    return min(float(_law.least(placed.contacts.gap)), float(_law.least(placed.limits)))
+    least: float = _law.least(placed.contacts.gap)
+    return min(least, _law.least(placed.limits)) if placed.limits.size else least

@@ -66,7 +66,7 @@ def caught(
 def _parted(s: System, begin: Instant, v: Array, ahead: float) -> Index:
     """Keys of elastic contacts that are closed where a move begins, but part faster than forces make them rest."""
     c = begin.contacts
-    if not _law.any_positive(c.restitution):
+    if not s.elastic:
         return NONE
     parts, free = (approach(s.dynamics, c, begin.placement, w) for w in (begin.v, v))
     rests = s.solver.tol + 2.0 * s.dt * s.theta / ahead * np.abs(free - parts)
@@ -99,6 +99,8 @@ def others(s: System, found: ContactSet, met: ContactSet, limits: Array, slot: I
     slot : ndarray of int
         Joint rows that are met.
     """
+    if found is met and not limits.size:
+        return None
     same = np.empty(found.gap.size, np.bool_)
     if _law.known(found.key, met.key, met.gap, np.inf, same) and not limits.size:
         return None

@@ -257,9 +257,11 @@ class Stepper:
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(closed, solver.tol * self.dt)
         inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
+        given = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
+        elastic = any(e > 0.0 for e in given) or bool(self.dynamics.joints.restitution.any())
         self.system = System(
             self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
-            float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact,
+            float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact, elastic,
         )  # fmt: skip
         if impact == "poisson" and len(rebounds := scene.restitutions()) > 1:
             warnings.warn(

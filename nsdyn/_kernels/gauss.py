@@ -92,6 +92,16 @@ def along_blocks(offset, block, start, h, m_start, m, d, o):
 
 
 @kernel
+def certificate_along(offset, block, start, h, m_start, m, u, r, mu, d):
+    """`certificate` with o = Hᵀ d, and ‖d‖²_M; a d of other coordinates opens nothing."""
+    o, square = np.zeros(u.size), 0.0
+    if d.size == offset[-1]:
+        square = along_blocks(offset, block, start, h, m_start, m, d, o)
+    gap, shift, speed, step, total = certificate(u, r, o, mu)
+    return gap, shift, speed, step, total, square
+
+
+@kernel
 def pull(o, b, rho, mu, A, g):
     """Newton's step on ½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ: d = (M + Σ H_c A_c H_cᵀ)⁻¹ H g, into A and g."""
     for c in range(mu.size):
