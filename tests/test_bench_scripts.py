@@ -15,14 +15,16 @@ SCRIPTS = {
     "scaling.py": (["--only", "boxes", "2"], r'{"time": [\d.e-]+, "memory": [\d.]+}'),
     "at_rest.py": (["slide", "--rounds", "1"], r"slide +[\d.]+"),
     "portfolio.py": (["--steps", "2"], r"mean [\d.]+ ms"),
+    "regimes.py": (["{folder}", "--solver", "auto", "--bodies", "12"], r"collision, 1e-08\nsolver .*\nauto +4/4 "),
     "truth.py": (["slow_ball", "--quick"], r"slow_ball +speed +[\d.e+-]+ +1e-09"),
     "quadruped.py": (["--time", "0.05", "--robots", "1"], r"nsdyn +0.005 +1 +\d+"),
 }
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_script_runs(script):
+def test_script_runs(script, tmp_path):
     arguments, expected = SCRIPTS[script]
+    arguments = [argument.format(folder=tmp_path) for argument in arguments]
     command = [sys.executable, str(ROOT / "demos" / "bench" / script), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert re.search(expected, done.stdout), done.stdout
