@@ -153,9 +153,7 @@ def certify(
     return Certificate(gap, shift, half + math.sqrt(half * half + total)), opening
 
 
-def _along_direction(
-    problem: FC3D, u: Array, r: Array, d: Array
-) -> tuple[float, float, float, float, float, float]:
+def _along_direction(problem: FC3D, u: Array, r: Array, d: Array) -> tuple[float, float, float, float, float, float]:
     """(gap, |δ|_2, max δ, λ, Σ r·(û + λ Hᵀ d), ‖d‖²_M) along `Opening.d`."""
     b = problem.blocks
     if b is not None:
