@@ -257,15 +257,15 @@ class Stepper:
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
         self.closed = max(closed, solver.tol * self.dt)
         inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
-        given = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
-        elastic = any(e > 0.0 for e in given) or bool(self.dynamics.joints.restitution.any())
+        rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
+        elastic = any(e > 0.0 for e in rebounds) or bool(self.dynamics.joints.restitution.any())
         self.system = System(
             self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
             float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact, elastic,
         )  # fmt: skip
-        if impact == "poisson" and len(rebounds := scene.restitutions()) > 1:
+        if impact == "poisson" and len(several := scene.restitutions()) > 1:
             warnings.warn(
-                f"Poisson's law keeps energy from growing only where all contacts have one restitution, got {rebounds}",
+                f"Poisson's law keeps energy from growing only where all contacts have one restitution, got {several}",
                 stacklevel=2,
             )
         self._failures = 0
