@@ -18,7 +18,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from nsdyn import shapes
-from nsdyn._kernels import broadphase, keys, manifold, sweep
+from nsdyn._kernels import advancement, broadphase, keys, manifold
+from nsdyn._kernels.geometry import Geometry
 from nsdyn.scene import Geom
 from nsdyn.shapes import CAPSULE, HALFSPACE, SPHERE, Shape
 
@@ -152,7 +153,7 @@ def carry(contacts: ContactSet, begin: Poses, end: Poses) -> ContactSet:
     """
     c = contacts
     point, gap = np.empty_like(c.point), np.empty_like(c.gap)
-    sweep.carry(c.frame1, c.frame2, c.point, c.normal, c.gap, *begin, *end, point, gap)
+    advancement.carry(c.frame1, c.frame2, c.point, c.normal, c.gap, *begin, *end, point, gap)
     return c._replace(point=point, gap=gap)
 
 
@@ -300,13 +301,13 @@ class Detector:
         .. [1] B. Mirtich, Impulse-based Dynamic Simulation of Rigid Body Systems, PhD thesis, Berkeley 1996, ch. 2.
         """
         turn, reach = np.empty_like(begin.x), np.empty(len(begin.x))
-        sweep.motions(self._frame, self._arm, *begin, *end, turn, reach)
+        advancement.motions(self._frame, self._arm, *begin, *end, turn, reach)
         self._renew(begin.x, begin.R, reach)
         codes = _NONE if known is None else known.geom1 * len(self._cores) + known.geom2
         pairs, boxes = np.empty(len(self._first), dtype=np.int64), (self._lower, self._upper)
         candidates = self._first, self._second, codes
         pose = self._R, self._t
-        count = sweep.may_touch(
+        count = advancement.may_touch(
             self._fields, self._arm, np.zeros(len(self._arm)) if least is None else least, *candidates, begin.x, end.x,
             turn, *pose, *boxes, pairs,
         )  # fmt: skip
@@ -345,13 +346,13 @@ class Detector:
         R, t = np.empty((2, 3, 3)), np.empty((2, 3))
         request, s = _request(), 0.0
         for _ in range(ADVANCES):
-            sweep.place_at(*placements, begin.x, begin.R, end.x, turn, s, geoms, R, t)
+            advancement.place_at(*placements, begin.x, begin.R, end.x, turn, s, geoms, R, t)
             placed, result = [coal.Transform3s(R[k], t[k]) for k in (0, 1)], coal.DistanceResult()
             distance = coal.distance(self._solids[i], placed[0], self._solids[j], placed[1], request, result)
             n, points = result.normal, (result.getNearestPoint1(), result.getNearestPoint2())
             if not np.isfinite(n).all():  # deep inside each other
                 return s
-            bound, speed = sweep.approach(self._frame, self._arm, begin.x, end.x, turn, s, geoms, n, *points)
+            bound, speed = advancement.approach(self._frame, self._arm, begin.x, end.x, turn, s, geoms, n, *points)
             if distance <= near and speed > 0.0:
                 return s
             if bound * (1.0 - s) <= distance or bound == 0.0:
@@ -465,14 +466,14 @@ _NO_CONTACTS = ContactSet(
 )  # fmt: skip
 
 
-def _flatten(geoms: Sequence[Geom]) -> broadphase.Geometry:
+def _flatten(geoms: Sequence[Geom]) -> Geometry:
     """The shapes of all geoms in flat arrays."""
     all_shapes = [g.shape for g in geoms]
 
     def pointer(lengths: list[int]) -> Index:
         return np.cumsum([0, *lengths], dtype=np.int64)
 
-    return broadphase.Geometry(
+    return Geometry(
         kind=np.array([s.kind for s in all_shapes], dtype=np.int64),
         size=np.array([s.size for s in all_shapes]).reshape(-1, 3),
         offset=np.array([s.offset for s in all_shapes], dtype=float),

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from nsdyn._kernels.broadphase import Geometry, place
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.manifold import dot, gap_along, minus, put, row, to_local
+from nsdyn._kernels.geometry import Geometry, place
 from nsdyn._kernels.sorting import order as order_of
+from nsdyn._kernels.support import gap_along
+from nsdyn._kernels.vectors import dot, minus, put, row, to_local
 
 
 @kernel

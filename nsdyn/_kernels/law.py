@@ -10,8 +10,8 @@ import numpy as np
 
 from nsdyn._kernels.blocks import relative_velocity
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.manifold import along, cross, dot, minus, row
 from nsdyn._kernels.sorting import order, place_of
+from nsdyn._kernels.vectors import along, cross, dot, minus, row
 
 ROLLS = 12.0
 """How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10

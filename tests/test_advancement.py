@@ -7,7 +7,7 @@ import pytest
 from test_contacts import ALL, GROUND, about, detector, random_rotation
 
 from nsdyn import shapes
-from nsdyn._kernels import sweep
+from nsdyn._kernels import advancement
 from nsdyn.contacts import ContactMemory, Poses, carry
 
 EMPTY = ContactMemory.empty()
@@ -206,7 +206,7 @@ def test_any_rotation_is_found_again(rng):
     for angle in (0.0, 1e-9, 1e-4, 0.5, 2.0, 3.1, np.pi - 1e-4, np.pi - 1e-8, np.pi):
         for axis in (*np.eye(3), *rng.normal(size=(20, 3))):
             A, turn = random_rotation(rng), about(axis / np.linalg.norm(axis), angle)
-            w = np.array(sweep.turn_between(A[None], (turn @ A)[None], 0))
+            w = np.array(advancement.turn_between(A[None], (turn @ A)[None], 0))
             assert np.linalg.norm(w) == pytest.approx(angle, abs=1e-8)
             np.testing.assert_allclose(about(w, 1.0), turn, rtol=0, atol=1e-8)
 

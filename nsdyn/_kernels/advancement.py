@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.broadphase import HALFSPACE, Geometry, contains
+from nsdyn._kernels.broadphase import contains
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.manifold import along, cross, dot, gap_along, minus, put, row, times, to_world, unit
+from nsdyn._kernels.geometry import HALFSPACE, Geometry
+from nsdyn._kernels.support import gap_along
+from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_world, unit
 
 
 @kernel

@@ -1,0 +1,119 @@
+"""The few points of a patch that stand for all of it."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.vectors import cross, dot, perpendicular, put, row
+
+
+@kernel
+def triangle(x, y, hull, p, q, r):
+    """Twice the area of the triangle of three corners of a hull."""
+    a, b, c = hull[p], hull[q], hull[r]
+    return abs((x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a]))
+
+
+@kernel
+def reduce(poly, gap, count, n, limit, margin, close):
+    """Keep at most `limit` points: the deepest and the corners of the patch that hold most of its area.
+
+    The patch is that of the points the motion closes first: from the margin on down to `close` above the deepest point
+    the highest ones are left out, as long as `limit` points are left. The convex hull of the patch in the plane of n
+    loses corner after corner, each time the one whose triangle with its neighbours is smallest; then corners move along
+    the hull as long as the area grows. Returns the number left, in their former order.
+    """
+    lowest = math.inf
+    for k in range(count):
+        lowest = min(lowest, gap[k])
+    height = margin - lowest
+    while height > close:
+        height = max(0.5 * height, close)
+        low = 0
+        for k in range(count):
+            low += gap[k] <= lowest + height
+        if low < limit:
+            break
+        if low < count:
+            low = 0
+            for k in range(count):
+                if gap[k] <= lowest + height:
+                    put(poly, low, row(poly, k))
+                    gap[low] = gap[k]
+                    low += 1
+            count = low
+    if count <= limit:
+        return count
+    e1 = perpendicular(n)
+    e2 = cross(n, e1)
+    x, y = np.empty(count), np.empty(count)
+    order = np.empty(count, dtype=np.int64)  # by x, then y
+    deepest = 0
+    for k in range(count):
+        x[k], y[k] = dot(row(poly, k), e1), dot(row(poly, k), e2)
+        if gap[k] < gap[deepest]:
+            deepest = k
+        p = k
+        while p > 0 and (x[order[p - 1]] > x[k] or (x[order[p - 1]] == x[k] and y[order[p - 1]] > y[k])):
+            order[p] = order[p - 1]
+            p -= 1
+        order[p] = k
+    hull = np.empty(2 * count, dtype=np.int64)
+    m = 0
+    for half in range(2):
+        base = m
+        for p in range(count):
+            k = order[p] if half == 0 else order[count - 1 - p]
+            while m - base >= 2:
+                a, b = hull[m - 2], hull[m - 1]
+                if (x[b] - x[a]) * (y[k] - y[a]) - (y[b] - y[a]) * (x[k] - x[a]) > 0.0:
+                    break
+                m -= 1
+            hull[m] = k
+            m += 1
+        m -= 1  # the last of one half is the first of the other
+    # The corners kept, as positions in the hull.
+    kept = m
+    corner = np.arange(m)
+    free = limit - 1
+    for p in range(m):
+        if hull[p] == deepest:
+            free = limit
+    while kept > free:
+        worst, smallest = -1, math.inf
+        for p in range(kept):
+            area = triangle(x, y, hull, corner[p - 1 if p > 0 else kept - 1], corner[p], corner[(p + 1) % kept])
+            # Equal within round-off counts as equal, so that the order and not noise decides.
+            if hull[corner[p]] != deepest and area < smallest * (1.0 - 1e-9):
+                worst, smallest = p, area
+        for p in range(worst, kept - 1):
+            corner[p] = corner[p + 1]
+        kept -= 1
+    for _ in range(10):
+        moved = False
+        for p in range(kept):
+            before, after = corner[p - 1 if p > 0 else kept - 1], corner[(p + 1) % kept]
+            if hull[corner[p]] != deepest:
+                best, largest = corner[p], triangle(x, y, hull, before, corner[p], after)
+                for step in range(1, (after - before) % m):
+                    q = (before + step) % m
+                    area = triangle(x, y, hull, before, q, after)
+                    # The last of equal ones: that spreads the corners of a regular polygon evenly.
+                    if area > largest * (1.0 - 1e-9):
+                        best, largest = q, max(area, largest)
+                moved = moved or best != corner[p]
+                corner[p] = best
+        if not moved:
+            break
+    keep = np.zeros(count, dtype=np.bool_)
+    keep[deepest] = True
+    for p in range(kept):
+        keep[hull[corner[p]]] = True
+    kept = 0
+    for k in range(count):
+        if keep[k]:
+            put(poly, kept, row(poly, k))
+            gap[kept] = gap[k]
+            kept += 1
+    return kept

@@ -1,0 +1,94 @@
+"""Vectors as tuples of three floats: they live in registers."""
+
+import math
+
+from nsdyn._kernels.compiled import kernel
+
+
+@kernel
+def dot(a, b):
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def cross(a, b):
+    """Vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def along(a, s, b):
+    """Point a + s b."""
+    return a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
+
+
+@kernel
+def minus(a, b):
+    """Difference a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def times(s, a):
+    """Multiple s a."""
+    return s * a[0], s * a[1], s * a[2]
+
+
+@kernel
+def unit(a):
+    """Direction of a, and its length; a itself where the length is 0 or not finite."""
+    length = math.sqrt(dot(a, a))
+    if length > 0.0 and length < math.inf:
+        return (a[0] / length, a[1] / length, a[2] / length), length
+    return a, length
+
+
+@kernel
+def perpendicular(d):
+    """A unit vector perpendicular to the unit vector d, the same for the same d; z when d is 0."""
+    k = 0
+    for i in range(1, 3):
+        if abs(d[i]) < abs(d[k]):
+            k = i
+    e = (1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0)
+    v, _ = unit(along(e, -d[k], d))
+    return v if dot(d, d) > 0.0 else (0.0, 0.0, 1.0)
+
+
+@kernel
+def row(a, k):
+    """Row k of an array as a vector."""
+    return a[k, 0], a[k, 1], a[k, 2]
+
+
+@kernel
+def put(a, k, v):
+    """Write the vector v into row k of an array."""
+    a[k, 0], a[k, 1], a[k, 2] = v
+
+
+@kernel
+def to_world(R, g, v):
+    """Vector v of the shape frame of geom g, in the world frame."""
+    return (
+        R[g, 0, 0] * v[0] + R[g, 0, 1] * v[1] + R[g, 0, 2] * v[2],
+        R[g, 1, 0] * v[0] + R[g, 1, 1] * v[1] + R[g, 1, 2] * v[2],
+        R[g, 2, 0] * v[0] + R[g, 2, 1] * v[1] + R[g, 2, 2] * v[2],
+    )
+
+
+@kernel
+def to_local(R, g, v):
+    """Vector v of the world frame, in the shape frame of geom g."""
+    return (
+        R[g, 0, 0] * v[0] + R[g, 1, 0] * v[1] + R[g, 2, 0] * v[2],
+        R[g, 0, 1] * v[0] + R[g, 1, 1] * v[1] + R[g, 2, 1] * v[2],
+        R[g, 0, 2] * v[0] + R[g, 1, 2] * v[1] + R[g, 2, 2] * v[2],
+    )
+
+
+@kernel
+def axis(R, g):
+    """The z axis of geom g in the world frame."""
+    return R[g, 0, 2], R[g, 1, 2], R[g, 2, 2]
