@@ -172,6 +172,10 @@ def change_of(W, r):
 
 def _sweep(W, q, mu, v, r):
     """A sweep in place of r, and of v = M⁻¹ H r where W is given by its factors."""
+    if isinstance(W, Matrix):
+        sweep_matrix(W, q, mu, r)
+    else:
+        sweep_factors(W, q, mu, v, r)
 
 
 @overload(_sweep)
@@ -183,6 +187,7 @@ def _sweep_of(W, q, mu, v, r):
 
 def _change(W, r):
     """v = M⁻¹ H r where W is given by its factors, nothing for a matrix."""
+    return np.empty(0) if isinstance(W, Matrix) else change_of(W, r)
 
 
 @overload(_change)
@@ -194,6 +199,11 @@ def _change_of(W, r):
 
 def _velocity(W, q, r, u):
     """u = W r + q, into u."""
+    if isinstance(W, Matrix):
+        velocity(W.indptr, W.indices, W.data, q, r, u)
+    else:
+        relative_velocity(W.offset, W.block, W.start, W.h, change_of(W, r), u)
+        u += q
 
 
 @overload(_velocity)
