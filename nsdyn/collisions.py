@@ -21,7 +21,7 @@ def caught_impacts(s: System, met: Encounter, h: float) -> tuple[Encounter, Impa
 
     What the others meet then, the impacts, and the change of v by them, 0 where there are none.
     """
-    if not s.elastic:
+    if not s.elastic or not met.mu.size:
         return met, None, 0.0
     fall = 2.0 * s.dt / h * np.abs((met.u_free - met.u)[0::3])
     closes = met.end_gap + s.theta * h * (met.u_free + met.turn)[0::3] <= 0.0

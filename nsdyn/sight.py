@@ -51,6 +51,8 @@ def caught(
     pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
     that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
     """
+    if not contacts.gap.size:
+        return contacts
     held, parted = np.empty(contacts.gap.size, np.bool_), _parted(s, begin, v, ahead)
     if _law.known(contacts.key, begin.contacts.key, begin.contacts.gap, s.closed, held) and not parted.size:
         return contacts
@@ -66,7 +68,7 @@ def caught(
 def _parted(s: System, begin: Instant, v: Array, ahead: float) -> Index:
     """Keys of elastic contacts that are closed where a move begins, but part faster than forces make them rest."""
     c = begin.contacts
-    if not s.elastic:
+    if not s.elastic or not c.gap.size:
         return NONE
     parts, free = (approach(s.dynamics, c, begin.placement, w) for w in (begin.v, v))
     rests = s.solver.tol + 2.0 * s.dt * s.theta / ahead * np.abs(free - parts)
