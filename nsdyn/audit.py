@@ -170,6 +170,13 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     Not audited: links of articulations beyond their overlaps and contacts (their velocities and the reactions of their
     joints are not recorded), and the momenta of free bodies where external forces act. In recordings before format 3
     it is not known whether they did, nor which links may overlap, so links of one articulation are not compared.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> audit = nd.check(nd.simulate(nd.scenes.load("slide")(), 0.1, dt=0.01))
+    >>> audit.passed
+    True
     """
     unknown = sorted(set(tolerances) - set(TOLERANCES))
     if unknown:

@@ -37,6 +37,13 @@ class PD:
     References
     ----------
     J. Tan, K. Liu, G. Turk, Stable proportional-derivative controllers, IEEE CG&A 31, 2011.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> hold = nd.PD(kp=50.0, kd=2.0, target=[0.3, -0.1])
+    >>> hold.target.tolist()
+    [0.3, -0.1]
     """
 
     kp: ArrayLike

@@ -77,6 +77,13 @@ def sweep(
     ------
     ValueError
         For a parameter without values, and for what the scene or `simulate` refuses.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> runs = nd.sweep("slide", {"mu": [0.25, 0.5]}, 0.2, dt=0.02, keep=lambda run: float(run.v[-1, 0]))
+    >>> [(run.parameters, round(run.result, 4)) for run in runs]
+    [({'mu': 0.25}, 1.5095), ({'mu': 0.5}, 1.019)]
     """
     from tqdm import tqdm
 

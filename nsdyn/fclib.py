@@ -357,6 +357,15 @@ def write(
     ValueError
         If the path exists or cannot be written, for a guess of wrong length, or if spacedim is 2 and the problem is
         not planar.
+
+    Examples
+    --------
+    >>> import tempfile, nsdyn as nd
+    >>> problem = nd.FC3D([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]], [-1.0, 0.2, 0.0], [0.5])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     nd.fclib.write(f"{folder}/drop.hdf5", problem, nd.solve(problem))
+    ...     nd.fclib.read(f"{folder}/drop.hdf5").q.tolist()
+    [-1.0, 0.2, 0.0]
     """
     blocks = problem.blocks
     rows = slice(None) if spacedim == 3 else _planar(problem.nc)

@@ -188,6 +188,13 @@ class FC3D:
     ------
     ValueError
         For wrong shapes, values that are not finite, μ < 0, or a diagonal block of W that is zero.
+
+    Examples
+    --------
+    >>> problem = FC3D([[2.0, 0, 0], [0, 1, 0], [0, 0, 1]], [-1.0, 3.0, 0.0], [0.5])
+    >>> r = [0.5, -0.25, 0.0]  # slips: |r_T| = mu r_N against the slip, and u_N = 0
+    >>> problem.error(r) < 1e-15, problem.residual(r) < 1e-15, problem.velocity(np.array(r)).tolist()
+    (True, True, [0.0, 2.75, 0.0])
     """
 
     def __init__(self, W: Any, q: Any, mu: Any) -> None:

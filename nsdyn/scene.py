@@ -113,6 +113,16 @@ class Scene:
     ------
     ValueError
         In the constructor and every ``add_*``, naming the argument, what was expected and what came.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> scene = nd.Scene(gravity=(0, 0, -9.81))
+    >>> scene.add_halfspace("ground")
+    >>> scene.add_sphere("ball", 0.1, mass=1.0, position=(0, 0, 1), material=nd.Material(mu=0.3, restitution=0.8))
+    >>> scene.set_pair("ball", "ground", restitution=0.5)
+    >>> sorted(scene.bodies)
+    ['ball', 'ground']
     """
 
     gravity: Any = (0.0, 0.0, -9.81)

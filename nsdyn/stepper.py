@@ -218,6 +218,14 @@ class Stepper:
     J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, CISM 302, 1988. M. Jean, The
     non-smooth contact dynamics method, CMAME 177, 1999. V. Acary, Projected event-capturing time-stepping schemes for
     nonsmooth mechanical systems with unilateral contact and Coulomb's friction, CMAME 256, 2013.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> stepper = nd.Stepper(nd.scenes.load("slide")(), dt=0.01)
+    >>> step = stepper.step()
+    >>> step.contact_status.tolist(), round(float(step.v[0]), 5)  # four corners slip: 2 - 0.5 · 9.81 · 0.01 = 1.95095
+    ([2, 2, 2, 2], 1.95095)
     """
 
     def __init__(
@@ -533,6 +541,19 @@ def simulate(
         For bad arguments, before anything is written.
     NotConverged
         As `on_fail` has it; the steps before are in `record`.
+
+    Examples
+    --------
+    A box slides 2²/(2 · 0.5 · 9.81) m = 0.4077 m and stops; friction has then taken its 2 J:
+
+    >>> import nsdyn as nd
+    >>> scene = nd.Scene()
+    >>> scene.add_halfspace("ground", material=nd.Material(mu=0.5))
+    >>> scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1), linear_velocity=(2, 0, 0),
+    ...               material=nd.Material(mu=0.5))
+    >>> trajectory = nd.simulate(scene, 0.5, dt=1e-3)
+    >>> round(float(trajectory.body("box").position[-1, 0]), 4), round(float(trajectory.energy.friction.sum()), 6)
+    (0.4077, -2.0)
     """
     from tqdm import tqdm  # costs 50 ms that a library user may not need
 

@@ -105,5 +105,15 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     -------
     Solution
         With r, u, status, error, residual, iterations, time.
+
+    Examples
+    --------
+    A point of 1 kg that falls at 1 m/s and slides at 0.2 m/s, μ = 0.5, stops in one impulse:
+
+    >>> import numpy as np, nsdyn as nd
+    >>> problem = nd.FC3D(np.eye(3), [-1.0, 0.2, 0.0], [0.5])
+    >>> solution = nd.solve(problem)
+    >>> solution.status.name, solution.r[:2].round(6).tolist()
+    ('CONVERGED', [1.0, -0.2])
     """
     return (by_name(solver, tol) if isinstance(solver, str) else solver)(problem, r0)
