@@ -29,7 +29,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from nsdyn.contacts import ContactMemory, ContactSet, Detector
+from nsdyn.contacts import ContactMemory, ContactSet
+from nsdyn.detector import Detector
 from nsdyn.dynamics import Dynamics, Forces, Position
 from nsdyn.problem import Array
 from nsdyn.scene import Scene

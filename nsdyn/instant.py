@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels import law as _law
 from nsdyn._kernels import motion as _motion
-from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses, Touches
+from nsdyn.contacts import ContactMemory, ContactSet, Poses, Touches
+from nsdyn.detector import Detector
 from nsdyn.dynamics import Dynamics, Forces, Placement, Position
 from nsdyn.encounter import Basis, Encounter, Warm
 from nsdyn.energy import Works

@@ -8,7 +8,8 @@ import numpy as np
 
 from nsdyn._kernels import blocks as _blocks
 from nsdyn._kernels import law as _law
-from nsdyn.contacts import ContactMemory, ContactSet, Detector
+from nsdyn.contacts import ContactMemory, ContactSet
+from nsdyn.detector import Detector
 from nsdyn.dynamics import Dynamics, Forces, Placement, Position
 from nsdyn.problem import FC3D, Array, Blocks, Solution
 from nsdyn.solvers import Auto

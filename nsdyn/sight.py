@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn._kernels import law as _law
-from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses, carry
+from nsdyn.contacts import ContactMemory, ContactSet, Poses, carry
+from nsdyn.detector import Detector
 from nsdyn.dynamics import Dynamics, Placement
 from nsdyn.encounter import Encounter
 from nsdyn.instant import DEEP, FAST, JOINT, Bools, Instant, System, take

@@ -18,7 +18,8 @@ from scipy.optimize import brentq
 
 from nsdyn import fclib, gauss, impacts
 from nsdyn.collisions import collide
-from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses
+from nsdyn.contacts import ContactMemory, ContactSet, Poses
+from nsdyn.detector import Detector
 from nsdyn.dynamics import Dynamics, Position
 from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works

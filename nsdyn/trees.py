@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels import trees as _trees
 from nsdyn.articulations import Articulation
-from nsdyn.contacts import pose_views
 from nsdyn.control import PD
+from nsdyn.distances import pose_views
 from nsdyn.loops import Closures, admissible, supports
 from nsdyn.motions import Motion
 

@@ -5,8 +5,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from nsdyn import contacts, shapes
-from nsdyn.contacts import ContactMemory, Detector
+from nsdyn import distances, shapes
+from nsdyn.contacts import ContactMemory
+from nsdyn.detector import MARGIN, SKIN, Detector
 from nsdyn.scene import Geom, Material
 from nsdyn.shapes import HALFSPACE
 
@@ -419,7 +420,7 @@ def test_candidates_equal_brute_force(rng):
         low, high = np.zeros((n, 3)), np.zeros((n, 3))
         for g in range(1, n):
             radius = CROWD[g].bounding_radius
-            skin = contacts.MARGIN * radius + contacts.SKIN * radius + reach[g - 1]  # no list before to go by
+            skin = MARGIN * radius + SKIN * radius + reach[g - 1]  # no list before to go by
             for k, e in enumerate(np.eye(3)):
                 high[g, k] = x[g - 1, k] + e @ support(CROWD[g], R[g - 1], e) + skin
                 low[g, k] = x[g - 1, k] + e @ support(CROWD[g], R[g - 1], -e) - skin
@@ -596,7 +597,7 @@ def test_many_geoms_are_asked_in_batches(rng, monkeypatch):
     """The answer does not depend on how many geoms share a model."""
     d, x, R = pile(rng)
     c = alone(d, x, R, np.zeros(len(x)))
-    monkeypatch.setattr(contacts, "SLOTS", 5)
+    monkeypatch.setattr(distances, "SLOTS", 5)
     small = detector(*CROWD)
     b = alone(small, x, R, np.zeros(len(x)))
     for one, two in zip(rows(c), rows(b), strict=True):

@@ -9,7 +9,7 @@ ROOT = Path(nsdyn.__file__).parent
 ORDER = [
     ["workers", "_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
     ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
-    ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
+    ["contacts", "distances", "scenes"], ["detector"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"],
     ["instant", "trajectory"], ["collisions", "sight"], ["move"],
     ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench", "compilation"], ["cli"], ["__main__"],

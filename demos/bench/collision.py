@@ -20,7 +20,8 @@ import numpy as np
 import pinocchio as pin
 
 import nsdyn as nd
-from nsdyn.contacts import ContactMemory, Detector
+from nsdyn.contacts import ContactMemory
+from nsdyn.detector import Detector
 from nsdyn.dynamics import Dynamics
 
 ALL_PAIRS = 200
