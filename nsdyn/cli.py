@@ -324,21 +324,18 @@ def _run(arguments: argparse.Namespace) -> int:
     import nsdyn
 
     name = arguments.scene
-    scene_function, module = nsdyn.scenes.load(name), nsdyn.scenes.module(name)
     settings = _settings(name, arguments.set)
     solver = _solver(arguments)
     _check_outputs(arguments.output, arguments.html)
-    scene = scene_function(**settings)
+    setup = nsdyn.scenes.setup(name, **settings)
     start = time.perf_counter()
     try:
         trajectory = nsdyn.simulate(
-            scene,
-            duration=module.DURATION if arguments.time is None else arguments.time,
-            dt=module.DT if arguments.dt is None else arguments.dt,
+            setup.scene,
+            setup.duration if arguments.time is None else arguments.time,
+            **setup.options(dt=setup.dt if arguments.dt is None else arguments.dt),
             theta=arguments.theta,
             solver=solver,
-            controller=nsdyn.scenes.controller(name, scene),
-            external_force=nsdyn.scenes.external_force(name, scene),
             record=arguments.output,
             progress=True,
             on_fail=arguments.on_fail,

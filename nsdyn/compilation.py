@@ -30,11 +30,8 @@ SCENES = (
 
 def _steps(name: str, count: int, impact: str = "newton") -> None:
     """Some steps of a named scene."""
-    scene = scenes.load(name)()
-    stepper = Stepper(
-        scene, scenes.module(name).DT, controller=scenes.controller(name, scene),
-        external_force=scenes.external_force(name, scene), on_fail="ignore", impact=impact,
-    )  # fmt: skip
+    setup = scenes.setup(name)
+    stepper = Stepper(setup.scene, **setup.options(on_fail="ignore", impact=impact))
     for _ in range(count):
         stepper.step()
 

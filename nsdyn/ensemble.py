@@ -122,8 +122,8 @@ def _run(
 ) -> Member:
     """One simulation, wherever it runs."""
     if isinstance(scene, str):
-        built = scenes.load(scene)(**parameters)
-        options = {"controller": scenes.controller(scene, built)} | options
+        setup = scenes.setup(scene, **parameters)
+        built, options = setup.scene, setup.options(**options)
     else:
         built = scene(**parameters)
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -11,7 +12,7 @@ from typing import Any
 
 from nsdyn.scene import Scene
 
-__all__ = ["controller", "folder", "load", "module", "name_of", "names"]
+__all__ = ["Setup", "folder", "load", "module", "name_of", "names", "setup"]
 
 _PREFIX = "nsdyn_models_"
 
@@ -55,13 +56,44 @@ def name_of(function: Callable[..., Scene]) -> str | None:
     return name if name in names() and function is load(name) else None
 
 
-def controller(name: str, scene: Scene) -> Callable[..., Any] | None:
-    """What drives the articulations of a named scene, ``controller(t, q, v)``; None for a scene without."""
-    make = getattr(module(name), "controller", None)
-    return None if make is None else make(scene)
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A named scene with all that its simulation needs.
+
+    Attributes
+    ----------
+    name : str
+    scene : Scene
+    duration, dt : float
+        How long it is worth looking at, and a step that serves, s.
+    controller, external_force : callable, optional
+        What drives its articulations and pushes its bodies, as `nsdyn.simulate` takes them.
+    """
+
+    name: str
+    scene: Scene
+    duration: float
+    dt: float
+    controller: Callable[..., Any] | None
+    external_force: Callable[..., Any] | None
+
+    def options(self, **others: Any) -> dict[str, Any]:
+        """Keywords for `nsdyn.simulate` or `nsdyn.Stepper`: dt, controller and external_force, but for the `others`."""
+        return {"dt": self.dt, "controller": self.controller, "external_force": self.external_force} | others
 
 
-def external_force(name: str, scene: Scene) -> Callable[..., Any] | None:
-    """What pushes the bodies of a named scene, ``external_force(t, q, v)``; None for a scene without."""
-    make = getattr(module(name), "external_force", None)
-    return None if make is None else make(scene)
+def setup(name: str, **parameters: Any) -> Setup:
+    """A named scene with some of its parameters, and what drives it.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> s = nd.scenes.setup("rolling", balls=3)
+    >>> trajectory = nd.simulate(s.scene, 0.1, **s.options(dt=0.01))
+    >>> trajectory.steps
+    10
+    """
+    source = module(name)
+    scene = source.scene(**parameters)
+    made = [getattr(source, what, lambda _: None)(scene) for what in ("controller", "external_force")]
+    return Setup(name, scene, source.DURATION, source.DT, *made)

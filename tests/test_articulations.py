@@ -222,8 +222,8 @@ def dense(dynamics, position, R):
 @pytest.mark.parametrize("name", ARTICULATED)
 def test_step_against_dense_pinocchio(name):
     """M, H, W and the free acceleration of a step with contacts (if any in 0.3 s) against Pinocchio's dense ones."""
-    scene = nd.scenes.load(name)()
-    stepper = nd.Stepper(scene, dt=nd.scenes.module(name).DT, controller=nd.scenes.controller(name, scene))
+    setup = nd.scenes.setup(name)
+    stepper = nd.Stepper(setup.scene, **setup.options())
     d, h = stepper.dynamics, 1e-5
     for _ in range(200):
         before = stepper.get_state().instant
@@ -255,7 +255,7 @@ def test_step_against_dense_pinocchio(name):
     acceleration, bias = (v_free - v) / h, np.zeros(d.n)
     bias[: 6 * d.free] = -M[: 6 * d.free, : 6 * d.free] @ acceleration[: 6 * d.free]  # tested with the free bodies
     implicit = np.zeros(d.n)
-    for t, a, x in zip(d.trees, scene.articulations.values(), q.trees, strict=True):
+    for t, a, x in zip(d.trees, setup.scene.articulations.values(), q.trees, strict=True):
         model, rows, after = t.model, t.coordinates, v_free[t.coordinates]
         tau = -a.damping * after - a.stiffness * (t.angle(x) + h * after - a.rest)
         bias[rows] = pin.computeGeneralizedGravity(model, model.createData(), x) - tau

@@ -67,9 +67,9 @@ def test_box_and_balls_pushed(heading):
     def push(t, q, v):
         return {"box": module.FORCE * direction}
 
-    scene = module.scene()
-    force = nd.scenes.external_force("rolling", scene) if heading == module.HEADING else push
-    trajectory = nd.simulate(scene, 4.0, dt=1e-2, external_force=force)
+    setup = nd.scenes.setup("rolling")
+    given = {} if heading == module.HEADING else {"external_force": push}
+    trajectory = nd.simulate(setup.scene, 4.0, **setup.options(dt=1e-2, **given))
     t = trajectory.t[:, None]
     squares = 0.0
     for name, a in [("box", box), *((f"ball{k}", 2 / 7 * box) for k in range(25))]:

@@ -123,3 +123,14 @@ def test_command_with_a_failing_run(capsys):
 def test_bad_commands(capsys, arguments, words):
     code, out, err = run(capsys, *arguments)
     assert code == 2 and out == "" and words in err
+
+
+def test_a_named_scene_comes_with_what_drives_it():
+    """As `nsdyn run` has it: balls that nobody pushes do not roll."""
+    setup = nd.scenes.setup("rolling", balls=2)
+    alone = nd.simulate(setup.scene, 0.1, **setup.options(dt=0.01))
+    (member,) = nd.sweep("rolling", {"balls": [2]}, 0.1, dt=0.01)
+    np.testing.assert_array_equal(member.result.q, alone.q)
+    assert np.abs(alone.v[-1]).max() > 0.01
+    still = nd.simulate(setup.scene, 0.1, **setup.options(dt=0.01, external_force=None))
+    assert np.abs(still.v[-1]).max() < 1e-8

@@ -8,9 +8,8 @@ import nsdyn as nd
 
 @pytest.mark.parametrize("name", nd.scenes.names())
 def test_ledger_closes_on_every_named_scene(name):
-    module = nd.scenes.module(name)
-    scene = module.scene()
-    trajectory = nd.simulate(scene, 60 * module.DT, dt=module.DT, controller=nd.scenes.controller(name, scene))
+    setup = nd.scenes.setup(name)
+    trajectory = nd.simulate(setup.scene, 60 * setup.dt, **setup.options())
     energy = trajectory.energy
     largest = max(np.abs(getattr(energy, term)).max() for term in energy.names if term != "defect")
     assert np.abs(energy.defect).max() <= 1e-12 * largest

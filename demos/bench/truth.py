@@ -250,9 +250,8 @@ THIN_ARCH = 0.98 * 0.10491
 )
 def models(name: str, share: float = 1.0, **given: float) -> Figures:
     """At their own dt, for a `share` of their own time; the arch is too thin to stand, smooth cards slip."""
-    module = nd.scenes.module(name)
-    scene = module.scene(**given)
-    return {"overlap": overlap(scene, nd.simulate(scene, share * module.DURATION, module.DT))}
+    setup = nd.scenes.setup(name, **given)
+    return {"overlap": overlap(setup.scene, nd.simulate(setup.scene, share * setup.duration, **setup.options()))}
 
 
 # -- anything ------------------------------------------------------------------------------------------------------
@@ -721,9 +720,8 @@ def arrays(value: Any, path: str = "step", seen: set[int] | None = None) -> Iter
 )
 def values_stay(robots: int) -> Figures:
     """Problem, solution and contacts of a quadruped that walks, byte by byte."""
-    module = nd.scenes.module("quadruped")
-    scene = module.scene(count=robots)
-    stepper = nd.Stepper(scene, 5e-3, controller=module.controller(scene))
+    setup = nd.scenes.setup("quadruped", count=robots)
+    stepper = nd.Stepper(setup.scene, **setup.options(dt=5e-3))
     for _ in range(20):
         step = stepper.step()
     before = dict(arrays(step))
@@ -809,10 +807,9 @@ LEDGERS = ("pile", "rattleback", "quadruped", "rolling", "bounce", "gripper", "w
 )
 def ledger(name: str, steps: int) -> Figures:
     """Works add up to the change of kinetic and potential energy, and those are what the states say."""
-    module = nd.scenes.module(name)
-    scene = module.scene()
-    given = {what: getattr(module, what)(scene) for what in ("controller", "external_force") if hasattr(module, what)}
-    trajectory = nd.simulate(scene, steps * module.DT, module.DT, **given)
+    setup = nd.scenes.setup(name)
+    scene = setup.scene
+    trajectory = nd.simulate(scene, steps * setup.dt, **setup.options())
     energy = trajectory.energy
     works = sum(getattr(energy, term) for term in energy.names if term not in ("kinetic", "potential", "defect"))
     scale = energy.kinetic.max() + np.ptp(energy.potential)

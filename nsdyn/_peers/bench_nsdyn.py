@@ -41,12 +41,12 @@ def variants(scene: dict[str, Any]) -> list[str]:
 @lru_cache(maxsize=1)
 def load(model: str, parameters: str, gravity: tuple[float, float, float]) -> nd.Scene:
     """The named scene, simulated for a while, so that nothing is compiled later."""
-    scene, module = nd.scenes.load(model)(**json.loads(parameters)), nd.scenes.module(model)
-    scene.gravity = np.array(gravity)
-    simulation, end = Simulation(scene, module.DT, 1e-8), time.monotonic() + WARMING
-    while simulation.stepper.t < module.DURATION and time.monotonic() < end:
+    setup = nd.scenes.setup(model, **json.loads(parameters))
+    setup.scene.gravity = np.array(gravity)
+    simulation, end = Simulation(setup.scene, setup.dt, 1e-8), time.monotonic() + WARMING
+    while simulation.stepper.t < setup.duration and time.monotonic() < end:
         simulation.advance(1)
-    return scene
+    return setup.scene
 
 
 def build(scene: dict[str, Any], variant: str, dt: float) -> Simulation:
