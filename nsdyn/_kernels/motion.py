@@ -14,7 +14,7 @@ from nsdyn._kernels.compiled import kernel
 
 @kernel
 def integrate(x, quaternion, v, h, x_out, quaternion_out):
-    """X + h v and R exp([h omega]x), on unit quaternions xyzw, into the outputs (n, 3) and (n, 4)."""
+    """Positions x + h v and rotations R exp([h omega]x), unit quaternions xyzw, into the outputs (n, 3) and (n, 4)."""
     for b in range(x.shape[0]):
         for i in range(3):
             x_out[b, i] = x[b, i] + h * v[6 * b + i]

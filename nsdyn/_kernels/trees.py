@@ -83,7 +83,7 @@ def works(damping, stiffness, kp, kd, tau, stretch, v0, v1, mean, impulse, h, th
 
 @kernel
 def respond(start, minv, force, bias, h, v):
-    """V = start + h minv (force - bias), into v (n,); returns its relative change."""
+    """Velocity v = start + h minv (force - bias), into v (n,); returns its relative change."""
     change, size = 0.0, 0.0
     for i in range(v.size):
         x = start[i]
@@ -361,7 +361,7 @@ def reduce_rows(offset, block, start, h, m_start, m, minv, bases, z_start, z, pr
 
 @kernel
 def expand(offset, z_start, z, new_offset, y, v):
-    """V = Z y block by block, into v (n,)."""
+    """Velocity v = Z y, block by block, into v (n,)."""
     for k in range(offset.size - 1):
         o, n, p, ny = offset[k], offset[k + 1] - offset[k], new_offset[k], new_offset[k + 1] - new_offset[k]
         for i in range(n):
