@@ -370,8 +370,6 @@ class Stepper:
         if hit.sum() > HITS:
             return h, self._try(begin, t, h, None)
         barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
-        # What rebounds is located sharply; what does not may be anywhere between closed and deep.
-        aim, near = (0.0, 1e-3 * self.closed) if limit <= self.closed else (0.5 * limit, 0.5 * limit)
         far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
         found, _ = self.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
         held = self.dynamics.joints.limits[begin.limits <= self.closed]
@@ -379,10 +377,10 @@ class Stepper:
         wide, moves = float(far.max(initial=self.closed)), {h: m}
 
         def least(left: Unmet | None) -> float:
-            """Least gap of what is hit, above that aimed at; 0 where the difference does not matter."""
+            """Least gap of what is hit; 0 where the difference does not matter."""
             gaps = NOTHING if left is None else left.gap[np.isin(left.code, barred)]
-            gap = (float(gaps.min()) if gaps.size else wide) + aim
-            return 0.0 if abs(gap) <= near else gap
+            gap = float(gaps.min()) if gaps.size else wide
+            return 0.0 if abs(gap) <= 1e-3 * self.closed else gap
 
         def gap(time: float) -> float:
             if time == 0.0:
