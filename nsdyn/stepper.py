@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from nsdyn import fclib, gauss, impacts
+from nsdyn.balance import balance
 from nsdyn.collisions import collide
 from nsdyn.contacts import ContactMemory, ContactSet, Detector, Poses
 from nsdyn.dynamics import Dynamics, Position
@@ -66,6 +67,8 @@ class State(NamedTuple):
         Last free acceleration, m/s² and rad/s².
     energies : (float, float)
         Kinetic and potential, J.
+    owed : ndarray, shape (nf,)
+        Energy that free bodies gained by numerics, which was taken and not given back, J: see `nsdyn.balance`.
     opening : gauss.Opening, optional
         Direction that the last certificate rests on.
     """
@@ -76,6 +79,7 @@ class State(NamedTuple):
     instant: Instant
     rate: Array
     energies: tuple[float, float]
+    owed: Array
     opening: gauss.Opening | None = None
 
     @property
@@ -178,7 +182,8 @@ class Stepper:
     All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
     impacts with restitution, which act in no time, until they are too many to tell apart. No shapes overlap at its end:
-    what a step leaves is removed by a projection of the positions that never touches v.
+    what a step leaves is removed by a projection of the positions. No island of free bodies gains energy but by the
+    works of external forces: what it gained is taken by rolling resistance, which keeps every momentum.
 
     Parameters
     ----------
@@ -267,7 +272,7 @@ class Stepper:
                 stacklevel=2,
             )
         self._failures = 0
-        self._state = State(0.0, self.dt, 0, *self._start(geoms))
+        self._state = State(0.0, self.dt, 0, *self._start(geoms), np.zeros(self.dynamics.free))
 
     def _start(self, geoms: list[Geom]) -> tuple[Instant, Array, tuple[float, float]]:
         """The initial instant, whose bodies do not overlap deeply, the free acceleration there, energies."""
@@ -326,7 +331,7 @@ class Stepper:
         done: list[Impulses] = []
         solved: list[tuple[FC3D, Solution]] = []
         works: list[Works] = []
-        clear = True
+        clear, external = True, np.zeros(self.dynamics.free)
         for cut in range(2 * CUTS):
             t = s.next_t - left
             if (struck := collide(self.system, now, t, left, rate)) is not None:
@@ -336,14 +341,18 @@ class Stepper:
             m = finish(self.system, now, tried)
             now, rate, left, clear = m.end, m.rate, left - length, m.clear
             done, solved, works = [*done, m.impulses], [*solved, (m.problem, m.solution)], works + m.works
+            external = external + m.external
             if left <= 1e-12 * self.dt:
                 break
+        now, gained, owed = balance(self.system, s.instant, now, done, external, s.owed)
+        if gained:
+            works.append(Works(projection=gained))
         for problem, solution in solved:
             if not solution.accepted:
                 self._fail(problem, solution)
         certificate, opening = self._certify(solved, s.opening)
         energies = self.dynamics.energies(now.position, now.v)
-        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
+        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, owed, opening)
         ledger = Ledger.of(s.energies, energies, Works.total(works))
         problem, solution = _worst(solved)
         if solution.accepted and not clear:
