@@ -75,7 +75,11 @@ def collide(
         return None
     v = at.v + met.rows.velocity_change(impact.r)
     impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact, None)
-    return at._replace(v=v, twists=d.twists(at.placement, v)), impulses, works, (impact.problem, impact.solution)
+    # What was struck is not pressed as it was: from its last impulses a solver may find what is not symmetric.
+    struck = np.isin(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
+    warm = at.warm._replace(impulse=np.where(struck[:, None], 0.0, at.warm.impulse))
+    after = at._replace(v=v, twists=d.twists(at.placement, v), warm=warm)
+    return after, impulses, works, (impact.problem, impact.solution)
 
 
 def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:

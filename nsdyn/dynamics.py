@@ -168,7 +168,7 @@ class Dynamics:
             inverse = np.linalg.inv(self.J[k])
             minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / self.mass[k], 0.5 * (inverse + inverse.T)
         self._m, self._minv = m.ravel(), minv.ravel()
-        self._inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
+        self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
         self._fall = float(np.linalg.norm(self.gravity))
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
@@ -318,7 +318,7 @@ class Dynamics:
             if unknown := given.keys() - self._tree_names.keys():
                 raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out = np.empty(self.n)
-        _motion.accelerate(self._inverse_mass, self._inverse_J, self.gravity, force, torque, h, middle.v, out)
+        _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
         if not self.trees:
             return Forces(out, force, torque, self._m, self._minv, ())
         motions = []
@@ -326,6 +326,16 @@ class Dynamics:
             motions.append(tree.free_motion(half, t, given.get(tree.name), applied.get(k)))
             out[tree.coordinates] = motions[-1].v
         return self._with_trees(out, force, torque, motions)
+
+    def external_works(self, forces: Forces, shift: Array, turn: Array) -> Array | float:
+        """Works of external forces and torques on free bodies that move by `shift` and `turn`, J: (nf,), or 0.
+
+        Shapes (nf, 3), m in world axes, and rad in body axes.
+        """
+        if forces.force is self._no_load:
+            return 0.0
+        out: Array = (shift * forces.force).sum(axis=1) + (turn * forces.torque).sum(axis=1)
+        return out
 
     def inertia(self, position: Position, v: Array) -> Forces:
         """Mass matrices at a position, where no forces act: what impacts meet."""
@@ -416,7 +426,7 @@ class Dynamics:
         The angular momentum in space is kept, so that ω in body axes changes with the turn, and kinetic energy a bit.
         """
         out = np.empty(self.n)
-        _motion.keep_spin(self.J, self._inverse_J, before.quaternion, after.quaternion, v, out)
+        _motion.keep_spin(self.J, self.inverse_J, before.quaternion, after.quaternion, v, out)
         bodies = self.mass, self.J, self.gravity
         now, then = _motion.free_energies(*bodies, after.x, out), _motion.free_energies(*bodies, before.x, v)
         return out, (now[0] - then[0]) + (now[1] - then[1])

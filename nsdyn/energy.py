@@ -6,7 +6,8 @@ accuracy of the solve, and the flows between keep it:
     ΔT + ΔV = external + normal + friction + damping + constraint + integration + projection + defect.
 
 The first five are physics. Numerics are what would be nothing in the limit of small steps (`integration`), what the
-projection of positions lifts, and the defect, which is round-off: a ledger that does not close is a bug.
+projection of positions lifts less what is taken back where bodies gained by these (`nsdyn.balance`), and the defect,
+which is round-off: a ledger that does not close is a bug.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class Works(NamedTuple):
     integration: float = 0.0
     """Numerics: of contacts that stay closed and stick, of the flow of trees, and of θ > ½; O(h²) of a motion."""
     projection: float = 0.0
-    """Of the position projection."""
+    """Of the position projection, and of the rolling resistance that takes what islands gained (`nsdyn.balance`)."""
 
     @staticmethod
     def total(parts: list[Works]) -> Works:

@@ -133,7 +133,7 @@ def _round(
     before, mu, e, hit = u[rows], mu[part], e[part], hit[part]
     r, b = np.zeros_like(u), before.copy()
     if law == "poisson":
-        given = np.repeat(1.0 + e, 3) * solver(FC3D.from_blocks(own, b, mu), None).r
+        given = np.repeat(1.0 + e, 3) * _solve(solver, FC3D.from_blocks(own, b, mu)).r
         b += own.relative_velocity(own.velocity_change(given))
     else:
         given = np.zeros_like(b)
@@ -143,6 +143,14 @@ def _round(
         b[1::3] += before[1::3]
         b[2::3] += before[2::3]
     problem = FC3D.from_blocks(own, b, mu)
-    solution = solver(problem, None)
+    solution = _solve(solver, problem)
     r[rows] = given + solution.r
     return problem, r, solution
+
+
+def _solve(solver: Solve, problem: FC3D) -> Solution:
+    """A solution near the impulses without friction, which keep what is symmetric so: with it there may be several."""
+    if problem.nc == 1 or problem.blocks is None or not problem.mu.any():
+        return solver(problem, None)
+    smooth = FC3D.from_blocks(problem.blocks, problem.q, np.zeros(problem.nc))
+    return solver(problem, solver(smooth, None).r)

@@ -47,6 +47,8 @@ class Move(NamedTuple):
         Whether the end is without overlap.
     rate : ndarray, shape (n,)
         Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
+    external : ndarray, shape (nf,), or 0
+        Works of external forces on the free bodies, J.
     """
 
     end: Instant
@@ -56,6 +58,7 @@ class Move(NamedTuple):
     solution: Solution
     clear: bool
     rate: Array
+    external: Array | float
 
 
 class Seen(NamedTuple):
@@ -301,7 +304,9 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         d.twists(placed.placement, v_end),
     )  # fmt: skip
     rate = (half.forces.v - half.middle.v) / half.h
-    return Move(end, impulses, works, a.problem, a.solution, placed.clear, rate)
+    turn = 0.5 * half.h * (half.middle.v + a.v)[: 6 * d.free].reshape(-1, 6)[:, 3:]
+    external = d.external_works(half.forces, placed.position.x - begin.position.x, turn)
+    return Move(end, impulses, works, a.problem, a.solution, placed.clear, rate, external)
 
 
 def _tree_works(s: System, half: Half, a: Response, impulse: Array, lifted: Position) -> list[Works]:

@@ -3,7 +3,7 @@
 In small scenes impacts are located: contacts that are open where a move begins, and would strike or become deep, are
 left alone and found where they are hit. In large ones all are caught within the move, and looked at again after it: a
 pair that was deep in each other has the features with which it touched, contacts that the motion does not reach are
-dropped, pairs that it would pass through are added.
+dropped, pairs that it would pass through and contacts that end deep are added.
 """
 
 from __future__ import annotations
@@ -157,6 +157,9 @@ def shown(
 ) -> tuple[ContactSet, ContactMemory, Index]:  # fmt: skip
     """Contacts that the motion of a move shows, of those met with impulses r and those missed, and what to keep.
 
+    What ends deep with features that were not met is met with those, where they were in the middle: the projection of
+    positions would lift it without taking its speed.
+
     Parameters
     ----------
     s : System
@@ -174,14 +177,17 @@ def shown(
     """
     real = ~_ghosts(s, met, r, found) | np.isin(met.contacts.key, kept)
     contacts = take(met.contacts, real)
-    if not fast:
+    if not fast and _law.least(found.gap) >= -s.slow:
         return contacts, memory, kept
     middle, end = (Poses(*place[:2]) for place in places)
-    missed = s.touches(middle, end, memory, met.contacts)
-    if not missed.fraction.size:
+    late = take(found, (found.gap < -s.deep(found)) & ~np.isin(found.key, met.contacts.key))
+    if fast:
+        (passed, _, memory), codes = s.touches(middle, end, memory, met.contacts), s.detector.codes
+        late = _merged(take(late, ~np.isin(codes(late), codes(passed))), passed, s.detector)
+    if not late.gap.size:
         return contacts, memory, kept
-    late = carry(missed.contacts, end, middle)
-    return _merged(contacts, late, s.detector), missed.memory, np.concatenate((kept, late.key))
+    late = carry(late, end, middle)
+    return _merged(contacts, late, s.detector), memory, np.concatenate((kept, late.key))
 
 
 def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from nsdyn import fclib, gauss, impacts
+from nsdyn.balance import balance
 from nsdyn.collisions import collide
 from nsdyn.contacts import ContactMemory, ContactSet, Poses
 from nsdyn.detector import Detector
@@ -67,6 +68,8 @@ class State(NamedTuple):
         Last free acceleration, m/s² and rad/s².
     energies : (float, float)
         Kinetic and potential, J.
+    owed : ndarray, shape (nf,)
+        Energy that free bodies gained by numerics, which was taken and not given back, J: see `nsdyn.balance`.
     opening : gauss.Opening, optional
         Direction that the last certificate rests on.
     """
@@ -77,6 +80,7 @@ class State(NamedTuple):
     instant: Instant
     rate: Array
     energies: tuple[float, float]
+    owed: Array
     opening: gauss.Opening | None = None
 
     @property
@@ -179,7 +183,8 @@ class Stepper:
     All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
     impacts with restitution, which act in no time, until they are too many to tell apart. No shapes overlap at its end:
-    what a step leaves is removed by a projection of the positions that never touches v.
+    what a step leaves is removed by a projection of the positions. No island of free bodies gains energy but by the
+    works of external forces: what it gained is taken by rolling resistance, which keeps every momentum.
 
     Parameters
     ----------
@@ -278,7 +283,7 @@ class Stepper:
                 stacklevel=2,
             )
         self._failures = 0
-        self._state = State(0.0, self.dt, 0, *self._start(geoms))
+        self._state = State(0.0, self.dt, 0, *self._start(geoms), np.zeros(self.dynamics.free))
 
     def _start(self, geoms: list[Geom]) -> tuple[Instant, Array, tuple[float, float]]:
         """The initial instant, whose bodies do not overlap deeply, the free acceleration there, energies."""
@@ -337,7 +342,7 @@ class Stepper:
         done: list[Impulses] = []
         solved: list[tuple[FC3D, Solution]] = []
         works: list[Works] = []
-        clear = True
+        clear, external = True, np.zeros(self.dynamics.free)
         for cut in range(2 * CUTS):
             t = s.next_t - left
             if (struck := collide(self.system, now, t, left, rate)) is not None:
@@ -347,14 +352,18 @@ class Stepper:
             m = finish(self.system, now, tried)
             now, rate, left, clear = m.end, m.rate, left - length, m.clear
             done, solved, works = [*done, m.impulses], [*solved, (m.problem, m.solution)], works + m.works
+            external = external + m.external
             if left <= 1e-12 * self.dt:
                 break
+        now, gained, owed = balance(self.system, s.instant, now, done, external, s.owed)
+        if gained:
+            works.append(Works(projection=gained))
         for problem, solution in solved:
             if not solution.accepted:
                 self._fail(problem, solution)
         certificate, opening = self._certify(solved, s.opening)
         energies = self.dynamics.energies(now.position, now.v)
-        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
+        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, owed, opening)
         ledger = Ledger.of(s.energies, energies, Works.total(works))
         problem, solution = _worst(solved)
         if solution.accepted and not clear:
@@ -381,8 +390,6 @@ class Stepper:
         if hit.sum() > HITS:
             return h, self._try(begin, t, h, None)
         barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
-        # What rebounds is located sharply; what does not may be anywhere between closed and deep.
-        aim, near = (0.0, 1e-3 * self.closed) if limit <= self.closed else (0.5 * limit, 0.5 * limit)
         far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
         found, _ = self.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
         held = self.dynamics.joints.limits[begin.limits <= self.closed]
@@ -390,10 +397,10 @@ class Stepper:
         wide, moves = float(far.max(initial=self.closed)), {h: m}
 
         def least(left: Unmet | None) -> float:
-            """Least gap of what is hit, above that aimed at; 0 where the difference does not matter."""
+            """Least gap of what is hit; 0 where the difference does not matter."""
             gaps = NOTHING if left is None else left.gap[np.isin(left.code, barred)]
-            gap = (float(gaps.min()) if gaps.size else wide) + aim
-            return 0.0 if abs(gap) <= near else gap
+            gap = float(gaps.min()) if gaps.size else wide
+            return 0.0 if abs(gap) <= 1e-3 * self.closed else gap
 
         def gap(time: float) -> float:
             if time == 0.0:

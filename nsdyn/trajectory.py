@@ -80,7 +80,7 @@ class Energy:
         Physics, work done on the system in each step: by applied forces and joint actuation, by the normal and the
         tangential impulses of contacts and joints, by viscous joint damping, by prescribed motion and closed loops.
     integration, projection : ndarray, shape (n,)
-        Numerics: by the time discretisation of smooth motion, by position projection.
+        Numerics: by the time discretisation of smooth motion, by position projection and what takes back such gains.
     defect : ndarray, shape (n,)
         What the ledger of each step fails to explain; round-off when all is well.
     created : ndarray, shape (n,)

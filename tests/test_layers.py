@@ -11,7 +11,7 @@ ORDER = [
     ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
     ["contacts", "distances", "scenes"], ["detector"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"],
-    ["instant", "trajectory"], ["collisions", "sight"], ["move"],
+    ["instant", "trajectory"], ["balance", "collisions", "sight"], ["move"],
     ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench", "compilation"], ["cli"], ["__main__"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
