@@ -6,7 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.blocks import unite
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.manifold import along, dot, row
+from nsdyn._kernels.vectors import along, dot, row
 
 ROUND_OFF = 1e-13
 """Gain that is nothing, as a fraction of the energies of which it is the difference: some hundred roundings."""
