@@ -63,7 +63,7 @@ LAST, CUBE = 60, 1.3e-10
 """Newton steps in the impulses: where they converge they do so within these; and seconds of one over the cube of its
 rows."""
 
-AFTER = 3
+AFTER = 2
 """Round after which the interior point method is tried in between."""
 
 RESTART = 0.5
