@@ -208,16 +208,20 @@ class FC3D:
         self._check_scales()
 
     @classmethod
-    def from_blocks(cls, blocks: Blocks, q: Any, mu: Any) -> FC3D:
-        """Problem with W = Hᵀ M⁻¹ H given by its factors; W itself is assembled only when asked for."""
+    def from_blocks(cls, blocks: Blocks, q: Any, mu: Any, scales: Array | None = None) -> FC3D:
+        """Problem with W = Hᵀ M⁻¹ H given by its factors, and the `scales` if known; W is assembled when asked for."""
         problem = cls.__new__(cls)
         problem._set(q, mu)
         offset, block, start, h, m_start, _, minv = problem.blocks = blocks
         nc = len(problem.mu)
         if len(block) != nc:
             raise ValueError(f"blocks must have {nc} contacts like mu, got {len(block)}")
-        scales = problem.scales = np.empty(nc)
-        q_norm, good = _blocks.prepare(offset, block, start, h, m_start, minv, problem.q, problem.mu, scales)
+        if scales is None:
+            scales = np.empty(nc)
+            q_norm, good = _blocks.prepare(offset, block, start, h, m_start, minv, problem.q, problem.mu, scales)
+        else:
+            q_norm, good = _blocks.size_of(problem.q, problem.mu)
+        problem.scales = scales
         if not good:
             problem._check_values()
             problem._check_scales()

@@ -19,9 +19,9 @@ __all__ = ["Placed", "place", "project"]
 PASSES = 20
 """Most projections in a row; each leaves what is of second order in it, so that two or three do."""
 
-COARSE = 1e-6
-"""Fraction of the deepest overlap that one projection may leave to the next. Coarser ones are no cheaper, and not even
-on both sides of what is symmetric: at 0.01 a row of dominoes left its plane."""
+COARSE = 1e-4
+"""Fraction of the deepest overlap that one projection may leave to the next, which is about what turning leaves anyway.
+Coarser ones are not even on both sides of what is symmetric: at 0.01 a row of dominoes left its plane."""
 
 
 class Placed(NamedTuple):

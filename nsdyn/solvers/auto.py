@@ -30,15 +30,17 @@ LARGEST = 100
 HEAVY = 10.0
 """A large island whose factorisation costs more sweeps than this begins with sweeps."""
 
-ABRUPT = 10.0
-"""Misfit of a warm start, in loose tolerances, that tells a collision from rest and smooth motion."""
+ABRUPT = 10.0, 100.0
+"""Misfit of a warm start, in loose tolerances, that tells a collision from rest and smooth motion unless Newton gains
+at once, and from which on a large island is not even asked, since that costs as much as 80 sweeps."""
 
 FREE, LONGEST = 2e-3, 5.0
 """Seconds, by counts of operations, that every problem may take, and that none may exceed."""
 
 CALM, REST = (12, 100), 0.1
-"""Factorisations that every problem may take but a collision, in motion and at rest, and misfit of a warm start, in
-loose tolerances, that tells rest: what is left there lasts, and is worth them."""
+"""Factorisations that an island may take but in a collision, in motion and at rest, and misfit of a warm start, in
+loose tolerances, that tells rest: what is left there lasts, and is worth them. A large island in motion has those of
+its warm start only: where they do not suffice more do not either."""
 
 WARM, PEEK = (1e2, 6), 2
 """Penalty and Newton steps of a warm start, and those after which one that misses by far must have gained a tenth."""
@@ -83,19 +85,29 @@ class Search:
         Impulse, in place, and its measure.
     count : int
         Sweeps and factorisations.
+    tol, loose, coarse : float
+        The island's shares of the tolerances and of `COARSE`.
+    large : bool
+        Whether a factorisation is worth many sweeps.
+    abrupt : bool
+        Whether it is of a collision.
     spent, limit : float
         Seconds by counts of operations; from the loose tolerance on the limit is a multiple of what that has cost.
     """
 
-    def __init__(self, means: Means, r: Array, tol: float, loose: float, effort: float) -> None:
-        self.means, self.r, self.tol, self.loose = means, r, tol, loose
+    def __init__(self, means: Means, r: Array, share: float, auto: Auto, large: bool) -> None:
+        self.means, self.r, self.large = means, r, large
+        tols = np.array([auto.tol, max(auto.tol, auto.loose), COARSE])
+        self.tol, self.loose, self.coarse = (0.9 * share * tols).tolist()
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, LONGEST
         self._sweeps: Momentum | None = None
         self._tried: list[Callable[..., tuple[int, float]]] = []
         p = means.problem
-        _, error, residual, _ = p.solved(r, tol)
-        self.abrupt = bool(r.any()) and residual > ABRUPT * loose
-        self._effort, self._calm = effort, CALM[1] if residual <= REST * loose else CALM[0]
+        _, error, residual, _ = p.solved(r, self.tol)
+        self.abrupt = bool(r.any()) and residual > ABRUPT[0] * self.loose
+        self._hopeless = large and self.abrupt and residual > ABRUPT[1] * self.loose
+        self._effort = auto.effort
+        self._calm = CALM[1] if residual <= REST * self.loose else WARM[1] if large else CALM[0]
         self._note(max(error * p.q_norm / means.q_norm, residual), 0, 0.0)
 
     def _note(self, best: float, count: int, seconds: float) -> None:
@@ -199,17 +211,17 @@ class Search:
             self.r[:] = solution.r
         self._note(best, solution.iterations, solution.iterations * cost)
 
-    def run(self, large: bool) -> None:
+    def run(self) -> None:
         """All means in turn: for a large problem first what reaches `loose`, then what is quick, then all the rest."""
-        if self.r.any() and not (large and self.tol > COARSE):
+        if self.r.any() and not (self._hopeless or (self.large and self.tol > self.coarse)):
             self.warm()
-        if large and self.loose >= COARSE:
+        if self.large and self.loose >= self.coarse:
             self.rounds(self.loose)
-        if not (large and self.abrupt):
+        if not (self.large and self.abrupt):
             self.accelerated()
             self.cold(interior, INTERIOR)
-        if large:
-            self.rounds(max(self.tol, COARSE))
+        if self.large:
+            self.rounds(max(self.tol, self.coarse))
             self.sweep(LASTLY[0], self.tol)
             self.newton(FAR, LASTLY[1], self.tol)
         self.cold(smoothing, SMOOTHING)
@@ -217,7 +229,7 @@ class Search:
             self.sweep(LASTLY[0], self.tol)
             self.newton(FAR, LASTLY[1] << k, self.tol)
         self.impulses()
-        if self.best <= self.tol and not (large and (self.abrupt or self.tol > COARSE)):
+        if self.best <= self.tol and not (self.large and (self.abrupt or self.tol > self.coarse)):
             # To the last digits, see POLISH.
             self.count += self.means.newton(self.r, max(POLISH * self.tol, FLOOR), NEAR, FINISH)[0]
 
@@ -317,28 +329,31 @@ class Auto:
         indptr, indices, data = problem.csr
         label, found = _local.islands(indptr, indices)
         q, mu, scales, q_norm = problem.q, problem.mu, problem.scales, problem.q_norm
-        share = 1.0 / np.sqrt(found)
-        tol = 0.9 * self.tol * share
+        # Shares of the tolerance by contacts, as for factors; those of small islands are solved in one call, to one.
+        sizes = np.bincount(label, minlength=found)
+        small = sizes <= LARGEST
+        if small.any():
+            sizes = np.where(small, sizes[small].mean(), sizes)
+        share = np.sqrt(sizes / problem.nc)
         count = int(
             _local.solve_small(
-                indptr, indices, data, q, mu, scales, r, tol, q_norm, label, found, LARGEST, bool(r.any()), SWEEPS,
-                PATIENCE,
+                indptr, indices, data, q, mu, scales, r, 0.9 * self.tol * float(share[small].max(initial=0.0)), q_norm,
+                label, found, LARGEST, bool(r.any()), SWEEPS, PATIENCE,
             )
         )  # fmt: skip
         measures = _newton.measures_of_islands(label, found, scales, q_norm, problem.velocity(r), r, mu)
-        for k in np.flatnonzero(~(measures <= tol)):
+        for k in np.flatnonzero(~(measures <= 0.9 * self.tol * share)):
             contacts = np.flatnonzero(label == k)
             i = rows(contacts, problem.nc)
             W = _local.extract(indptr, indices, data, contacts)
             x = r[i]
             means = ByMatrix(W, q[i], mu[contacts], scales[contacts], q_norm)
-            count += self._island(means, x, share, contacts.size > LARGEST)
+            count += self._island(means, x, float(share[k]), contacts.size > LARGEST)
             r[i] = x
         return count
 
     def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
         """Solve one island in place of r, to its share of the tolerances; iterations used."""
-        loose = max(self.tol, self.loose)
-        search = Search(means, r, 0.9 * share * self.tol, 0.9 * share * loose, self.effort)
-        search.run(large and means.factorisation > HEAVY * means.sweep)
+        search = Search(means, r, share, self, large and means.factorisation > HEAVY * means.sweep)
+        search.run()
         return search.count

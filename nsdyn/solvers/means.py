@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -41,18 +42,19 @@ class Means(Protocol):
     problem : FC3D
     q_norm : float
         Of the whole problem that this is an island of.
-    operator : Operator
-        W for `interior` and `smoothing`.
     factorisation, sweep, accelerated_sweep : float
         Seconds they take, by counts of operations: the same whatever the machine is busy with.
     """
 
     problem: FC3D
     q_norm: float
-    operator: Operator
     factorisation: float
     sweep: float
     accelerated_sweep: float
+
+    @property
+    def operator(self) -> Operator:
+        """W for `interior` and `smoothing`."""
 
     def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
         """Accelerated Gauss–Seidel."""
@@ -77,14 +79,18 @@ class ByFactors:
 
     def __init__(self, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> None:
         self.blocks, self.q_norm = blocks, q_norm
-        self.problem = FC3D.from_blocks(blocks, q, mu)
+        self.problem = FC3D.from_blocks(blocks, q, mu, scales)
         self._given = q, mu, scales
-        self.operator: Operator = Velocity(blocks)
         work = float(_matrix.elimination_work(blocks.offset, blocks.block))
         self.factorisation = COORDINATE * blocks.n + MULTIPLICATION * work
         self.free = bool((np.diff(blocks.offset) == 6).all())
         self.sweep = CONTACT * blocks.nc if self.free else COUPLING * self.problem.csr[1].size
         self.accelerated_sweep = ACCELERATED * blocks.nc
+
+    @cached_property
+    def operator(self) -> Operator:
+        """W for `interior` and `smoothing`, whose pattern is found only where it is factorised."""
+        return Velocity(self.blocks)
 
     def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
         """Accelerated Gauss–Seidel."""
@@ -109,12 +115,15 @@ class ByMatrix:
     def __init__(self, W: tuple[Index, Index, Array], q: Array, mu: Array, scales: Array, q_norm: float) -> None:
         self.W, self.q_norm = W, q_norm
         start, columns, values = W
-        given = sp.bsr_array((values, columns, start), shape=(q.size, q.size))
-        self.problem = FC3D(given, q, mu)
+        self.problem = FC3D(sp.bsr_array((values, columns, start), shape=(q.size, q.size)), q, mu)
         self._given = q, mu, scales
-        self.operator: Operator = Local(given)
         self.factorisation, self.sweep = BLOCK * columns.size, COUPLING * columns.size
         self.accelerated_sweep = self.sweep + ACCELERATED * mu.size
+
+    @cached_property
+    def operator(self) -> Operator:
+        """W for `interior`, `smoothing` and Newton."""
+        return Local(self.problem.W)
 
     def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
         """Accelerated Gauss–Seidel."""
