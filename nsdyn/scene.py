@@ -19,6 +19,7 @@ from nsdyn import articulations, checks, robot_files, shapes
 from nsdyn.articulations import Articulation, Description
 from nsdyn.materials import COMBINATION_RULES, Material
 from nsdyn.motions import Motion, Velocity
+from nsdyn.naming import choice, meant
 from nsdyn.shapes import Shape
 
 Array = NDArray[np.float64]
@@ -127,9 +128,7 @@ class Scene:
     def __post_init__(self) -> None:
         self.gravity = checks.vector(self.gravity, 3, "gravity")
         for argument in ("friction_rule", "restitution_rule"):
-            rule = getattr(self, argument)
-            if rule not in COMBINATION_RULES:
-                raise ValueError(f"{argument} must be one of {sorted(COMBINATION_RULES)}, got {rule!r}")
+            choice(getattr(self, argument), COMBINATION_RULES, argument)
 
     # -- bodies ------------------------------------------------------------------------------------------------
 
@@ -240,7 +239,7 @@ class Scene:
         }  # fmt: skip
         unknown = sorted(set(given) - set(known))
         if unknown:
-            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}")
+            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}{meant(unknown[0], known)}")
         return known | given
 
     def _add(
@@ -423,8 +422,7 @@ class Scene:
         kind : {"point", "frame"}
             Hold the points together, or points and axes.
         """
-        if articulation not in self.articulations:
-            raise ValueError(f"articulation must be one of {list(self.articulations)}, got {articulation!r}")
+        choice(articulation, self.articulations, "articulation")
         self.articulations[articulation] = articulations.close_loop(
             self.articulations[articulation], name, frame1, frame2, position, quaternion, kind
         )
@@ -436,7 +434,7 @@ class Scene:
         ]
         unknown = sorted(set(keywords) - set(known))
         if unknown:
-            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}")
+            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}{meant(unknown[0], known)}")
         articulation = articulations.assemble(name, description, **keywords)
         articulation.model.gravity = pin.Motion(self.gravity, np.zeros(3))
         self.articulations[name] = articulation

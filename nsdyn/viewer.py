@@ -28,7 +28,8 @@ import numpy as np
 import umsgpack
 from numpy.typing import ArrayLike, NDArray
 
-from nsdyn.trajectory import Array, ContactTable, Trajectory, replacing
+from nsdyn import files
+from nsdyn.trajectory import Array, ContactTable, Trajectory
 
 __all__ = ["chromium", "html", "screenshot", "write_html"]
 
@@ -60,7 +61,7 @@ def write_html(trajectory: Trajectory, path: str | Path, **options: Any) -> None
         If an option is out of range or the file cannot be written.
     """
     page = html(trajectory, **options).encode()
-    with replacing(path) as part:
+    with files.writing(path) as part:
         part.write_bytes(page)
 
 
@@ -641,7 +642,7 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
     if browser is None:
         raise ValueError("pictures need Chromium or Chrome on the PATH, as from 'apt-get install chromium'")
     with (
-        replacing(picture) as part,
+        files.writing(picture) as part,
         tempfile.TemporaryDirectory(prefix="nsdyn-", ignore_cleanup_errors=True) as folder,
     ):
         shot = Path(folder) / "shot.png"

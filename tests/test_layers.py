@@ -7,11 +7,12 @@ import nsdyn
 
 ROOT = Path(nsdyn.__file__).parent
 ORDER = [
-    ["workers", "_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
+    ["workers", "_kernels", "naming", "files", "unfinished"],
+    ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
     ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
-    ["contacts", "scenes"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
+    ["contacts", "scenes"], ["settings"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"],
-    ["instant", "trajectory"], ["collisions", "sight"], ["move"],
+    ["recording"], ["instant", "trajectory"], ["recorder"], ["collisions", "sight"], ["move"],
     ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench", "compilation"], ["cli"], ["__main__"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}

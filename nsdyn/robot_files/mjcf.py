@@ -21,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.articulations import Description, Loop, describe_model
+from nsdyn.naming import choice
 from nsdyn.robot_files.model import links_of
 from nsdyn.robot_files.xml import Array, Notes, numbers, parse
 
@@ -269,9 +270,7 @@ def _initial(root: Element, model: Any, keyframe: str | None, dropped: Notes, un
     unused += [f"keyframe {key!r}" for key in keys if key != keyframe]
     if keyframe is None:
         return np.array(model.referenceConfigurations["qpos0"])
-    if keyframe not in keys:
-        raise ValueError(f"keyframe must be one of {sorted(keys)}, got {keyframe!r}")
-    key = keys[keyframe]
+    key = keys[choice(keyframe, keys, "keyframe")]
     q = numbers(key.get("qpos"), model.nq, None, f"qpos of keyframe {keyframe!r}")
     for _, kind, at, _ in _joints(root):
         if kind in ("free", "ball"):  # MuJoCo writes w x y z
