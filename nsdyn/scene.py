@@ -327,18 +327,23 @@ class Scene:
             Of all links, or {body: Material}.
         collisions : bool or mapping
             False for none, or {body: shapes in place of the file's}, each a Shape or (Shape, SE3 in the body's frame).
-        self_collisions : bool
-            Whether its links may touch each other, save those that a joint or a loop joins.
+        self_collisions : bool or "apart"
+            Whether its links may touch each other, save those that a joint or a loop joins; with "apart" also save
+            those that overlap in the initial configuration.
         srdf : path, optional
             Its ``disable_collisions`` are obeyed.
         limits : bool
             Whether position limits of the model are enforced.
+        clip : bool
+            Move the initial configuration into the limits.
         restitution : float
             Newton's coefficient of the limits.
         friction, damping, armature : sequences, shape (nv,)
             Dry friction, viscous damping and inertia of the joints, in place of those in the model.
         stiffness, rest : sequences, shape (nv,)
             Springs τ = -stiffness (q - rest) in revolute and prismatic joints.
+        inertias : {"check", "trust"}
+            Whether inertias of the file that no body can have are refused, or taken as they are with a warning.
 
         Warns
         -----

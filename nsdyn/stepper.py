@@ -490,7 +490,9 @@ def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:
     size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
     where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
     if depth > DEEPEST * size:
-        raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m)")
+        remedy = f"; self_collisions='apart' of {a.body!r}, or an SRDF file, keeps such links from touching"
+        remedy = remedy if a.body == b.body else ""
+        raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m){remedy}")
     if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
         warnings.warn(f"{where}; the first step moves them apart", stacklevel=5)
 

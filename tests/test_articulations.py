@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import INERTIAL
 from scipy.linalg import null_space
 
 import nsdyn as nd
@@ -173,7 +174,7 @@ def test_loop():
         ({"base": "free", "stiffness": np.ones(9)}, "stiffness of 'r' must be 0 in joint 'root_joint'"),
         ({"restitution": 2.0}, r"restitution must lie in \[0, 1\]"),
         ({"limits": 1}, "limits of 'r' must be True or False"),
-        ({"self_collisions": 0}, "self_collisions of 'r' must be True or False"),
+        ({"self_collisions": 0}, "self_collisions of 'r' must be True, False or 'apart', got 0"),
         ({"collisions": {"z": []}}, "collisions of 'r' names 'z'"),
         ({"collisions": {"a": [1.0]}}, r"collisions of 'r' must be shapes or \(Shape, SE3\)"),
         ({"collisions": "visual"}, "collisions of 'r' must be True, False or"),
@@ -287,3 +288,50 @@ def loop_jacobian(articulation, q):
             J.append(turn @ own)
         rows.append((J[1] - J[0])[: 3 if loop.kind == "point" else 6])
     return np.vstack(rows)
+
+
+CROWDED = f"""<robot name="r"><link name="base">{INERTIAL}</link>
+<link name="a">{INERTIAL}<collision><geometry><sphere radius="0.2"/></geometry></collision></link>
+<link name="b">{INERTIAL}</link>
+<link name="c">{INERTIAL}<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
+<link name="d">{INERTIAL}<collision><origin xyz="2 0 0"/><geometry><sphere radius="0.1"/></geometry></collision></link>
+{
+    "".join(
+        f'''<joint name="j{child}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="0 0 0.1"/><axis xyz="0 1 0"/><limit lower="{low}" upper="2" effort="9" velocity="0"/></joint>'''
+        for parent, child, low in (("base", "a", 0.5), ("a", "b", -1), ("b", "c", -1), ("c", "d", -1))
+    )
+}</robot>"""
+
+
+@pytest.fixture
+def crowded(tmp_path):
+    """A file whose zero configuration is outside a limit, and whose links a and c overlap."""
+    path = tmp_path / "crowded.urdf"
+    path.write_text(CROWDED)
+    return path
+
+
+def test_configuration_outside_limits_names_the_remedy(crowded):
+    with pytest.raises(ValueError, match=r"'ja' is at 0, its limits are 0\.5 and 2; give another q, or clip=True"):
+        nd.Scene().add_urdf("r", crowded)
+    scene = nd.Scene()
+    scene.add_urdf("r", crowded, clip=True)
+    np.testing.assert_array_equal(scene.articulations["r"].q, (0.5, 0, 0, 0))
+
+
+def test_links_that_overlap_at_the_start_may_stay_apart(crowded):
+    scene = nd.Scene()
+    scene.add_urdf("r", crowded, clip=True)
+    with pytest.raises(ValueError, match=r"'r/a_0' and 'r/c_0' overlap .*; self_collisions='apart' of 'r', or an SRDF"):
+        nd.Stepper(scene)
+    scene = nd.Scene()
+    scene.add_urdf("r", crowded, clip=True, self_collisions="apart")
+    a = scene.articulations["r"]
+    names = [link.name for link in a.links]
+    assert {frozenset((names[i], names[j])) for i, j in a.excluded} == {
+        frozenset(("a_0", "c_0")), frozenset(("c_0", "d_0")),
+    }, "the overlapping pair and the neighbours, but not a and d"  # fmt: skip
+    nd.Stepper(scene).step()
+    with pytest.raises(ValueError, match="self_collisions of 'r' must be True, False or 'apart', got 'together'"):
+        nd.Scene().add_urdf("r", crowded, clip=True, self_collisions="together")

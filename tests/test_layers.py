@@ -7,9 +7,10 @@ import nsdyn
 
 ROOT = Path(nsdyn.__file__).parent
 ORDER = [
-    ["workers", "_kernels", "naming", "files", "unfinished"],
+    ["workers", "_kernels", "naming", "files", "noise", "unfinished"],
     ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
-    ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
+    ["checks"], ["materials", "shapes", "motions", "control"], ["exclusions"], ["articulations"],
+    ["robot_files"], ["scene"],
     ["contacts", "scenes"], ["settings"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"],
     ["recording"], ["instant", "trajectory"], ["recorder"], ["collisions", "sight"], ["move"],

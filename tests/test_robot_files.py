@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import ROBOT, write_stl
+from conftest import INERTIAL, ROBOT, write_stl
 
 import nsdyn as nd
 from nsdyn import shapes
@@ -65,6 +65,102 @@ def test_bad_files(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises(ValueError, match=words):
         nd.Scene().add_urdf("r", path)
+
+
+ARM = f"""<robot name="r"><link name="base"/><link name="arm">{INERTIAL}
+<collision><geometry><box size="1 1 1"/></geometry></collision></link>
+<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="0.5" upper="1" effort="2" velocity="0"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('mass value="1"', 'mass value="nan"', "mass of link 'arm' must be a number, got 'nan'"),
+        ('mass value="1"', 'mass value="-1"', "mass of link 'arm' must not be negative, got -1"),
+        ('<mass value="1"/>', "", "mass of link 'arm' is missing"),
+        ('izz=".1"', 'izz="inf"', "izz of link 'arm' must be a number, got 'inf'"),
+        ('izz=".1"', "", "izz of link 'arm' is missing"),
+        ('izz=".1"', 'izz="5"', "inertia of link 'arm' is not that of a body: .* break the triangle inequality"),
+        ('izz=".1"', 'izz="-.1"', "inertia of link 'arm' is not that of a body: .* are not all positive"),
+        ('parent link="base"', 'parent link="bse"', r"parent of joint 'j' must be one of .*; did you mean 'base'\?"),
+        ('parent link="base"', 'parent link="arm"', r"\['arm'\] hang on each other in a circle"),
+        ('<link name="base"/>', '<link name="base"/><link name="x"/>', "hang on one root by joints, got .*'x'"),
+        ('name="r"', "", "No name given for the robot"),
+        ('type="revolute"', 'type="hinge"', r"Joint \[j\] has no known type \[hinge\]"),
+        ('value="1"', 'value="${m}"', "has xacro macros: expand them first"),
+        ("<link", "<xacro:link", "has xacro macros: expand them first"),
+        ('<box size="1 1 1"/>', '<mesh filename=""/>', "collision of 'arm': <mesh> names no file"),
+        ('<box size="1 1 1"/>', '<mesh filename="empty.stl"/>', r"collision of 'arm': .*empty\.stl .* File is empty"),
+        ('<box size="1 1 1"/>', '<mesh filename="none.stl"/>', r"collision of 'arm': .*none\.stl .* no facets"),
+    ],
+)
+def test_bad_urdf_is_told_in_one_line_with_its_culprit(tmp_path, capfd, old, new, words):
+    assert old in ARM
+    (tmp_path / "empty.stl").touch()
+    (tmp_path / "none.stl").write_bytes(bytes(84))
+    path = tmp_path / "r.urdf"
+    path.write_text(ARM.replace(old, new))
+    with pytest.raises(ValueError, match=words) as failure:
+        nd.Scene().add_urdf("r", path, clip=True)
+    assert "\n" not in str(failure.value)
+    assert capfd.readouterr() == ("", ""), "the libraries print nothing"
+
+
+def test_inertias_can_be_trusted(tmp_path):
+    path = tmp_path / "r.urdf"
+    path.write_text(ARM.replace('izz=".1"', 'izz="5"'))
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match="'r' leaves out: inertia of link 'arm' is not that of a body"):
+        scene.add_urdf("r", path, clip=True, inertias="trust")
+    assert scene.articulations["r"].model.inertias[1].inertia[2, 2] == 5.0
+    with pytest.raises(ValueError, match=r"inertias of 'r' must be one of check, trust; got 'trsut'"):
+        nd.Scene().add_urdf("r", path, inertias="trsut")
+
+
+def test_thin_and_rounded_inertias_are_sound(tmp_path):
+    """A rod without a moment about its axis, a plate whose sum is rounded to two digits."""
+    path = tmp_path / "r.urdf"
+    for x, y, z in ((0.0, 0.1, 0.1), (0.33, 0.33, 0.665)):
+        path.write_text(ARM.replace('ixx=".1" iyy=".1" izz=".1"', f'ixx="{x}" iyy="{y}" izz="{z}"'))
+        nd.Scene().add_urdf("r", path, clip=True)
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ('<inertial pos="0 0 0" mass="-1" diaginertia="1 1 1"/>', "mass of body 'b' must not be negative"),
+        ('<inertial pos="0 0 0" mass="1" diaginertia="1 1 3"/>', "inertia of body 'b' is not that of a body"),
+        ('<inertial pos="0 0 0" mass="1" fullinertia="1 1 1 2 0 0"/>', "inertia of body 'b' is not that of a body"),
+        ('<geom size=".1" density="nan"/>', "density of body 'b' must be a number, got 'nan'"),
+    ],
+)
+def test_bad_inertias_of_mjcf(tmp_path, body, words):
+    path = tmp_path / "r.xml"
+    path.write_text(f'<mujoco><worldbody><body name="b"><joint/>{body}</body></worldbody></mujoco>')
+    with pytest.raises(ValueError, match=words):
+        nd.Scene().add_mjcf("r", path)
+
+
+def test_bad_inertia_of_sdf(tmp_path):
+    path = tmp_path / "r.sdf"
+    for old, new, words in (
+        ("<mass>2<", "<mass>-2<", "mass of link 'base' must not be negative"),
+        ("<izz>0.15<", "<izz>1.5<", "inertia of link 'base' is not that of a body"),
+    ):
+        text = f"<sdf version='1.9'><model name='m'><link name='base'>{sdf_inertial(2)}</link></model></sdf>"
+        assert old in text
+        path.write_text(text.replace(old, new))
+        with pytest.raises(ValueError, match=words):
+            nd.Scene().add_sdf("r", path)
+
+
+def test_bad_mass_of_a_model():
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "j")
+    model.inertias[joint] = pin.Inertia(np.nan, np.zeros(3), np.eye(3))
+    with pytest.raises(ValueError, match="mass and inertia of joint 'j' of 'r' must be finite"):
+        nd.Scene().add_model("r", model)
 
 
 MJCF = """<mujoco model="m"><compiler angle="degree"/><option gravity="0 0 -9"/>

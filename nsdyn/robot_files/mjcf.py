@@ -20,8 +20,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
+from nsdyn import noise
 from nsdyn.articulations import Description, Loop, describe_model
 from nsdyn.naming import choice
+from nsdyn.robot_files.inertias import check_mass, flaw
 from nsdyn.robot_files.model import links_of
 from nsdyn.robot_files.xml import Array, Notes, numbers, parse
 
@@ -62,6 +64,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     try:
         _write_out_defaults(root)
         masks = _simplify(root, dropped, unused)
+        flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
         model, geometry = _build(root, path)
         stiffness, rest = _set_joints(root, model, dropped)
         q = _initial(root, model, keyframe, dropped, unused)
@@ -78,6 +81,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     return describe_model(
         model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, excluded=excluded, filtered=filtered,
         world_touches=True, dropped=tuple(dropped), unused=tuple(unused),
+        flaws=tuple(flaws),
     )  # fmt: skip
 
 
@@ -205,8 +209,25 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / path.with_suffix(".xml").name
         ElementTree.ElementTree(bare).write(file)
-        model = pin.buildModelFromMJCF(str(file))
-        return model, pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+        with noise.caught():
+            model = pin.buildModelFromMJCF(str(file))
+            return model, pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+
+
+def _flaws(body: Element) -> Iterator[str]:
+    """What no body can have in the inertia of a body, if it has one of its own."""
+    inertial, where = body.find("inertial"), f"body {body.get('name')!r}"
+    for geom in body.findall("geom"):
+        for attribute in ("mass", "density"):
+            check_mass(float(numbers(geom.get(attribute), 1, (0.0,), f"{attribute} of {where}")[0]), where)
+    if inertial is None:
+        return
+    check_mass(float(numbers(inertial.get("mass"), 1, None, f"mass of {where}")[0]), where)
+    xx, yy, zz = numbers(inertial.get("diaginertia"), 3, (0, 0, 0), f"diaginertia of {where}")
+    full = numbers(inertial.get("fullinertia"), 6, (xx, yy, zz, 0, 0, 0), f"fullinertia of {where}")
+    xx, yy, zz, xy, xz, yz = full
+    if fault := flaw(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), where):
+        yield fault
 
 
 def _collide(a: tuple[int, int], b: tuple[int, int]) -> bool:

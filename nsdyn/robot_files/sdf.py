@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from nsdyn import shapes
 from nsdyn.articulations import Description, Link, Loop, describe_model
+from nsdyn.robot_files.inertias import check_mass, flaw
 from nsdyn.robot_files.xml import Array, Notes, mesh_file, numbers, parse
 from nsdyn.shapes import Shape
 
@@ -68,7 +69,7 @@ class _Reader:
 
     def __init__(self, element: Element, folders: Sequence[Path]) -> None:
         self.element, self.folders = element, folders
-        self.dropped, self.unused = Notes(), Notes()
+        self.dropped, self.unused, self.flaws = Notes(), Notes(), Notes()
         for tag in ("model", "include"):
             if element.find(tag) is not None:
                 raise ValueError(f"a <{tag}> inside the model is not read: write it out")
@@ -183,7 +184,7 @@ class _Reader:
             apart = frozenset(frozenset(pair) for pair in combinations(self.links, 2))
         return describe_model(
             model, self.shapes, self.bodies, q=q, stiffness=stiffness, rest=rest, loops=tuple(self.loops),
-            excluded=apart, dropped=tuple(self.dropped), unused=tuple(self.unused),
+            excluded=apart, dropped=tuple(self.dropped), unused=tuple(self.unused), flaws=tuple(self.flaws),
         )  # fmt: skip
 
     def _descend(self, parent: str) -> None:
@@ -309,7 +310,10 @@ class _Reader:
         xy, xz, yz = (value(f"inertia/i{a}", 0.0) for a in ("xy", "xz", "yz"))
         inertia = part * np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         centre = self._pose_of(link) * _pose(None if element is None else element.find("pose"))
-        body = pin.Inertia(part * value("mass", 1.0), np.zeros(3), inertia)
+        mass = check_mass(value("mass", 1.0), f"link {link!r}")
+        if fault := flaw(inertia, f"link {link!r}"):
+            self.flaws.append(fault)
+        body = pin.Inertia(part * mass, np.zeros(3), inertia)
         self.model.appendBodyToJoint(joint, body, self.at[joint].actInv(centre))
 
     def _shape(self, geometry: Element | None) -> tuple[Shape, Array] | None:
