@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -93,6 +93,8 @@ class Articulation:
         Inertia added to the diagonal of the mass matrix, kg m² or kg.
     stiffness, rest : ndarray, shape (nv,)
         Springs τ = -stiffness (q - rest) in revolute and prismatic joints, N m/rad or N/m; rad or m.
+    effort : ndarray, shape (nv,)
+        Most that a `nsdyn.PD` control gives unless it says otherwise, N m or N; infinite for none.
     loops : tuple of Loop
     excluded : frozenset of (int, int)
         Pairs of `links`, by index, that are never tested for contact.
@@ -113,6 +115,7 @@ class Articulation:
     armature: Array
     stiffness: Array
     rest: Array
+    effort: Array
     loops: tuple[Loop, ...] = ()
     excluded: frozenset[tuple[int, int]] = frozenset()
     report: tuple[str, ...] = ()
@@ -145,6 +148,8 @@ class Description:
         What is not used besides, for instance pictures.
     flaws : tuple of str
         What no body can have in the inertias.
+    materials : mapping of str to Material
+        Of the links, by name, whose material the file tells.
     """
 
     model: Any
@@ -160,6 +165,7 @@ class Description:
     dropped: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
     flaws: tuple[str, ...] = ()
+    materials: Mapping[str, Material] = field(default_factory=dict)
 
 
 def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str] = (), **more: Any) -> Description:
@@ -240,7 +246,7 @@ def assemble(
     model.armature = in_joints["armature"]
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
-    materials = _materials(name, material, bodies)
+    materials = _materials(name, material, links, bodies, description.materials)
     _check_joints(name, model, q0, limits, in_joints["stiffness"])
     named = {
         (i, j)
@@ -257,10 +263,20 @@ def assemble(
         apart |= exclusions.overlapping(model, q0, links, apart)
     return Articulation(
         name, model, links, q0, v0, materials, limits,
-        float(restitution), **in_joints, rest=rest0, loops=loops,
+        float(restitution), **in_joints, rest=rest0, effort=_effort(model), loops=loops,
         excluded=apart,
         report=(*dropped, *unused),
     )  # fmt: skip
+
+
+def _effort(model: Any) -> Array:
+    """Most joint forces, (nv,), N m or N; files write 0 or the largest float for none, and none is of free joints."""
+    out = np.array(model.upperEffortLimit)
+    for joint in range(1, model.njoints):
+        if model.nvs[joint] > 1:
+            out[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = np.inf
+    out[~(out > 0.0) | (out > 1e300)] = np.inf
+    return out
 
 
 def _clip(model: Any, q: Array) -> None:
@@ -297,9 +313,13 @@ def _collisions(
 
 
 def _materials(
-    name: str, material: Material | Mapping[str, Material] | None, bodies: Sequence[str]
+    name: str,
+    material: Material | Mapping[str, Material] | None,
+    links: Sequence[Link],
+    bodies: Sequence[str],
+    told: Mapping[str, Material],
 ) -> tuple[Material, ...]:
-    """Material of every link, from the material of all or that of some bodies."""
+    """Material of every link: that of its body or of all bodies as the user says, else that told by the file."""
     of = material if isinstance(material, Mapping) else {}
     rest: Any = Material() if material is None or isinstance(material, Mapping) else material
     for body, given in [*of.items(), (None, rest)]:
@@ -307,7 +327,9 @@ def _materials(
             raise ValueError(f"material of {name!r} names {body!r}; the bodies with shapes are {sorted(set(bodies))}")
         if not isinstance(given, Material):
             raise ValueError(f"material of {name!r} must be a nsdyn.Material, got {given!r}")
-    return tuple(of.get(body, rest) for body in bodies)
+    if isinstance(material, Material):
+        told = {}
+    return tuple(of.get(body, told.get(link.name, rest)) for link, body in zip(links, bodies, strict=True))
 
 
 def _place(

@@ -324,7 +324,7 @@ class Scene:
         q, v : sequences, shapes (nq,), (nv,)
             Initial configuration and velocity, Pinocchio's convention; those of a free base may be left out.
         material : Material or mapping
-            Of all links, or {body: Material}.
+            Of all links, or {body: Material}, in place of the friction that an MJCF or SDF file gives.
         collisions : bool or mapping
             False for none, or {body: shapes in place of the file's}, each a Shape or (Shape, SE3 in the body's frame).
         self_collisions : bool or "apart"
@@ -339,7 +339,8 @@ class Scene:
         restitution : float
             Newton's coefficient of the limits.
         friction, damping, armature : sequences, shape (nv,)
-            Dry friction, viscous damping and inertia of the joints, in place of those in the model.
+            Dry friction, viscous damping and inertia of the joints, in place of those in the model. Efforts in the
+            file are the default limit of `nsdyn.PD` control.
         stiffness, rest : sequences, shape (nv,)
             Springs τ = -stiffness (q - rest) in revolute and prismatic joints.
         inertias : {"check", "trust"}

@@ -35,7 +35,7 @@ def test_urdf(robot):
     np.testing.assert_allclose(mesh.placement.translation, (0.05, -0.2, 0.15), rtol=1e-6)
     np.testing.assert_allclose(tip.placement.translation, (0, 0, 2))
     assert a.report == (
-        "joint 'jc': <mimic> of 'ja', it moves on its own", "joint: effort and velocity of <limit>",
+        "joint 'jc': <mimic> of 'ja', it moves on its own", "joint 'ja': velocity of <limit> (2)",
         "robot: <transmission> (1)", "link: <visual> (1)",
     )  # fmt: skip
 
@@ -155,6 +155,52 @@ def test_bad_inertia_of_sdf(tmp_path):
             nd.Scene().add_sdf("r", path)
 
 
+def test_friction_of_mjcf_geoms_is_applied(tmp_path):
+    """Sliding friction of geoms and of their class; the user's material wins."""
+    path = tmp_path / "r.xml"
+    path.write_text(
+        '<mujoco><default><default class="c"><geom friction="0.7"/></default></default><worldbody>'
+        '<body name="b"><joint/><geom name="g" size=".1" friction="0.3 0.01 0.001"/><geom class="c" size=".1"/>'
+        '<geom size=".1"/><geom size=".1" condim="1"/><geom size=".1" condim="4"/></body></worldbody></mujoco>'
+    )
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match="geom 'b_4': friction of spinning and rolling"):
+        scene.add_mjcf("r", path)
+        scene.add_mjcf("own", path, material=nd.Material(0.1))
+    assert [m.mu for m in scene.articulations["r"].materials] == [0.3, 0.7, nd.Material().mu, 0.0, nd.Material().mu]
+    assert {m.mu for m in scene.articulations["own"].materials} == {0.1}
+    path.write_text(path.read_text().replace('friction="0.7"', 'friction="much"'))
+    with pytest.raises(ValueError, match="friction of geom 'b_1' must be a number, got 'much'"):
+        scene.add_mjcf("bad", path)
+
+
+def test_friction_of_sdf_collisions_is_applied(tmp_path):
+    path = tmp_path / "r.sdf"
+    surface = "<surface><friction><ode><mu>0.2</mu><mu2>0.1</mu2></ode></friction></surface>"
+    box = "<geometry><box><size>1 1 1</size></box></geometry>"
+    path.write_text(
+        f"<sdf version='1.9'><model name='m'><link name='b'>{sdf_inertial(2)}<collision name='c'>{box}{surface}"
+        f"</collision><collision name='d'>{box}</collision></link></model></sdf>"
+    )
+    scene = nd.Scene()
+    scene.add_sdf("r", path)
+    assert [m.mu for m in scene.articulations["r"].materials] == [0.2, nd.Material().mu]
+    assert "friction: <mu2> (1)" in scene.articulations["r"].report
+
+
+@pytest.mark.parametrize(("effort", "expected"), [("2", 2.0), ("0", np.inf)])
+def test_limits_of_joints(tmp_path, effort, expected):
+    """Efforts are read, 0 for none; velocities are warned of."""
+    path = tmp_path / "r.urdf"
+    path.write_text(ARM.replace('effort="2"', f'effort="{effort}"'))
+    scene = nd.Scene()
+    scene.add_urdf("r", path, clip=True)
+    np.testing.assert_array_equal(scene.articulations["r"].effort, [expected])
+    path.write_text(ARM.replace('velocity="0"', 'velocity="3"'))
+    with pytest.warns(UserWarning, match=r"'s' leaves out: joint 'j': velocity of <limit> \(1\)"):
+        scene.add_urdf("s", path, clip=True)
+
+
 def test_bad_mass_of_a_model():
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "j")
@@ -247,7 +293,7 @@ def test_mjcf_names_every_attribute_it_leaves_out(tmp_path):
         scene.add_mjcf("m", path)
     assert scene.articulations["m"].report == (
         "option: density", "joint None: springdamper", "mujoco: <option> (1)", "joint: margin (1)",
-        "geom: friction (2)", "geom: solref (1)",
+        "geom: solref (1)",
     )  # fmt: skip
 
 
@@ -419,7 +465,6 @@ def test_sdf(sdf):
     assert [k.shape.kind for k in a.links] == kinds
     assert a.report == (
         "collision 'h' of link 'a': its shape", "model: <plugin> (1)", "link: <visual> (1)",
-        "joint: effort and velocity of <limit>",
     )  # fmt: skip
     # Where the file puts the links, by its own chain of frames.
     data = a.model.createData()

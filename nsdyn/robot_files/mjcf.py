@@ -22,6 +22,7 @@ import pinocchio as pin
 
 from nsdyn import noise
 from nsdyn.articulations import Description, Loop, describe_model
+from nsdyn.materials import Material
 from nsdyn.naming import choice
 from nsdyn.robot_files.inertias import check_mass, flaw
 from nsdyn.robot_files.model import links_of
@@ -47,7 +48,8 @@ POSE = {"pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"}
 ATTRIBUTES = {
     "joint": {"name", "type", "pos", "axis", "range", "limited", "ref", "stiffness", "springref", "springdamper",
               "damping", "armature", "frictionloss"},
-    "geom": {"name", "type", "size", "fromto", "mesh", "mass", "density", "contype", "conaffinity", *POSE},
+    "geom": {"name", "type", "size", "fromto", "mesh", "mass", "density", "contype", "conaffinity", "friction",
+             "condim", *POSE},
     "connect": {"name", "active", "body1", "body2", "site1", "site2", "anchor"},
     "weld": {"name", "active", "body1", "body2", "site1", "site2", "relpose"},
     "mesh": {"name", "file", "scale", "vertex"},
@@ -63,7 +65,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     dropped, unused = Notes(), Notes()
     try:
         _write_out_defaults(root)
-        masks = _simplify(root, dropped, unused)
+        masks, materials = _simplify(root, dropped, unused)
         flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
         model, geometry = _build(root, path)
         stiffness, rest = _set_joints(root, model, dropped)
@@ -81,7 +83,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     return describe_model(
         model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, excluded=excluded, filtered=filtered,
         world_touches=True, dropped=tuple(dropped), unused=tuple(unused),
-        flaws=tuple(flaws),
+        flaws=tuple(flaws), materials=materials,
     )  # fmt: skip
 
 
@@ -132,8 +134,11 @@ def _write_out_defaults(root: Element) -> None:
         apply(section, "main")
 
 
-def _simplify(root: Element, dropped: Notes, unused: Notes) -> dict[str, tuple[int, int]]:
-    """Keep what Pinocchio reads, all of it named and under one body; returns (contype, conaffinity) of the geoms."""
+def _simplify(root: Element, dropped: Notes, unused: Notes) -> tuple[dict[str, tuple[int, int]], dict[str, Material]]:
+    """Keep what Pinocchio reads, all of it named and under one body.
+
+    Returns (contype, conaffinity) of the geoms and the materials that they tell, by name.
+    """
     world = root.find("worldbody")
     if world is None:
         raise ValueError("it has no <worldbody>")
@@ -155,6 +160,7 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> dict[str, tuple[i
     for tag, used in ATTRIBUTES.items():
         unused.of_attributes([e for e in root.iter(tag) if "joint1" not in e.attrib], used, tag)
     masks: dict[str, tuple[int, int]] = {}
+    materials: dict[str, Material] = {}
     for number, body in enumerate(world.iter("body")):
         body.attrib.setdefault("name", f"body{number}")
     for body in [world, *world.iter("body")]:
@@ -182,6 +188,10 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> dict[str, tuple[i
                 body.remove(geom)
                 continue
             label = geom.attrib.setdefault("name", f"{where}_{number}")
+            if material := _material(geom, label):
+                materials[label] = material
+            if geom.get("condim") in ("4", "6"):
+                dropped.append(f"geom {label!r}: friction of spinning and rolling")
             masks[label] = int(geom.get("contype", "1")), int(geom.get("conaffinity", "1"))
             if geom.get("type", "sphere") != "mesh":
                 # Pinocchio leaves the mass of a geom that touches nothing out; that of a mesh it never counts.
@@ -194,7 +204,7 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> dict[str, tuple[i
         for child in [c for c in asset if c.tag not in ASSETS]:
             asset.remove(child)
     ElementTree.SubElement(root, "worldbody").append(world)
-    return masks
+    return masks, materials
 
 
 def _build(root: Element, path: Path) -> tuple[Any, Any]:
@@ -212,6 +222,16 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
         with noise.caught():
             model = pin.buildModelFromMJCF(str(file))
             return model, pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+
+
+def _material(geom: Element, label: str) -> Material | None:
+    """Material of a geom that gives Coulomb's friction, of sliding; a `condim` of 1 has none."""
+    if geom.get("condim") == "1":
+        return Material(mu=0.0)
+    given = geom.get("friction")
+    if given is None:
+        return None
+    return Material(mu=float(numbers(" ".join(given.split()[:1]), 1, None, f"friction of geom {label!r}")[0]))
 
 
 def _flaws(body: Element) -> Iterator[str]:

@@ -41,8 +41,9 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
         for e in joints
         for m in e.iter("mimic")
     ]
-    if any(e.get("effort") or e.get("velocity") for joint in joints for e in joint.iter("limit")):
-        unused.append("joint: effort and velocity of <limit>")
+    fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if e.get("velocity", "0").strip("0.")]
+    if fast:
+        dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
     unused.of_children([root], {"link", "joint"}, "robot")
     unused.of_children(elements, {"inertial", "collision"}, "link")
     unused.of_children(joints, {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"}, "joint")
