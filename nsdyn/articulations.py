@@ -77,6 +77,8 @@ class Articulation:
         Its own copy. `armature` is in the model, so that Pinocchio's mass matrix has it; limits are in the model and
         infinite where a coordinate has none.
     links : tuple of Link
+    bodies : tuple of str
+        The body each of them belongs to.
     q, v : ndarray, shapes (nq,), (nv,)
         Initial configuration and velocity, Pinocchio's convention.
     materials : tuple of Material
@@ -105,6 +107,7 @@ class Articulation:
     name: str
     model: Any
     links: tuple[Link, ...]
+    bodies: tuple[str, ...]
     q: Array
     v: Array
     materials: tuple[Material, ...]
@@ -262,7 +265,7 @@ def assemble(
     if self_collisions == "apart":
         apart |= exclusions.overlapping(model, q0, links, apart)
     return Articulation(
-        name, model, links, q0, v0, materials, limits,
+        name, model, links, bodies, q0, v0, materials, limits,
         float(restitution), **in_joints, rest=rest0, effort=_effort(model), loops=loops,
         excluded=apart,
         report=(*dropped, *unused),

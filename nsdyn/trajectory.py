@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from nsdyn import files, recording
+from nsdyn.naming import meant
 from nsdyn.recording import CONTACT, CONTACT_STATES, ENERGIES, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 
 Array = NDArray[np.float64]
@@ -116,7 +118,7 @@ class BodyMotion:
     ----------
     name : str
     position : ndarray, shape (n + 1, 3)
-        m. Of the centre of mass of a free body, of the joint frame of a link.
+        m. Of the centre of mass of a free body, of the frame of a link or a joint.
     quaternion : ndarray, shape (n + 1, 4)
         xyzw, body to world.
     """
@@ -157,7 +159,9 @@ class ContactTable:
     Attributes
     ----------
     body1, body2 : tuple of str
-        Names of the bodies (of the link's shape, for an articulation).
+        Names of the bodies, "articulation/body" of a link.
+    shape1, shape2 : tuple of str
+        Names of their shapes; a free body has one, of its own name.
     point, normal, tangent : ndarray, shape (nc, 3)
         Normal from body 1 to body 2; t1, with t2 = n x t1.
     gap : ndarray, shape (nc,)
@@ -177,6 +181,8 @@ class ContactTable:
 
     body1: tuple[str, ...]
     body2: tuple[str, ...]
+    shape1: tuple[str, ...]
+    shape2: tuple[str, ...]
     point: Array
     normal: Array
     tangent: Array
@@ -290,15 +296,31 @@ class Trajectory:
         return self.columns["wall_time"]
 
     def body(self, name: str) -> BodyMotion:
-        """Motion of a free body, or of a link ("arm/link2"); ValueError naming the known ones."""
-        frames = self.scene["frames"]
+        """Motion of a body, or of a link or a joint ("arm/link2"); ValueError naming the known ones.
+
+        Links whose joint carries no shape are not recorded.
+        """
+        frames, links = self.scene["frames"], {link["name"]: link for link in self.scene.get("links", ())}
+        if name not in frames and name in links:
+            return self._link(name, links[name]["frame"], np.array(links[name]["placement"]))
         if name not in frames:
-            raise ValueError(f"no moving body {name!r}; the recording has {frames}")
+            known = [*frames, *links]
+            raise ValueError(f"no moving body {name!r}; the recording has {known}{meant(name, known)}")
         k = frames.index(name)
         if k < self.scene["free"]:
             pose, twist = self.q[:, 7 * k : 7 * k + 7], self.v[:, 6 * k : 6 * k + 6]
             return BodyMotion(name, pose[:, :3], pose[:, 3:], twist)
         return BodyMotion(name, self.columns["frames/x"][:, k], self.columns["frames/quat"][:, k], None)
+
+    def _link(self, name: str, frame: int, placement: Array) -> BodyMotion:
+        """Motion of a link that is placed, shape (4, 4), in a moving frame or in the world, -1."""
+        turn = Rotation.from_matrix(placement[:3, :3])
+        if frame < 0:
+            one = np.ones((self.t.size, 1))
+            return BodyMotion(name, one * placement[:3, 3], one * turn.as_quat(), None)
+        carrier = self.body(self.scene["frames"][frame])
+        position = carrier.position + rotate(carrier.quaternion, placement[:3, 3])
+        return BodyMotion(name, position, (Rotation.from_quat(carrier.quaternion) * turn).as_quat(), None)
 
     def contacts(self, k: int) -> ContactTable:
         """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError."""
@@ -308,10 +330,12 @@ class Trajectory:
         offset = self.columns["contacts/offset"]
         rows = slice(int(offset[step - 1]), int(offset[step]))
         part = {name: self.columns[f"contacts/{name}"][rows] for name in CONTACT}
-        # A link is named by its shape, a body by itself: the same string for the one shape it has.
-        names = [geom["name"] for geom in self.scene["geoms"]]
-        body1, body2 = (tuple(names[g] for g in part.pop(side)) for side in ("geom1", "geom2"))
-        return ContactTable(body1=body1, body2=body2, **part)
+        geoms = self.scene["geoms"]
+        sides = [[geoms[g] for g in part.pop(side)] for side in ("geom1", "geom2")]
+        # Recordings before format 4 have no names of links.
+        body1, body2 = (tuple(geom.get("link", geom["name"]) for geom in side) for side in sides)
+        shape1, shape2 = (tuple(geom["name"] for geom in side) for side in sides)
+        return ContactTable(body1, body2, shape1, shape2, **part)
 
     def save(self, path: str | Path) -> None:
         """Write an HDF5 file, which replaces one of that name once complete; ValueError naming the path."""
@@ -339,6 +363,8 @@ class Trajectory:
     def plot_energy(self, ax: Any = None) -> Any:
         """Draw kinetic and potential energy, stacked, and over them the works done so far.
 
+        The axis of energy spans at least a millionth of the largest energy: what is smaller shows as rest.
+
         Parameters
         ----------
         ax : matplotlib Axes, optional
@@ -361,6 +387,11 @@ class Trajectory:
         ax.plot(self.t, e.kinetic + potential, "k", lw=1, label="kinetic + potential")
         ax.set(xlabel="t [s]", ylabel="energy, work so far [J]", title=self.meta["scene_name"])
         ax.margins(x=0)
+        low, high = ax.get_ylim()
+        least = 1e-6 * self._largest_energy or 1.0
+        if high - low < least:
+            ax.set_ylim(-0.1 * least, 0.9 * least)
+            ax.text(0.5, 0.5, "at rest", transform=ax.transAxes, ha="center", va="center", size="x-large")
         ax.legend(loc="best", frameon=False)
         return ax
 
@@ -397,6 +428,11 @@ class Trajectory:
         works = (float(np.abs(self._cumulative(name)).max()) for name in PHYSICS)
         return max(float(e.kinetic.max()), float(np.ptp(e.potential)), *works)
 
+    @property
+    def _largest_energy(self) -> float:
+        """Of the energy at play and the potential energy, which a body at rest has too, J."""
+        return max(self.at_play, float(np.abs(self.energy.potential).max()))
+
     def shares(self) -> dict[str, tuple[float, float]]:
         """Works of physics, numerics (integration, defect) and projection, J: (in all, largest absolute sum so far)."""
         groups = {"physics": PHYSICS, "numerics": ("integration", "defect"), "projection": ("projection",)}
@@ -422,7 +458,9 @@ class Trajectory:
     def _active_works(self) -> list[str]:
         """Works of more than round-off, without the defect."""
         works = {name: np.abs(self._cumulative(name)).max() for name in WORKS if name != "defect"}
-        return [name for name, work in works.items() if work > 1e-9 * max(self.at_play, 1e-300, *works.values())]
+        return [
+            name for name, work in works.items() if work > 1e-9 * max(self._largest_energy, 1e-300, *works.values())
+        ]
 
     def _cumulative(self, work: str) -> Array:
         """Work from 0 to t, shape (n + 1,)."""

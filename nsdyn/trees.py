@@ -14,6 +14,7 @@ from nsdyn.contacts import pose_views
 from nsdyn.control import PD
 from nsdyn.loops import Closures, admissible, supports
 from nsdyn.motions import Motion
+from nsdyn.naming import meant
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -382,7 +383,10 @@ class Tree:
         World axes.
         """
         if body not in self._bodies:
-            raise ValueError(f"external_force: {self.name!r} has no moving body {body!r}; it has {list(self._bodies)}")
+            known = list(self._bodies)
+            raise ValueError(
+                f"external_force: {self.name!r} has no moving body {body!r}; it has {known}{meant(body, known)}"
+            )
         at = self._bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         out: Array = pin.computeFrameJacobian(self.model, self.data, q, *at).T @ np.concatenate((force, torque))
         return out

@@ -590,7 +590,7 @@ _NO_FORCES = (np.empty((0, 3)), np.empty((0, 3)))
 
 def _forces(contacts: ContactTable, fixed: set[str], dt: float) -> tuple[Array, Array]:
     """(points, forces) of a step on the moving bodies, the largest first."""
-    sign = np.array([-1.0 if name in fixed else 1.0 for name in contacts.body2])
+    sign = np.array([-1.0 if name in fixed else 1.0 for name in contacts.shape2])
     force = contacts.impulse_world * (sign / dt)[:, None]
     order = np.argsort(-np.linalg.norm(force, axis=1), kind="stable")[:MAX_ARROWS]
     return contacts.point[order], force[order]

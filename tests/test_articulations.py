@@ -335,3 +335,72 @@ def test_links_that_overlap_at_the_start_may_stay_apart(crowded):
     nd.Stepper(scene).step()
     with pytest.raises(ValueError, match="self_collisions of 'r' must be True, False or 'apart', got 'together'"):
         nd.Scene().add_urdf("r", crowded, clip=True, self_collisions="together")
+
+
+HAND = f"""<robot name="r"><link name="base">{INERTIAL}
+<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link><link name="arm">{INERTIAL}</link>
+<link name="foot"><collision><geometry><sphere radius="0.1"/></geometry></collision></link><link name="tip"/>
+<joint name="shoulder" type="continuous"><parent link="base"/><child link="arm"/><origin xyz="0 0 1"/>
+<axis xyz="0 1 0"/></joint>
+<joint name="weld" type="fixed"><parent link="arm"/><child link="foot"/><origin xyz="0.5 0 0"/></joint>
+<joint name="tool" type="fixed"><parent link="foot"/><child link="tip"/>
+<origin xyz="0 0.2 0" rpy="0 0 1.5707963267948966"/></joint></robot>"""
+
+
+@pytest.fixture
+def hand(tmp_path):
+    """An arm over a plate; foot and tip hang on it by fixed joints."""
+    path = tmp_path / "hand.urdf"
+    path.write_text(HAND)
+    scene = nd.Scene()
+    scene.add_urdf("r", path, q=(1.0, 0.0), position=(0, 0, 1.0))
+    scene.add_box("plate", (0.4, 0.4, 0.1), position=(0.5, 0, 1.85), fixed=True)
+    return scene
+
+
+def test_links_go_by_their_names_in_a_recording(hand):
+    trajectory = nd.simulate(hand, 0.05, dt=1e-3)
+    model = hand.articulations["r"].model
+    data = model.createData()
+    for row in (0, 30):
+        pin.framesForwardKinematics(model, data, trajectory.q[row])
+        for link in ("base", "arm", "foot", "tip"):
+            pose, motion = data.oMf[model.getFrameId(link, pin.FrameType.BODY)], trajectory.body(f"r/{link}")
+            # Two ways to multiply a few rotations.
+            np.testing.assert_allclose(motion.position[row], pose.translation, rtol=0, atol=1e-14)
+            turn = pin.Quaternion(motion.quaternion[row]).toRotationMatrix()
+            np.testing.assert_allclose(turn, pose.rotation, rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(trajectory.body("r/shoulder").position, trajectory.body("r/arm").position)
+    table = trajectory.contacts(-1)
+    assert {*table.body1, *table.body2} == {"plate", "r/foot"} and {*table.shape1, *table.shape2} == {
+        "plate",
+        "r/foot_0",
+    }
+    with pytest.raises(ValueError, match=r"no moving body 'r/fot'; .*; did you mean 'r/foot'\?"):
+        trajectory.body("r/fot")
+
+
+def test_pairs_of_links_beat_pairs_of_robots(hand):
+    hand.set_pair("r/foot", "plate", mu=0.9)
+    hand.set_pair("r", "plate", mu=0.1, restitution=0.0)
+    geoms = hand.geoms()
+    names = [g.name for g in geoms]
+    foot, base, plate = (np.array([names.index(n)]) for n in ("r/foot_0", "r/base_0", "plate"))
+    assert hand.pair_material(geoms)(foot, plate)[0] == 0.9 and hand.pair_material(geoms)(plate, base)[0] == 0.1
+    assert set(nd.simulate(hand, 0.01).contacts(-1).mu) == {0.9}
+    with pytest.raises(ValueError, match=r"unknown body 'r/food'; .*; did you mean 'r/foot'\?"):
+        hand.set_pair("r/food", "plate", mu=0.1)
+
+
+def test_forces_act_on_fixed_links(hand):
+    """A force on the tip turns the arm as the same force, with its moment, on the arm does."""
+
+    def turned(**force):
+        trajectory = nd.simulate(hand, 1e-3, dt=1e-3, external_force=lambda t, q, v: force)
+        return trajectory.v[-1, 0]
+
+    up, arm = np.array([0, 0, 50.0]), np.array([0.5, 0.2, 0.0])
+    assert turned(**{"r/tip": up}) == pytest.approx(turned(**{"r/arm": (up, np.cross(arm, up))}), rel=1e-9)
+    assert abs(turned(**{"r/tip": up})) > 1e-3
+    with pytest.raises(ValueError, match=r"'r' has no moving body 'tipp'; .*; did you mean 'tip'\?"):
+        turned(**{"r/tipp": up})

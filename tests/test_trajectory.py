@@ -431,6 +431,23 @@ def test_energy_plot_uses_the_given_axes():
     np.testing.assert_array_equal(total.get_ydata(), 3.0 * np.arange(6))
 
 
+@pytest.mark.parametrize("name", ["stack", "slide"])
+def test_energy_plot_of_a_scene_at_rest_shows_rest(name):
+    """Round-off fills no axis; what moves is not called at rest."""
+    from matplotlib.figure import Figure
+
+    trajectory = nd.simulate(nd.scenes.load(name)(), 0.05, dt=5e-3)
+    ax = trajectory.plot_energy(Figure().subplots())
+    low, high = ax.get_ylim()
+    largest = np.abs(trajectory.energy.potential).max()
+    assert high - low >= 1e-6 * largest
+    words, labels = [text.get_text() for text in ax.texts], [line.get_label() for line in ax.get_lines()]
+    if name == "stack":
+        assert words == ["at rest"] and high < 1e-5 * largest and labels == ["kinetic + potential"]
+    else:
+        assert words == [] and high > trajectory.energy.kinetic.max() and "work: friction" in labels
+
+
 def test_matplotlib_is_not_loaded_by_recordings():
     code = textwrap.dedent("""
         import sys, nsdyn.trajectory
