@@ -176,6 +176,11 @@ def _parser() -> _Parser:
     p.add_argument("--csv", type=Path, metavar="E.csv", help="all times: energies, and the works of each step, in J")
     _add_json(p)
 
+    p = command("contacts", _contacts, "Print or export the contacts of a recording.")
+    p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
+    p.add_argument("--csv", type=Path, metavar="C.csv", help="all contacts of all steps, one a line")
+
     p = command("view", _view, "Make a web page or a picture of a recording.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
     p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
@@ -602,6 +607,26 @@ def _write_csv(trajectory: Trajectory, path: Path) -> None:
         columns[f"{name} [J]"] = values if values.size == trajectory.t.size else np.concatenate([[0.0], values])
     table = np.column_stack(list(columns.values()))
     np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
+
+
+def _contacts(arguments: argparse.Namespace) -> int:
+    import csv
+
+    from nsdyn.files import writing
+    from nsdyn.trajectory import Trajectory
+
+    _check_outputs(arguments.recording, arguments.csv)
+    trajectory = Trajectory.load(arguments.recording)
+    if not 1 <= abs(arguments.step) <= trajectory.steps:
+        raise ValueError(f"--step must be one of 1 to {trajectory.steps}, or -1 back, got {arguments.step}")
+    if arguments.csv:
+        table = trajectory.contact_table()
+        with writing(arguments.csv) as part, open(part, "w", newline="") as file:
+            sink = csv.writer(file)
+            sink.writerow(table)
+            sink.writerows(zip(*(table[name].tolist() for name in table), strict=True))
+    _say(arguments, trajectory.contacts(arguments.step))
+    return 0
 
 
 def _view(arguments: argparse.Namespace) -> int:

@@ -661,7 +661,13 @@ class Scene:
             "masses": [b.mass for b in self.free_bodies],
             "inertias": [b.inertia.tolist() for b in self.free_bodies],
             "articulations": [
-                {"name": a.name, "nq": a.model.nq, "nv": a.model.nv, "joints": list(a.model.names)[1:]}
+                {
+                    "name": a.name,
+                    "nq": a.model.nq,
+                    "nv": a.model.nv,
+                    "joints": list(a.model.names)[1:],
+                    "sizes": [[joint.nq, joint.nv] for joint in list(a.model.joints)[1:]],
+                }
                 for a in self.articulations.values()
             ],
         }

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from nsdyn import files, recording
+from nsdyn import files, recording, tables
 from nsdyn.naming import meant
 from nsdyn.recording import CONTACT, CONTACT_STATES, ENERGIES, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 
@@ -336,6 +336,36 @@ class Trajectory:
         body1, body2 = (tuple(geom.get("link", geom["name"]) for geom in side) for side in sides)
         shape1, shape2 = (tuple(geom["name"] for geom in side) for side in sides)
         return ContactTable(body1, body2, shape1, shape2, **part)
+
+    def contact_table(self) -> Any:
+        """All contacts of all steps, one a row, by columns; SI units, world axes.
+
+        Returns
+        -------
+        pandas.DataFrame, or dict of str to ndarray where pandas is not installed
+            step, t of its end, body1, body2, state, gap, point, normal, impulse on body 2 and velocity of body 2
+            relative to body 1 (each _x, _y, _z; the latter two also _N, _T), mu, restitution, work_normal,
+            work_friction.
+        """
+        return tables.contact_table(self)
+
+    def pair(self, a: str, b: str) -> tables.Pair:
+        """What body `a` does to body `b` in each step: net force, torque, work, smallest gap, state.
+
+        Both are bodies, "articulation/body" or whole articulations; ValueError naming the known ones.
+        """
+        return tables.pair(self, a, b)
+
+    def force(self, name: str) -> Array:
+        """Net contact force on a body, "articulation/body" or articulation in each step, shape (n, 3), N, world axes.
+
+        Between the links of one articulation it cancels. ValueError naming the known ones.
+        """
+        return tables.force(self, name)
+
+    def joint(self, name: str) -> tables.JointMotion:
+        """Motion of a joint, "articulation/joint"; ValueError naming the known ones."""
+        return tables.joint(self, name)
 
     def save(self, path: str | Path) -> None:
         """Write an HDF5 file, which replaces one of that name once complete; ValueError naming the path."""

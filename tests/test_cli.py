@@ -42,7 +42,20 @@ def recording(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["scenes"], ["doctor"], ["run"], ["solve"], ["profile"], ["bench"], ["sweep"], ["energy"], ["view"]]
+    "command",
+    [
+        [],
+        ["scenes"],
+        ["doctor"],
+        ["run"],
+        ["solve"],
+        ["profile"],
+        ["bench"],
+        ["sweep"],
+        ["energy"],
+        ["contacts"],
+        ["view"],
+    ],
 )
 def test_help(run, command):
     code, out, err = run(*command, "--help")

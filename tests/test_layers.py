@@ -13,7 +13,7 @@ ORDER = [
     ["robot_files"], ["scene"],
     ["contacts", "scenes"], ["settings"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"],
-    ["recording"], ["instant", "trajectory"], ["recorder"], ["collisions", "sight"], ["move"],
+    ["recording"], ["tables"], ["instant", "trajectory"], ["recorder"], ["collisions", "sight"], ["move"],
     ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench", "compilation"], ["cli"], ["__main__"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
