@@ -184,7 +184,10 @@ def _parser() -> _Parser:
     p = command("view", _view, "Make a web page or a picture of a recording.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
     p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
-    p.add_argument("--forces", action="store_true", help="draw the contact forces")
+    p.add_argument(
+        "--forces", nargs="?", const="pair", default=False, metavar="BY",
+        help="draw the contact forces, one for each pair of bodies (the default) or each contact point: pair, point",
+    )  # fmt: skip
     p.add_argument("--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)")
     p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")

@@ -14,7 +14,8 @@ ORDER = [
     ["contacts", "scenes"], ["settings"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"],
     ["recording"], ["tables"], ["instant", "trajectory"], ["recorder"], ["collisions", "sight"], ["move"],
-    ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench", "compilation"], ["cli"], ["__main__"],
+    ["arrows"], ["audit", "viewer", "stepper"],
+    ["acceleration", "ensemble", "bench", "compilation"], ["cli"], ["__main__"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
 MATHEMATICS = {"_kernels", "cones", "problem", "formulations", "solvers", "fclib", "gauss"}
