@@ -15,6 +15,7 @@ import json
 import logging
 import math
 import os
+import re
 import sys
 import tempfile
 import time
@@ -72,7 +73,11 @@ class _Parser(argparse.ArgumentParser):
     """Tells a mistake in one line, as everything else here does."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"nsdyn: error: {message} (see {self.prog} --help)\n")
+        from nsdyn.naming import meant
+
+        choice = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        hint = meant(choice[1], re.findall(r"[\w-]+", choice[2])) if choice else ""
+        self.exit(2, f"nsdyn: error: {message}{hint} (see {self.prog} --help)\n")
 
 
 _OUTPUTS = (

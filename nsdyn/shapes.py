@@ -364,7 +364,9 @@ def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
         with noise.caught() as lines:
             surface = coal.MeshLoader().load(str(file), factor)
     except (RuntimeError, ValueError) as failure:
-        raise ValueError(f"path: {file} could not be read as a mesh: {noise.told(failure, lines)}") from None
+        raise ValueError(
+            f"path: {file} could not be read as a mesh of triangles: {noise.told(failure, lines)}"
+        ) from None
     return _hull_of_surface(surface, str(file))
 
 

@@ -188,6 +188,8 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
     [
         ([], "required"),
         (["fly"], "invalid choice"),
+        (["rnu", "slide"], "did you mean 'run'?"),
+        (["run", "slide", "--on-fail", "rise"], "did you mean 'raise'?"),
         (["run", "no_such_scene"], "scene must be one of"),
         (
             ["run", "slide", "--set", "colour=1"],

@@ -1,5 +1,8 @@
 """Readers of robot files: what they find, what they leave out, and what they refuse."""
 
+import importlib.metadata
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -584,3 +587,40 @@ def test_bad_sdf(sdf, text, words):
     path.write_text(text)
     with pytest.raises(ValueError, match=words):
         nd.Scene().add_sdf("m", path, package_dirs)
+
+
+# One line each: those whose zero configuration is sound, outside limits, with links in each other, all of it.
+ROBOTS = {
+    "quadruped_description/urdf/quadruped.urdf": {},
+    "human_description/robots/human.urdf": {},
+    "double_pendulum_description/urdf/double_pendulum_simple.urdf": {},
+    "iris_description/robots/iris_simple.urdf": {},
+    "a1_description/urdf/a1.urdf": {"clip": True},
+    "simple_humanoid_description/urdf/simple_humanoid.urdf": {"clip": True},
+    "laikago_description/urdf/laikago.urdf": {"clip": True},
+    "solo_description/robots/solo12.urdf": {"self_collisions": "apart"},
+    "hextilt_description/urdf/hextilt_flying_arm_5.urdf": {"self_collisions": "apart"},
+    "anymal_b_simple_description/robots/anymal.urdf": {"self_collisions": "apart", "inertias": "trust"},
+    "hyq_description/robots/hyq_no_sensors.urdf": {"clip": True, "self_collisions": "apart", "inertias": "trust"},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:'r")
+@pytest.mark.parametrize("name", ROBOTS)
+def test_robots_of_example_robot_data_load_and_move(name):
+    try:
+        package = importlib.metadata.distribution("example-robot-data")
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("the extra 'robots' is not installed")
+    share = Path(str(package.locate_file("cmeel.prefix/share")))
+    path, needed = share / "example-robot-data/robots" / name, ROBOTS[name]
+    scene = nd.Scene()
+    scene.add_urdf("r", path, base="free", package_dirs=[share], **needed)
+    step = nd.Stepper(scene).step()
+    assert step.solution.accepted and np.isfinite(step.v).all()
+    for option in needed:  # each is needed
+        with pytest.raises(ValueError, match=option):
+            bare = nd.Scene()
+            bare.add_urdf("r", path, base="free", package_dirs=[share], **{k: needed[k] for k in needed if k != option})
+            nd.Stepper(bare)

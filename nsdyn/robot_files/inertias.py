@@ -31,6 +31,6 @@ def flaw(inertia: Array, where: str) -> str | None:
     # No moment is negative where none exceeds the sum of the others.
     if moments[0] + moments[1] - moments[2] >= -ROUNDING * moments[2] and moments[2] >= 0.0:
         return None
-    what = "are not all positive" if moments[0] < 0.0 else "break the triangle inequality"
+    what = "are not all positive" if moments[0] < -ROUNDING * moments[2] else "break the triangle inequality"
     shown = ", ".join(f"{moment:.4g}" for moment in moments)
     return f"inertia of {where} is not that of a body: its principal moments {shown} {what}"
