@@ -8,25 +8,24 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from nsdyn import checks
+from nsdyn import checks, exclusions
+from nsdyn.exclusions import FREE
 from nsdyn.materials import Material
+from nsdyn.naming import choice
 from nsdyn.shapes import Shape
 
 Array = NDArray[np.float64]
 
 __all__ = ["Articulation", "Description", "Link", "Loop", "assemble", "close_loop", "describe_model"]
-
-FREE = "JointModelFreeFlyer"
 
 NORMALISED = 1e-6
 """Error of norm of a quaternion or of a pair (cos, sin) in q that a user's rounding may leave."""
@@ -78,6 +77,8 @@ class Articulation:
         Its own copy. `armature` is in the model, so that Pinocchio's mass matrix has it; limits are in the model and
         infinite where a coordinate has none.
     links : tuple of Link
+    bodies : tuple of str
+        The body each of them belongs to.
     q, v : ndarray, shapes (nq,), (nv,)
         Initial configuration and velocity, Pinocchio's convention.
     materials : tuple of Material
@@ -94,6 +95,8 @@ class Articulation:
         Inertia added to the diagonal of the mass matrix, kg m² or kg.
     stiffness, rest : ndarray, shape (nv,)
         Springs τ = -stiffness (q - rest) in revolute and prismatic joints, N m/rad or N/m; rad or m.
+    effort : ndarray, shape (nv,)
+        Most that a `nsdyn.PD` control gives unless it says otherwise, N m or N; infinite for none.
     loops : tuple of Loop
     excluded : frozenset of (int, int)
         Pairs of `links`, by index, that are never tested for contact.
@@ -104,6 +107,7 @@ class Articulation:
     name: str
     model: Any
     links: tuple[Link, ...]
+    bodies: tuple[str, ...]
     q: Array
     v: Array
     materials: tuple[Material, ...]
@@ -114,6 +118,7 @@ class Articulation:
     armature: Array
     stiffness: Array
     rest: Array
+    effort: Array
     loops: tuple[Loop, ...] = ()
     excluded: frozenset[tuple[int, int]] = frozenset()
     report: tuple[str, ...] = ()
@@ -144,6 +149,10 @@ class Description:
         What is not used and changes the motion; it is warned of.
     unused : tuple of str
         What is not used besides, for instance pictures.
+    flaws : tuple of str
+        What no body can have in the inertias.
+    materials : mapping of str to Material
+        Of the links, by name, whose material the file tells.
     """
 
     model: Any
@@ -158,6 +167,8 @@ class Description:
     world_touches: bool = False
     dropped: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
+    flaws: tuple[str, ...] = ()
+    materials: Mapping[str, Material] = field(default_factory=dict)
 
 
 def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str] = (), **more: Any) -> Description:
@@ -176,20 +187,25 @@ def assemble(
     v: ArrayLike | None = None,
     material: Material | Mapping[str, Material] | None = None,
     collisions: bool | Mapping[str, Sequence[Any]] = True,
-    self_collisions: bool = True,
+    self_collisions: bool | str = True,
     srdf: str | Path | None = None,
     limits: bool = True,
+    clip: bool = False,
     restitution: float = 0.0,
     friction: ArrayLike | None = None,
     damping: ArrayLike | None = None,
     armature: ArrayLike | None = None,
     stiffness: ArrayLike | None = None,
     rest: ArrayLike | None = None,
+    inertias: str = "check",
 ) -> Articulation:
     """Articulation of a description, placed in the world; the parameters are those of `nsdyn.Scene.add_model`."""
     model = description.model.copy()
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
     dropped, unused = list(description.dropped), list(description.unused)
+    if description.flaws and choice(inertias, ("check", "trust"), f"inertias of {name!r}") == "check":
+        raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
+    dropped += description.flaws
 
     def of_joints(value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:
         """One value per joint coordinate; those of a free base may be left out."""
@@ -200,6 +216,11 @@ def assemble(
         out[first:] = checks.vector(value, default.size - first, f"{what} of {name!r}")
         return out
 
+    for what, flag in (("limits", limits), ("clip", clip)):
+        if not isinstance(flag, bool):
+            raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
+    if not isinstance(self_collisions, bool) and self_collisions != "apart":
+        raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
     links, bodies = _collisions(name, description, collisions)
     at = pin.SE3(
         checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),
@@ -209,10 +230,12 @@ def assemble(
     if not pin.isNormalized(model, q0, NORMALISED):
         raise ValueError(f"q of {name!r} must have unit quaternions and unit pairs (cos, sin), got {q0.tolist()}")
     q0 = np.array(pin.normalize(model, q0))
+    if clip:
+        _clip(model, q0)
     links, loops = _place(model, q0, links, description.loops, at)
     excluded = set(description.excluded)
     if srdf is not None:
-        excluded |= _disabled_pairs(name, checks.path(srdf, f"srdf of {name!r}"), model, unused)
+        excluded |= exclusions.disabled_pairs(name, checks.path(srdf, f"srdf of {name!r}"), model, unused)
     in_joints = {}
     for what, given, default in (
         ("friction", friction, np.array(model.upperDryFrictionLimit)),
@@ -224,12 +247,9 @@ def assemble(
         if (values < 0.0).any():
             raise ValueError(f"{what} of {name!r} must not be negative, got {values.tolist()}")
     model.armature = in_joints["armature"]
-    for what, flag in (("limits", limits), ("self_collisions", self_collisions)):
-        if not isinstance(flag, bool):
-            raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
-    materials = _materials(name, material, bodies)
+    materials = _materials(name, material, links, bodies, description.materials)
     _check_joints(name, model, q0, limits, in_joints["stiffness"])
     named = {
         (i, j)
@@ -241,12 +261,33 @@ def assemble(
     if dropped:
         more = [f"{len(dropped) - SHOWN} more, in its report"] if len(dropped) > SHOWN else []
         warnings.warn(f"{name!r} leaves out: {'; '.join(dropped[:SHOWN] + more)}", stacklevel=4)
+    apart = exclusions.joined(links, exclusions.neighbours(model, loops, description.world_touches)) | named
+    if self_collisions == "apart":
+        apart |= exclusions.overlapping(model, q0, links, apart)
     return Articulation(
-        name, model, links, q0, v0, materials, limits,
-        float(restitution), **in_joints, rest=rest0, loops=loops,
-        excluded=_joined(links, _neighbours(model, loops, description.world_touches)) | named,
+        name, model, links, bodies, q0, v0, materials, limits,
+        float(restitution), **in_joints, rest=rest0, effort=_effort(model), loops=loops,
+        excluded=apart,
         report=(*dropped, *unused),
     )  # fmt: skip
+
+
+def _effort(model: Any) -> Array:
+    """Most joint forces, (nv,), N m or N; files write 0 or the largest float for none, and none is of free joints."""
+    out = np.array(model.upperEffortLimit)
+    for joint in range(1, model.njoints):
+        if model.nvs[joint] > 1:
+            out[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = np.inf
+    out[~(out > 0.0) | (out > 1e300)] = np.inf
+    return out
+
+
+def _clip(model: Any, q: Array) -> None:
+    """Move the joint coordinates in q that have limits into them."""
+    for joint in range(1, model.njoints):
+        if model.nqs[joint] == model.nvs[joint]:
+            part = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
+            q[part] = np.clip(q[part], model.lowerPositionLimit[part], model.upperPositionLimit[part])
 
 
 def _collisions(
@@ -275,9 +316,13 @@ def _collisions(
 
 
 def _materials(
-    name: str, material: Material | Mapping[str, Material] | None, bodies: Sequence[str]
+    name: str,
+    material: Material | Mapping[str, Material] | None,
+    links: Sequence[Link],
+    bodies: Sequence[str],
+    told: Mapping[str, Material],
 ) -> tuple[Material, ...]:
-    """Material of every link, from the material of all or that of some bodies."""
+    """Material of every link: that of its body or of all bodies as the user says, else that told by the file."""
     of = material if isinstance(material, Mapping) else {}
     rest: Any = Material() if material is None or isinstance(material, Mapping) else material
     for body, given in [*of.items(), (None, rest)]:
@@ -285,7 +330,9 @@ def _materials(
             raise ValueError(f"material of {name!r} names {body!r}; the bodies with shapes are {sorted(set(bodies))}")
         if not isinstance(given, Material):
             raise ValueError(f"material of {name!r} must be a nsdyn.Material, got {given!r}")
-    return tuple(of.get(body, rest) for body in bodies)
+    if isinstance(material, Material):
+        told = {}
+    return tuple(of.get(body, told.get(link.name, rest)) for link, body in zip(links, bodies, strict=True))
 
 
 def _place(
@@ -320,25 +367,6 @@ def _place(
     )
 
 
-def _disabled_pairs(name: str, path: Path, model: Any, unused: list[str]) -> set[frozenset[str]]:
-    """Pairs of bodies whose contact an SRDF file disables."""
-    if not path.is_file():
-        raise ValueError(f"srdf of {name!r} must be an SRDF file, got {str(path)!r}")
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as failure:
-        raise ValueError(f"srdf of {name!r}: {path} could not be read: {failure}") from None
-    out = set()
-    for pair in root.iter("disable_collisions"):
-        bodies = frozenset((pair.get("link1", ""), pair.get("link2", "")))
-        if all(model.existBodyName(body) for body in bodies):
-            out.add(bodies)
-        else:
-            unused.append(f"SRDF: disable_collisions of {sorted(bodies)}, which are not both bodies of the model")
-    unused += [f"SRDF: <{tag}>" for tag in sorted({child.tag for child in root} - {"disable_collisions"})]
-    return out
-
-
 def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Array) -> None:
     """Refuse joints that move no mass, configurations beyond a limit, springs where q is no angle or length.
 
@@ -364,7 +392,7 @@ def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Arra
             if limits and not lower[k] - 1e-9 <= q[k] <= upper[k] + 1e-9:  # the rounding of a user's own numbers
                 raise ValueError(
                     f"q of {name!r} must respect the limits: joint {model.names[joint]!r} is at {q[k]:g}, "
-                    f"its limits are {lower[k]:g} and {upper[k]:g}"
+                    f"its limits are {lower[k]:g} and {upper[k]:g}; give another q, or clip=True to move it into them"
                 )
     M = np.array(pin.crba(model, model.createData(), q))
     moments = np.diag(M)
@@ -374,25 +402,6 @@ def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Arra
             f"{name!r} has a singular mass matrix: give the bodies moved by joint {model.names[joint]!r} "
             "a mass and an inertia, or the joint an armature"
         )
-
-
-def _joined(links: Sequence[Link], joined: set[frozenset[int]]) -> frozenset[tuple[int, int]]:
-    """Pairs of links, by index, that share a joint or hang on two joints that are `joined`."""
-    return frozenset(
-        (i, j)
-        for (i, first), (j, second) in combinations(enumerate(links), 2)
-        if first.joint == second.joint or frozenset((first.joint, second.joint)) in joined
-    )
-
-
-def _neighbours(model: Any, loops: Sequence[Loop], world_touches: bool) -> set[frozenset[int]]:
-    """Pairs of joints whose links are joined by a joint or a loop; a free base is not joined to the world."""
-    out = {frozenset((c.joint1, c.joint2)) for c in loops}
-    for joint in range(1, model.njoints):
-        parent = int(model.parents[joint])
-        if model.joints[joint].shortname() != FREE and not (world_touches and parent == 0):
-            out.add(frozenset((joint, parent)))
-    return out
 
 
 def close_loop(
@@ -426,5 +435,5 @@ def close_loop(
     return replace(
         articulation,
         loops=(*articulation.loops, loop),
-        excluded=articulation.excluded | _joined(articulation.links, {frozenset((joint1, joint2))}),
+        excluded=articulation.excluded | exclusions.joined(articulation.links, {frozenset((joint1, joint2))}),
     )

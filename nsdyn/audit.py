@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn.naming import choice
 from nsdyn.overlap import Solid, separation
 from nsdyn.trajectory import Trajectory, rotate
 
@@ -180,7 +181,7 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     """
     unknown = sorted(set(tolerances) - set(TOLERANCES))
     if unknown:
-        raise ValueError(f"unknown tolerance {unknown[0]!r}; known are {', '.join(TOLERANCES)}")
+        choice(unknown[0], TOLERANCES, "tolerance")
     tol = TOLERANCES | tolerances
     poses = _Poses(trajectory)
     findings = [*_overlaps(poses), *_contacts(poses), *_momenta(poses), *_energies(poses)]

@@ -25,8 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn import scenes
+from nsdyn import files, scenes
 from nsdyn.audit import deepest
+from nsdyn.naming import choice
 from nsdyn.problem import Array
 from nsdyn.scene import Scene
 from nsdyn.workers import Worker
@@ -381,7 +382,7 @@ class Bench:
 
     def write_csv(self, path: str | Path) -> None:
         """All runs, one a line; numbers that there are not are empty."""
-        with open(path, "w", newline="") as file:
+        with files.writing(path) as part, open(part, "w", newline="") as file:
             sink = csv.writer(file)
             sink.writerow([field.name for field in fields(Run)])
             for run in self.runs:
@@ -478,12 +479,9 @@ def measure(cases: Sequence[str] = (), peers: Sequence[str] = (), limit: float =
     from tqdm import tqdm
 
     for name in cases:
-        if name not in CASES:
-            raise ValueError(f"case must be one of {', '.join(CASES)}; got {name!r}")
+        choice(name, CASES, "case")
     for name in peers:
-        if name not in PEERS:
-            raise ValueError(f"peer must be one of {', '.join(PEERS)}; got {name!r}")
-        if not PEERS[name].installed:
+        if not PEERS[choice(name, PEERS, "peer")].installed:
             raise ValueError(f"peer {name} is not installed: {PEERS[name].install}")
     if not (math.isfinite(limit) and limit > 0.0):
         raise ValueError(f"limit must be a positive number of seconds, got {limit}")

@@ -16,14 +16,28 @@ Array = NDArray[np.float64]
 __all__ = ["folders", "inertia", "mass", "number", "path", "quaternion", "rotation", "vector"]
 
 
+LARGEST, SMALLEST = 1e50, 1e-50
+"""Sizes of numbers, and of masses and inertias, whose products stay in the range of floating-point numbers."""
+
+
+def _below(value: ArrayLike) -> str:
+    return f" and at most {LARGEST:g} in size" if np.isfinite(value).all() else ""
+
+
+def _above(value: float) -> str:
+    return f", at least {SMALLEST:g}" if value > 0.0 else ""
+
+
 def number(value: Any, what: str) -> float:
     """A finite number."""
+    if isinstance(value, (str, bytes)):
+        raise ValueError(f"{what} must be a number, got {value!r}")
     try:
         out = float(value)
     except (TypeError, ValueError):
         raise ValueError(f"{what} must be a number, got {value!r}") from None
-    if not np.isfinite(out):
-        raise ValueError(f"{what} must be finite, got {out}")
+    if not abs(out) <= LARGEST:
+        raise ValueError(f"{what} must be finite{_below(out)}, got {out}")
     return out
 
 
@@ -49,8 +63,8 @@ def vector(value: ArrayLike, size: int, what: str) -> Array:
         raise ValueError(f"{what} must be {size} numbers, got {value!r}") from None
     if out.shape != (size,):
         raise ValueError(f"{what} must be {size} numbers, got shape {out.shape}")
-    if not np.isfinite(out).all():
-        raise ValueError(f"{what} must be finite, got {out.tolist()}")
+    if not (np.abs(out) <= LARGEST).all():
+        raise ValueError(f"{what} must be finite{_below(out)}, got {out.tolist()}")
     return out
 
 
@@ -72,8 +86,8 @@ def rotation(quaternion: Array) -> Array:
 def mass(value: Any, what: str) -> float:
     """A positive number."""
     out = number(value, what)
-    if out <= 0.0:
-        raise ValueError(f"{what} must be positive, got {out:g}")
+    if out < SMALLEST:
+        raise ValueError(f"{what} must be positive{_above(out)}, got {out:g}")
     return out
 
 
@@ -85,8 +99,10 @@ def inertia(value: ArrayLike, what: str) -> Array:
     if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
         raise ValueError(f"{what} must be symmetric, got {matrix.tolist()}")
     moments = np.linalg.eigvalsh(matrix)
-    if moments[0] <= 0.0:
-        raise ValueError(f"{what} must be positive definite, got principal moments {moments.tolist()}")
+    if moments[0] < SMALLEST:
+        raise ValueError(
+            f"{what} must be positive definite{_above(moments[0])}, got principal moments {moments.tolist()}"
+        )
     if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
         raise ValueError(
             f"{what} is not that of a body: its principal moments {moments.tolist()} break the triangle inequality"

@@ -15,12 +15,13 @@ import json
 import logging
 import math
 import os
+import re
 import sys
 import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -72,7 +73,17 @@ class _Parser(argparse.ArgumentParser):
     """Tells a mistake in one line, as everything else here does."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"nsdyn: error: {message} (see {self.prog} --help)\n")
+        from nsdyn.naming import meant
+
+        choice = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        hint = meant(choice[1], re.findall(r"[\w-]+", choice[2])) if choice else ""
+        self.exit(2, f"nsdyn: error: {message}{hint} (see {self.prog} --help)\n")
+
+
+_OUTPUTS = (
+    "Output files that exist are overwritten once the new ones are complete. Links are followed, what is no regular "
+    "file (a FIFO, a device) is written through, and - is stdout; the figures then go to stderr."
+)
 
 
 def _parser() -> _Parser:
@@ -81,7 +92,9 @@ def _parser() -> _Parser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
     def command(name: str, run: Callable[[argparse.Namespace], int], summary: str) -> argparse.ArgumentParser:
-        out = commands.add_parser(name, help=summary, description=summary)
+        out = commands.add_parser(
+            name, help=summary, description=summary, epilog=None if run in (_scenes, _doctor) else _OUTPUTS
+        )
         out.set_defaults(run=run)
         return out
 
@@ -128,7 +141,7 @@ def _parser() -> _Parser:
     p.add_argument("problem", type=Path, metavar="PROBLEM.hdf5")
     p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
     p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
-    p.add_argument("-o", "--output", type=Path, metavar="SOLUTION.hdf5", help="new file: the problem and its solution")
+    p.add_argument("-o", "--output", type=Path, metavar="SOLUTION.hdf5", help="the problem and its solution")
     _add_json(p)
 
     p = command("profile", _profile, "Compare solvers on a folder of FCLIB files: Dolan-Moré performance profiles.")
@@ -168,10 +181,18 @@ def _parser() -> _Parser:
     p.add_argument("--csv", type=Path, metavar="E.csv", help="all times: energies, and the works of each step, in J")
     _add_json(p)
 
+    p = command("contacts", _contacts, "Print or export the contacts of a recording.")
+    p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
+    p.add_argument("--csv", type=Path, metavar="C.csv", help="all contacts of all steps, one a line")
+
     p = command("view", _view, "Make a web page or a picture of a recording.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
     p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
-    p.add_argument("--forces", action="store_true", help="draw the contact forces")
+    p.add_argument(
+        "--forces", nargs="?", const="pair", default=False, metavar="BY",
+        help="draw the contact forces, one for each pair of bodies (the default) or each contact point: pair, point",
+    )  # fmt: skip
     p.add_argument("--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)")
     p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
@@ -198,8 +219,16 @@ def _add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
 
 
-def _print_json(figures: Any) -> None:
-    print(json.dumps(_plain(figures), indent=2))
+def _say(arguments: argparse.Namespace, text: object) -> None:
+    """Print figures; where an output takes stdout they go to stderr."""
+    from nsdyn import files
+
+    taken = files.STDOUT in vars(arguments).values()
+    print(text, file=sys.stderr if taken else sys.stdout)
+
+
+def _say_json(arguments: argparse.Namespace, figures: Any) -> None:
+    _say(arguments, json.dumps(_plain(figures), indent=2))
 
 
 def _plain(value: Any) -> Any:
@@ -215,79 +244,46 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def _check_outputs(*paths: Path | None) -> None:
-    """Refuse paths that cannot be written before any work is done."""
-    for path in filter(None, paths):
-        folder = path.absolute().parent
-        if path.is_dir():
-            raise ValueError(f"cannot write {path}: it is a folder")
-        if not folder.is_dir():
-            raise ValueError(f"cannot write {path}: there is no folder {folder}")
-        if not os.access(path if path.exists() else folder, os.W_OK):
-            raise ValueError(f"cannot write {path}: permission denied")
+def _check_outputs(source: Path | None, *paths: Path | None) -> None:
+    """Refuse paths that cannot all be written beside the `source` that is read, before any work is done."""
+    from nsdyn import files
+
+    outputs = [path for path in paths if path]
+    for path in outputs:
+        files.check_writable(path)
+    named = [files.resolved(path) for path in outputs if path == files.STDOUT or not files.is_special(path)]
+    if source is not None and (where := files.resolved(source)) in named:
+        raise ValueError(f"cannot write {outputs[named.index(where)]}: it is read")
+    if len(set(named)) < len(named):
+        raise ValueError(f"cannot write {outputs[-1]}: it is named twice")
+
+
+_PLOTS = "png", "pdf", "svg"
+
+
+def _check_picture(path: Path | None, *kinds: str) -> None:
+    """Refuse the name of a picture of another kind."""
+    if path and path.suffix and path.suffix[1:].lower() not in kinds:
+        raise ValueError(f"cannot write {path}: a picture must be {' or '.join(kinds)}, got {path.suffix}")
 
 
 # -- scenes and run ------------------------------------------------------------------------------------
 
 
-def _parameters(name: str) -> dict[str, Any]:
-    """Parameters of a named scene with their default values."""
-    from nsdyn import scenes
-
-    return {p.name: p.default for p in inspect.signature(scenes.load(name)).parameters.values()}
-
-
 def _scenes(arguments: argparse.Namespace) -> int:
-    from nsdyn import scenes
+    from nsdyn import scenes, settings
 
     found: dict[str, Any] = {}
     for name in scenes.names():
         summary = (inspect.getdoc(scenes.module(name)) or "").partition("\n")[0]
-        found[name] = {"summary": summary, "parameters": _parameters(name)}
+        found[name] = {"summary": summary, "parameters": settings.parameters(name)}
     if arguments.json:
-        _print_json(found)
+        _say_json(arguments, found)
         return 0
     for name, scene in found.items():
-        settings = ", ".join(f"{key}={_text(value)}" for key, value in scene["parameters"].items())
-        print(f"{name}: {scene['summary']}\n    {settings}")
+        shown = ", ".join(f"{key}={settings.as_text(value)}" for key, value in scene["parameters"].items())
+        print(f"{name}: {scene['summary']}\n    {shown}")
     return 0
-
-
-def _text(value: Any) -> str:
-    """How a value is written after ``--set name=``."""
-    return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _settings(name: str, assignments: list[str]) -> dict[str, Any]:
-    """Parse ``name=value`` settings by the type of the default; ValueError naming what is wrong."""
-    return {key: _parse(text, default, key) for key, text, default in _assignments(name, assignments)}
-
-
-def _assignments(name: str, assignments: list[str]) -> Iterator[tuple[str, str, Any]]:
-    """(name, text, default) of every setting of a scene."""
-    known = _parameters(name)
-    for assignment in assignments:
-        key, equals, text = assignment.partition("=")
-        if not equals:
-            raise ValueError(f"--set expects NAME=VALUE, got {assignment!r}")
-        if key not in known:
-            raise ValueError(f"scene {name} has no parameter {key!r}; it has {', '.join(known) or 'none'}")
-        yield key, text, known[key]
-
-
-def _parse(text: str, default: Any, name: str) -> Any:
-    """Text as a value of the type of the default."""
-    if isinstance(default, bool):
-        if text.lower() not in ("true", "false"):
-            raise ValueError(f"{name} must be true or false, got {text!r}")
-        return text.lower() == "true"
-    for kind, word in ((int, "a whole number"), (float, "a number")):
-        if isinstance(default, kind):
-            try:
-                return kind(text)
-            except ValueError:
-                raise ValueError(f"{name} must be {word}, got {text!r}") from None
-    return text
 
 
 def _solver(arguments: argparse.Namespace) -> Any:
@@ -321,13 +317,16 @@ def _met(trajectory: Any, solver: Any) -> str:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    import numpy as np
+
     import nsdyn
+    from nsdyn import settings
 
     name = arguments.scene
-    settings = _settings(name, arguments.set)
+    parameters = settings.values(name, arguments.set)
     solver = _solver(arguments)
-    _check_outputs(arguments.output, arguments.html)
-    setup = nsdyn.scenes.setup(name, **settings)
+    _check_outputs(None, arguments.output, arguments.html)
+    setup = nsdyn.scenes.setup(name, **parameters)
     start = time.perf_counter()
     try:
         trajectory = nsdyn.simulate(
@@ -346,14 +345,19 @@ def _run(arguments: argparse.Namespace) -> int:
         print(f"nsdyn: not converged: {_one_line(failure)}{kept}", file=sys.stderr)
         return 1
     wall = time.perf_counter() - start
+    # The first step loads or compiles what it needs, beyond what is done before it.
+    median = float(np.median(trajectory.wall_time))
+    start_up = wall - float(trajectory.wall_time.sum()) + max(0.0, float(trajectory.wall_time[0]) - median)
     if arguments.html:
         trajectory.to_html(arguments.html)
     figures = {
         "scene": name,
-        "parameters": _parameters(name) | settings,
+        "parameters": settings.parameters(name) | parameters,
         "dt": trajectory.dt,
         "steps": trajectory.steps,
         "wall_time": wall,
+        "start_up_time": start_up,
+        "median_step_time": median,
         "contacts": len(trajectory.columns["contacts/gap"]) / trajectory.steps,
         "worst": trajectory.worst(),
         "recording": arguments.output,
@@ -362,18 +366,20 @@ def _run(arguments: argparse.Namespace) -> int:
     audit = nsdyn.check(trajectory) if arguments.check else None
     code = 0 if audit is None or audit.passed else 1
     if arguments.json:
-        _print_json(figures if audit is None else figures | {"audit": audit.as_dict()})
+        _say_json(arguments, figures if audit is None else figures | {"audit": audit.as_dict()})
         return code
-    print(trajectory.energy_table())
+    _say(arguments, trajectory.energy_table())
     worst = trajectory.worst()
-    print(
-        f"{_met(trajectory, solver)}; {wall:.2f} s ({1e3 * wall / trajectory.steps:.2f} ms each), "
-        f"{figures['contacts']:.1f} contacts on average; worst residual {worst['residual']:.1e} m/s, "
+    _say(
+        arguments,
+        f"{_met(trajectory, solver)}; {wall - start_up:.2f} s (median step {1e3 * median:.2f} ms) "
+        f"after {start_up:.2f} s of start-up, {figures['contacts']:.1f} contacts on average; "
+        f"worst residual {worst['residual']:.1e} m/s, "
         f"Gauss bound {worst['gauss_bound']:.1e} √J, defect {worst['defect']:.1e} J, "
-        f"penetration {worst['penetration']:.1e} m"
+        f"penetration {worst['penetration']:.1e} m",
     )
     if audit is not None:
-        print(audit)
+        _say(arguments, audit)
     return code
 
 
@@ -382,20 +388,18 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _sweep(arguments: argparse.Namespace) -> int:
     import nsdyn
-    from nsdyn import ensemble
+    from nsdyn import ensemble, settings
+    from nsdyn.files import writing
 
     name = arguments.scene
     module = nsdyn.scenes.module(name)
-    settings = {
-        key: [_parse(value, default, key) for value in text.split(",")]
-        for key, text, default in _assignments(name, arguments.set)
-    }
+    parameters = settings.lists(name, arguments.set)
     solver = _solver(arguments)
-    _check_outputs(arguments.csv)
+    _check_outputs(None, arguments.csv)
     with _executor(arguments) as executor:
         members = ensemble.sweep(
             name,
-            settings,
+            parameters,
             module.DURATION if arguments.time is None else arguments.time,
             on_fail=arguments.on_fail,
             executor=executor,
@@ -410,16 +414,14 @@ def _sweep(arguments: argparse.Namespace) -> int:
     if arguments.csv:
         import csv
 
-        from nsdyn.trajectory import replacing
-
-        with replacing(arguments.csv) as part, open(part, "w", newline="") as file:
+        with writing(arguments.csv) as part, open(part, "w", newline="") as file:
             sink = csv.DictWriter(file, columns)
             sink.writeheader()
             sink.writerows(rows)
     if arguments.json:
-        _print_json({"scene": name, "runs": rows})
+        _say_json(arguments, {"scene": name, "runs": rows})
     else:
-        print(_columns(rows, [column for column in columns if column != "failure"]))
+        _say(arguments, _columns(rows, [column for column in columns if column != "failure"]))
     for m in members:
         if m.failure:
             print(f"nsdyn: not converged: {m.parameters}: {_one_line(m.failure)}", file=sys.stderr)
@@ -455,7 +457,9 @@ def _columns(rows: list[dict[str, Any]], names: list[str]) -> str:
 def _cell(value: Any) -> str:
     if value is None:
         return "-"
-    return f"{value:.6g}" if isinstance(value, float) else _text(value)
+    from nsdyn.settings import as_text
+
+    return f"{value:.6g}" if isinstance(value, float) else as_text(value)
 
 
 # -- solve, profile and bench ---------------------------------------------------------------------------------
@@ -465,13 +469,11 @@ def _solve(arguments: argparse.Namespace) -> int:
     from nsdyn import fclib, solvers
 
     solver = solvers.by_name(arguments.solver, arguments.tol)
-    _check_outputs(arguments.output)
-    if arguments.output and arguments.output.exists():
-        raise ValueError(f"cannot write {arguments.output}: it exists")
+    _check_outputs(arguments.problem, arguments.output)
     problem = fclib.read(arguments.problem)
     solution = solver(problem)
     if arguments.output:
-        fclib.write_solution(arguments.output, arguments.problem, solution)
+        fclib.write_solution(arguments.output, arguments.problem, solution, overwrite=True)
     figures = {
         "problem": arguments.problem,
         "contacts": problem.nc,
@@ -486,11 +488,12 @@ def _solve(arguments: argparse.Namespace) -> int:
         "solution": arguments.output,
     }
     if arguments.json:
-        _print_json(figures)
+        _say_json(arguments, figures)
     else:
-        print(
+        _say(
+            arguments,
             f"{problem.nc} contacts, {arguments.solver}: {solution.status.message}; error {solution.error:.2e}, "
-            f"residual {solution.residual:.2e} m/s, {solution.iterations} iterations in {1e3 * solution.time:.3g} ms"
+            f"residual {solution.residual:.2e} m/s, {solution.iterations} iterations in {1e3 * solution.time:.3g} ms",
         )
     return 0 if solution.converged else 1
 
@@ -501,7 +504,8 @@ def _profile(arguments: argparse.Namespace) -> int:
 
     from nsdyn import profile
 
-    _check_outputs(arguments.csv, arguments.plot)
+    _check_outputs(None, arguments.csv, arguments.plot)
+    _check_picture(arguments.plot, *_PLOTS)
     solvers, smallest = arguments.solver or ["auto"], arguments.min_contacts
     found = [
         profile.measure(arguments.folder, solvers, tol, arguments.limit, arguments.peer, smallest, progress=True)
@@ -512,12 +516,12 @@ def _profile(arguments: argparse.Namespace) -> int:
     if arguments.plot:
         _plot(arguments.plot, *(partial(one.plot, legend=one is found[-1]) for one in found))
     if arguments.json:
-        _print_json([
+        _say_json(arguments, [
             {"tol": p.tol, "limit": p.limit, "summary": p.summary(), "runs": [asdict(run) for run in p.runs]}
             for p in found
         ])  # fmt: skip
     else:
-        print("\n\n".join(f"tol {one.tol:g}\n{one.table()}" for one in found))
+        _say(arguments, "\n\n".join(f"tol {one.tol:g}\n{one.table()}" for one in found))
     return 0
 
 
@@ -526,16 +530,17 @@ def _bench(arguments: argparse.Namespace) -> int:
 
     from nsdyn import bench
 
-    _check_outputs(arguments.csv, arguments.plot)
+    _check_outputs(None, arguments.csv, arguments.plot)
+    _check_picture(arguments.plot, *_PLOTS)
     found = bench.measure(arguments.case, arguments.peer, arguments.limit, progress=True)
     if arguments.csv:
         found.write_csv(arguments.csv)
     if arguments.plot:
         _picture(arguments.plot, found.plot, (13, 9.5), 80)
     if arguments.json:
-        _print_json({"summary": found.summary(), "runs": [asdict(run) for run in found.runs]})
+        _say_json(arguments, {"summary": found.summary(), "runs": [asdict(run) for run in found.runs]})
     else:
-        print(found.table())
+        _say(arguments, found.table())
     return 0
 
 
@@ -553,11 +558,11 @@ def _picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], 
     """Picture of what `draw` draws on a matplotlib figure of `size` in inches."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
 
-    from nsdyn.trajectory import replacing
+    from nsdyn.files import writing
 
     figure = Figure(figsize=size, layout="constrained")
     draw(figure)
-    with replacing(path) as part:
+    with writing(path) as part:
         figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=dpi)
 
 
@@ -565,19 +570,21 @@ def _picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], 
 
 
 def _energy(arguments: argparse.Namespace) -> int:
-    from nsdyn.trajectory import Trajectory, replacing
+    from nsdyn.files import writing
+    from nsdyn.trajectory import Trajectory
 
-    _check_outputs(arguments.plot, arguments.csv)
+    _check_outputs(arguments.recording, arguments.plot, arguments.csv)
+    _check_picture(arguments.plot, *_PLOTS)
     trajectory = Trajectory.load(arguments.recording)
     if arguments.plot:
         _plot(arguments.plot, trajectory.plot_energy)
     if arguments.csv:
-        with replacing(arguments.csv) as part:
+        with writing(arguments.csv) as part:
             _write_csv(trajectory, part)
     if arguments.json:
-        _print_json(_ledger(trajectory))
+        _say_json(arguments, _ledger(trajectory))
     else:
-        print(trajectory.energy_table())
+        _say(arguments, trajectory.energy_table())
     return 0
 
 
@@ -607,6 +614,26 @@ def _write_csv(trajectory: Trajectory, path: Path) -> None:
     np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
 
 
+def _contacts(arguments: argparse.Namespace) -> int:
+    import csv
+
+    from nsdyn.files import writing
+    from nsdyn.trajectory import Trajectory
+
+    _check_outputs(arguments.recording, arguments.csv)
+    trajectory = Trajectory.load(arguments.recording)
+    if not 1 <= abs(arguments.step) <= trajectory.steps:
+        raise ValueError(f"--step must be one of 1 to {trajectory.steps}, or -1 back, got {arguments.step}")
+    if arguments.csv:
+        table = trajectory.contact_table()
+        with writing(arguments.csv) as part, open(part, "w", newline="") as file:
+            sink = csv.writer(file)
+            sink.writerow(table)
+            sink.writerows(zip(*(table[name].tolist() for name in table), strict=True))
+    _say(arguments, trajectory.contacts(arguments.step))
+    return 0
+
+
 def _view(arguments: argparse.Namespace) -> int:
     from nsdyn import viewer
     from nsdyn.trajectory import Trajectory
@@ -615,7 +642,8 @@ def _view(arguments: argparse.Namespace) -> int:
         raise ValueError("nothing to make: give -o RUN.html, --png FRAME.png, or both")
     if arguments.at is not None and not arguments.png:
         raise ValueError("--at is the time of the picture: give --png FRAME.png too")
-    _check_outputs(arguments.output, arguments.png)
+    _check_outputs(arguments.recording, arguments.output, arguments.png)
+    _check_picture(arguments.png, "png")
     trajectory = Trajectory.load(arguments.recording)
     options = {"fps": arguments.fps, "forces": arguments.forces}
     if arguments.png:
@@ -679,7 +707,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
         "ok": sound,
     }
     if arguments.json:
-        _print_json(figures)
+        _say_json(arguments, figures)
         return 0 if sound else 1
     for name, found in {"python": figures["python"], **packages}.items():
         print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")

@@ -28,11 +28,16 @@ class PD:
         rad and rad/s, or m and m/s.
     feedforward : float or array, shape (nv,)
         N m or N.
+    limit : float or array, shape (nv,), optional
+        Most |τ| of each joint, N m or N; infinite for none. Default: the efforts of the robot's file. What is at its
+        limit is constant in a step. It is found for the motion without contact impulses, against which the control
+        answers in the same step by (kd + h kp) times their change of v.
 
     Raises
     ------
     ValueError
-        For values that are not finite numbers, more than one dimension, or negative gains.
+        For values that are not finite numbers, more than one dimension, negative gains, or limits that are not
+        positive.
 
     References
     ----------
@@ -51,39 +56,50 @@ class PD:
     target: ArrayLike
     target_velocity: ArrayLike = 0.0
     feedforward: ArrayLike = 0.0
+    limit: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
             given = getattr(self, field.name)
+            if field.name == "limit" and given is None:
+                continue
             try:
                 value = np.array(given, dtype=float)
             except (TypeError, ValueError):
                 value = np.array(np.nan)
-            if value.ndim > 1 or not np.isfinite(value).all():
+            unlimited = field.name == "limit" and (value > 0.0).all()
+            if value.ndim > 1 or not (unlimited or np.isfinite(value).all()):
                 raise ValueError(f"{field.name} of a PD control must be one or nv finite numbers, got {given!r}")
             if field.name in ("kp", "kd") and (value < 0.0).any():
                 raise ValueError(f"{field.name} of a PD control must not be negative, got {given!r}")
+            if field.name == "limit" and not unlimited:
+                raise ValueError(f"limit of a PD control must be positive, got {given!r}")
             value.flags.writeable = False
             object.__setattr__(self, field.name, value)
 
-    def on(self, name: str, scalar: NDArray[np.bool_]) -> tuple[Array, Array, Array, Array, Array]:
-        """(kp, kd, target, target_velocity, feedforward) as arrays (nv,) for an articulation.
+    def on(
+        self, name: str, scalar: NDArray[np.bool_], effort: Array
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """(kp, kd, target, target_velocity, feedforward, limit) as arrays (nv,) for an articulation.
 
         Parameters
         ----------
         name : str
         scalar : ndarray of bool, shape (nv,)
             Its revolute and prismatic coordinates.
+        effort : ndarray, shape (nv,)
+            The limit where none is given.
         """
         out = []
         for field in fields(self):
-            value = np.asarray(getattr(self, field.name))
+            given = getattr(self, field.name)
+            value = effort if given is None else np.asarray(given)
             if value.shape not in ((), scalar.shape):
                 raise ValueError(
                     f"{field.name} of the PD control of {name!r} must be one or {scalar.size} numbers, "
                     f"got shape {value.shape}"
                 )
-            out.append(value if value.ndim else value * scalar)
+            out.append(value if value.ndim else np.where(scalar, value, np.inf if field.name == "limit" else 0.0))
             if field.name in ("kp", "kd") and out[-1][~scalar].any():
                 raise ValueError(f"{field.name} of the PD control of {name!r} must be 0 on free and spherical joints")
-        return out[0], out[1], out[2], out[3], out[4]
+        return out[0], out[1], out[2], out[3], out[4], out[5]

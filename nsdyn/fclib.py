@@ -19,7 +19,6 @@ technical report 444, 2014.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +30,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from nsdyn import files
 from nsdyn.problem import FC3D, Array, Blocks, Solution
 
 __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
@@ -419,18 +419,10 @@ def write_solution(path: str | Path, source: str | Path, solution: Solution, *, 
 @contextmanager
 def _created(path: str | Path, overwrite: bool) -> Iterator[Any]:
     """Create a file that takes its place when the block succeeds; else nothing is left."""
-    path = Path(path)
-    if path.is_dir() or (path.exists() and not overwrite):
+    if Path(path).exists() and not overwrite:
         raise ValueError(f"cannot write {path}: it exists")
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with h5py.File(part, "w") as file:
-            yield file
-        os.replace(part, path)
-    except OSError as failure:
-        raise ValueError(f"cannot write {path}: {failure.strerror or failure}") from failure
-    finally:
-        part.unlink(missing_ok=True)
+    with files.writing(path) as part, h5py.File(part, "w") as file:
+        yield file
 
 
 def _put(group: Any, name: str, value: Any) -> None:

@@ -41,7 +41,8 @@ class Material:
     restitution: float = 0.0
 
     def __post_init__(self) -> None:
-        if checks.number(self.mu, "mu") < 0.0:
-            raise ValueError(f"mu must not be negative, got {self.mu:g}")
-        if not 0.0 <= checks.number(self.restitution, "restitution") <= 1.0:
-            raise ValueError(f"restitution must lie in [0, 1], got {self.restitution:g}")
+        mu, restitution = checks.number(self.mu, "mu"), checks.number(self.restitution, "restitution")
+        if mu < 0.0:
+            raise ValueError(f"mu must not be negative, got {mu:g}")
+        if not 0.0 <= restitution <= 1.0:
+            raise ValueError(f"restitution must lie in [0, 1], got {restitution:g}")

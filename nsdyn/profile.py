@@ -27,6 +27,8 @@ from typing import Any
 import numpy as np
 
 from nsdyn import fclib
+from nsdyn.files import writing
+from nsdyn.naming import choice
 from nsdyn.problem import FC3D, Array
 from nsdyn.solvers import SOLVERS, by_name
 from nsdyn.workers import Worker
@@ -186,7 +188,7 @@ class Profile:
 
 def write_csv(path: str | Path, profiles: Sequence[Profile]) -> None:
     """All runs of some profiles, one a line with its tolerance first; seconds are empty where there is no answer."""
-    with open(path, "w", newline="") as file:
+    with writing(path) as part, open(part, "w", newline="") as file:
         sink = csv.writer(file)
         sink.writerow(["tol", *(field.name for field in fields(Run))])
         for profile in profiles:
@@ -334,9 +336,7 @@ def measure(
     names = [name for given in solvers for name in (SOLVERS if given == "all" else (given,))]
     players = [_own(name, tol) for name in dict.fromkeys(names)]
     for peer in peers:
-        if peer not in PEERS:
-            raise ValueError(f"peer must be one of {sorted(PEERS)}, got {peer!r}")
-        players += PEERS[peer]()
+        players += PEERS[choice(peer, PEERS, "peer")]()
     problems = [(file, problem) for file in files if (problem := fclib.read(file)).nc >= min_contacts]
     if not problems:
         raise ValueError(f"no problem in {folder} has {min_contacts} contacts")

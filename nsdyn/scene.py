@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from nsdyn import articulations, checks, robot_files, shapes
 from nsdyn.articulations import Articulation, Description
 from nsdyn.materials import COMBINATION_RULES, Material
 from nsdyn.motions import Motion, Velocity
+from nsdyn.naming import choice, meant
 from nsdyn.shapes import Shape
 
 Array = NDArray[np.float64]
@@ -84,6 +86,8 @@ class Geom:
         Its pose in that frame.
     material : Material
     colour : tuple of 4 floats, optional
+    link : str
+        "articulation/body"; of a body that is its own link its name.
     """
 
     name: str
@@ -94,6 +98,7 @@ class Geom:
     placement_t: Array
     material: Material
     colour: tuple[float, float, float, float] | None = None
+    link: str = ""
 
 
 @dataclass(eq=False)
@@ -137,9 +142,7 @@ class Scene:
     def __post_init__(self) -> None:
         self.gravity = checks.vector(self.gravity, 3, "gravity")
         for argument in ("friction_rule", "restitution_rule"):
-            rule = getattr(self, argument)
-            if rule not in COMBINATION_RULES:
-                raise ValueError(f"{argument} must be one of {sorted(COMBINATION_RULES)}, got {rule!r}")
+            choice(getattr(self, argument), COMBINATION_RULES, argument)
 
     # -- bodies ------------------------------------------------------------------------------------------------
 
@@ -250,7 +253,7 @@ class Scene:
         }  # fmt: skip
         unknown = sorted(set(given) - set(known))
         if unknown:
-            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}")
+            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}{meant(unknown[0], known)}")
         return known | given
 
     def _add(
@@ -335,21 +338,27 @@ class Scene:
         q, v : sequences, shapes (nq,), (nv,)
             Initial configuration and velocity, Pinocchio's convention; those of a free base may be left out.
         material : Material or mapping
-            Of all links, or {body: Material}.
+            Of all links, or {body: Material}, in place of the friction that an MJCF or SDF file gives.
         collisions : bool or mapping
             False for none, or {body: shapes in place of the file's}, each a Shape or (Shape, SE3 in the body's frame).
-        self_collisions : bool
-            Whether its links may touch each other, save those that a joint or a loop joins.
+        self_collisions : bool or "apart"
+            Whether its links may touch each other, save those that a joint or a loop joins; with "apart" also save
+            those that overlap in the initial configuration.
         srdf : path, optional
             Its ``disable_collisions`` are obeyed.
         limits : bool
             Whether position limits of the model are enforced.
+        clip : bool
+            Move the initial configuration into the limits.
         restitution : float
             Newton's coefficient of the limits.
         friction, damping, armature : sequences, shape (nv,)
-            Dry friction, viscous damping and inertia of the joints, in place of those in the model.
+            Dry friction, viscous damping and inertia of the joints, in place of those in the model. Efforts in the
+            file are the default limit of `nsdyn.PD` control.
         stiffness, rest : sequences, shape (nv,)
             Springs τ = -stiffness (q - rest) in revolute and prismatic joints.
+        inertias : {"check", "trust"}
+            Whether inertias of the file that no body can have are refused, or taken as they are with a warning.
 
         Warns
         -----
@@ -433,8 +442,7 @@ class Scene:
         kind : {"point", "frame"}
             Hold the points together, or points and axes.
         """
-        if articulation not in self.articulations:
-            raise ValueError(f"articulation must be one of {list(self.articulations)}, got {articulation!r}")
+        choice(articulation, self.articulations, "articulation")
         self.articulations[articulation] = articulations.close_loop(
             self.articulations[articulation], name, frame1, frame2, position, quaternion, kind
         )
@@ -446,7 +454,7 @@ class Scene:
         ]
         unknown = sorted(set(keywords) - set(known))
         if unknown:
-            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}")
+            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}{meant(unknown[0], known)}")
         articulation = articulations.assemble(name, description, **keywords)
         articulation.model.gravity = pin.Motion(self.gravity, np.zeros(3))
         self.articulations[name] = articulation
@@ -501,10 +509,17 @@ class Scene:
     # -- materials ---------------------------------------------------------------------------------------------
 
     def set_pair(self, a: str, b: str, mu: float | None = None, restitution: float | None = None) -> None:
-        """Give two bodies their own coefficients, which beat the combination rule; None leaves the rule's value."""
+        """Give two bodies their own coefficients, which beat the combination rule; None leaves the rule's value.
+
+        A whole articulation goes by its name, a body of it by "articulation/body", which beats the whole.
+        """
+        links = [
+            f"{robot.name}/{body}" for robot in self.articulations.values() for body in dict.fromkeys(robot.bodies)
+        ]
+        known = [*self.bodies, *self.articulations, *links]
         for name in (a, b):
-            if name not in self.bodies and name not in self.articulations:
-                raise ValueError(f"unknown body {name!r}; the scene has {sorted([*self.bodies, *self.articulations])}")
+            if name not in known:
+                raise ValueError(f"unknown body {name!r}; the scene has {sorted(known)}{meant(name, known)}")
         Material(0.0 if mu is None else mu, 0.0 if restitution is None else restitution)
         self.pairs[frozenset((a, b))] = (mu, restitution)
 
@@ -524,13 +539,18 @@ class Scene:
         """Function of two index arrays into `geoms` that returns (mu, restitution) of each pair."""
         mu = np.array([g.material.mu for g in geoms])
         e = np.array([g.material.restitution for g in geoms])
-        names = sorted({g.body for g in geoms})
+        names = sorted({g.link for g in geoms})
         rank = {name: k for k, name in enumerate(names)}
-        owner = np.array([rank[g.body] for g in geoms], dtype=np.int64)
+        owner = np.array([rank[g.link] for g in geoms], dtype=np.int64)
+        members: dict[str, set[int]] = {}
+        for g in geoms:
+            for name in (g.body, g.link):
+                members.setdefault(name, set()).add(rank[g.link])
         special = {}
-        for pair, values in self.pairs.items():
-            i, *j = sorted(rank[name] for name in pair)
-            special[i * len(names) + (j[0] if j else i)] = values
+        for pair, values in sorted(self.pairs.items(), key=lambda item: sum("/" in name for name in item[0])):
+            a, *b = pair
+            for i, j in product(members.get(a, ()), members.get(b[0] if b else a, ())):
+                special[min(i, j) * len(names) + max(i, j)] = values
         codes = np.array(sorted(special), dtype=np.int64)
 
         def combine(i: Index, j: Index) -> tuple[Array, Array]:
@@ -576,12 +596,13 @@ class Scene:
                 R, t = np.eye(3), -b.com
             else:
                 R, t = checks.rotation(b.quaternion), b.position
-            out.append(Geom(b.name, b.name, b.shape, frame_of.get(b.name, -1), R, t, b.material, b.colour))
+            out.append(Geom(b.name, b.name, b.shape, frame_of.get(b.name, -1), R, t, b.material, b.colour, b.name))
         for a in self.articulations.values():
-            for (name, joint, placement, shape), material in zip(a.links, a.materials, strict=True):
+            for (name, joint, placement, shape), body, material in zip(a.links, a.bodies, a.materials, strict=True):
                 frame = frame_of.get((a.name, joint), -1)
                 R, t = np.array(placement.rotation), np.array(placement.translation)
-                out.append(Geom(f"{a.name}/{name}", a.name, shape, frame, R, t, material))
+                link = f"{a.name}/{body}"
+                out.append(Geom(f"{a.name}/{name}", a.name, shape, frame, R, t, material, None, link))
         return out
 
     def excluded(self, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
@@ -605,6 +626,17 @@ class Scene:
                 held.add(k)
         return held
 
+    def _describe_links(self) -> list[dict[str, Any]]:
+        """Bodies of articulations that a recording shows: name, moving frame (-1 for the world), pose in it."""
+        first, frames = len(self.free_bodies), self.link_frames()
+        frame_of = {key: first + k for k, key in enumerate(frames)} | {(name, 0): -1 for name in self.articulations}
+        return [
+            {"name": f"{a.name}/{f.name}", "frame": frame_of[key], "placement": f.placement.homogeneous.tolist()}
+            for a in self.articulations.values()
+            for f in a.model.frames
+            if f.type == pin.FrameType.BODY and (key := (a.name, int(f.parentJoint))) in frame_of
+        ]
+
     def describe(self) -> dict[str, Any]:
         """Everything needed to replay a recording, as nested lists (see `nsdyn.trajectory`)."""
         geoms = []
@@ -615,6 +647,7 @@ class Scene:
                 {
                     "name": g.name,
                     "body": g.body,
+                    "link": g.link,
                     "frame": g.frame,
                     "placement": placement.tolist(),
                     "mu": g.material.mu,
@@ -633,11 +666,18 @@ class Scene:
             "frames": [b.name for b in self.free_bodies]
             + [f"{a}/{self.articulations[a].model.names[j]}" for a, j in self.link_frames()]
             + [b.name for b in self.driven_bodies],
+            "links": self._describe_links(),
             "free": len(self.free_bodies),
             "masses": [b.mass for b in self.free_bodies],
             "inertias": [b.inertia.tolist() for b in self.free_bodies],
             "articulations": [
-                {"name": a.name, "nq": a.model.nq, "nv": a.model.nv, "joints": list(a.model.names)[1:]}
+                {
+                    "name": a.name,
+                    "nq": a.model.nq,
+                    "nv": a.model.nv,
+                    "joints": list(a.model.names)[1:],
+                    "sizes": [[joint.nq, joint.nv] for joint in list(a.model.joints)[1:]],
+                }
                 for a in self.articulations.values()
             ],
         }

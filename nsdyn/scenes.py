@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from nsdyn.naming import choice
 from nsdyn.scene import Scene
 
 __all__ = ["Setup", "folder", "load", "module", "name_of", "names", "setup"]
@@ -35,8 +36,7 @@ def module(name: str) -> ModuleType:
 
     ValueError naming the known ones.
     """
-    if name not in names():
-        raise ValueError(f"scene must be one of {', '.join(names())}; got {name!r}")
+    choice(name, names(), "scene")
     spec = importlib.util.spec_from_file_location(_PREFIX + name, folder() / f"{name}.py")
     assert spec is not None and spec.loader is not None
     out = importlib.util.module_from_spec(spec)

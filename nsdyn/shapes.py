@@ -17,6 +17,8 @@ import coal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from nsdyn import noise
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -256,11 +258,14 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
     corners = points[used]
     # Twice: the centroid of a solid far from the origin loses digits.
     centroid = corners.mean(axis=0)
-    for _ in range(2):
-        geometry = coal_convex(corners - centroid, flat, face_ptr)
-        centroid = centroid + geometry.computeCOM()
-    corners = corners - centroid
-    geometry = coal_convex(corners, flat, face_ptr)
+    try:
+        for _ in range(2):
+            geometry = coal_convex(corners - centroid, flat, face_ptr)
+            centroid = centroid + geometry.computeCOM()
+        corners = corners - centroid
+        geometry = coal_convex(corners, flat, face_ptr)
+    except RuntimeError as failure:  # for instance of a corner with more neighbours than Coal counts
+        raise ValueError(f"vertices must make a simpler hull: {noise.told(failure, [])}") from None
     normals = np.array([_area_vector(corners[flat[a:b]]) for a, b in pairwise(face_ptr)])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     offsets = np.array([(corners[flat[face_ptr[f] : face_ptr[f + 1]]] @ n).max() for f, n in enumerate(normals)])
@@ -356,9 +361,12 @@ def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
     if not file.is_file():
         raise ValueError(f"path must be a mesh file, got {str(path)!r}")
     try:
-        surface = coal.MeshLoader().load(str(file), factor)
+        with noise.caught() as lines:
+            surface = coal.MeshLoader().load(str(file), factor)
     except (RuntimeError, ValueError) as failure:
-        raise ValueError(f"path: {file} could not be read as a mesh: {failure}") from None
+        raise ValueError(
+            f"path: {file} could not be read as a mesh of triangles: {noise.told(failure, lines)}"
+        ) from None
     return _hull_of_surface(surface, str(file))
 
 

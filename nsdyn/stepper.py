@@ -26,12 +26,14 @@ from nsdyn.encounter import Warm
 from nsdyn.energy import Ledger, Works
 from nsdyn.instant import Impulses, Instant, Looked, System, take
 from nsdyn.move import Trial, finish, trial
+from nsdyn.naming import choice
 from nsdyn.problem import FC3D, Array, Index, NotConverged, Solution, Status
 from nsdyn.projection import place
+from nsdyn.recorder import Recorder
 from nsdyn.scene import Geom, Scene
 from nsdyn.sight import Unmet, others
-from nsdyn.solvers import Auto, Solver
-from nsdyn.trajectory import Recorder, Trajectory
+from nsdyn.solvers import Auto, Solver, as_solver
+from nsdyn.trajectory import Trajectory
 
 __all__ = ["State", "Step", "Stepper", "simulate"]
 
@@ -194,8 +196,9 @@ class Stepper:
     theta : float
         In [½, 1]: 1 - θ is the fraction of a step before its impulses. More than ½ is first order, and damps joint
         springs and stiff trees.
-    solver : Solver
-        Default ``Auto(tol=1e-8, loose=1e-4)``.
+    solver : str or Solver
+        A name of `nsdyn.solvers.SOLVERS`, then at a tolerance of 1e-8, or a solver object. Default and "auto":
+        ``Auto(tol=1e-8, loose=1e-4)``.
     controller : callable, optional
         ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}; called with the time and
         configuration of the impulses and the velocity at the beginning, Pinocchio's layout.
@@ -239,7 +242,7 @@ class Stepper:
         scene: Scene,
         dt: float = 1e-3,
         theta: float = 0.5,
-        solver: Solver | None = None,
+        solver: str | Solver | None = None,
         controller: Callback | None = None,
         external_force: Callback | None = None,
         on_fail: str = "warn",
@@ -251,18 +254,18 @@ class Stepper:
             raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
         if not 0.5 <= theta <= 1.0:
             raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
-        if on_fail not in ("warn", "raise", "ignore"):
-            raise ValueError(f"on_fail must be 'warn', 'raise' or 'ignore', got {on_fail!r}")
+        if not isinstance(scene, Scene):
+            raise ValueError(f"scene must be a nsdyn.Scene, got {scene!r}; nsdyn.scenes.load(name)() makes a named one")
+        choice(on_fail, ("warn", "raise", "ignore"), "on_fail")
         for what, given in (("controller", controller), ("external_force", external_force)):
             if given is not None and not callable(given):
                 raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
-        if impact not in impacts.LAWS:
-            raise ValueError(f"impact must be one of {impacts.LAWS}, got {impact!r}")
+        choice(impact, impacts.LAWS, "impact")
         self.dump_on_fail = None if dump_on_fail is None else Path(dump_on_fail)
         if self.dump_on_fail is not None and self.dump_on_fail.is_file():
             raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
-        solver = Auto() if solver is None else solver
+        solver = Auto() if solver in (None, "auto") else as_solver(solver)
         self.controller, self.external_force, self.on_fail = controller, external_force, on_fail
         self.dynamics, geoms = Dynamics(scene), scene.geoms()
         self.detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms), max_points)
@@ -505,7 +508,9 @@ def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:
     size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
     where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
     if depth > DEEPEST * size:
-        raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m)")
+        remedy = f"; self_collisions='apart' of {a.body!r}, or an SRDF file, keeps such links from touching"
+        remedy = remedy if a.body == b.body else ""
+        raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m){remedy}")
     if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
         warnings.warn(f"{where}; the first step moves them apart", stacklevel=5)
 
@@ -515,7 +520,7 @@ def simulate(
     duration: float,
     dt: float = 1e-3,
     theta: float = 0.5,
-    solver: Solver | None = None,
+    solver: str | Solver | None = None,
     controller: Callback | None = None,
     external_force: Callback | None = None,
     on_fail: str = "warn",

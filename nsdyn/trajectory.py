@@ -1,71 +1,22 @@
-"""The record of a simulation, in memory and as an HDF5 file any HDF5 library reads.
-
-Layout of the file (n steps, row 0 of a state is the initial one; SI units; quaternions xyzw)::
-
-    /meta            attributes: format "nsdyn", format_version, dt, theta, solver, scene_name, external_force
-                     (whether there was one; since version 3), versions of nsdyn, pin, coal, numpy
-    /meta/scene      JSON string, what `Scene.describe` returns: shapes, poses, gravity, frames; since version 3 the
-                     pairs of shapes that may overlap
-    /t               (n+1,)  s
-    /q, /v           (n+1, nq), (n+1, nv)  Pinocchio's free-flyer of every free body (x y z qx qy qz qw;
-                     linear then angular velocity in the body frame), then the articulations
-    /frames/x, quat  (n+1, nframes, 3), (n+1, nframes, 4)  world poses; only in scenes with articulations
-                                                   or driven bodies
-    /energy/kinetic, potential                     (n+1,)  J
-    /energy/external, normal, friction, damping, constraint, integration, projection, defect
-                                                   (n,)  work of the step, J; damping and constraint since version 2;
-                                                   before version 3 gyroscopic, theta and mass make up integration
-    /energy/created                                (n,)  J, no term of the balance; since version 3
-    /gauss/gap, shift, bound                       (n,)  J, m/s, sqrt(J)
-    /solver/error, residual, iterations, status, time
-                                                   (n,)  -, m/s, -, `nsdyn.problem.Status`, s; error since version 3
-    /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
-                                                   rows offset[k-1] to offset[k] of
-    /contacts/geom1, geom2, key                    indices of the shapes; key of the warm start
-    /contacts/point, normal, tangent               (., 3)  world; normal from 1 to 2; t1, and t2 = n x t1
-    /contacts/gap, mu, restitution                 m, -, -
-    /contacts/u, impulse                           (., 3)  (N, T1, T2) of 2 relative to 1, m/s; on 2, N·s
-    /contacts/status                               0 open, 1 stick, 2 slip
-    /contacts/work_normal, work_friction           J
-
-A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
-HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file
-that opens as any other; if the kill falls into those milliseconds, ``h5py.File(path, swmr=True)`` opens it,
-and `Trajectory.load` does in either case. `/t` is written last: its length is the number of complete rows.
-"""
+"""The record of a simulation: states, energies, contacts, certificates."""
 
 from __future__ import annotations
 
-import json
-import math
-import os
-import time
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, fields
-from functools import cache
-from importlib.metadata import version
-from itertools import repeat
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
-import nsdyn
+from nsdyn import files, recording, tables
+from nsdyn.naming import meant
+from nsdyn.recording import CONTACT, CONTACT_STATES, ENERGIES, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 
 Array = NDArray[np.float64]
-Columns = dict[str, NDArray[Any]]
 
-__all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "Recorder", "SolverLog", "Trajectory"]
-
-FORMAT_VERSION = 3
-CONTACT_STATES = ("open", "stick", "slip")
-
-_FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %
-_BLOCK_ROWS = 256  # rows kept as they are read before they are packed into arrays
+__all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "SolverLog", "Trajectory"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +54,7 @@ class Energy:
     @property
     def names(self) -> tuple[str, ...]:
         """The terms of the balance, states first."""
-        return _ENERGIES + _WORKS
+        return ENERGIES + WORKS
 
     @property
     def total(self) -> Array:
@@ -159,255 +110,6 @@ class SolverLog:
         return [Status(int(s)).name for s in self.status]
 
 
-_ENERGIES = ("kinetic", "potential")
-_PHYSICS = ("external", "normal", "friction", "damping", "constraint")
-_WORKS = (*_PHYSICS, "integration", "projection", "defect")
-_GAUSS = tuple(f.name for f in fields(Gauss))
-_SOLVER = {"error": "f8", "residual": "f8", "iterations": "i4", "status": "i1", "time": "f8"}
-# Columns of a contact by name: (where a step has it, type, components).
-_CONTACT = {
-    "geom1": ("contacts.geom1", "i4", 1),
-    "geom2": ("contacts.geom2", "i4", 1),
-    "point": ("contacts.point", "f8", 3),
-    "normal": ("contacts.normal", "f8", 3),
-    "gap": ("gap", "f8", 1),
-    "mu": ("contacts.mu", "f8", 1),
-    "restitution": ("contacts.restitution", "f8", 1),
-    "key": ("contacts.key", "i8", 1),
-    "u": ("u", "f8", 3),
-    "impulse": ("r", "f8", 3),
-    "status": ("contact_status", "i1", 1),
-    "tangent": ("tangent", "f8", 3),
-    "work_normal": ("work_normal", "f8", 1),
-    "work_friction": ("work_friction", "f8", 1),
-}
-
-# What is read of every state, and of every step besides, at once.
-_read_state = attrgetter("t", "q", "v", "frames_x", "frames_quat", "energy")
-_read_step = attrgetter(
-    *(f"gauss.{name}" for name in _GAUSS),
-    *(f"solution.{name}" for name in _SOLVER),
-    "created",
-    *(path for path, _, _ in _CONTACT.values()),
-)
-
-# Datasets of a file by their number of rows: n + 1, n, and one per contact.
-_STATES = ["t", "q", "v", *(f"energy/{name}" for name in _ENERGIES), "contacts/offset"]
-_LINKS = ["frames/x", "frames/quat"]
-_STEPS = [f"energy/{name}" for name in _WORKS]
-_STEPS += [f"gauss/{name}" for name in _GAUSS] + [f"solver/{name}" for name in _SOLVER] + ["energy/created"]
-# Columns that older files lack: (version, column, those that it is the sum of, its value without any).
-_ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
-    (2, "energy/damping", (), 0.0),
-    (2, "energy/constraint", (), 0.0),
-    (3, "energy/integration", ("energy/gyroscopic", "energy/theta", "energy/mass"), 0.0),
-    (3, "energy/created", (), math.nan),
-    (3, "solver/error", (), math.nan),
-]
-_CONTACTS = [f"contacts/{name}" for name in _CONTACT]
-
-
-@cache
-def _versions() -> dict[str, str]:
-    """Versions of what computes; to look them up takes a millisecond."""
-    return {f"{name}_version": version(name) for name in ("pin", "coal", "numpy")}
-
-
-@contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
-    """Yield a file to write beside `path` that takes its place when the block succeeds; else nothing is left.
-
-    Raises
-    ------
-    ValueError
-        Naming the path, when it cannot be written.
-    """
-    path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        if path.is_dir():
-            raise IsADirectoryError(None, "it is a folder")
-        part.touch()
-        try:
-            yield part
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise ValueError(f"cannot write {path}: {error.strerror or error}") from error
-
-
-class Recorder:
-    """Collects the rows of a simulation, in memory or in a file that grows while it runs.
-
-    Parameters
-    ----------
-    path : path, optional
-        HDF5 file to write. An existing one is replaced as a whole. None keeps everything in memory.
-    meta : mapping
-        dt, theta, solver (its repr), as str, int or float.
-    scene : mapping
-        What `Scene.describe` returns.
-    first : object
-        The initial state: attributes t, q, v, frames_x, frames_quat and energy as below; of the energies only
-        "kinetic" and "potential" are read.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be written, naming it.
-
-    Notes
-    -----
-    `append(step)` reads from a step
-
-    ============================  =====================================================================
-    t, q, v                       float, (nq,), (nv,) at the end of the step
-    frames_x, frames_quat         (nframes, 3), (nframes, 4) xyzw, or None in scenes without articulations
-    energy                        mapping of the `names` of `Energy` to floats, J
-    gauss                         attributes gap, shift, bound
-    solution                      attributes error, residual, iterations, status, time
-    contacts                      ContactSet: geom1, geom2, point, normal, mu, restitution, key
-    gap                           (nc,), at the end of the step
-    u, r, tangent                 (nc, 3) each
-    contact_status                (nc,), 0 open, 1 stick, 2 slip
-    created                       float, J
-    work_normal, work_friction    (nc,)
-    ============================  =====================================================================
-
-    and keeps references to these until the next flush: the arrays must not be changed afterwards. Use it as a context
-    manager, so that the last rows reach the file also when the simulation raises.
-    """
-
-    def __init__(self, path: str | Path | None, meta: Mapping[str, Any], scene: Mapping[str, Any], first: Any) -> None:
-        self.meta = {
-            "format": "nsdyn",
-            "format_version": FORMAT_VERSION,
-            "nsdyn_version": nsdyn.__version__,
-            **_versions(),
-            "scene_name": scene["name"],
-            **meta,
-        }
-        self.scene = dict(scene)
-        self.path = None if path is None else Path(path).absolute()
-        self._states: list[tuple[Any, ...]] = []
-        self._steps: list[tuple[Any, ...]] = []
-        self._blocks = [_pack([_read_state(first)], []) | {"contacts/offset": np.zeros(1, dtype=np.int64)}]
-        self._contacts = 0
-        if self.path is not None:
-            with replacing(self.path) as part:
-                _create(part, self.meta, self.scene, self._blocks[0], grow=True)
-            self._blocks = []
-        self._deadline = time.perf_counter() + _FLUSH_SECONDS
-
-    def append(self, step: Any) -> None:
-        """Record one step; see the notes of the class for what it must carry."""
-        self._states.append(_read_state(step))
-        self._steps.append(_read_step(step))
-        if len(self._steps) == _BLOCK_ROWS:
-            self._pack_rows()
-        if self.path is not None and time.perf_counter() >= self._deadline:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write the rows collected so far to the file, if there is one."""
-        self._pack_rows()
-        if self.path is not None and self._blocks:
-            _extend(self.path, _concatenate(self._blocks))
-            self._blocks = []
-            self._deadline = time.perf_counter() + _FLUSH_SECONDS
-
-    def trajectory(self) -> Trajectory:
-        """Everything recorded so far."""
-        self.flush()
-        if self.path is not None:
-            return Trajectory.load(self.path)
-        return Trajectory(self.meta, self.scene, _concatenate(self._blocks))
-
-    def _pack_rows(self) -> None:
-        if self._steps:
-            block = _pack(self._states, self._steps)
-            block["contacts/offset"] = self._contacts + np.cumsum([len(row[-1]) for row in self._steps])
-            self._contacts = int(block["contacts/offset"][-1])
-            self._blocks.append(block)
-            self._states, self._steps = [], []
-
-    def __enter__(self) -> Recorder:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.flush()
-
-
-def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Columns:
-    """Arrays of the file from what was read of states and steps, without the offsets of the contacts."""
-    out: Columns = {}
-    t, q, v, x, quaternion, energies = zip(*states, strict=True)
-    out |= {"t": np.array(t, dtype=float), "q": _stack(q), "v": _stack(v)}
-    if x[0] is not None:
-        out |= {"frames/x": _stack(x), "frames/quat": _stack(quaternion)}
-    for name in _ENERGIES:
-        out[f"energy/{name}"] = np.array([energy[name] for energy in energies], dtype=float)
-    columns: Iterator[Any] = zip(*steps, strict=True) if steps else repeat(())
-    for name in _WORKS:
-        out[f"energy/{name}"] = np.array([energy[name] for energy in energies if steps], dtype=float)
-    for name in _GAUSS:
-        out[f"gauss/{name}"] = np.array(next(columns), dtype=float)
-    for name, kind in _SOLVER.items():
-        out[f"solver/{name}"] = np.array(next(columns), dtype=kind)
-    out["energy/created"] = np.array(next(columns), dtype=float)
-    for name, (_, kind, components) in _CONTACT.items():
-        empty = np.empty((0, components) if components > 1 else 0, dtype=kind)
-        out[f"contacts/{name}"] = np.concatenate([empty, *next(columns)], dtype=kind, casting="same_kind")
-    return out
-
-
-def _stack(rows: tuple[Array, ...]) -> Array:
-    """Rows of one shape as an array; NumPy's own function takes five times as long for short ones."""
-    return np.concatenate(rows, dtype=float).reshape(len(rows), *rows[0].shape)
-
-
-def _concatenate(blocks: list[Columns]) -> Columns:
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-
-
-def _rows(names: Iterable[str], states: int, contacts: int) -> dict[str, int]:
-    """Count the rows of each dataset in a recording of that many states and contacts."""
-    count = dict.fromkeys(_CONTACTS, contacts) | dict.fromkeys([*_STATES, *_LINKS], states)
-    return {name: count.get(name, states - 1) for name in names}
-
-
-def _create(path: Path, meta: Mapping[str, Any], scene: Mapping[str, Any], columns: Columns, grow: bool) -> None:
-    """Write a new file, its datasets of fixed size or ready to grow."""
-    with h5py.File(path, "w", libver="latest", locking=False) as file:
-        file.create_group("meta").attrs.update(meta)
-        file["meta/scene"] = json.dumps(scene)
-        for name, data in columns.items():
-            options: dict[str, Any] = {}
-            if grow:
-                shape = tuple(max(1, size) for size in data.shape[1:])
-                rows = 65536 // (data.itemsize * math.prod(shape))  # 64 kB: quick, yet small files stay small
-                options = {"maxshape": (None, *data.shape[1:]), "chunks": (min(1024, max(16, rows)), *shape)}
-            file.create_dataset(name, data=data, **options)
-
-
-def _extend(path: Path, columns: Columns) -> None:
-    """Add rows to a file: all columns, then, when they have reached it, `/t`.
-
-    Rows an interrupted call left beyond the end of `/t` are written over. Locking is off, so that nobody who
-    reads the file can stop the simulation; single-writer mode keeps it readable at every moment.
-    """
-    with h5py.File(path, "r+", libver="latest", locking=False) as file:
-        file.swmr_mode = True
-        states = len(file["t"])
-        contacts = int(file["contacts/offset"][states - 1])
-        for name, old in sorted(_rows(columns, states, contacts).items(), key=lambda item: item[0] == "t"):
-            if name == "t":
-                file.flush()
-            file[name].resize(old + len(columns[name]), axis=0)
-            file[name][old:] = columns[name]
-
-
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
     """Motion of one free body or link in the world frame.
@@ -416,7 +118,7 @@ class BodyMotion:
     ----------
     name : str
     position : ndarray, shape (n + 1, 3)
-        m. Of the centre of mass of a free body, of the joint frame of a link.
+        m. Of the centre of mass of a free body, of the frame of a link or a joint.
     quaternion : ndarray, shape (n + 1, 4)
         xyzw, body to world.
     """
@@ -457,7 +159,9 @@ class ContactTable:
     Attributes
     ----------
     body1, body2 : tuple of str
-        Names of the bodies (of the link's shape, for an articulation).
+        Names of the bodies, "articulation/body" of a link.
+    shape1, shape2 : tuple of str
+        Names of their shapes; a free body has one, of its own name.
     point, normal, tangent : ndarray, shape (nc, 3)
         Normal from body 1 to body 2; t1, with t2 = n x t1.
     gap : ndarray, shape (nc,)
@@ -477,6 +181,8 @@ class ContactTable:
 
     body1: tuple[str, ...]
     body2: tuple[str, ...]
+    shape1: tuple[str, ...]
+    shape2: tuple[str, ...]
     point: Array
     normal: Array
     tangent: Array
@@ -537,7 +243,7 @@ class Trajectory:
     scene : dict
         What `Scene.describe` returned: enough to draw it.
     columns : dict of str to ndarray
-        The datasets by their name in the file, see the module.
+        The datasets by their name in the file, see `nsdyn.recording`.
     """
 
     meta: dict[str, Any]
@@ -577,23 +283,44 @@ class Trajectory:
     @property
     def gauss(self) -> Gauss:
         """Certificates."""
-        return Gauss(**{name: self.columns[f"gauss/{name}"] for name in _GAUSS})
+        return Gauss(**{name: self.columns[f"gauss/{name}"] for name in GAUSS})
 
     @property
     def solver(self) -> SolverLog:
         """Reports of the solver."""
-        return SolverLog(**{name: self.columns[f"solver/{name}"] for name in _SOLVER})
+        return SolverLog(**{name: self.columns[f"solver/{name}"] for name in SOLVER})
+
+    @property
+    def wall_time(self) -> Array:
+        """Wall time of each step without its recording, shape (n,), s; NaN where a recording does not tell."""
+        return self.columns["wall_time"]
 
     def body(self, name: str) -> BodyMotion:
-        """Motion of a free body, or of a link ("arm/link2"); ValueError naming the known ones."""
-        frames = self.scene["frames"]
+        """Motion of a body, or of a link or a joint ("arm/link2"); ValueError naming the known ones.
+
+        Links whose joint carries no shape are not recorded.
+        """
+        frames, links = self.scene["frames"], {link["name"]: link for link in self.scene.get("links", ())}
+        if name not in frames and name in links:
+            return self._link(name, links[name]["frame"], np.array(links[name]["placement"]))
         if name not in frames:
-            raise ValueError(f"no moving body {name!r}; the recording has {frames}")
+            known = [*frames, *links]
+            raise ValueError(f"no moving body {name!r}; the recording has {known}{meant(name, known)}")
         k = frames.index(name)
         if k < self.scene["free"]:
             pose, twist = self.q[:, 7 * k : 7 * k + 7], self.v[:, 6 * k : 6 * k + 6]
             return BodyMotion(name, pose[:, :3], pose[:, 3:], twist)
         return BodyMotion(name, self.columns["frames/x"][:, k], self.columns["frames/quat"][:, k], None)
+
+    def _link(self, name: str, frame: int, placement: Array) -> BodyMotion:
+        """Motion of a link that is placed, shape (4, 4), in a moving frame or in the world, -1."""
+        turn = Rotation.from_matrix(placement[:3, :3])
+        if frame < 0:
+            one = np.ones((self.t.size, 1))
+            return BodyMotion(name, one * placement[:3, 3], one * turn.as_quat(), None)
+        carrier = self.body(self.scene["frames"][frame])
+        position = carrier.position + rotate(carrier.quaternion, placement[:3, 3])
+        return BodyMotion(name, position, (Rotation.from_quat(carrier.quaternion) * turn).as_quat(), None)
 
     def contacts(self, k: int) -> ContactTable:
         """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError."""
@@ -602,16 +329,48 @@ class Trajectory:
             raise IndexError(f"contacts belong to steps 1 to {self.steps}, got {k}")
         offset = self.columns["contacts/offset"]
         rows = slice(int(offset[step - 1]), int(offset[step]))
-        part = {name: self.columns[f"contacts/{name}"][rows] for name in _CONTACT}
-        # A link is named by its shape, a body by itself: the same string for the one shape it has.
-        names = [geom["name"] for geom in self.scene["geoms"]]
-        body1, body2 = (tuple(names[g] for g in part.pop(side)) for side in ("geom1", "geom2"))
-        return ContactTable(body1=body1, body2=body2, **part)
+        part = {name: self.columns[f"contacts/{name}"][rows] for name in CONTACT}
+        geoms = self.scene["geoms"]
+        sides = [[geoms[g] for g in part.pop(side)] for side in ("geom1", "geom2")]
+        # Recordings before format 4 have no names of links.
+        body1, body2 = (tuple(geom.get("link", geom["name"]) for geom in side) for side in sides)
+        shape1, shape2 = (tuple(geom["name"] for geom in side) for side in sides)
+        return ContactTable(body1, body2, shape1, shape2, **part)
+
+    def contact_table(self) -> Any:
+        """All contacts of all steps, one a row, by columns; SI units, world axes.
+
+        Returns
+        -------
+        pandas.DataFrame, or dict of str to ndarray where pandas is not installed
+            step, t of its end, body1, body2, state, gap, point, normal, impulse on body 2 and velocity of body 2
+            relative to body 1 (each _x, _y, _z; the latter two also _N, _T), mu, restitution, work_normal,
+            work_friction.
+        """
+        return tables.contact_table(self)
+
+    def pair(self, a: str, b: str) -> tables.Pair:
+        """What body `a` does to body `b` in each step: net force, torque, work, smallest gap, state.
+
+        Both are bodies, "articulation/body" or whole articulations; ValueError naming the known ones.
+        """
+        return tables.pair(self, a, b)
+
+    def force(self, name: str) -> Array:
+        """Net contact force on a body, "articulation/body" or articulation in each step, shape (n, 3), N, world axes.
+
+        Between the links of one articulation it cancels. ValueError naming the known ones.
+        """
+        return tables.force(self, name)
+
+    def joint(self, name: str) -> tables.JointMotion:
+        """Motion of a joint, "articulation/joint"; ValueError naming the known ones."""
+        return tables.joint(self, name)
 
     def save(self, path: str | Path) -> None:
         """Write an HDF5 file, which replaces one of that name once complete; ValueError naming the path."""
-        with replacing(path) as part:
-            _create(part, self.meta, self.scene, self.columns, grow=False)
+        with files.writing(path) as part:
+            recording.create(part, self.meta, self.scene, self.columns, grow=False)
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
@@ -623,47 +382,7 @@ class Trajectory:
         ValueError
             If the file is no recording, naming the file and what is missing.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"no such recording: {path}")
-        if not h5py.is_hdf5(path):
-            raise ValueError(f"{path} is not a recording of nsdyn: it is not an HDF5 file")
-        try:
-            file = h5py.File(path, "r", locking=False)
-        except OSError:  # marked as being written: the simulation is writing rows, or was killed while it did
-            file = h5py.File(path, "r", swmr=True, locking=False)
-        with file:
-            return cls._read(file, path)
-
-    @classmethod
-    def _read(cls, file: Any, path: Path) -> Trajectory:
-        attributes = file["meta"].attrs if "meta" in file else {}
-        meta = {k: v.item() if isinstance(v, np.generic) else v for k, v in attributes.items()}
-        if meta.get("format") != "nsdyn":
-            raise ValueError(f"{path} is not a recording of nsdyn: /meta with format='nsdyn' is missing")
-        if meta["format_version"] > FORMAT_VERSION:
-            raise ValueError(
-                f"{path} has format_version {meta['format_version']}, this nsdyn reads up to {FORMAT_VERSION}"
-            )
-        added = [row for row in _ADDED if meta["format_version"] < row[0]]
-        parts = [part for _, _, parts, _ in added for part in parts]
-        steps = [name for name in _STEPS if name not in {column for _, column, _, _ in added}] + parts
-        missing = [name for name in ["meta/scene", *_STATES, *steps, *_CONTACTS] if name not in file]
-        if missing:
-            raise ValueError(f"{path} is not a recording of nsdyn: /{missing[0]} is missing")
-        scene = json.loads(file["meta/scene"][()])
-        states = len(file["t"])
-        offset = file["contacts/offset"][:states]
-        names = _STATES + (_LINKS if "frames" in file else []) + steps + _CONTACTS
-        rows = _rows(names, states, int(offset[-1]) if len(offset) else 0)
-        for name, size in rows.items():
-            if len(file[name]) < size or not states:
-                raise ValueError(f"{path} is damaged: /{name} has {len(file[name])} rows, {size} expected")
-        columns = {name: file[name][:size] for name, size in rows.items()}
-        for _, column, summed, value in added:
-            columns[column] = sum((columns.pop(part) for part in summed), np.full(states - 1, value))
-        meta["format_version"] = FORMAT_VERSION
-        return cls(meta, scene, columns)
+        return cls(*recording.read(Path(path)))
 
     def to_html(self, path: str | Path, **options: Any) -> None:
         """Write a self-contained animated page; options as in `nsdyn.viewer.write_html`."""
@@ -673,6 +392,8 @@ class Trajectory:
 
     def plot_energy(self, ax: Any = None) -> Any:
         """Draw kinetic and potential energy, stacked, and over them the works done so far.
+
+        The axis of energy spans at least a millionth of the largest energy: what is smaller shows as rest.
 
         Parameters
         ----------
@@ -696,6 +417,11 @@ class Trajectory:
         ax.plot(self.t, e.kinetic + potential, "k", lw=1, label="kinetic + potential")
         ax.set(xlabel="t [s]", ylabel="energy, work so far [J]", title=self.meta["scene_name"])
         ax.margins(x=0)
+        low, high = ax.get_ylim()
+        least = 1e-6 * self._largest_energy or 1.0
+        if high - low < least:
+            ax.set_ylim(-0.1 * least, 0.9 * least)
+            ax.text(0.5, 0.5, "at rest", transform=ax.transAxes, ha="center", va="center", size="x-large")
         ax.legend(loc="best", frameon=False)
         return ax
 
@@ -729,12 +455,17 @@ class Trajectory:
     def at_play(self) -> float:
         """Energy at play, J: the most of kinetic energy, range of potential energy and physical works so far."""
         e = self.energy
-        works = (float(np.abs(self._cumulative(name)).max()) for name in _PHYSICS)
+        works = (float(np.abs(self._cumulative(name)).max()) for name in PHYSICS)
         return max(float(e.kinetic.max()), float(np.ptp(e.potential)), *works)
+
+    @property
+    def _largest_energy(self) -> float:
+        """Of the energy at play and the potential energy, which a body at rest has too, J."""
+        return max(self.at_play, float(np.abs(self.energy.potential).max()))
 
     def shares(self) -> dict[str, tuple[float, float]]:
         """Works of physics, numerics (integration, defect) and projection, J: (in all, largest absolute sum so far)."""
-        groups = {"physics": _PHYSICS, "numerics": ("integration", "defect"), "projection": ("projection",)}
+        groups = {"physics": PHYSICS, "numerics": ("integration", "defect"), "projection": ("projection",)}
         out = {}
         for group, names in groups.items():
             work = sum((self._cumulative(name) for name in names), np.zeros(self.t.size))
@@ -756,8 +487,10 @@ class Trajectory:
 
     def _active_works(self) -> list[str]:
         """Works of more than round-off, without the defect."""
-        works = {name: np.abs(self._cumulative(name)).max() for name in _WORKS if name != "defect"}
-        return [name for name, work in works.items() if work > 1e-9 * max(self.at_play, 1e-300, *works.values())]
+        works = {name: np.abs(self._cumulative(name)).max() for name in WORKS if name != "defect"}
+        return [
+            name for name, work in works.items() if work > 1e-9 * max(self._largest_energy, 1e-300, *works.values())
+        ]
 
     def _cumulative(self, work: str) -> Array:
         """Work from 0 to t, shape (n + 1,)."""

@@ -14,11 +14,15 @@ from nsdyn.control import PD
 from nsdyn.distances import pose_views
 from nsdyn.loops import Closures, admissible, supports
 from nsdyn.motions import Motion
+from nsdyn.naming import meant
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 __all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "Tree", "TreeEnd", "TreeLoads", "TreeWorks"]
+
+SETTLING = 5
+"""Passes in which a control may also leave its limit, so that their number is bounded; two are usual."""
 
 PASSES = 20
 """Most passes of the fixed point for the flow of a constrained tree; it contracts by O(h ω) a pass."""
@@ -261,7 +265,7 @@ class Tree:
         self._J: Array = self.data.J.reshape(6, nv, order="A")
         self._R, self._x = pose_views(self.data.oMi, self.model.njoints)
         self._carriers = np.array(joints, dtype=np.int64)
-        self.damping, self.stiffness, self.rest = a.damping, a.stiffness, a.rest
+        self.damping, self.stiffness, self.rest, self.effort = a.damping, a.stiffness, a.rest, a.effort
         self._linear, self._linear_q, self._turning = self._scalar_coordinates()
         scalar = np.zeros(nv, dtype=bool)
         scalar[self._linear], scalar[[j for j, _ in self._turning]] = True, True
@@ -353,24 +357,25 @@ class Tree:
         """The closest configuration whose loops are closed; q itself when they are."""
         return q if self._closures is None else self._closures.close(q, self._driven_rows)
 
-    def _control(self, given: Any, angle: Array) -> tuple[Array, Array, Array]:
-        """(tau, kp, kd) of what a controller returned, at rest at the angles given; ValueError if it does not fit."""
+    def _control(self, given: Any, angle: Array) -> tuple[Array, Array, Array, Array | None]:
+        """(tau, kp, kd, limit if any) of what a controller returned, at rest at the angles; ValueError if unfit."""
         if isinstance(given, PD):
             if given is not self._controlled[0]:
-                kp, kd, target, rate, feedforward = given.on(self.name, self.scalar)
-                self._controlled = given, (kp, kd, target, feedforward + kd * rate)
-            kp, kd, target, constant = self._controlled[1]
-            return constant - kp * self._deviation(angle, target), kp, kd
+                kp, kd, target, rate, feedforward, limit = given.on(self.name, self.scalar, self.effort)
+                bound = limit if np.isfinite(limit).any() else None
+                self._controlled = given, (kp, kd, target, feedforward + kd * rate, bound)
+            kp, kd, target, constant, bound = self._controlled[1]
+            return constant - kp * self._deviation(angle, target), kp, kd, bound
         zero = self._zero
         if given is None:
-            return zero, zero, zero
+            return zero, zero, zero, None
         try:
             tau = np.array(given, dtype=float)
         except (TypeError, ValueError):
             tau = np.array(np.nan)
         if tau.shape != zero.shape or not np.isfinite(tau).all():
             raise ValueError(f"controller must give {zero.size} finite joint forces for {self.name!r}, got {given!r}")
-        return tau, zero, zero
+        return tau, zero, zero, None
 
     def joint_forces(self, q: Array, body: str, force: Array, torque: Array) -> Array:
         """Jᵀ (force, torque), shape (nv,), of a force [N] at the origin of a body's frame and a torque [N m] at q.
@@ -378,7 +383,10 @@ class Tree:
         World axes.
         """
         if body not in self._bodies:
-            raise ValueError(f"external_force: {self.name!r} has no moving body {body!r}; it has {list(self._bodies)}")
+            known = list(self._bodies)
+            raise ValueError(
+                f"external_force: {self.name!r} has no moving body {body!r}; it has {known}{meant(body, known)}"
+            )
         at = self._bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         out: Array = pin.computeFrameJacobian(self.model, self.data, q, *at).T @ np.concatenate((force, torque))
         return out
@@ -497,27 +505,44 @@ class Tree:
         ValueError
             For joint forces that do not fit, and where a joint moves no mass.
         """
-        middle, v0, M, h, theta = halfway.q, halfway.v, halfway.M, halfway.h, halfway.theta
-        angle = self.angle(middle)
-        tau, kp, kd = self._control(given, angle)
-        if applied is not None:
-            tau = tau + applied
+        angle, v0, h = self.angle(halfway.q), halfway.v, halfway.h
+        tau, kp, kd, limit = self._control(given, angle)
         stretch = self._deviation(angle, self.rest) if self._springs else self._zero
+        weight = pin.computeGeneralizedGravity(self.model, self.data, halfway.q)
+        push = self._zero if applied is None else applied
+        loads = TreeLoads(tau + push, kp, kd, stretch, weight, self._implicit or isinstance(given, PD))
+        out = self._respond(halfway, t, loads)
+        if limit is None:
+            return out
+        side = np.zeros(v0.size)  # of its limit at which a control is
+        for k in range(SETTLING + v0.size + 1):
+            wanted = tau - kd * out.v - kp * h * (out.v - (1.0 - halfway.theta) * v0)
+            new = np.where(np.abs(wanted) > limit, np.sign(wanted), 0.0)
+            if k >= SETTLING:  # to end: what has been at its limit stays there
+                new = np.where(side != 0.0, side, new)
+            if (new == side).all():
+                break
+            side, free = new, new == 0.0
+            held = np.where(free, tau, side * np.where(free, 0.0, limit))
+            out = self._respond(halfway, t, loads._replace(tau=held + push, kp=kp * free, kd=kd * free))
+        return out
+
+    def _respond(self, halfway: Halfway, t: float, loads: TreeLoads) -> FreeMotion:
+        """What loads do in a step; ValueError where a joint moves no mass."""
+        v0, M, h, theta = halfway.v, halfway.M, halfway.h, halfway.theta
         (factor, m, minv), force, v = np.empty((3, v0.size, v0.size)), np.empty_like(v0), v0.copy()
-        laws = self.damping, self.stiffness, kp, kd, tau, stretch
+        laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
         if not _trees.implicit(M, *laws, v0, h, theta, factor, m, minv, force):
             raise ValueError(
                 f"mass matrix of {self.name!r} is not positive definite: a joint moves no mass; give it an armature"
             )
-        weight = pin.computeGeneralizedGravity(self.model, self.data, middle)
-        implicit = self._implicit or isinstance(given, PD)
-        loads, start, constraints = TreeLoads(tau, kp, kd, stretch, weight, implicit), v0, None
+        start, constraints = v0, None
         if self.constrained:
-            B, P, Z = self._restrict(middle, factor)
+            B, P, Z = self._restrict(halfway.q, factor)
             minv, b = Z @ Z.T, np.zeros(len(B))
             b[b.size - len(self.driven) :] = [motion.rate(t) for motion in self.driven]
             start, constraints = minv @ (m @ v0) + P @ b, Constraints(B, P, Z)
-        _trees.respond(start, minv, force, weight, h, v)
+        _trees.respond(start, minv, force, loads.weight, h, v)
         return FreeMotion(v, loads, m, minv, constraints)
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:

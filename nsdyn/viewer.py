@@ -18,7 +18,8 @@ import subprocess
 import tempfile
 import uuid
 import warnings
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -28,7 +29,9 @@ import numpy as np
 import umsgpack
 from numpy.typing import ArrayLike, NDArray
 
-from nsdyn.trajectory import Array, ContactTable, Trajectory, replacing
+from nsdyn import arrows, files
+from nsdyn.naming import choice
+from nsdyn.trajectory import Array, Trajectory
 
 __all__ = ["chromium", "html", "screenshot", "write_html"]
 
@@ -60,14 +63,14 @@ def write_html(trajectory: Trajectory, path: str | Path, **options: Any) -> None
         If an option is out of range or the file cannot be written.
     """
     page = html(trajectory, **options).encode()
-    with replacing(path) as part:
+    with files.writing(path) as part:
         part.write_bytes(page)
 
 
 def html(
     trajectory: Trajectory,
     fps: float = 30.0,
-    forces: bool = False,
+    forces: bool | str = False,
     max_frames: int = 3000,
     at: float | None = None,
 ) -> str:
@@ -78,9 +81,10 @@ def html(
     trajectory : Trajectory
     fps : float
         Keyframes per second of simulated time; the browser interpolates between them.
-    forces : bool
-        Draw the contact forces (impulse / dt of the step) on the moving body, on body 2 when both move. Their
-        90 % quantile is as long as a fifth of the scene's radius; arrows are cut at twice that.
+    forces : bool or {"pair", "point"}
+        Draw the contact forces, the mean since the keyframe before, on the moving body, on body 2 when both move: one
+        for each pair of bodies (True, "pair"), or for each contact point. Their 90 % quantile is as long as a fifth of
+        the scene's radius; arrows are cut at twice that.
     max_frames : int
         Most keyframes; long recordings get fewer per second.
     at : float, optional
@@ -94,10 +98,12 @@ def html(
     Warns
     -----
     UserWarning
-        If the page has over 50 MB.
+        If the page has over 50 MB, or a frame more than 300 forces.
     """
     if not (math.isfinite(fps) and fps > 0):
         raise ValueError(f"fps must be positive, got {fps}")
+    if not isinstance(forces, bool):
+        choice(forces, ("pair", "point"), "forces")
     if max_frames < 2:
         raise ValueError(f"max_frames must be at least 2, got {max_frames}")
     t = trajectory.t
@@ -393,7 +399,7 @@ def _round_number(x: float) -> float:
 # -- motion --------------------------------------------------------------------------------------------
 
 
-def _motion(trajectory: Trajectory, rows: NDArray[np.int64], view: _View, forces: bool) -> list[Json]:
+def _motion(trajectory: Trajectory, rows: NDArray[np.int64], view: _View, forces: bool | str) -> list[Json]:
     """Poses at the first of the rows, and the animation through all of them."""
     nodes = []
     for name in trajectory.scene["frames"]:
@@ -402,9 +408,9 @@ def _motion(trajectory: Trajectory, rows: NDArray[np.int64], view: _View, forces
         nodes.append((_body_path(name), tracks, False))
     commands = []
     if forces:
-        for k, tracks in enumerate(_arrows(trajectory, rows, view)):
-            nodes.append((f"/nsdyn/forces/{k}", tracks, True))
-            commands.append(_object(f"/nsdyn/forces/{k}", _ARROW))
+        for path, tracks in _arrows(trajectory, rows, view, "pair" if forces is True else forces):
+            nodes.append((path, tracks, True))
+            commands.append(_object(path, _ARROW))
     t = trajectory.t[rows] - trajectory.t[0]
     clips = []
     for path, tracks, jumps in nodes:
@@ -562,37 +568,46 @@ _ARROW = {
 }
 
 
-def _arrows(trajectory: Trajectory, rows: NDArray[np.int64], view: _View) -> list[dict[str, Array]]:
-    """Tracks of as many arrows as the frame with the most contacts needs; unused ones have scale 0."""
-    fixed = {geom["name"] for geom in trajectory.scene["geoms"] if geom["frame"] < 0}
-    frames = [_forces(trajectory.contacts(int(k)), fixed, trajectory.dt) if k else _NO_FORCES for k in rows]
-    sizes = [np.linalg.norm(force, axis=1) for _, force in frames]
-    everything = np.concatenate(sizes)
-    unit = float(np.quantile(everything[everything > 0], 0.9)) if everything.any() else 1.0
-    arrows = []
-    for j in range(max(s.size for s in sizes)):
-        point, turn, scale = (
-            np.zeros((rows.size, 3)),
-            np.tile([0.0, 0.0, 0.0, 1.0], (rows.size, 1)),
-            np.zeros(rows.size),
-        )
-        for i, (points, force) in enumerate(frames):
-            if j < sizes[i].size and sizes[i][j] > 0:
-                point[i], turn[i] = points[j], _from_z(force[j] / sizes[i][j])
-                scale[i] = min(2.0, sizes[i][j] / unit) * view.radius / 5
-        arrows.append({"position": point, "quaternion": turn, "scale": np.repeat(scale[:, None], 3, axis=1)})
-    return arrows
+def _arrows(
+    trajectory: Trajectory, rows: NDArray[np.int64], view: _View, by: str
+) -> Iterator[tuple[str, dict[str, Array]]]:
+    """(path, tracks) of arrows under the bodies they push: as many as the frame with the most needs.
+
+    Unused ones have scale 0.
+    """
+    since = rows if rows.size > 1 else np.array([max(0, rows[0] - 1), rows[0]])
+    found = arrows.between(trajectory, since, by)
+    size = np.linalg.norm(found.force, axis=1)
+    if not size.any():
+        return
+    unit = float(np.quantile(size[size > 0], 0.9))
+    order = np.lexsort((-size, found.frame, found.keyframe))
+    counts: Counter[tuple[int, int]] = Counter()
+    shown: Counter[int] = Counter()
+    tracks: dict[tuple[int, int], dict[str, Array]] = {}
+    largest = set(_largest_of_each(found.keyframe, size).tolist())
+    for k in order[[k in largest for k in order]]:
+        row, frame = int(found.keyframe[k]) - (since.size - rows.size), int(found.frame[k])
+        slot, shown[row] = counts[row, frame], shown[row] + 1
+        counts[row, frame] += 1
+        track = tracks.setdefault((frame, slot), {
+            "position": np.zeros((rows.size, 3)),
+            "quaternion": np.tile([0.0, 0.0, 0.0, 1.0], (rows.size, 1)),
+            "scale": np.zeros((rows.size, 3)),
+        })  # fmt: skip
+        track["position"][row], track["quaternion"][row] = found.point[k], _from_z(found.force[k] / size[k])
+        track["scale"][row] = min(2.0, size[k] / unit) * view.radius / 5
+    if left := int((size > 0).sum()) - shown.total():
+        warnings.warn(f"{left} arrows are left out: a frame shows its {MAX_ARROWS} largest forces", stacklevel=4)
+    for (frame, slot), track in sorted(tracks.items()):
+        yield f"{_body_path(trajectory.scene['frames'][frame])}/contact forces/{slot}", track
 
 
-_NO_FORCES = (np.empty((0, 3)), np.empty((0, 3)))
-
-
-def _forces(contacts: ContactTable, fixed: set[str], dt: float) -> tuple[Array, Array]:
-    """(points, forces) of a step on the moving bodies, the largest first."""
-    sign = np.array([-1.0 if name in fixed else 1.0 for name in contacts.body2])
-    force = contacts.impulse_world * (sign / dt)[:, None]
-    order = np.argsort(-np.linalg.norm(force, axis=1), kind="stable")[:MAX_ARROWS]
-    return contacts.point[order], force[order]
+def _largest_of_each(keyframe: NDArray[np.int64], size: Array) -> NDArray[np.int64]:
+    """Which forces are among the largest of their keyframe, and not 0."""
+    order = np.lexsort((-size, keyframe))
+    first = np.searchsorted(keyframe[order], keyframe[order])
+    return order[(np.arange(order.size) - first < MAX_ARROWS) & (size[order] > 0.0)]
 
 
 def _from_z(direction: Array) -> Array:
@@ -641,7 +656,7 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
     if browser is None:
         raise ValueError("pictures need Chromium or Chrome on the PATH, as from 'apt-get install chromium'")
     with (
-        replacing(picture) as part,
+        files.writing(picture) as part,
         tempfile.TemporaryDirectory(prefix="nsdyn-", ignore_cleanup_errors=True) as folder,
     ):
         shot = Path(folder) / "shot.png"

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import INERTIAL
 from scipy.linalg import null_space
 
 import nsdyn as nd
@@ -173,7 +174,7 @@ def test_loop():
         ({"base": "free", "stiffness": np.ones(9)}, "stiffness of 'r' must be 0 in joint 'root_joint'"),
         ({"restitution": 2.0}, r"restitution must lie in \[0, 1\]"),
         ({"limits": 1}, "limits of 'r' must be True or False"),
-        ({"self_collisions": 0}, "self_collisions of 'r' must be True or False"),
+        ({"self_collisions": 0}, "self_collisions of 'r' must be True, False or 'apart', got 0"),
         ({"collisions": {"z": []}}, "collisions of 'r' names 'z'"),
         ({"collisions": {"a": [1.0]}}, r"collisions of 'r' must be shapes or \(Shape, SE3\)"),
         ({"collisions": "visual"}, "collisions of 'r' must be True, False or"),
@@ -287,3 +288,119 @@ def loop_jacobian(articulation, q):
             J.append(turn @ own)
         rows.append((J[1] - J[0])[: 3 if loop.kind == "point" else 6])
     return np.vstack(rows)
+
+
+CROWDED = f"""<robot name="r"><link name="base">{INERTIAL}</link>
+<link name="a">{INERTIAL}<collision><geometry><sphere radius="0.2"/></geometry></collision></link>
+<link name="b">{INERTIAL}</link>
+<link name="c">{INERTIAL}<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
+<link name="d">{INERTIAL}<collision><origin xyz="2 0 0"/><geometry><sphere radius="0.1"/></geometry></collision></link>
+{
+    "".join(
+        f'''<joint name="j{child}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="0 0 0.1"/><axis xyz="0 1 0"/><limit lower="{low}" upper="2" effort="9" velocity="0"/></joint>'''
+        for parent, child, low in (("base", "a", 0.5), ("a", "b", -1), ("b", "c", -1), ("c", "d", -1))
+    )
+}</robot>"""
+
+
+@pytest.fixture
+def crowded(tmp_path):
+    """A file whose zero configuration is outside a limit, and whose links a and c overlap."""
+    path = tmp_path / "crowded.urdf"
+    path.write_text(CROWDED)
+    return path
+
+
+def test_configuration_outside_limits_names_the_remedy(crowded):
+    with pytest.raises(ValueError, match=r"'ja' is at 0, its limits are 0\.5 and 2; give another q, or clip=True"):
+        nd.Scene().add_urdf("r", crowded)
+    scene = nd.Scene()
+    scene.add_urdf("r", crowded, clip=True)
+    np.testing.assert_array_equal(scene.articulations["r"].q, (0.5, 0, 0, 0))
+
+
+def test_links_that_overlap_at_the_start_may_stay_apart(crowded):
+    scene = nd.Scene()
+    scene.add_urdf("r", crowded, clip=True)
+    with pytest.raises(ValueError, match=r"'r/a_0' and 'r/c_0' overlap .*; self_collisions='apart' of 'r', or an SRDF"):
+        nd.Stepper(scene)
+    scene = nd.Scene()
+    scene.add_urdf("r", crowded, clip=True, self_collisions="apart")
+    a = scene.articulations["r"]
+    names = [link.name for link in a.links]
+    assert {frozenset((names[i], names[j])) for i, j in a.excluded} == {
+        frozenset(("a_0", "c_0")), frozenset(("c_0", "d_0")),
+    }, "the overlapping pair and the neighbours, but not a and d"  # fmt: skip
+    nd.Stepper(scene).step()
+    with pytest.raises(ValueError, match="self_collisions of 'r' must be True, False or 'apart', got 'together'"):
+        nd.Scene().add_urdf("r", crowded, clip=True, self_collisions="together")
+
+
+HAND = f"""<robot name="r"><link name="base">{INERTIAL}
+<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link><link name="arm">{INERTIAL}</link>
+<link name="foot"><collision><geometry><sphere radius="0.1"/></geometry></collision></link><link name="tip"/>
+<joint name="shoulder" type="continuous"><parent link="base"/><child link="arm"/><origin xyz="0 0 1"/>
+<axis xyz="0 1 0"/></joint>
+<joint name="weld" type="fixed"><parent link="arm"/><child link="foot"/><origin xyz="0.5 0 0"/></joint>
+<joint name="tool" type="fixed"><parent link="foot"/><child link="tip"/>
+<origin xyz="0 0.2 0" rpy="0 0 1.5707963267948966"/></joint></robot>"""
+
+
+@pytest.fixture
+def hand(tmp_path):
+    """An arm over a plate; foot and tip hang on it by fixed joints."""
+    path = tmp_path / "hand.urdf"
+    path.write_text(HAND)
+    scene = nd.Scene()
+    scene.add_urdf("r", path, q=(1.0, 0.0), position=(0, 0, 1.0))
+    scene.add_box("plate", (0.4, 0.4, 0.1), position=(0.5, 0, 1.85), fixed=True)
+    return scene
+
+
+def test_links_go_by_their_names_in_a_recording(hand):
+    trajectory = nd.simulate(hand, 0.05, dt=1e-3)
+    model = hand.articulations["r"].model
+    data = model.createData()
+    for row in (0, 30):
+        pin.framesForwardKinematics(model, data, trajectory.q[row])
+        for link in ("base", "arm", "foot", "tip"):
+            pose, motion = data.oMf[model.getFrameId(link, pin.FrameType.BODY)], trajectory.body(f"r/{link}")
+            # Two ways to multiply a few rotations.
+            np.testing.assert_allclose(motion.position[row], pose.translation, rtol=0, atol=1e-14)
+            turn = pin.Quaternion(motion.quaternion[row]).toRotationMatrix()
+            np.testing.assert_allclose(turn, pose.rotation, rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(trajectory.body("r/shoulder").position, trajectory.body("r/arm").position)
+    table = trajectory.contacts(-1)
+    assert {*table.body1, *table.body2} == {"plate", "r/foot"} and {*table.shape1, *table.shape2} == {
+        "plate",
+        "r/foot_0",
+    }
+    with pytest.raises(ValueError, match=r"no moving body 'r/fot'; .*; did you mean 'r/foot'\?"):
+        trajectory.body("r/fot")
+
+
+def test_pairs_of_links_beat_pairs_of_robots(hand):
+    hand.set_pair("r/foot", "plate", mu=0.9)
+    hand.set_pair("r", "plate", mu=0.1, restitution=0.0)
+    geoms = hand.geoms()
+    names = [g.name for g in geoms]
+    foot, base, plate = (np.array([names.index(n)]) for n in ("r/foot_0", "r/base_0", "plate"))
+    assert hand.pair_material(geoms)(foot, plate)[0] == 0.9 and hand.pair_material(geoms)(plate, base)[0] == 0.1
+    assert set(nd.simulate(hand, 0.01).contacts(-1).mu) == {0.9}
+    with pytest.raises(ValueError, match=r"unknown body 'r/food'; .*; did you mean 'r/foot'\?"):
+        hand.set_pair("r/food", "plate", mu=0.1)
+
+
+def test_forces_act_on_fixed_links(hand):
+    """A force on the tip turns the arm as the same force, with its moment, on the arm does."""
+
+    def turned(**force):
+        trajectory = nd.simulate(hand, 1e-3, dt=1e-3, external_force=lambda t, q, v: force)
+        return trajectory.v[-1, 0]
+
+    up, arm = np.array([0, 0, 50.0]), np.array([0.5, 0.2, 0.0])
+    assert turned(**{"r/tip": up}) == pytest.approx(turned(**{"r/arm": (up, np.cross(arm, up))}), rel=1e-9)
+    assert abs(turned(**{"r/tip": up})) > 1e-3
+    with pytest.raises(ValueError, match=r"'r' has no moving body 'tipp'; .*; did you mean 'tip'\?"):
+        turned(**{"r/tipp": up})

@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+import time
 import warnings
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn import cli, viewer
+from nsdyn import cli, settings, viewer
 from nsdyn.trajectory import Trajectory
 
 SHORT = ["--time", "0.02", "--dt", "1e-3"]
@@ -41,7 +42,20 @@ def recording(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["scenes"], ["doctor"], ["run"], ["solve"], ["profile"], ["bench"], ["sweep"], ["energy"], ["view"]]
+    "command",
+    [
+        [],
+        ["scenes"],
+        ["doctor"],
+        ["run"],
+        ["solve"],
+        ["profile"],
+        ["bench"],
+        ["sweep"],
+        ["energy"],
+        ["contacts"],
+        ["view"],
+    ],
 )
 def test_help(run, command):
     code, out, err = run(*command, "--help")
@@ -174,8 +188,13 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
     [
         ([], "required"),
         (["fly"], "invalid choice"),
+        (["rnu", "slide"], "did you mean 'run'?"),
+        (["run", "slide", "--on-fail", "rise"], "did you mean 'raise'?"),
         (["run", "no_such_scene"], "scene must be one of"),
-        (["run", "slide", "--set", "colour=1"], "no parameter 'colour'; it has mu"),
+        (
+            ["run", "slide", "--set", "colour=1"],
+            "parameter of scene slide must be one of mu, speed,",
+        ),
         (["run", "slide", "--set", "mu"], "--set expects NAME=VALUE"),
         (["run", "slide", "--set", "mu=much"], "mu must be a number, got 'much'"),
         (["run", "slide", "--set", "mu=-1"], "mu must not be negative"),
@@ -194,7 +213,7 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["solve", "text.h5", "--solver", "magic"], "solver must be one of"),
         (["solve", "text.h5", "--tol", "-1"], "tol must be positive"),
         (["solve", "text.h5", "-o", "missing/s.hdf5"], "cannot write missing/s.hdf5: there is no folder"),
-        (["solve", "text.h5", "-o", "text.h5"], "cannot write text.h5: it exists"),
+        (["solve", "text.h5", "-o", "text.h5"], "cannot write text.h5: it is read"),
         (["profile", "."], "no *.hdf5 files in ."),
         (["bench", "sleigh"], "case must be one of slide"),
         (["bench", "--peer", "ode"], "peer must be one of"),
@@ -204,6 +223,17 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["view", "text.h5"], "nothing to make"),
         (["view", "text.h5", "-o", "run.html", "--at", "1"], "--at is the time of the picture"),
         (["view", "text.h5", "-o", "run.html"], "text.h5 is not a recording of nsdyn"),
+        (["view", "text.h5", "--png", "frame.jpg"], "cannot write frame.jpg: a picture must be png, got .jpg"),
+        (["energy", "text.h5", "--plot", "e.xyz"], "a picture must be png or pdf or svg, got .xyz"),
+        (["energy", "text.h5", "--csv", "text.h5"], "cannot write text.h5: it is read"),
+        (["run", "slide", "-o", "run.h5", "--html", "run.h5"], "cannot write run.h5: it is named twice"),
+        (["run", "slide", "-o", "-"], "cannot record in -: it is no regular file"),
+        (["run", "slied"], "did you mean 'slide'?"),
+        (["run", "slide", "--solver", "newtn"], "did you mean 'newton'?"),
+        (["run", "slide", "--set", "Mu=1"], "did you mean 'mu'?"),
+        (["run", "stack", "--set", "height=-3"], "height must be at least 1, got -3"),
+        (["run", "slide", "--set", "speed=1e200"], "must be finite and at most 1e+50 in size"),
+        (["run", "slide", "--set", "mass=1e-300"], "mass of 'box' must be positive, at least 1e-50, got 1e-300"),
     ],
 )
 def test_bad_input_is_told_in_one_line_and_leaves_nothing(run, tmp_path, arguments, message):
@@ -303,13 +333,13 @@ def test_bench(run, monkeypatch):
     ],
 )
 def test_values_take_the_type_of_their_default(text, default, value):
-    parsed = cli._parse(text, default, "name")
+    parsed = settings.parse(text, default, "name")
     assert parsed == value and type(parsed) is type(value)
 
 
 def test_truth_is_true_or_false():
     with pytest.raises(ValueError, match="name must be true or false, got '1'"):
-        cli._parse("1", True, "name")
+        settings.parse("1", True, "name")
 
 
 def test_energy(run, recording, tmp_path):
@@ -333,10 +363,54 @@ def test_energy(run, recording, tmp_path):
     assert figures["ledger"]["friction"][-1] == pytest.approx(trajectory.energy.friction.sum(), rel=1e-12)
 
 
-def test_plot_of_unknown_kind(run, recording, tmp_path):
-    code, _, err = run("energy", "run.h5", "--plot", "e.xyz")
-    assert code == 2 and "xyz" in err and err.count("\n") == 1
-    assert [p.name for p in tmp_path.iterdir()] == ["run.h5"]
+def test_truncated_recording(run, recording):
+    """One line, at once, by every command that reads it."""
+    with open(recording, "r+b") as file:
+        file.truncate(recording.stat().st_size // 2)
+    for command in (["energy", "run.h5"], ["view", "run.h5", "-o", "run.html"]):
+        start = time.perf_counter()
+        code, out, err = run(*command)
+        assert code == 2 and out == "" and err.startswith("nsdyn: error: run.h5 is damaged") and err.count("\n") == 1
+        assert time.perf_counter() - start < 1.0
+
+
+def test_dash_is_stdout(run, recording, tmp_path):
+    run("energy", "run.h5", "--csv", "e.csv")
+    code, out, err = run("energy", "run.h5", "--csv", "-")
+    assert code == 0 and out == (tmp_path / "e.csv").read_text()
+    assert err == Trajectory.load(recording).energy_table() + "\n"
+
+
+def test_existing_outputs_are_overwritten(run, problem, recording, tmp_path):
+    for *arguments, name in (
+        ["run", "slide", *SHORT, "-o", "out.h5"],
+        ["run", "slide", *SHORT, "--html", "out.html"],
+        ["sweep", "slide", *SHORT, "--set", "mu=0.2,0.3", "--csv", "sweep.csv"],
+        ["profile", ".", "--solver", "pgs", "--csv", "profile.csv"],
+        ["solve", "p.hdf5", "-o", "out.hdf5"],
+        ["energy", "run.h5", "--csv", "energy.csv"],
+        ["energy", "run.h5", "--plot", "out.png"],
+        ["view", "run.h5", "-o", "view.html"],
+    ):
+        (tmp_path / name).write_text("old")
+        assert run(*arguments, name)[0] == 0 and (tmp_path / name).read_bytes()[:3] != b"old"
+        assert "that exist are overwritten" in " ".join(run(arguments[0], "--help")[1].split())
+
+
+def test_timings_leave_start_up_apart(run, monkeypatch):
+    """A first step that waits for a compiler changes the start-up alone."""
+    real, waited = nd.Stepper.step, []
+
+    def step(self):
+        if not waited:
+            waited.append(time.sleep(0.3))
+        return real(self)
+
+    monkeypatch.setattr(nd.Stepper, "step", step)
+    figures = json.loads(run("run", "slide", *SHORT, "--json")[1])
+    assert figures["start_up_time"] > 0.3 and figures["median_step_time"] < 0.1
+    assert figures["wall_time"] - figures["start_up_time"] < 20 * 0.1
+    assert "ms) after 0." in run("run", "slide", *SHORT)[1].splitlines()[-1]
 
 
 def test_view(run, recording, tmp_path):

@@ -195,7 +195,7 @@ def arm(folder, mu):
     )
     joint = (
         '<joint name="j{0}" type="revolute"><parent link="l{0}"/><child link="l{1}"/><axis xyz="0 1 0"/>'
-        '<origin xyz="0 0 {2}"/><limit lower="-9" upper="9" effort="9" velocity="9"/></joint>'
+        '<origin xyz="0 0 {2}"/><limit lower="-9" upper="9" effort="9" velocity="0"/></joint>'
     )
     ball = '<collision><origin xyz="0 0 -0.5"/><geometry><sphere radius="0.1"/></geometry></collision>'
     path = folder / "arm.urdf"
@@ -265,7 +265,7 @@ def test_pendulum_is_fourth_order(tmp_path):
         '<mass value="1.3"/><inertia ixx="0.1" iyy="0.1" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
         '<collision><origin xyz="0 0 -1"/><geometry><sphere radius="0.1"/></geometry></collision></link>'
         '<joint name="hinge" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>'
-        '<limit lower="-9" upper="9" effort="9" velocity="9"/></joint></robot>'
+        '<limit lower="-9" upper="9" effort="9" velocity="0"/></joint></robot>'
     )
     period = 4 * ellipk(math.sin(0.5) ** 2) / math.sqrt(1.3 * g * 0.5 / (0.1 + 1.3 * 0.25))
 

@@ -116,7 +116,7 @@ def test_command_with_a_failing_run(capsys):
     [
         (["sleigh"], "scene must be one of"),
         (["slide", "--set", "mu=0.1,much"], "mu must be a number, got 'much'"),
-        (["slide", "--set", "colour=red"], "has no parameter 'colour'"),
+        (["slide", "--set", "colour=red"], "parameter of scene slide must be one of mu, speed,"),
         (["slide", "--workers", "0"], "--workers must be at least 1"),
     ],
 )

@@ -98,6 +98,47 @@ def test_pd_is_stable_at_any_gain(kp, kd):
         assert np.abs(trajectory.v[-1]).max() < 74.0 / kd
 
 
+@pytest.mark.parametrize("in_file", [False, True])
+def test_pd_gives_no_more_than_its_limit(in_file):
+    """A mass on a rail far from its target: pushed with the limit to the round-off, then held at the target."""
+    m, h, most = 2.0, 1e-2, 3.0
+    model = slider(m)
+    if in_file:
+        model.upperEffortLimit = np.array([most])
+    control = nd.PD(1e4, 1e4, target=1.0, limit=None if in_file else most)
+    trajectory = run(model, 30.0, h, controller=lambda t, q, v: {"a": control})
+    force = m * np.diff(trajectory.v[:, 0]) / h
+    assert np.abs(force).max() == pytest.approx(most, rel=1e-12)
+    # Round-off of 50 sums. Then it slides in, (1 - q) falls by e a second.
+    np.testing.assert_allclose(trajectory.v[:50, 0], most / m * h * np.arange(50), rtol=1e-12)
+    assert abs(trajectory.q[-1, 0] - 1.0) < 1e-9 and abs(trajectory.v[-1, 0]) < 1e-9
+    free = nd.PD(1e4, 1e4, target=1.0, limit=np.inf)
+    unlimited = run(model, h, h, controller=lambda t, q, v: {"a": free})
+    assert m * unlimited.v[-1, 0] / h > 10.0 * most
+
+
+def test_pd_at_its_limit_in_some_joints_is_the_formula_in_the_others():
+    """Weight bends a weak shoulder down while the elbow holds; two joints at once make the active set work."""
+    h, most = 1e-3, np.array([5.0, 200.0])
+    scene = nd.Scene(gravity=(0, 0, -G))
+    add(scene, "a", pendulum(2), q=(np.pi / 2, 0.0))
+    control = nd.PD(5e3, 50.0, target=np.array([np.pi / 2, 0.0]), limit=most)
+    stepper = nd.Stepper(scene, h, solver=nd.solvers.Auto(tol=1e-12), controller=lambda t, q, v: {"a": control})
+    model = scene.articulations["a"].model
+    data = model.createData()
+    for _ in range(50):
+        before = stepper.get_state().instant
+        step = stepper.step()
+        # The torque that the step gave, from the change of momentum at its middle, where all forces act.
+        q, v = before.position.trees[0], before.v
+        middle = pin.integrate(model, q, 0.5 * h * v)
+        tau = pin.rnea(model, data, middle, 0.5 * (v + step.v), (step.v - v) / h)
+        # Second order in h = 1e-3 of torques up to 20 N m.
+        assert (np.abs(tau) <= most + 1e-2).all()
+    assert tau[0] == pytest.approx(-most[0], abs=1e-2) or tau[0] == pytest.approx(most[0], abs=1e-2)
+    assert abs(step.q[1]) < 0.1 and abs(step.q[0] - np.pi / 2) > 5e-3
+
+
 def test_pd_is_the_formula():
     """One step of a mass on a rail: (m + h kd + h² kp) v' = m v + h (kp (target - q) + kd target_velocity + ff)."""
     m, h, kp, kd, q, v = 2.0, 1e-2, 300.0, 7.0, 0.1, -0.4
@@ -130,6 +171,8 @@ def test_wrong_control_is_refused(given, message):
         ((1.0, np.inf, 0.0), "kd of a PD control must be one or nv finite numbers"),
         ((1.0, 1.0, "up"), "target of a PD control must be one or nv finite numbers, got 'up'"),
         ((1.0, 1.0, np.zeros((2, 2))), "target of a PD control"),
+        ((1.0, 1.0, 0.0, 0.0, 0.0, 0.0), "limit of a PD control must be positive, got 0.0"),
+        ((1.0, 1.0, 0.0, 0.0, 0.0, np.nan), "limit of a PD control must be one or nv finite numbers, got nan"),
     ],
 )
 def test_wrong_gains_are_refused(arguments, message):

@@ -7,12 +7,15 @@ import nsdyn
 
 ROOT = Path(nsdyn.__file__).parent
 ORDER = [
-    ["workers", "_kernels"], ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
-    ["checks"], ["materials", "shapes", "motions", "control"], ["articulations"], ["robot_files"], ["scene"],
-    ["contacts", "distances", "scenes"], ["detector"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
+    ["workers", "_kernels", "naming", "files", "noise", "unfinished"],
+    ["cones"], ["problem"], ["formulations"], ["solvers", "fclib"],
+    ["checks"], ["materials", "shapes", "motions", "control"], ["exclusions"], ["articulations"],
+    ["robot_files"], ["scene"],
+    ["contacts", "distances", "scenes"], ["detector", "settings"], ["loops", "surfaces"], ["trees"], ["joints"], ["dynamics"],
     ["overlap", "gauss", "impacts", "energy", "projection", "encounter", "profile", "_peers"],
-    ["instant", "trajectory"], ["balance", "collisions", "sight"], ["move"],
-    ["audit", "viewer", "stepper"], ["acceleration", "ensemble", "bench", "compilation"], ["cli"], ["__main__"],
+    ["recording"], ["tables"], ["instant", "trajectory"], ["recorder"], ["balance", "collisions", "sight"], ["move"],
+    ["arrows"], ["audit", "viewer", "stepper"],
+    ["acceleration", "ensemble", "bench", "compilation"], ["cli"], ["__main__"],
 ]  # fmt: skip
 LEVEL = {name: k for k, names in enumerate(ORDER) for name in names}
 MATHEMATICS = {"_kernels", "cones", "problem", "formulations", "solvers", "fclib", "gauss"}

@@ -54,6 +54,18 @@ def test_bad_material(arguments, words):
         nd.Material(**arguments)
 
 
+def test_numbers_are_no_text():
+    with pytest.raises(ValueError, match=r"mu must be a number, got '0\.5'"):
+        nd.Material(mu="0.5")
+    with pytest.raises(ValueError, match="restitution must be a number, got '1'"):
+        nd.Material(restitution="1")
+
+
+def test_arguments_say_what_was_meant():
+    with pytest.raises(ValueError, match=r"unknown argument 'postion'; .*; did you mean 'position'\?"):
+        nd.Scene().add_box("a", (1, 1, 1), 1.0, postion=(0, 0, 0))
+
+
 def test_bad_scene():
     with pytest.raises(ValueError, match="gravity must be 3 numbers"):
         nd.Scene(gravity=(0, 9.81))

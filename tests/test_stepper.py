@@ -272,3 +272,29 @@ def test_impacts_that_provoke_each_other_within_a_step(restitution, a, b):
     trajectory = nd.simulate(scene, 0.2, dt=1e-2)
     assert trajectory.body("a").linear_velocity[-1, 0] == pytest.approx(a, abs=1e-12)
     assert trajectory.body("b").linear_velocity[-1, 0] == pytest.approx(b, abs=1e-12)
+
+
+def test_solver_by_name():
+    """A name is the solver of that name; "auto" is the default."""
+    scene = nd.scenes.load("slide")()
+    assert nd.Stepper(scene, solver="pgs").solver == nd.solvers.PGS(tol=1e-8)
+    assert nd.Stepper(scene, solver="auto").solver == nd.Stepper(scene).solver == nd.solvers.Auto()
+    with pytest.raises(ValueError, match=r"solver must be one of .*; got 'psg'; did you mean 'pgs'\?"):
+        nd.simulate(scene, 0.1, solver="psg")
+    for wrong in (3, nd.solvers.PGS):
+        with pytest.raises(ValueError, match=r"solver must be one of .* or an object of these; got"):
+            nd.simulate(scene, 0.1, solver=wrong)
+        with pytest.raises(ValueError, match=r"solver must be one of .* or an object of these; got"):
+            nd.solve(nd.FC3D(np.eye(3), np.zeros(3), np.zeros(1)), wrong)
+
+
+def test_a_name_is_no_scene():
+    with pytest.raises(ValueError, match=r"scene must be a nsdyn.Scene, got 'slide'; nsdyn.scenes.load"):
+        nd.simulate("slide", 0.1)
+
+
+def test_choices_say_what_was_meant():
+    scene = nd.Scene()
+    for keyword, word, meant in (("on_fail", "rise", "raise"), ("impact", "poison", "poisson")):
+        with pytest.raises(ValueError, match=rf"{keyword} must be one of .*; did you mean '{meant}'\?"):
+            nd.Stepper(scene, **{keyword: word})

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,8 +15,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
-from nsdyn import trajectory as module
-from nsdyn.trajectory import Recorder, Trajectory
+from nsdyn import recorder as module
+from nsdyn import unfinished
+from nsdyn.recorder import Recorder
+from nsdyn.trajectory import Trajectory
 
 DT = 0.01
 META = {"dt": DT, "theta": 0.5, "solver": "Auto(tol=1e-08)"}
@@ -94,6 +97,9 @@ def assert_same(a: Trajectory, b: Trajectory):
     assert a.meta == b.meta and a.scene == b.scene
     assert a.columns.keys() == b.columns.keys()
     for name, values in a.columns.items():
+        if name == "wall_time":  # of the recorder that measured it
+            assert values.shape == b.columns[name].shape and (values > 0.0).all()
+            continue
         assert values.dtype == b.columns[name].dtype, name
         np.testing.assert_array_equal(values, b.columns[name], err_msg=name)
 
@@ -107,6 +113,7 @@ def test_what_goes_in_comes_out(n, links, tmp_path):
     np.testing.assert_array_equal(trajectory.energy.kinetic, np.arange(n + 1.0))
     np.testing.assert_array_equal(trajectory.energy.friction, [s.energy["friction"] for s in steps])
     np.testing.assert_array_equal(trajectory.solver.iterations, np.arange(1, n + 1))
+    assert trajectory.wall_time.shape == (n,)
     for k, step in enumerate(steps, start=1):
         table = trajectory.contacts(k)
         assert len(table) == step.gap.size
@@ -131,7 +138,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 3 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 4 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
@@ -155,9 +162,9 @@ ENDLESS = """
 import itertools, os, signal, sys
 sys.path[:0] = {paths!r}
 import h5py
-from nsdyn import trajectory
+from nsdyn import recorder as module
 from test_trajectory import META, rows, scene_dict
-trajectory._FLUSH_SECONDS = 0.0
+module._FLUSH_SECONDS = 0.0
 flushes = itertools.count(1)
 flush = h5py.File.flush
 def dying(file):
@@ -166,7 +173,7 @@ def dying(file):
     flush(file)
 h5py.File.flush = dying
 first, steps = rows(300)
-recorder = trajectory.Recorder(sys.argv[1], META, scene_dict(), first)
+recorder = module.Recorder(sys.argv[1], META, scene_dict(), first)
 for k, step in enumerate(itertools.cycle(steps), start=1):
     recorder.append(step)
     print(k, flush=True)
@@ -273,7 +280,7 @@ def test_failed_save_leaves_the_old_file(tmp_path):
     [
         (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
         (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
-        (lambda f: f["meta"].attrs.__setitem__("format_version", 4), "format_version 4"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", 5), "format_version 5"),
         (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
         (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
         (lambda f: f["t"].resize(0, axis=0), "is damaged"),
@@ -292,7 +299,7 @@ def test_damaged_file_is_named(damage, message, tmp_path):
 def to_version_2(file):
     """Three terms in place of `integration`, 1, 2 and 3 J a step, and no `created`."""
     n = len(file["energy/integration"])
-    del file["energy/integration"], file["energy/created"], file["solver/error"]
+    del file["energy/integration"], file["energy/created"], file["solver/error"], file["wall_time"]
     for work, name in enumerate(("gyroscopic", "theta", "mass"), start=1):
         file[f"energy/{name}"] = np.full(n, float(work))
 
@@ -306,7 +313,7 @@ def test_recordings_of_version_2_are_read(tmp_path):
         to_version_2(file)
     old = Trajectory.load(path)
     np.testing.assert_array_equal(old.energy.integration, np.full(5, 6.0))
-    assert np.isnan(old.energy.created).all() and np.isnan(old.solver.error).all()
+    assert np.isnan(old.energy.created).all() and np.isnan(old.solver.error).all() and np.isnan(old.wall_time).all()
     old.save(path)
     np.testing.assert_array_equal(Trajectory.load(path).energy.integration, np.full(5, 6.0))
 
@@ -324,6 +331,23 @@ def test_recordings_of_version_1_are_read(tmp_path):
     np.testing.assert_array_equal(old.energy.damping, np.zeros(5))
     np.testing.assert_array_equal(old.energy.constraint, np.zeros(5))
     np.testing.assert_array_equal(old.energy.normal, normal)
+
+
+@pytest.mark.parametrize("dies_at", [None, 10])
+def test_truncated_file_is_told_at_once(tmp_path, monkeypatch, dies_at):
+    """Of any length; one that its writer left marked as open would be waited for."""
+    whole, cut = tmp_path / "run.h5", tmp_path / "cut.h5"
+    record(whole, 40, links=True) if dies_at is None else killed(whole, dies_at)
+    monkeypatch.setattr(unfinished, "PATIENCE", 0.0)
+    data = whole.read_bytes()
+    for length in [*range(0, 64), *range(64, len(data), len(data) // 150)]:
+        cut.write_bytes(data[:length])
+        start = time.perf_counter()
+        with pytest.raises(ValueError, match=r"cut\.h5 is (damaged|not a recording)") as failure:
+            Trajectory.load(cut)
+        assert time.perf_counter() - start < 1.0 and "\n" not in str(failure.value)
+    cut.write_bytes(data)
+    assert Trajectory.load(cut).steps == (40 if dies_at is None else 9)
 
 
 def test_other_files_are_refused(tmp_path):
@@ -405,6 +429,23 @@ def test_energy_plot_uses_the_given_axes():
     assert trajectory.plot_energy(ax) is ax
     total = next(line for line in ax.get_lines() if line.get_label() == "kinetic + potential")
     np.testing.assert_array_equal(total.get_ydata(), 3.0 * np.arange(6))
+
+
+@pytest.mark.parametrize("name", ["stack", "slide"])
+def test_energy_plot_of_a_scene_at_rest_shows_rest(name):
+    """Round-off fills no axis; what moves is not called at rest."""
+    from matplotlib.figure import Figure
+
+    trajectory = nd.simulate(nd.scenes.load(name)(), 0.05, dt=5e-3)
+    ax = trajectory.plot_energy(Figure().subplots())
+    low, high = ax.get_ylim()
+    largest = np.abs(trajectory.energy.potential).max()
+    assert high - low >= 1e-6 * largest
+    words, labels = [text.get_text() for text in ax.texts], [line.get_label() for line in ax.get_lines()]
+    if name == "stack":
+        assert words == ["at rest"] and high < 1e-5 * largest and labels == ["kinetic + potential"]
+    else:
+        assert words == [] and high > trajectory.energy.kinetic.max() and "work: friction" in labels
 
 
 def test_matplotlib_is_not_loaded_by_recordings():

@@ -37,7 +37,7 @@ class Timed:
 
 def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> tuple[list[float], float, float]:
     """Median seconds of each phase, deepest overlap [m] and drift [m] after settling for a quarter of a second."""
-    from nsdyn.trajectory import Recorder
+    from nsdyn.recorder import Recorder
 
     solve = Timed(nd.solvers.Auto(tol=tol))
     stepper = nd.Stepper(scene, dt=dt, solver=solve)

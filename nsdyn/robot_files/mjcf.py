@@ -20,7 +20,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
+from nsdyn import noise
 from nsdyn.articulations import Description, Loop, describe_model
+from nsdyn.materials import Material
+from nsdyn.naming import choice
+from nsdyn.robot_files.inertias import check_mass, flaw
 from nsdyn.robot_files.model import links_of
 from nsdyn.robot_files.xml import Array, Notes, numbers, parse
 
@@ -44,7 +48,8 @@ POSE = {"pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"}
 ATTRIBUTES = {
     "joint": {"name", "type", "pos", "axis", "range", "limited", "ref", "stiffness", "springref", "springdamper",
               "damping", "armature", "frictionloss"},
-    "geom": {"name", "type", "size", "fromto", "mesh", "mass", "density", "contype", "conaffinity", *POSE},
+    "geom": {"name", "type", "size", "fromto", "mesh", "mass", "density", "contype", "conaffinity", "friction",
+             "condim", *POSE},
     "connect": {"name", "active", "body1", "body2", "site1", "site2", "anchor"},
     "weld": {"name", "active", "body1", "body2", "site1", "site2", "relpose"},
     "mesh": {"name", "file", "scale", "vertex"},
@@ -60,7 +65,8 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     dropped, unused = Notes(), Notes()
     try:
         _write_out_defaults(root)
-        masks = _simplify(root, dropped, unused)
+        masks, materials = _simplify(root, dropped, unused)
+        flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
         model, geometry = _build(root, path)
         stiffness, rest = _set_joints(root, model, dropped)
         q = _initial(root, model, keyframe, dropped, unused)
@@ -77,6 +83,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     return describe_model(
         model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, excluded=excluded, filtered=filtered,
         world_touches=True, dropped=tuple(dropped), unused=tuple(unused),
+        flaws=tuple(flaws), materials=materials,
     )  # fmt: skip
 
 
@@ -127,8 +134,11 @@ def _write_out_defaults(root: Element) -> None:
         apply(section, "main")
 
 
-def _simplify(root: Element, dropped: Notes, unused: Notes) -> dict[str, tuple[int, int]]:
-    """Keep what Pinocchio reads, all of it named and under one body; returns (contype, conaffinity) of the geoms."""
+def _simplify(root: Element, dropped: Notes, unused: Notes) -> tuple[dict[str, tuple[int, int]], dict[str, Material]]:
+    """Keep what Pinocchio reads, all of it named and under one body.
+
+    Returns (contype, conaffinity) of the geoms and the materials that they tell, by name.
+    """
     world = root.find("worldbody")
     if world is None:
         raise ValueError("it has no <worldbody>")
@@ -150,6 +160,7 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> dict[str, tuple[i
     for tag, used in ATTRIBUTES.items():
         unused.of_attributes([e for e in root.iter(tag) if "joint1" not in e.attrib], used, tag)
     masks: dict[str, tuple[int, int]] = {}
+    materials: dict[str, Material] = {}
     for number, body in enumerate(world.iter("body")):
         body.attrib.setdefault("name", f"body{number}")
     for body in [world, *world.iter("body")]:
@@ -177,6 +188,10 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> dict[str, tuple[i
                 body.remove(geom)
                 continue
             label = geom.attrib.setdefault("name", f"{where}_{number}")
+            if material := _material(geom, label):
+                materials[label] = material
+            if geom.get("condim") in ("4", "6"):
+                dropped.append(f"geom {label!r}: friction of spinning and rolling")
             masks[label] = int(geom.get("contype", "1")), int(geom.get("conaffinity", "1"))
             if geom.get("type", "sphere") != "mesh":
                 # Pinocchio leaves the mass of a geom that touches nothing out; that of a mesh it never counts.
@@ -189,7 +204,7 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> dict[str, tuple[i
         for child in [c for c in asset if c.tag not in ASSETS]:
             asset.remove(child)
     ElementTree.SubElement(root, "worldbody").append(world)
-    return masks
+    return masks, materials
 
 
 def _build(root: Element, path: Path) -> tuple[Any, Any]:
@@ -204,8 +219,35 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / path.with_suffix(".xml").name
         ElementTree.ElementTree(bare).write(file)
-        model = pin.buildModelFromMJCF(str(file))
-        return model, pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+        with noise.caught():
+            model = pin.buildModelFromMJCF(str(file))
+            return model, pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+
+
+def _material(geom: Element, label: str) -> Material | None:
+    """Material of a geom that gives Coulomb's friction, of sliding; a `condim` of 1 has none."""
+    if geom.get("condim") == "1":
+        return Material(mu=0.0)
+    given = geom.get("friction")
+    if given is None:
+        return None
+    return Material(mu=float(numbers(" ".join(given.split()[:1]), 1, None, f"friction of geom {label!r}")[0]))
+
+
+def _flaws(body: Element) -> Iterator[str]:
+    """What no body can have in the inertia of a body, if it has one of its own."""
+    inertial, where = body.find("inertial"), f"body {body.get('name')!r}"
+    for geom in body.findall("geom"):
+        for attribute in ("mass", "density"):
+            check_mass(float(numbers(geom.get(attribute), 1, (0.0,), f"{attribute} of {where}")[0]), where)
+    if inertial is None:
+        return
+    check_mass(float(numbers(inertial.get("mass"), 1, None, f"mass of {where}")[0]), where)
+    xx, yy, zz = numbers(inertial.get("diaginertia"), 3, (0, 0, 0), f"diaginertia of {where}")
+    full = numbers(inertial.get("fullinertia"), 6, (xx, yy, zz, 0, 0, 0), f"fullinertia of {where}")
+    xx, yy, zz, xy, xz, yz = full
+    if fault := flaw(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), where):
+        yield fault
 
 
 def _collide(a: tuple[int, int], b: tuple[int, int]) -> bool:
@@ -269,9 +311,7 @@ def _initial(root: Element, model: Any, keyframe: str | None, dropped: Notes, un
     unused += [f"keyframe {key!r}" for key in keys if key != keyframe]
     if keyframe is None:
         return np.array(model.referenceConfigurations["qpos0"])
-    if keyframe not in keys:
-        raise ValueError(f"keyframe must be one of {sorted(keys)}, got {keyframe!r}")
-    key = keys[keyframe]
+    key = keys[choice(keyframe, keys, "keyframe")]
     q = numbers(key.get("qpos"), model.nq, None, f"qpos of keyframe {keyframe!r}")
     for _, kind, at, _ in _joints(root):
         if kind in ("free", "ball"):  # MuJoCo writes w x y z

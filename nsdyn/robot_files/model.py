@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from nsdyn import shapes
 from nsdyn.articulations import Description, Link, describe_model
+from nsdyn.robot_files.inertias import check_mass
 from nsdyn.robot_files.xml import Notes
 
 __all__ = ["links_of", "read_model"]
@@ -25,6 +26,10 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
         )
     dropped = Notes()
     links, bodies = links_of(model, geometry.geometryObjects if geometry else (), dropped)
+    for joint, body in zip(model.names, model.inertias, strict=True):
+        if not np.isfinite([body.mass, *body.lever, *body.inertia.ravel()]).all():
+            raise ValueError(f"mass and inertia of joint {joint!r} of {name!r} must be finite, got {body}")
+        check_mass(body.mass, f"joint {joint!r} of {name!r}")
     return describe_model(model, links, bodies, dropped=tuple(dropped))
 
 

@@ -19,6 +19,8 @@ import pinocchio as pin
 
 from nsdyn import shapes
 from nsdyn.articulations import Description, Link, Loop, describe_model
+from nsdyn.materials import Material
+from nsdyn.robot_files.inertias import check_mass, flaw
 from nsdyn.robot_files.xml import Array, Notes, mesh_file, numbers, parse
 from nsdyn.shapes import Shape
 
@@ -68,7 +70,7 @@ class _Reader:
 
     def __init__(self, element: Element, folders: Sequence[Path]) -> None:
         self.element, self.folders = element, folders
-        self.dropped, self.unused = Notes(), Notes()
+        self.dropped, self.unused, self.flaws = Notes(), Notes(), Notes()
         for tag in ("model", "include"):
             if element.find(tag) is not None:
                 raise ValueError(f"a <{tag}> inside the model is not read: write it out")
@@ -82,12 +84,13 @@ class _Reader:
         self.model = pin.Model()
         self.at = {0: pin.SE3.Identity()}  # joint of the model to the pose of its frame in the world, at zero
         self.base = [np.empty(0)]  # initial q, joint by joint
-        self.values: list[tuple[float, ...]] = []  # per coordinate: lower, upper, damping, friction, stiffness, rest
+        self.values: list[tuple[float, ...]] = []  # per coordinate, as `_values_of` returns them
         self.where: dict[str, int] = {}  # link to its joint of the model
         self.loops: list[Loop] = []
         self.parts = Counter(j.child for j in self.joints)
         self.shapes: list[Link] = []
         self.bodies: list[str] = []
+        self.materials: dict[str, Material] = {}
 
     def _note_unused(self, joints: Sequence[Element]) -> None:
         links = list(self.links.values())
@@ -98,10 +101,15 @@ class _Reader:
             [i for e in links for i in e.findall("inertial")], {"pose", "mass", "inertia"}, "inertial"
         )
         self.unused.of_children(joints, {"parent", "child", "pose", "axis", "axis2"}, "joint")
-        self.unused.of_children([c for e in links for c in e.findall("collision")], {"pose", "geometry"}, "collision")
-        if any(limit.find("effort") is not None or limit.find("velocity") is not None
-               for e in joints for limit in e.iter("limit")):  # fmt: skip
-            self.unused.append("joint: effort and velocity of <limit>")
+        collisions = [c for e in links for c in e.findall("collision")]
+        self.unused.of_children(collisions, {"pose", "geometry", "surface"}, "collision")
+        surfaces = [s for c in collisions for s in c.findall("surface")]
+        self.unused.of_children(surfaces, {"friction"}, "surface")
+        self.unused.of_children([f for s in surfaces for f in s.iter("friction")], {"ode"}, "friction")
+        self.unused.of_children([o for s in surfaces for o in s.iterfind("friction/ode")], {"mu"}, "friction")
+        fast = [e.get("name") for e in joints for v in e.iterfind("*/limit/velocity") if float(v.text or 0.0) > 0.0]
+        if fast:
+            self.dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
         limits = [limit for e in joints for limit in e.iter("limit")]
         self.unused.of_children(limits, {"lower", "upper", "effort", "velocity"}, "limit")
         switches = [("model", self.element, "enable_wind"), *(("link", e, tag) for e in links for tag in BEHAVIOUR)]
@@ -167,7 +175,8 @@ class _Reader:
         if lost:
             raise ValueError(f"links {lost} hang on each other in a circle that no base holds")
         model = self.model
-        lower, upper, damping, friction, stiffness, rest = np.array(self.values).reshape(-1, 6).T
+        lower, upper, damping, friction, stiffness, rest, effort = np.array(self.values).reshape(-1, 7).T
+        model.upperEffortLimit = effort
         q = np.concatenate(self.base)
         limits = [np.where(np.abs(x) < UNLIMITED, x, np.sign(x) * np.inf) for x in (lower, upper)]
         for which, limit in zip(("lowerPositionLimit", "upperPositionLimit"), limits, strict=True):
@@ -184,6 +193,7 @@ class _Reader:
         return describe_model(
             model, self.shapes, self.bodies, q=q, stiffness=stiffness, rest=rest, loops=tuple(self.loops),
             excluded=apart, dropped=tuple(self.dropped), unused=tuple(self.unused),
+            flaws=tuple(self.flaws), materials=self.materials,
         )  # fmt: skip
 
     def _descend(self, parent: str) -> None:
@@ -202,7 +212,7 @@ class _Reader:
         index = self._add_joint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"{link}_free")
         pose = self._pose_of(link)
         self.base.append(np.array(pin.SE3ToXYZQUAT(pose)))
-        self.values += [(-np.inf, np.inf, 0.0, 0.0, 0.0, 0.0)] * 6
+        self.values += [(-np.inf, np.inf, 0.0, 0.0, 0.0, 0.0, np.inf)] * 6
         self.at[index] = pose
         return index
 
@@ -220,7 +230,7 @@ class _Reader:
         if joint.kind == "ball":
             kind = pin.JointModelSpherical()
             self.base.append(np.array([0.0, 0.0, 0.0, 1.0]))
-            self.values += [(-np.inf, np.inf, 0.0, 0.0, 0.0, 0.0)] * 3
+            self.values += [(-np.inf, np.inf, 0.0, 0.0, 0.0, 0.0, np.inf)] * 3
         else:
             prismatic = joint.kind == "prismatic"
             kinds = [
@@ -252,7 +262,7 @@ class _Reader:
 
     @staticmethod
     def _values_of(joint: _Joint, tag: str) -> tuple[float, ...]:
-        """(lower, upper, damping, friction, stiffness, rest) of an axis."""
+        """(lower, upper, damping, friction, stiffness, rest, effort) of an axis."""
         axis = joint.element.find(tag)
 
         def value(where: str, default: float) -> float:
@@ -265,7 +275,7 @@ class _Reader:
         if joint.kind != "continuous":
             limits = value("limit/lower", -np.inf), value("limit/upper", np.inf)
         rest = "damping", "friction", "spring_stiffness", "spring_reference"
-        return (*limits, *(value(f"dynamics/{what}", 0.0) for what in rest))
+        return (*limits, *(value(f"dynamics/{what}", 0.0) for what in rest), value("limit/effort", np.inf))
 
     # -- bodies ------------------------------------------------------------------------------------------------
 
@@ -286,6 +296,9 @@ class _Reader:
             placement = pose * _pose(collision.find("pose")) * pin.SE3(np.eye(3), shift)
             self.shapes.append(Link(label, joint, placement, shape))
             self.bodies.append(link)
+            mu = collision.findtext("surface/friction/ode/mu")
+            if mu is not None:
+                self.materials[label] = Material(float(numbers(mu, 1, None, f"mu of link {link!r}")[0]))
 
     def _close(self, joint: _Joint, index: int) -> None:
         """Weld the part of a link that a further parent carries to the link."""
@@ -309,7 +322,10 @@ class _Reader:
         xy, xz, yz = (value(f"inertia/i{a}", 0.0) for a in ("xy", "xz", "yz"))
         inertia = part * np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         centre = self._pose_of(link) * _pose(None if element is None else element.find("pose"))
-        body = pin.Inertia(part * value("mass", 1.0), np.zeros(3), inertia)
+        mass = check_mass(value("mass", 1.0), f"link {link!r}")
+        if fault := flaw(inertia, f"link {link!r}"):
+            self.flaws.append(fault)
+        body = pin.Inertia(part * mass, np.zeros(3), inertia)
         self.model.appendBodyToJoint(joint, body, self.at[joint].actInv(centre))
 
     def _shape(self, geometry: Element | None) -> tuple[Shape, Array] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -11,9 +11,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from nsdyn import shapes
+from nsdyn import noise, shapes
 from nsdyn.articulations import Description, Link, describe_model
-from nsdyn.robot_files.xml import Array, Notes, mesh_file, numbers, parse
+from nsdyn.naming import choice
+from nsdyn.robot_files.inertias import check_mass, flaw
+from nsdyn.robot_files.xml import XACRO, Array, Notes, mesh_file, numbers, parse
 from nsdyn.shapes import Shape
 
 __all__ = ["read_urdf"]
@@ -30,8 +32,8 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
     root = parse(name, path, "URDF")
     if root.tag != "robot":
         raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <robot>")
-    if any("xacro" in element.tag for element in root.iter()):
-        raise ValueError(f"path of {name!r}: {path} could not be read: it has xacro macros; expand them first")
+    if any("xacro" in e.tag or "${" in "".join(e.attrib.values()) for e in root.iter()):
+        raise ValueError(f"path of {name!r}: {path} {XACRO}")
     dropped, unused = Notes(), Notes()
     elements, joints = list(root.iter("link")), [e for e in root if e.tag == "joint"]
     dropped += [
@@ -39,8 +41,9 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
         for e in joints
         for m in e.iter("mimic")
     ]
-    if any(e.get("effort") or e.get("velocity") for joint in joints for e in joint.iter("limit")):
-        unused.append("joint: effort and velocity of <limit>")
+    fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if e.get("velocity", "0").strip("0.")]
+    if fast:
+        dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
     unused.of_children([root], {"link", "joint"}, "robot")
     unused.of_children(elements, {"inertial", "collision"}, "link")
     unused.of_children(joints, {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"}, "joint")
@@ -49,11 +52,15 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
     for element in elements:
         for child in [c for c in element if c.tag != "inertial"]:
             element.remove(child)
+    lines: list[str] = []
     try:
+        _check_tree(elements, joints)
+        flaws = [fault for e in elements for fault in _flaws(e)]
         root_joint = (pin.JointModelFreeFlyer(),) if base == "free" else ()
-        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"), *root_joint)
+        with noise.caught() as lines:
+            model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"), *root_joint)
     except (ValueError, RuntimeError) as failure:
-        raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
+        raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, lines)}") from None
     links: list[Link] = []
     bodies: list[str] = []
     for body, collision in collisions:
@@ -67,7 +74,47 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
             raise ValueError(f"path of {name!r}: {path}, collision of {body!r}: {failure}") from None
         links.append(Link(link, int(frame.parentJoint), placement, shape))
         bodies.append(body)
-    return describe_model(model, links, bodies, dropped=tuple(dropped), unused=tuple(unused))
+    return describe_model(model, links, bodies, dropped=tuple(dropped), unused=tuple(unused), flaws=tuple(flaws))
+
+
+def _check_tree(links: Sequence[Element], joints: Sequence[Element]) -> None:
+    """Refuse joints between links that are not there, and links that do not hang on one root."""
+    names = [e.get("name", "") for e in links]
+    parents: dict[str, str] = {}
+    for joint in joints:
+        label = f"joint {joint.get('name')!r}"
+        parent, child = (
+            choice("" if (e := joint.find(end)) is None else e.get("link", ""), names, f"{end} of {label}")
+            for end in ("parent", "child")
+        )
+        if child in parents:
+            raise ValueError(f"child of {label} must hang on one joint, link {child!r} hangs on two: cut the loop")
+        parents[child] = parent
+    roots = [name for name in names if name not in parents]
+    if names and len(roots) != 1:
+        raise ValueError(f"its links must hang on one root by joints, got {roots or 'a circle'}")
+    for name in names:
+        seen = {name}
+        while (name := parents.get(name, "")) and name not in seen:
+            seen.add(name)
+        if name:
+            raise ValueError(f"its links must hang on one root, but {sorted(seen)} hang on each other in a circle")
+
+
+def _flaws(link: Element) -> Iterator[str]:
+    """What no body can have in the inertia of a link."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return
+    where = f"link {link.get('name')!r}"
+    mass, inertia = (Element(tag) if (e := inertial.find(tag)) is None else e for tag in ("mass", "inertia"))
+    check_mass(float(numbers(mass.get("value"), 1, None, f"mass of {where}")[0]), where)
+    xx, yy, zz, xy, xz, yz = (
+        float(numbers(inertia.get(f"i{axes}"), 1, None, f"i{axes} of {where}")[0])
+        for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
+    )
+    if fault := flaw(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), where):
+        yield fault
 
 
 def _pose(origin: Element | None) -> Any:

@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 __all__ = ["Notes", "mesh_file", "numbers", "parse"]
 
 
+XACRO = "has xacro macros: expand them first (xacro FILE.urdf.xacro > FILE.urdf)"
+
+
 class Notes(list[str]):
     """What a reader leaves out, in words."""
 
@@ -47,6 +50,8 @@ def parse(name: str, path: Path, kind: str) -> Element:
     try:
         return ElementTree.parse(path).getroot()
     except (ElementTree.ParseError, UnicodeDecodeError) as failure:
+        if b"xacro:" in path.read_bytes():
+            raise ValueError(f"path of {name!r}: {path} {XACRO}") from None
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
 
 
@@ -68,6 +73,10 @@ def numbers(text: str | None, count: int, default: Sequence[float] | None, what:
 def mesh_file(uri: str, folders: Sequence[Path]) -> Path:
     """File of ``package://package/rest``, ``model://...``, ``file://...`` or a path, looked up in `folders`."""
     scheme, _, rest = uri.rpartition("://")
+    if not rest:
+        raise ValueError("<mesh> names no file")
+    if scheme in ("package", "model"):
+        rest = rest.lstrip("/")
     tried = [Path(rest)] if scheme == "file" else [folder / rest for folder in folders]
     if scheme in ("package", "model"):
         package, _, inner = rest.partition("/")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from nsdyn.naming import choice
 from nsdyn.problem import FC3D, Array, Solution
 from nsdyn.solvers.aclm import ACLM
 from nsdyn.solvers.admm import ADMM
@@ -41,6 +42,7 @@ __all__ = [
     "Solver",
     "Tresca",
     "Uzawa",
+    "as_solver",
     "by_name",
     "solve",
 ]
@@ -79,13 +81,21 @@ SOLVERS: dict[str, type] = {
 
 def by_name(name: str, tol: float = 1e-8) -> Solver:
     """Return the solver of that name at tolerance `tol`, and no looser; ValueError naming the known, or for tol ≤ 0."""
-    if name not in SOLVERS:
-        raise ValueError(f"solver must be one of {sorted(SOLVERS)}, got {name!r}")
+    choice(name, SOLVERS, "solver")
     if not tol > 0.0:
         raise ValueError(f"tol must be positive, got {tol}")
     made = SOLVERS[name]
     solver: Solver = made(tol=tol, loose=tol) if made is Auto else made(tol=tol)
     return solver
+
+
+def as_solver(given: str | Solver, tol: float = 1e-8) -> Solver:
+    """The solver of a name as `by_name`, or the solver itself; ValueError for anything else."""
+    if isinstance(given, str):
+        return by_name(given, tol)
+    if not callable(given) or isinstance(given, type) or not hasattr(given, "tol"):
+        raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, or an object of these; got {given!r}")
+    return given
 
 
 def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: Array | None = None) -> Solution:
@@ -116,4 +126,4 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     >>> solution.status.name, solution.r[:2].round(6).tolist()
     ('CONVERGED', [1.0, -0.2])
     """
-    return (by_name(solver, tol) if isinstance(solver, str) else solver)(problem, r0)
+    return as_solver(solver, tol)(problem, r0)

@@ -1,0 +1,114 @@
+"""Tables of recordings against sums over `trajectory.contacts` and against the motion."""
+
+import csv
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_articulations import HAND
+
+import nsdyn as nd
+from nsdyn import cli
+
+MU = 0.3  # the geometric mean of the ground's and the default, 0.5
+
+
+@pytest.fixture(scope="module")
+def trajectory():
+    """A box that slides, and one on it."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(MU**2 / 0.5))
+    scene.add_box("below", (0.4, 0.4, 0.2), 2.0, position=(0, 0, 0.1), linear_velocity=(1, 0, 0))
+    scene.add_box("above", (0.2, 0.2, 0.2), 1.0, position=(0.05, 0, 0.3), linear_velocity=(1, 0, 0))
+    scene.add_sphere("far", 0.1, 1.0, position=(0, 5, 0.3))
+    return nd.simulate(scene, 0.4, dt=0.01)
+
+
+def test_contact_table_holds_all_contacts(trajectory, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)  # not to be imported
+    table = trajectory.contact_table()
+    tables = [trajectory.contacts(k) for k in range(1, 41)]
+    assert {len(column) for column in table.values()} == {sum(map(len, tables))}
+    for k in (1, 17, 40):
+        rows, one = table["step"] == k, tables[k - 1]
+        assert rows.sum() == len(one) and set(table["t"][rows]) == {trajectory.t[k]}
+        assert tuple(table["body1"][rows]) == one.body1 and tuple(table["body2"][rows]) == one.body2
+        assert list(table["state"][rows]) == one.status_names
+        impulse = np.column_stack([table[f"impulse_{axis}"][rows] for axis in "xyz"])
+        np.testing.assert_allclose(impulse, one.impulse_world, rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(table["impulse_N"][rows], one.impulse[:, 0])
+        np.testing.assert_array_equal(table["gap"][rows], one.gap)
+
+
+def test_contact_table_is_a_frame_of_pandas_where_it_is(trajectory, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=lambda columns: ("frame", *columns)))
+    assert trajectory.contact_table()[:3] == ("frame", "step", "t")
+
+
+def test_pair_is_the_sum_of_its_contacts(trajectory):
+    pair = trajectory.pair("below", "above")
+    # The upper box is carried: 9.81 N up and, while both brake at mu g, mu of it backwards; 1e-8 m/s of 1 kg over dt.
+    np.testing.assert_allclose(pair.force[:20], np.tile((-MU * 9.81, 0, 9.81), (20, 1)), rtol=0, atol=1e-6)
+    other = trajectory.pair("above", "below")
+    np.testing.assert_array_equal(other.force, -pair.force)
+    np.testing.assert_array_equal(other.gap, pair.gap)
+    k = 7
+    table = trajectory.contacts(k + 1)
+    mine = [i for i in range(len(table)) if {table.body1[i], table.body2[i]} == {"below", "above"}]
+    sign = np.array([1.0 if table.body2[i] == "above" else -1.0 for i in mine])
+    torque = (sign[:, None] * np.cross(table.point[mine], table.impulse_world[mine])).sum(axis=0) / 0.01
+    np.testing.assert_allclose(pair.torque[k], torque, rtol=0, atol=1e-12)  # a few sums of 10 N m
+    assert pair.gap[k] == table.gap[mine].min() and pair.state[k] == "stick"
+    assert pair.work[k] == pytest.approx((table.work_normal + table.work_friction)[mine].sum(), abs=1e-15)
+
+
+def test_states_of_pairs(trajectory):
+    slides = trajectory.pair("ground", "below")
+    assert slides.state[0] == "slip" and slides.state[-1] == "stick"  # it stops after v/(mu g) = 0.34 s
+    assert slides.work.sum() == pytest.approx(trajectory.energy.friction.sum(), rel=1e-6)
+    apart = trajectory.pair("far", "below")
+    assert set(apart.state) == {"apart"} and not apart.force.any() and np.isinf(apart.gap).all()
+    with pytest.raises(ValueError, match=r"body must be one of .*; got 'belo'; did you mean 'below'\?"):
+        trajectory.pair("belo", "ground")
+
+
+def test_force_is_the_change_of_momentum(trajectory):
+    for name, mass in (("below", 2.0), ("above", 1.0), ("far", 1.0)):
+        change = mass * np.diff(trajectory.body(name).linear_velocity, axis=0) / 0.01
+        # 30 N to the round-off of differences over dt.
+        np.testing.assert_allclose(trajectory.force(name) - np.array((0, 0, 9.81 * mass)), change, rtol=0, atol=1e-10)
+
+
+def test_joints_and_forces_of_links(tmp_path):
+    (tmp_path / "r.urdf").write_text(HAND)
+    scene = nd.Scene()
+    scene.add_sphere("ball", 0.1, 1.0, position=(0, 5, 0))
+    scene.add_urdf("r", tmp_path / "r.urdf", q=(np.cos(3.0), np.sin(3.0)), v=(2.0,), position=(0, 0, 1.0))
+    scene.add_box("stop", (0.2, 0.2, 0.2), position=(-0.45, 0, 2.25), fixed=True)
+    trajectory = nd.simulate(scene, 0.3, dt=1e-3)
+    joint = trajectory.joint("r/shoulder")
+    assert joint.position[0] == pytest.approx(3.0, abs=1e-12) and joint.velocity[0] == 2.0
+    # The trapezoidal rule, second order in dt = 1e-3; the angle goes on beyond pi.
+    moved = np.cumsum(0.5e-3 * (joint.velocity[1:] + joint.velocity[:-1]))
+    np.testing.assert_allclose(joint.position[1:] - 3.0, moved, rtol=0, atol=1e-3)
+    np.testing.assert_array_equal(trajectory.force("r/foot"), trajectory.force("r"))
+    np.testing.assert_array_equal(trajectory.force("r/foot"), -trajectory.force("stop"))
+    assert trajectory.force("r/foot").any()
+    with pytest.raises(ValueError, match=r"joint must be one of r/shoulder; got 'r/sholder'; did you mean"):
+        trajectory.joint("r/sholder")
+
+
+def test_contacts_on_the_command_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["run", "slide", "--time", "0.02", "--dt", "1e-3", "-o", "run.h5"]) == 0
+    capsys.readouterr()
+    trajectory = nd.Trajectory.load("run.h5")
+    assert cli.main(["contacts", "run.h5", "--step", "3", "--csv", "c.csv"]) == 0
+    assert capsys.readouterr().out == f"{trajectory.contacts(3)}\n"
+    head, *rows = csv.reader((tmp_path / "c.csv").read_text().splitlines())
+    table = trajectory.contact_table()
+    assert head == list(table) and len(rows) == len(table["t"])
+    np.testing.assert_array_equal([float(row[head.index("impulse_z")]) for row in rows], table["impulse_z"])
+    assert cli.main(["contacts", "run.h5", "--step", "99"]) == 2
+    assert "--step must be one of 1 to 20, or -1 back, got 99" in capsys.readouterr().err
