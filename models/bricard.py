@@ -7,7 +7,8 @@ and welded there, so that all six hinges are joints of the tree.
 import numpy as np
 import pinocchio as pin
 
-from nsdyn import Scene, shapes
+from nsdyn import Scene
+from nsdyn.scene import shapes
 
 DURATION, DT = 10.0, 1e-3
 

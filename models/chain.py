@@ -3,7 +3,8 @@
 import numpy as np
 import pinocchio as pin
 
-from nsdyn import Scene, shapes
+from nsdyn import Scene
+from nsdyn.scene import shapes
 
 DURATION, DT = 2.0, 1e-3
 

@@ -6,7 +6,8 @@ Benchmark A02 of the IFToMM library of computational multibody problems.
 import numpy as np
 import pinocchio as pin
 
-from nsdyn import Scene, shapes
+from nsdyn import Scene
+from nsdyn.scene import shapes
 
 DURATION, DT = 10.0, 1e-3
 

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn import PD, Material, Scene
-from nsdyn.articulations import Articulation
+from nsdyn.scene.articulations import Articulation
 
 DURATION, DT = 4.0, 5e-3
 

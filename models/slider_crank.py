@@ -7,7 +7,8 @@ clearance joints based on the non-smooth dynamics approach, Multibody System Dyn
 import numpy as np
 import pinocchio as pin
 
-from nsdyn import Material, Scene, shapes
+from nsdyn import Material, Scene
+from nsdyn.scene import shapes
 
 DURATION, DT = 0.1, 5e-6
 

@@ -7,7 +7,8 @@ they are not, so that the same toy has a slightly different periodic motion.
 import numpy as np
 import pinocchio as pin
 
-from nsdyn import Material, Scene, shapes
+from nsdyn import Material, Scene
+from nsdyn.scene import shapes
 
 DURATION, DT = 1.0, 1e-4
 

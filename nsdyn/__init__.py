@@ -6,15 +6,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nsdyn import fclib, scenes, solvers
-    from nsdyn.audit import Audit, check
-    from nsdyn.control import PD
-    from nsdyn.ensemble import sweep
-    from nsdyn.problem import FC3D, NotConverged, Solution, Status
-    from nsdyn.scene import Material, Scene
+    from nsdyn import solvers
+    from nsdyn.problem import fclib
+    from nsdyn.problem.fc3d import FC3D, NotConverged, Solution, Status
+    from nsdyn.recording.audit import Audit, check
+    from nsdyn.recording.trajectory import Trajectory
+    from nsdyn.scene import named as scenes
+    from nsdyn.scene.control import PD
+    from nsdyn.scene.scene import Material, Scene
     from nsdyn.solvers import solve
-    from nsdyn.stepper import State, Step, Stepper, simulate
-    from nsdyn.trajectory import Trajectory
+    from nsdyn.stepping.stepper import State, Step, Stepper, simulate
+    from nsdyn.study.sweep import sweep
 
 __version__ = "0.1.0"
 
@@ -41,21 +43,22 @@ __all__ = [
 ]
 
 _HOME = {
-    "audit": ("Audit", "check"),
-    "control": ("PD",),
-    "ensemble": ("sweep",),
-    "problem": ("FC3D", "NotConverged", "Solution", "Status"),
-    "scene": ("Material", "Scene"),
+    "problem.fc3d": ("FC3D", "NotConverged", "Solution", "Status"),
+    "recording.audit": ("Audit", "check"),
+    "recording.trajectory": ("Trajectory",),
+    "scene.control": ("PD",),
+    "scene.scene": ("Material", "Scene"),
     "solvers": ("solve",),
-    "stepper": ("State", "Step", "Stepper", "simulate"),
-    "trajectory": ("Trajectory",),
+    "stepping.stepper": ("State", "Step", "Stepper", "simulate"),
+    "study.sweep": ("sweep",),
 }
+_MODULES = {"fclib": "problem.fclib", "scenes": "scene.named", "solvers": "solvers"}
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use: ``nsdyn --help`` need not wait 0.7 s for numba and Pinocchio."""
-    if name in ("fclib", "scenes", "solvers"):
-        return import_module(f"nsdyn.{name}")
+    if name in _MODULES:
+        return import_module(f"nsdyn.{_MODULES[name]}")
     for module, names in _HOME.items():
         if name in names:
             value = globals()[name] = getattr(import_module(f"nsdyn.{module}"), name)

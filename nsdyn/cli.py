@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from nsdyn.trajectory import Trajectory
+    from nsdyn.recording.trajectory import Trajectory
 
 __all__ = ["main"]
 
@@ -73,7 +73,7 @@ class _Parser(argparse.ArgumentParser):
     """Tells a mistake in one line, as everything else here does."""
 
     def error(self, message: str) -> NoReturn:
-        from nsdyn.naming import meant
+        from nsdyn.tools.naming import meant
 
         choice = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
         hint = meant(choice[1], re.findall(r"[\w-]+", choice[2])) if choice else ""
@@ -221,7 +221,7 @@ def _add_json(parser: argparse.ArgumentParser) -> None:
 
 def _say(arguments: argparse.Namespace, text: object) -> None:
     """Print figures; where an output takes stdout they go to stderr."""
-    from nsdyn import files
+    from nsdyn.tools import files
 
     taken = files.STDOUT in vars(arguments).values()
     print(text, file=sys.stderr if taken else sys.stdout)
@@ -246,7 +246,7 @@ def _plain(value: Any) -> Any:
 
 def _check_outputs(source: Path | None, *paths: Path | None) -> None:
     """Refuse paths that cannot all be written beside the `source` that is read, before any work is done."""
-    from nsdyn import files
+    from nsdyn.tools import files
 
     outputs = [path for path in paths if path]
     for path in outputs:
@@ -271,7 +271,8 @@ def _check_picture(path: Path | None, *kinds: str) -> None:
 
 
 def _scenes(arguments: argparse.Namespace) -> int:
-    from nsdyn import scenes, settings
+    from nsdyn.scene import named as scenes
+    from nsdyn.scene import settings
 
     found: dict[str, Any] = {}
     for name in scenes.names():
@@ -320,7 +321,7 @@ def _run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     import nsdyn
-    from nsdyn import settings
+    from nsdyn.scene import settings
 
     name = arguments.scene
     parameters = settings.values(name, arguments.set)
@@ -388,8 +389,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _sweep(arguments: argparse.Namespace) -> int:
     import nsdyn
-    from nsdyn import ensemble, settings
-    from nsdyn.files import writing
+    from nsdyn.scene import settings
+    from nsdyn.study import sweep as ensemble
+    from nsdyn.tools.files import writing
 
     name = arguments.scene
     module = nsdyn.scenes.module(name)
@@ -457,7 +459,7 @@ def _columns(rows: list[dict[str, Any]], names: list[str]) -> str:
 def _cell(value: Any) -> str:
     if value is None:
         return "-"
-    from nsdyn.settings import as_text
+    from nsdyn.scene.settings import as_text
 
     return f"{value:.6g}" if isinstance(value, float) else as_text(value)
 
@@ -466,7 +468,8 @@ def _cell(value: Any) -> str:
 
 
 def _solve(arguments: argparse.Namespace) -> int:
-    from nsdyn import fclib, solvers
+    from nsdyn import solvers
+    from nsdyn.problem import fclib
 
     solver = solvers.by_name(arguments.solver, arguments.tol)
     _check_outputs(arguments.problem, arguments.output)
@@ -502,7 +505,7 @@ def _profile(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
     from functools import partial
 
-    from nsdyn import profile
+    from nsdyn.study import profile
 
     _check_outputs(None, arguments.csv, arguments.plot)
     _check_picture(arguments.plot, *_PLOTS)
@@ -528,7 +531,7 @@ def _profile(arguments: argparse.Namespace) -> int:
 def _bench(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
-    from nsdyn import bench
+    from nsdyn.study import bench
 
     _check_outputs(None, arguments.csv, arguments.plot)
     _check_picture(arguments.plot, *_PLOTS)
@@ -558,7 +561,7 @@ def _picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], 
     """Picture of what `draw` draws on a matplotlib figure of `size` in inches."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
 
-    from nsdyn.files import writing
+    from nsdyn.tools.files import writing
 
     figure = Figure(figsize=size, layout="constrained")
     draw(figure)
@@ -570,8 +573,8 @@ def _picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], 
 
 
 def _energy(arguments: argparse.Namespace) -> int:
-    from nsdyn.files import writing
-    from nsdyn.trajectory import Trajectory
+    from nsdyn.recording.trajectory import Trajectory
+    from nsdyn.tools.files import writing
 
     _check_outputs(arguments.recording, arguments.plot, arguments.csv)
     _check_picture(arguments.plot, *_PLOTS)
@@ -617,8 +620,8 @@ def _write_csv(trajectory: Trajectory, path: Path) -> None:
 def _contacts(arguments: argparse.Namespace) -> int:
     import csv
 
-    from nsdyn.files import writing
-    from nsdyn.trajectory import Trajectory
+    from nsdyn.recording.trajectory import Trajectory
+    from nsdyn.tools.files import writing
 
     _check_outputs(arguments.recording, arguments.csv)
     trajectory = Trajectory.load(arguments.recording)
@@ -635,8 +638,8 @@ def _contacts(arguments: argparse.Namespace) -> int:
 
 
 def _view(arguments: argparse.Namespace) -> int:
-    from nsdyn import viewer
-    from nsdyn.trajectory import Trajectory
+    from nsdyn.recording import viewer
+    from nsdyn.recording.trajectory import Trajectory
 
     if not (arguments.output or arguments.png):
         raise ValueError("nothing to make: give -o RUN.html, --png FRAME.png, or both")
@@ -686,8 +689,8 @@ def _version(distribution: str) -> str | None:
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
-    from nsdyn import viewer
     from nsdyn._kernels import ahead, compiled
+    from nsdyn.recording import viewer
 
     if arguments.compile:
         ahead.compile_examples("all")

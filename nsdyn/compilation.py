@@ -13,11 +13,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nsdyn import scenes, solvers
-from nsdyn._kernels import cones
+from nsdyn import solvers
 from nsdyn._kernels.compiled import Kernel, Notes
-from nsdyn.problem import FC3D
-from nsdyn.stepper import Stepper
+from nsdyn._kernels.problem import cones
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.scene import named as scenes
+from nsdyn.stepping.stepper import Stepper
 
 __all__ = ["EXAMPLES", "noted", "work"]
 

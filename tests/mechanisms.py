@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.articulations import Loop
+from nsdyn.scene.articulations import Loop
 
 
 def add(scene, name, model, loops=(), **keywords):

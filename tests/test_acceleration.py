@@ -11,7 +11,7 @@ from test_convergence import FINE, ROUGH, arm, ellipsoid
 from test_properties import scenes
 
 import nsdyn as nd
-from nsdyn.acceleration import Existence, accelerations, least_constraint
+from nsdyn.stepping.acceleration import Existence, accelerations, least_constraint
 
 pytest.importorskip("clarabel", reason="the extra 'acceleration' is not installed")
 

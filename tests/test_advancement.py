@@ -6,9 +6,9 @@ import pinocchio as pin
 import pytest
 from test_contacts import ALL, GROUND, about, detector, random_rotation
 
-from nsdyn import shapes
-from nsdyn._kernels import advancement
-from nsdyn.contacts import ContactMemory, Poses, carry
+from nsdyn._kernels.collision import advancement
+from nsdyn.collision.contacts import ContactMemory, Poses, carry
+from nsdyn.scene import shapes
 
 EMPTY = ContactMemory.empty()
 THIN = {"plate": shapes.box((1.0, 0.8, 0.01)), "pin": shapes.cylinder(0.01, 1.0), "pea": shapes.sphere(0.02)}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn import arrows, viewer
+from nsdyn.recording import arrows, viewer
 
 
 def keyframes(trajectory, fps):

@@ -7,7 +7,7 @@ from conftest import INERTIAL
 from scipy.linalg import null_space
 
 import nsdyn as nd
-from nsdyn import shapes
+from nsdyn.scene import shapes
 
 
 def loaded(robot, **keywords):

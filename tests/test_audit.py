@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
-from nsdyn.audit import TOLERANCES, deepest
+from nsdyn.recording.audit import TOLERANCES, deepest
 
 K = 30
 """A step in which the box slides and the ball rests on it."""

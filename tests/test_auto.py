@@ -8,9 +8,10 @@ import scipy.sparse as sp
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn._kernels import interior as kernels
-from nsdyn._kernels import linear, local
-from nsdyn._kernels import smoothing as smooth
+from nsdyn._kernels.problem import linear
+from nsdyn._kernels.solvers import interior as kernels
+from nsdyn._kernels.solvers import local
+from nsdyn._kernels.solvers import smoothing as smooth
 from nsdyn.solvers import interior, smoothing
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
-from nsdyn._kernels import balance as kernels
+from nsdyn._kernels.stepping import balance as kernels
 
 ROLLING = {"linear_velocity": (1.0, 0.3, 0.0), "angular_velocity": (3.0, 9.0, 1.0)}
 

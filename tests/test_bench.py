@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from nsdyn import bench
-from nsdyn.bench import CASES, Bench, Run
+from nsdyn.study import bench
+from nsdyn.study.bench import CASES, Bench, Run
 
 
 def run(engine, variant, dt, error, seconds, case="slide"):

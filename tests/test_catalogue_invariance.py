@@ -8,7 +8,7 @@ import pytest
 from conftest import drift, penetration
 
 import nsdyn as nd
-from nsdyn import shapes
+from nsdyn.scene import shapes
 
 # -- case 47: invariance -----------------------------------------------------------------------------------------------
 

@@ -13,8 +13,10 @@ import pytest
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn import cli, settings, viewer
-from nsdyn.trajectory import Trajectory
+from nsdyn import cli
+from nsdyn.recording import audit, viewer
+from nsdyn.recording.trajectory import Trajectory
+from nsdyn.scene import settings
 
 SHORT = ["--time", "0.02", "--dt", "1e-3"]
 
@@ -157,7 +159,7 @@ def test_run_gives_its_figures_as_json(run, tmp_path):
 def test_run_is_audited(run, tmp_path, monkeypatch):
     code, out, _ = run("run", "slide", *SHORT, "--check")
     assert code == 0 and out.splitlines()[-1] == "slide: passed"
-    monkeypatch.setitem(nd.audit.TOLERANCES, "overlap", -1.0)
+    monkeypatch.setitem(audit.TOLERANCES, "overlap", -1.0)
     code, out, _ = run("run", "slide", *SHORT, "--check", "--json")
     audit = json.loads(out)["audit"]
     assert code == 1 and not audit["passed"] and not audit["findings"]["overlap"]["passed"]
@@ -311,7 +313,7 @@ def test_profile(run, problem, tmp_path):
 
 
 def test_bench(run, monkeypatch):
-    from nsdyn import bench
+    from nsdyn.study import bench
 
     monkeypatch.setattr(bench, "STEPS", (0.5, 0.2))
     code, out, _ = run("bench", "slip", "--csv", "b.csv", "--plot", "b.png")

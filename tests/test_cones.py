@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from nsdyn import cones
-from nsdyn._kernels import cones as kernels
+from nsdyn._kernels.problem import cones as kernels
+from nsdyn.problem import cones
 
 
 @pytest.fixture

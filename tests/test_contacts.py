@@ -5,11 +5,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from nsdyn import distances, shapes
-from nsdyn.contacts import ContactMemory
-from nsdyn.detector import MARGIN, SKIN, Detector
-from nsdyn.scene import Geom, Material
-from nsdyn.shapes import HALFSPACE
+from nsdyn.collision import distances
+from nsdyn.collision.contacts import ContactMemory
+from nsdyn.collision.detector import MARGIN, SKIN, Detector
+from nsdyn.scene import shapes
+from nsdyn.scene.scene import Geom, Material
+from nsdyn.scene.shapes import HALFSPACE
 
 HEXAGON = np.array([[np.cos(a), np.sin(a), z] for a in np.arange(6) * np.pi / 3 for z in (-0.6, 0.6)]) * 0.5
 BOX = shapes.box((1.0, 0.8, 0.6))

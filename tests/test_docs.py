@@ -8,7 +8,7 @@ import pytest
 import nsdyn as nd
 
 PUBLIC = [getattr(nd, name) for name in nd.__all__ if name not in ("fclib", "scenes", "solvers")]
-MODULES = sorted({value.__module__ for value in PUBLIC} | {"nsdyn.fclib"})
+MODULES = sorted({value.__module__ for value in PUBLIC} | {"nsdyn.problem.fclib"})
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 
 import nsdyn as nd
-from nsdyn.contacts import ContactMemory
-from nsdyn.dynamics import Dynamics, Middle
+from nsdyn.collision.contacts import ContactMemory
+from nsdyn.dynamics.dynamics import Dynamics, Middle
 
 
 def mixed_scene():

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn import cli, ensemble
+from nsdyn import cli
+from nsdyn.study import sweep as ensemble
 
 
 def end(trajectory):

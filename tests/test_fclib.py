@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn import fclib
+from nsdyn.problem import fclib
 
 HARD = Path(__file__).resolve().parents[2] / "shared" / "hard"
 

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from nsdyn import files
+from nsdyn.tools import files
 
 
 def write(path, text):

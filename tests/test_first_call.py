@@ -15,7 +15,7 @@ from nsdyn._kernels import ahead, sorting
 HERE = Path(nsdyn.__file__).parent
 COMMAND = """
 import logging; logging.basicConfig(level=logging.INFO)
-from nsdyn._kernels import cones, reference
+from nsdyn._kernels.problem import cones, reference
 print(cones.project(2.0, 0.3, 0.4, 0.5), sum(cones.project.stats.cache_misses.values()))
 """
 CALLER = """

@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse as sp
 
 import nsdyn as nd
-from nsdyn import gauss
+from nsdyn.problem import cones, gauss
 
 
 def conic(H, mu, b):
@@ -43,7 +43,7 @@ def distance(problem, r, H):
 
 
 def into_cones(r, mu):
-    return nd.cones.project(r.reshape(-1, 3), mu).ravel()
+    return cones.project(r.reshape(-1, 3), mu).ravel()
 
 
 @pytest.fixture(scope="module")

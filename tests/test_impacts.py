@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
-from nsdyn.impacts import LAWS
+from nsdyn.stepping.impacts import LAWS
 
 g = 9.81
 

@@ -6,7 +6,7 @@ import pytest
 from mechanisms import add, at, four_bars, limit, pendulum, slider
 
 import nsdyn as nd
-from nsdyn import shapes
+from nsdyn.scene import shapes
 
 G = 9.81
 INERTIA = 1.0 / 3.0 + 1e-9  # of the pendulum's rod about its hinge, kg m²

@@ -6,9 +6,9 @@ import pytest
 from mechanisms import add, at, bricard, four_bars, limit, pendulum, rod
 
 import nsdyn as nd
-from nsdyn import shapes
-from nsdyn.articulations import Loop
-from nsdyn.loops import Closures, admissible
+from nsdyn.dynamics.loops import Closures, admissible
+from nsdyn.scene import shapes
+from nsdyn.scene.articulations import Loop
 
 
 def follow(scene, duration, dt):

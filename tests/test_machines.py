@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 import nsdyn as nd
-from nsdyn.shapes import SPHERE
+from nsdyn.scene.shapes import SPHERE
 
 
 def run(name, duration, dt, parameters=None, **control):

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from test_contacts import BOX, CYLINDER, PRISM, ROCK, about, detector, random_rotation, support
 
-from nsdyn import shapes
-from nsdyn.contacts import ContactMemory
+from nsdyn.collision.contacts import ContactMemory
+from nsdyn.scene import shapes
 
 SHAPES = {
     "box": BOX,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn._kernels import sparse as _matrix
-from nsdyn.problem import Status
+from nsdyn._kernels.problem import sparse as _matrix
+from nsdyn.problem.fc3d import Status
 from nsdyn.solvers import momentum
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from nsdyn import shapes
-from nsdyn.overlap import Solid, overlap, separation
+from nsdyn.recording.overlap import Solid, overlap, separation
+from nsdyn.scene import shapes
 
 SHAPES = {
     "box": shapes.box((0.1, 0.2, 0.3)),

@@ -5,8 +5,8 @@ import pytest
 import scipy.sparse as sp
 
 import nsdyn as nd
-from nsdyn import gauss
-from nsdyn.problem import Blocks
+from nsdyn.problem import gauss
+from nsdyn.problem.fc3d import Blocks
 
 BOX = 4  # contacts of the four-corner box below
 
@@ -49,7 +49,7 @@ def test_error_is_the_formula(rng):
     problem, _, _ = corner_box()
     r = rng.normal(size=12)
     u = (problem.W @ r + problem.q).reshape(-1, 3)
-    from nsdyn import cones
+    from nsdyn.problem import cones
 
     z = r.reshape(-1, 3) - cones.saxce(u, problem.mu)
     expected = np.linalg.norm(r.reshape(-1, 3) - cones.project(z, problem.mu)) / np.linalg.norm(problem.q)
@@ -60,7 +60,7 @@ def test_gap_bounds_the_velocity_error(rng):
     """½|v - v*|²_M <= gap for any r in K with u_N >= 0, against a frozen problem solved by an independent method."""
     from scipy.optimize import minimize
 
-    from nsdyn import cones
+    from nsdyn.problem import cones
 
     problem, M, H = corner_box(mu=0.3, push=(0.2, 0.1))
     v_free = np.array([0.2, 0.1, -1.0, 0, 0, 0])

@@ -12,8 +12,8 @@ import pytest
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn import profile
-from nsdyn.workers import Worker
+from nsdyn.study import profile
+from nsdyn.tools.workers import Worker
 
 HANGS = """
 import sys, time, json

@@ -8,11 +8,11 @@ from test_problem import corner_box
 from test_solvers import CASES
 
 import nsdyn as nd
-import nsdyn.formulations
-from nsdyn.solvers import bundle, interior_point, uzawa
+from nsdyn.problem import cones, formulations
 from nsdyn.solvers._common import Equilibrated, factor
-from nsdyn.solvers._frozen import shifted, slip_shift
 from nsdyn.solvers.impulse_newton import ImpulseNewton, steps
+from nsdyn.solvers.reference import bundle, interior_point, uzawa
+from nsdyn.solvers.reference._frozen import shifted, slip_shift
 
 REACH = 1e-6
 NAMES = sorted(set(nd.solvers.SOLVERS) - {"auto", "newton", "pgs"})
@@ -121,7 +121,7 @@ def test_interior_point_solves_the_convex_problem(case, rng):
         scaled = Equilibrated(problem)
         q = shifted(scaled, slip_shift(scaled, rng.uniform(size=scaled.q.size)))
         x, count = interior_point.minimise(scaled, q, 1e-10)
-        frozen = nd.formulations.cones.project((x - scaled.W @ x - q).reshape(-1, 3), problem.mu).ravel()
+        frozen = cones.project((x - scaled.W @ x - q).reshape(-1, 3), problem.mu).ravel()
         np.testing.assert_allclose(frozen, x, rtol=0, atol=1e-9)
         assert count <= 30
 
@@ -135,7 +135,7 @@ def test_shortest_vector_of_a_hull():
     np.testing.assert_allclose(bundle.shortest(around) @ around, 0.0, rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("function", sorted(nd.formulations.ELEMENTS))
+@pytest.mark.parametrize("function", sorted(formulations.ELEMENTS))
 def test_bundle_solves_one_contact(function):
     """One contact that sticks and one that slides: the merits lead to the solution of the closed form."""
     for push in (0.1, 2.0):
@@ -151,7 +151,7 @@ def test_bundle_on_the_paper_s_equation():
     assert nd.solvers.Bundle(tol=REACH, function=equation)(corner_box()[0]).converged
     sliding = nd.FC3D(np.diag([1.0, 2.0, 2.0]), np.array([-1.0, 2.0, 1.0]), np.array([0.5]))
     solution = nd.solvers.Bundle(tol=REACH, function=equation, max_iter=50)(sliding)
-    F = nd.formulations.residual_xuewen_soh_wanji
+    F = formulations.residual_xuewen_soh_wanji
     assert not solution.converged
     assert np.linalg.norm(F(sliding, solution.r)) < np.linalg.norm(F(sliding, np.zeros(3)))
 

@@ -9,7 +9,7 @@ import pytest
 from conftest import INERTIAL, ROBOT, write_stl
 
 import nsdyn as nd
-from nsdyn import shapes
+from nsdyn.scene import shapes
 
 
 def test_urdf(robot):

@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj
 
-from nsdyn._kernels.rotation import flow, principal
-from nsdyn.scenes import load
+from nsdyn._kernels.dynamics.rotation import flow, principal
+from nsdyn.scene.named import load
 
 TURN = np.array([1.0, 3.0, 2.0]) * 4.0 / np.sqrt(14.0)  # rad/s, |TURN| = 4
 BODY = np.diag([1.0, 2.0, 2.7])

@@ -6,7 +6,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial import ConvexHull
 
-from nsdyn import shapes
+from nsdyn.scene import shapes
 
 M = 2.5  # kg
 

@@ -7,9 +7,9 @@ import pytest
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn._kernels import newton as kernels
-from nsdyn._kernels import pgs as sweeps
-from nsdyn._kernels import sparse as matrix
+from nsdyn._kernels.problem import sparse as matrix
+from nsdyn._kernels.solvers import newton as kernels
+from nsdyn._kernels.solvers import pgs as sweeps
 
 FILES = Path(__file__).resolve().parents[2] / "shared" / "fc3d"
 

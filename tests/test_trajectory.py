@@ -15,10 +15,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
-from nsdyn import recorder as module
-from nsdyn import unfinished
-from nsdyn.recorder import Recorder
-from nsdyn.trajectory import Trajectory
+from nsdyn.recording import recorder as module
+from nsdyn.recording.recorder import Recorder
+from nsdyn.recording.trajectory import Trajectory
+from nsdyn.tools import unfinished
 
 DT = 0.01
 META = {"dt": DT, "theta": 0.5, "solver": "Auto(tol=1e-08)"}
@@ -162,7 +162,7 @@ ENDLESS = """
 import itertools, os, signal, sys
 sys.path[:0] = {paths!r}
 import h5py
-from nsdyn import recorder as module
+from nsdyn.recording import recorder as module
 from test_trajectory import META, rows, scene_dict
 module._FLUSH_SECONDS = 0.0
 flushes = itertools.count(1)
@@ -450,7 +450,7 @@ def test_energy_plot_of_a_scene_at_rest_shows_rest(name):
 
 def test_matplotlib_is_not_loaded_by_recordings():
     code = textwrap.dedent("""
-        import sys, nsdyn.trajectory
+        import sys, nsdyn.recording.trajectory
         sys.exit("matplotlib" in sys.modules)
     """)
     root = str(Path(nd.__file__).parents[1])

@@ -6,8 +6,8 @@ import pytest
 from mechanisms import add, at, bricard, four_bars, pendulum, rod
 
 import nsdyn as nd
-from nsdyn.shapes import sphere
-from nsdyn.trees import Tree
+from nsdyn.dynamics.trees import Tree
+from nsdyn.scene.shapes import sphere
 
 JOINTS = [pin.JointModelRX(), pin.JointModelSpherical(), pin.JointModelRUBZ(), pin.JointModelPY()]
 

@@ -14,8 +14,8 @@ import pytest
 import umsgpack
 
 import nsdyn as nd
-from nsdyn import viewer
-from nsdyn.trajectory import Trajectory
+from nsdyn.recording import viewer
+from nsdyn.recording.trajectory import Trajectory
 
 OCTAHEDRON = [(-1, 0, 0), (1, 0, 0), (0, -2, 0), (0, 2, 0), (0, 0, -3), (0, 0, 3)]
 FLOATS = 0x17  # Float32Array in the viewer's MessagePack dialect

@@ -20,9 +20,9 @@ import numpy as np
 import pinocchio as pin
 
 import nsdyn as nd
-from nsdyn.contacts import ContactMemory
-from nsdyn.detector import Detector
-from nsdyn.dynamics import Dynamics
+from nsdyn.collision.contacts import ContactMemory
+from nsdyn.collision.detector import Detector
+from nsdyn.dynamics.dynamics import Dynamics
 
 ALL_PAIRS = 200
 """Boxes up to which all pairs are tried: they take memory and time with the square of their number."""

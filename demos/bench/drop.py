@@ -13,7 +13,8 @@ import numpy as np
 from scaling import spheres
 
 import nsdyn as nd
-from nsdyn import audit, bench
+from nsdyn.recording import audit
+from nsdyn.study import bench
 
 
 def line(name: str, times: list[float], deepest: float, more: str = "") -> float:
@@ -45,7 +46,7 @@ def peer(scene: nd.Scene, dt: float, steps: int) -> float:
     """Mean seconds of MuJoCo's step."""
     import mujoco
 
-    from nsdyn._peers.bench_mujoco import MUJOCO_XYZW, mjcf
+    from nsdyn.study._peers.bench_mujoco import MUJOCO_XYZW, mjcf
 
     model = mujoco.MjModel.from_xml_string(mjcf(bench.describe(scene), "default", dt))
     data = mujoco.MjData(model)

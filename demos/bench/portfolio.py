@@ -14,7 +14,7 @@ from collections import Counter
 from pathlib import Path
 
 import nsdyn as nd
-from nsdyn.problem import Array
+from nsdyn.problem.fc3d import Array
 
 
 class Timed:

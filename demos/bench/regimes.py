@@ -19,7 +19,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import nsdyn as nd
-from nsdyn import profile
+from nsdyn.study import profile
 
 TOLERANCES = (1e-4, 1e-6, 1e-8)
 SOLVERS = ("auto", "newton", "interior", "impulse_newton", "admm", "pgs")

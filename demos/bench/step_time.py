@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 import nsdyn as nd
-from nsdyn import audit, bench
+from nsdyn.recording import audit
+from nsdyn.study import bench
 
 PHASES = ("contacts", "solve", "the rest", "record")
 
@@ -37,7 +38,7 @@ class Timed:
 
 def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> tuple[list[float], float, float]:
     """Median seconds of each phase, deepest overlap [m] and drift [m] after settling for a quarter of a second."""
-    from nsdyn.recorder import Recorder
+    from nsdyn.recording.recorder import Recorder
 
     solve = Timed(nd.solvers.Auto(tol=tol))
     stepper = nd.Stepper(scene, dt=dt, solver=solve)
@@ -64,7 +65,7 @@ def peer(scene: nd.Scene, dt: float, steps: int, stiff: bool) -> tuple[float, fl
     """Median seconds of MuJoCo's step and its deepest overlap [m], after the same settling."""
     import mujoco
 
-    from nsdyn._peers.bench_mujoco import MUJOCO_XYZW, mjcf
+    from nsdyn.study._peers.bench_mujoco import MUJOCO_XYZW, mjcf
 
     model = mujoco.MjModel.from_xml_string(mjcf(bench.describe(scene), "stiff" if stiff else "default", dt))
     data = mujoco.MjData(model)

@@ -3,9 +3,9 @@
     python demos/bench/truth.py [BAR]... [--quick] [--verbose]
 
 Every bar is a function of its seeds and steps that returns figures measured from recorded states alone: overlaps by
-`nsdyn.overlap`, which shares no code with the detection of contacts, energies and momenta from positions and velocities
-computed anew. A figure in brackets has no bar and is only told. `--quick` runs the few cases that `tests/test_truth.py`
-runs by default; `at_rest.py` compares what a step costs where nothing happens.
+`nsdyn.recording.overlap`, which shares no code with the detection of contacts, energies and momenta from positions and
+velocities computed anew. A figure in brackets has no bar and is only told. `--quick` runs the few cases that
+`tests/test_truth.py` runs by default; `at_rest.py` compares what a step costs where nothing happens.
 """
 
 import argparse
@@ -25,7 +25,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
-from nsdyn import overlap as independent
+from nsdyn.recording import overlap as independent
 
 INFORM = math.inf
 """Bar of a figure that is only told."""
@@ -214,7 +214,7 @@ def timed(step: Callable[[], Any], steps: int) -> tuple[float, float]:
 )
 def wall_cost(duration: float) -> Figures:
     """dt 5e-3; MuJoCo at its defaults, where it is installed."""
-    from nsdyn import bench
+    from nsdyn.study import bench
 
     scene, dt = wall(10, 15.0), 5e-3
     steps = round(duration / dt)
@@ -224,7 +224,7 @@ def wall_cost(duration: float) -> Figures:
     stepper.set_state(start)
     out = dict(zip(("mean ms", "longest ms"), timed(stepper.step, steps), strict=True))
     try:
-        from nsdyn._peers.bench_mujoco import Simulation
+        from nsdyn.study._peers.bench_mujoco import Simulation
     except ImportError:
         return out
     peer = Simulation(bench.describe(scene), "default", dt)
@@ -676,7 +676,7 @@ def rolling_egg(beside: str, dt: float = 2.5e-3) -> Figures:
 )
 def time_to_error(limit: float) -> Figures:
     """Of `nsdyn bench`: the bouncing ball, and free rotation beside MuJoCo's best."""
-    from nsdyn import bench
+    from nsdyn.study import bench
 
     peers = [name for name in ("mujoco",) if bench.PEERS[name].installed]
     found = bench.measure(["bounce", "tumble"], peers, limit)

@@ -41,7 +41,7 @@ def _few_known() -> bool:
 @lru_cache(maxsize=1)
 def _prepare() -> None:
     """Before the first compilation of a simulation: what all simulations need, unless most of it is there."""
-    if "nsdyn.stepper" not in sys.modules or processes() == 1 or not _few_known():
+    if "nsdyn.stepping.stepper" not in sys.modules or processes() == 1 or not _few_known():
         return
     # Where no process can be started, this one compiles
     with suppress(OSError), alone(folder() / "examples"):

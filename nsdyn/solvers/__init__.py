@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from nsdyn.naming import choice
-from nsdyn.problem import FC3D, Array, Solution
-from nsdyn.solvers.aclm import ACLM
-from nsdyn.solvers.admm import ADMM
+from nsdyn.problem.fc3d import FC3D, Array, Solution
 from nsdyn.solvers.auto import Auto
-from nsdyn.solvers.bundle import Bundle
-from nsdyn.solvers.extragradient import Extragradient
-from nsdyn.solvers.fixed_point import FixedPoint
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Interior
-from nsdyn.solvers.interior_point import InteriorPoint
 from nsdyn.solvers.momentum import Momentum
 from nsdyn.solvers.newton import Newton
-from nsdyn.solvers.panagiotopoulos import Panagiotopoulos
 from nsdyn.solvers.pgs import PGS
-from nsdyn.solvers.proximal import Proximal
-from nsdyn.solvers.tresca import Tresca
-from nsdyn.solvers.uzawa import Uzawa
+from nsdyn.solvers.reference.aclm import ACLM
+from nsdyn.solvers.reference.admm import ADMM
+from nsdyn.solvers.reference.bundle import Bundle
+from nsdyn.solvers.reference.extragradient import Extragradient
+from nsdyn.solvers.reference.fixed_point import FixedPoint
+from nsdyn.solvers.reference.interior_point import InteriorPoint
+from nsdyn.solvers.reference.panagiotopoulos import Panagiotopoulos
+from nsdyn.solvers.reference.proximal import Proximal
+from nsdyn.solvers.reference.tresca import Tresca
+from nsdyn.solvers.reference.uzawa import Uzawa
+from nsdyn.tools.naming import choice
 
 __all__ = [
     "ACLM",

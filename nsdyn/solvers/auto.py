@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn._kernels import cones as _cones
-from nsdyn._kernels import local as _local
-from nsdyn._kernels import newton as _newton
-from nsdyn._kernels import warm as _warm
-from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
+from nsdyn._kernels.problem import cones as _cones
+from nsdyn._kernels.solvers import local as _local
+from nsdyn._kernels.solvers import newton as _newton
+from nsdyn._kernels.solvers import warm as _warm
+from nsdyn.problem.fc3d import FC3D, Array, Blocks, Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import interior
 from nsdyn.solvers.means import ByFactors, ByMatrix, Means, Momentum
@@ -294,7 +294,7 @@ class Auto:
     @staticmethod
     def _explained(problem: FC3D, solution: Solution) -> Solution:
         """The solution with `Status.NO_SLATER_POINT` where none is guaranteed to exist."""
-        from nsdyn.formulations import has_slater_point  # rarely needed, and its imports take long
+        from nsdyn.problem.formulations import has_slater_point  # rarely needed, and its imports take long
 
         if solution.status is Status.MAX_ITERATIONS and has_slater_point(problem) is False:
             return solution._replace(status=Status.NO_SLATER_POINT)

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nsdyn.formulations import ELEMENTS, _diagonal
-from nsdyn.problem import FC3D, Array, Solution, Status
+from nsdyn.problem.fc3d import FC3D, Array, Solution, Status
+from nsdyn.problem.formulations import ELEMENTS, _diagonal
 from nsdyn.solvers._common import Equilibrated, Run, factor, is_sparse
 
 Function = Literal["alart-curnier", "fischer-burmeister", "jean-moreau", "natural"]
@@ -138,8 +138,8 @@ class ImpulseNewton:
     max_iter : int
         Factorisations.
     function : {'fischer-burmeister', 'alart-curnier', 'jean-moreau', 'natural'}
-        Equation, see `nsdyn.formulations`. Full steps on the first reach most: it is the smoothest, a line search
-        on the others stops at kinks and full steps on them cycle.
+        Equation, see `nsdyn.problem.formulations`. Full steps on the first reach most: it is the smoothest, a line
+        search on the others stops at kinks and full steps on them cycle.
     search : {'none', 'goldstein-price', 'armijo'}
         Line search on ½‖F‖².
     rho : {'spectral', 'split', 'condition', 'one'}

@@ -11,11 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from nsdyn._kernels import cones as _cones
-from nsdyn._kernels import interior as _kernels
-from nsdyn._kernels import local as _local
-from nsdyn._kernels import newton as _newton
-from nsdyn.problem import FC3D, Array, Blocks, Solution, Status
+from nsdyn._kernels.problem import cones as _cones
+from nsdyn._kernels.solvers import interior as _kernels
+from nsdyn._kernels.solvers import local as _local
+from nsdyn._kernels.solvers import newton as _newton
+from nsdyn.problem.fc3d import FC3D, Array, Blocks, Solution, Status
 from nsdyn.solvers.newton import contact_graph, each_island, rows, solve_blocks
 
 

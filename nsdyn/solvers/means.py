@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from nsdyn._kernels import pgs as _pgs
-from nsdyn._kernels import sparse as _matrix
-from nsdyn.problem import FC3D, Array, Blocks, Index
+from nsdyn._kernels.problem import sparse as _matrix
+from nsdyn._kernels.solvers import pgs as _pgs
+from nsdyn.problem.fc3d import FC3D, Array, Blocks, Index
 from nsdyn.solvers.interior import Local, Operator, Velocity, newton
 from nsdyn.solvers.momentum import MatrixSweeps, Sweeps
 from nsdyn.solvers.newton import solve_blocks

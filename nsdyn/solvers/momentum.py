@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn._kernels import cones as _cones
-from nsdyn._kernels import momentum as _kernels
-from nsdyn._kernels import pgs as _pgs
-from nsdyn.problem import FC3D, Array, Blocks, Index, Solution, Status
+from nsdyn._kernels.problem import cones as _cones
+from nsdyn._kernels.solvers import momentum as _kernels
+from nsdyn._kernels.solvers import pgs as _pgs
+from nsdyn.problem.fc3d import FC3D, Array, Blocks, Index, Solution, Status
 
 CHECK = 10
 """Sweeps between two measurements."""

@@ -14,10 +14,10 @@ import qdldl
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from nsdyn._kernels import blocks as _blocks
-from nsdyn._kernels import newton as _kernels
-from nsdyn._kernels import sparse as _matrix
-from nsdyn.problem import FC3D, Array, Blocks, Index, Solution, Status
+from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.problem import sparse as _matrix
+from nsdyn._kernels.solvers import newton as _kernels
+from nsdyn.problem.fc3d import FC3D, Array, Blocks, Index, Solution, Status
 
 DENSE = 120
 """Islands up to this many coordinates are factorised densely: below it LAPACK in the kernel beats a sparse call."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn._kernels import pgs as _kernels
-from nsdyn.problem import FC3D, Array, Solution, Status
+from nsdyn._kernels.solvers import pgs as _kernels
+from nsdyn.problem.fc3d import FC3D, Array, Solution, Status
 
 
 @dataclass(frozen=True)

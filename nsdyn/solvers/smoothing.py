@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsdyn._kernels import cones as _cones
-from nsdyn._kernels import smoothing as _kernels
-from nsdyn.problem import Array
+from nsdyn._kernels.problem import cones as _cones
+from nsdyn._kernels.solvers import smoothing as _kernels
+from nsdyn.problem.fc3d import Array
 from nsdyn.solvers.interior import Operator
 
 STRETCH = 10.0

@@ -1,0 +1,184 @@
+"""Motion of frames between two poses: translation linear in time, rotation about one axis at one rate."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.collision.broadphase import contains
+from nsdyn._kernels.collision.geometry import HALFSPACE, Geometry
+from nsdyn._kernels.collision.support import gap_along
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_world, unit
+
+
+@kernel
+def element(A, B, f, i, k):
+    """Element (i, k) of ``B[f] @ A[f].T``."""
+    return B[f, i, 0] * A[f, k, 0] + B[f, i, 1] * A[f, k, 1] + B[f, i, 2] * A[f, k, 2]
+
+
+@kernel
+def turn_between(A, B, f):
+    """Rotation vector w, world axes, |w| ≤ π, with ``B[f] = exp([w]x) A[f]``."""
+    d11, d12, d13 = element(A, B, f, 0, 0), element(A, B, f, 0, 1), element(A, B, f, 0, 2)
+    d21, d22, d23 = element(A, B, f, 1, 0), element(A, B, f, 1, 1), element(A, B, f, 1, 2)
+    d31, d32, d33 = element(A, B, f, 2, 0), element(A, B, f, 2, 1), element(A, B, f, 2, 2)
+    a = (0.5 * (d32 - d23), 0.5 * (d13 - d31), 0.5 * (d21 - d12))
+    sine, cosine = math.sqrt(dot(a, a)), 0.5 * (d11 + d22 + d33 - 1.0)
+    angle = math.atan2(sine, cosine)
+    if cosine > 0.0 or sine > 1e-3:
+        return times(angle / sine, a) if sine > 0.0 else a
+    # About half a turn: D = cos + (1 - cos) u uᵀ but for the sine. Its column of the largest diagonal element gives u.
+    u = (d11 - cosine, 0.5 * (d12 + d21), 0.5 * (d13 + d31))
+    if d22 > d11 and d22 >= d33:
+        u = (0.5 * (d12 + d21), d22 - cosine, 0.5 * (d23 + d32))
+    elif d33 > d11:
+        u = (0.5 * (d13 + d31), 0.5 * (d23 + d32), d33 - cosine)
+    u, _ = unit(u)
+    return times(angle if dot(u, a) >= 0.0 else -angle, u)
+
+
+@kernel
+def motions(frame, arm, x0, R0, x1, R1, turn, reach):
+    """Rotation vectors of the frames, into turn (nframes, 3), and how far any point of their geoms moves, into reach.
+
+    ``arm[g]`` bounds the distance of the points of geom g from the origin of its frame.
+    """
+    reach[:] = 0.0
+    for g in range(frame.size):
+        if frame[g] >= 0:
+            reach[frame[g]] = max(reach[frame[g]], arm[g])
+    for f in range(reach.size):
+        w = turn_between(R0, R1, f)
+        put(turn, f, w)
+        d = minus(row(x1, f), row(x0, f))
+        reach[f] = math.sqrt(dot(d, d)) + math.sqrt(dot(w, w)) * reach[f]
+
+
+@kernel
+def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
+    """Bound on the way of any point of one geom as seen from the other; f1, f2 are their frames, -1 for the world.
+
+    The velocity of a point p of body 2 relative to body 1 is (v - ω1 x d) + ω x (p - x2), with v, ω and d the
+    differences of velocities, spins and origins: d is linear in time, so that the first term is largest at an end.
+    """
+    zero = (0.0, 0.0, 0.0)
+    w1, w2 = row(turn, f1) if f1 >= 0 else zero, row(turn, f2) if f2 >= 0 else zero
+    a1, b1 = (row(x0, f1), row(x1, f1)) if f1 >= 0 else (zero, zero)
+    a2, b2 = (row(x0, f2), row(x1, f2)) if f2 >= 0 else (a1, a1)
+    if f1 < 0:
+        a1, b1 = a2, a2
+    begin, end, w = minus(a2, a1), minus(b2, b1), minus(w2, w1)
+    v, spin, least = minus(end, begin), math.sqrt(dot(w, w)), math.inf
+    for moving, other, arm in ((f2, w1, arm2), (f1, w2, arm1)):
+        if moving >= 0:
+            p, q = minus(v, cross(other, begin)), minus(v, cross(other, end))
+            least = min(least, math.sqrt(max(dot(p, p), dot(q, q))) + spin * arm)
+    return least
+
+
+@kernel
+def at_least_apart(geometry, i, j, R, t, lower, upper):
+    """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
+    if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
+        return gap_along(geometry, i, j, R, t, (0.0, 0.0, 1.0))
+    square = 0.0
+    for k in range(3):
+        d = max(lower[j, k] - upper[i, k], lower[i, k] - upper[j, k], 0.0)
+        square += d * d
+    d = minus(row(t, j), row(t, i))
+    return max(math.sqrt(square), math.sqrt(dot(d, d)) - geometry.radius[i] - geometry.radius[j])
+
+
+@kernel
+def may_touch(fields, arm, least, first, second, known, x0, x1, turn, R, t, lower, upper, out):
+    """Candidate pairs whose relative motion is longer than their distance, as indices into out; returns their number.
+
+    Left out are pairs of the sorted codes `known`, and those whose relative motion is no longer than the smaller of
+    their `least`. R, t, lower and upper are poses and bounds of the geoms at the beginning, the other arguments as in
+    `motions`; `fields` are those of `Geometry`.
+    """
+    geometry = Geometry(*fields)
+    count = 0
+    for p in range(first.size):
+        i, j = first[p], second[p]
+        if contains(known, i * geometry.kind.size + j):
+            continue
+        way = relative_motion(geometry.frame[i], geometry.frame[j], arm[i], arm[j], x0, x1, turn)
+        if way > min(least[i], least[j]) and way > at_least_apart(geometry, i, j, R, t, lower, upper):
+            out[count] = p
+            count += 1
+    return count
+
+
+@kernel
+def carried(f, p, x0, R0, x1, R1):
+    """Where the point p fixed in frame f goes when the frame goes from its pose 0 to pose 1."""
+    if f < 0:
+        return p
+    a, b = np.empty(3), minus(p, row(x0, f))
+    for k in range(3):
+        a[k] = R0[f, 0, k] * b[0] + R0[f, 1, k] * b[1] + R0[f, 2, k] * b[2]
+    return along(row(x1, f), 1.0, to_world(R1, f, (a[0], a[1], a[2])))
+
+
+@kernel
+def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, point_out, gap_out):
+    """Contacts whose points are fixed in both bodies and whose normals are fixed in space, from poses 0 to poses 1."""
+    for c in range(gap.size):
+        p, n = row(point, c), row(normal, c)
+        a = carried(frame1[c], along(p, -0.5 * gap[c], n), x0, R0, x1, R1)
+        b = carried(frame2[c], along(p, 0.5 * gap[c], n), x0, R0, x1, R1)
+        gap_out[c] = dot(n, minus(b, a))
+        put(point_out, c, times(0.5, along(a, 1.0, b)))
+
+
+@kernel
+def turned(w, s, p):
+    """Vector p rotated by exp(s [w]x), Rodrigues' formula."""
+    angle = math.sqrt(dot(w, w))
+    if angle == 0.0:
+        return p
+    u = times(1.0 / angle, w)
+    c = cross(u, p)
+    return along(along(p, math.sin(s * angle), c), 1.0 - math.cos(s * angle), cross(u, c))
+
+
+@kernel
+def place_at(frame, placement_R, placement_t, x0, R0, x1, turn, s, geoms, R, t):
+    """World poses of two geoms at the fraction s of the way, into rows 0 and 1 of R and t."""
+    for k in range(2):
+        g = geoms[k]
+        f = frame[g]
+        for column in range(3):
+            a = (placement_R[g, 0, column], placement_R[g, 1, column], placement_R[g, 2, column])
+            if f >= 0:
+                a = turned(row(turn, f), s, to_world(R0, f, a))
+            R[k, 0, column], R[k, 1, column], R[k, 2, column] = a
+        a = row(placement_t, g)
+        if f >= 0:
+            a = turned(row(turn, f), s, to_world(R0, f, a))
+            a = along(along(a, 1.0 - s, row(x0, f)), s, row(x1, f))
+        put(t, k, a)
+
+
+@kernel
+def approach(frame, arm, x0, x1, turn, s, geoms, normal, point1, point2):
+    """(bound of the approach speed, approach speed) of two geoms at their nearest points, m per way.
+
+    The bound is that of their separation along n: of the rotations only what turns n moves the support points along n.
+    """
+    n = (normal[0], normal[1], normal[2])
+    forward, turning, speed = 0.0, 0.0, 0.0
+    for k in range(2):
+        g, sign, p = geoms[k], 1.0 - 2.0 * k, point1 if k == 0 else point2
+        f = frame[g]
+        if f >= 0:
+            v, e = minus(row(x1, f), row(x0, f)), cross(n, row(turn, f))
+            lever = minus((p[0], p[1], p[2]), along(row(x0, f), s, v))
+            forward += sign * dot(n, v)
+            turning += math.sqrt(dot(e, e)) * arm[g]
+            speed += sign * (dot(n, v) + dot(e, lever))
+    i, j = geoms
+    whole = relative_motion(frame[i], frame[j], arm[i], arm[j], x0, x1, turn)
+    return min(max(forward, 0.0) + turning, whole), speed

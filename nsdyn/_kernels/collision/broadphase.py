@@ -1,0 +1,163 @@
+"""Where the geoms are and which pairs may touch: exact axis-aligned bounds, sort and sweep."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, POLYTOPE, SPHERE, Geometry, place
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.sorting import order as order_of
+from nsdyn._kernels.sorting import place_of
+
+
+@kernel
+def bound(geometry, g, R, t, lower, upper):
+    """Smallest axis-aligned box of geom g at the pose (R, t), from its supports along the axes, into rows g."""
+    kind, a, h = geometry.kind[g], geometry.size[g, 0], geometry.size[g, 1]
+    for i in range(3):
+        if kind == POLYTOPE:
+            low, high = math.inf, -math.inf
+            for k in range(geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]):
+                v = geometry.vertices[k]
+                s = R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]
+                low, high = min(low, s), max(high, s)
+            lower[g, i], upper[g, i] = t[i] + low, t[i] + high
+            continue
+        if kind == SPHERE:
+            e = a
+        elif kind == CAPSULE:
+            e = a + h * abs(R[i, 2])
+        elif kind == CYLINDER:
+            e = a * math.sqrt(R[i, 0] ** 2 + R[i, 1] ** 2) + h * abs(R[i, 2])
+        elif kind == ELLIPSOID:
+            s = geometry.size[g]
+            e = math.sqrt((R[i, 0] * s[0]) ** 2 + (R[i, 1] * s[1]) ** 2 + (R[i, 2] * s[2]) ** 2)
+        else:
+            e = math.inf
+        lower[g, i], upper[g, i] = t[i] - e, t[i] + e
+
+
+@kernel
+def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fat_lower, fat_upper):
+    """World poses, reaches and bounds of the geoms on moving frames, into R, t, reach, lower and upper.
+
+    Returns whether one of them, inflated by its base and its reach, leaves its fat box. `fields` are those of
+    `Geometry`, a plain tuple: from Python that is handed over in half the time.
+    """
+    geometry = Geometry(*fields)
+    place(geometry, x, R_frames, R, t)
+    out = False
+    for g in range(geometry.kind.size):
+        if geometry.frame[g] >= 0:
+            reach[g] = frame_reach[geometry.frame[g]]
+            need = base[g] + reach[g]
+            bound(geometry, g, R[g], t[g], lower, upper)
+            for i in range(3):
+                inside = fat_lower[g, i] <= lower[g, i] - need and upper[g, i] + need <= fat_upper[g, i]
+                out = out or not inside
+    return out
+
+
+@kernel
+def contains(sorted_codes, code):
+    """Whether a sorted array holds the code."""
+    at = place_of(sorted_codes, code)
+    return at < sorted_codes.size and sorted_codes[at] == code
+
+
+@kernel
+def below(geometry, h, R, t, lower, upper):
+    """Whether a box reaches into the fixed half-space h."""
+    depth = -geometry.offset[h]
+    for i in range(3):
+        n = R[i, 0] * geometry.size[h, 0] + R[i, 1] * geometry.size[h, 1] + R[i, 2] * geometry.size[h, 2]
+        depth += n * ((lower[i] if n > 0.0 else upper[i]) - t[i])
+    return depth <= 0.0
+
+
+@kernel
+def append(codes, count, code):
+    """Array with the code at position `count`, grown when it is full."""
+    if count == codes.size:
+        grown = np.empty(2 * codes.size, dtype=np.int64)
+        grown[:count] = codes
+        codes = grown
+    codes[count] = code
+    return codes
+
+
+@kernel
+def fatten(fields, base, reach, skin, ahead, lower, upper, fat_lower, fat_upper):
+    """Boxes that serve for several steps, into fat_lower and fat_upper; `fields` as in `follow`.
+
+    They are grown by the base, `skin` times the bounding radius and `ahead` times the reach; fixed geoms need none.
+    """
+    geometry = Geometry(*fields)
+    for g in range(geometry.kind.size):
+        more = 0.0
+        if geometry.frame[g] >= 0:
+            more = base[g] + skin * geometry.radius[g] + ahead * reach[g]
+        for i in range(3):
+            fat_lower[g, i], fat_upper[g, i] = lower[g, i] - more, upper[g, i] + more
+
+
+@kernel
+def widest(geometry, t):
+    """The axis along which the geoms that are not half-spaces are spread most."""
+    best, axis = -1.0, 0
+    for i in range(3):
+        count, mean, square = 0, 0.0, 0.0
+        for g in range(geometry.kind.size):
+            if geometry.kind[g] != HALFSPACE:
+                count += 1
+                away = t[g, i] - mean
+                mean += away / count
+                square += away * (t[g, i] - mean)
+        if square > best:
+            best, axis = square, i
+    return axis
+
+
+@kernel
+def candidates(fields, R, t, lower, upper, excluded):
+    """Codes n i + j (i < j) of all pairs of geoms whose boxes meet, sorted; `fields` as in `follow`.
+
+    Left out: both fixed, both on one frame, excluded (sorted codes). Geoms that are not half-spaces are swept along the
+    axis of their greatest spread. Half-spaces are tested against every moving box.
+    """
+    geometry = Geometry(*fields)
+    axis, solids = widest(geometry, t), np.flatnonzero(geometry.kind != HALFSPACE)
+    order = solids[order_of(lower[solids, axis])]
+    n, m = geometry.kind.size, order.size
+    codes = np.empty(64, dtype=np.int64)
+    count = 0
+    for g in range(n if m < n else 0):
+        if geometry.kind[g] != HALFSPACE:
+            continue
+        for k in range(n):
+            if geometry.frame[k] >= 0 and below(geometry, g, R[g], t[g], lower[k], upper[k]):
+                code = min(g, k) * n + max(g, k)
+                if not contains(excluded, code):
+                    codes = append(codes, count, code)
+                    count += 1
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    for p in range(m):
+        i = order[p]
+        end = upper[i, axis]
+        for q in range(p + 1, m):
+            j = order[q]
+            if lower[j, axis] > end:
+                break
+            if (
+                geometry.frame[i] != geometry.frame[j]
+                and lower[i, a] <= upper[j, a]
+                and lower[j, a] <= upper[i, a]
+                and lower[i, b] <= upper[j, b]
+                and lower[j, b] <= upper[i, b]
+            ):
+                code = min(i, j) * n + max(i, j)
+                if not contains(excluded, code):
+                    codes = append(codes, count, code)
+                    count += 1
+    codes = codes[:count]
+    return codes[order_of(codes)]

@@ -1,0 +1,173 @@
+"""Points of one shape clipped to a face of another."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.collision.faces import corners, dipping, face_normal, incident, next_feature, other_feature
+from nsdyn._kernels.collision.geometry import CYLINDER, POLYTOPE
+from nsdyn._kernels.collision.support import INSIDE
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
+
+
+@kernel
+def cut(poly, count, heights, tol, out):
+    """Part of a polygon, segment or point where the linear function with these values at its corners is ≤ 0.
+
+    A corner within tol of 0 stays as it is and makes no new corner beside it. Returns the new number of points.
+    """
+    kept = 0
+    for k in range(count):
+        h = heights[k]
+        if h <= tol:
+            put(out, kept, row(poly, k))
+            kept += 1
+        if count == 1 or (count == 2 and k == 1):
+            break
+        q = k + 1 if k + 1 < count else 0
+        g = heights[q]
+        if (h < -tol and g > tol) or (h > tol and g < -tol):
+            a = row(poly, k)
+            put(out, kept, along(a, h / (h - g), minus(row(poly, q), a)))
+            kept += 1
+    return kept
+
+
+@kernel(forceinline=True)
+def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
+    """Clip a polygon by the sides of a polytope face of world normal n; returns its new number of points."""
+    first, tol, c = geometry.vertex_ptr[g], INSIDE * geometry.radius[g], row(t, g)
+    f = geometry.face_ptr[g] + face
+    begin, end = geometry.loop_ptr[f], geometry.loop_ptr[f + 1]
+    a = to_world(R, g, row(geometry.vertices, first + geometry.loop[end - 1]))
+    for p in range(begin, end):
+        b = to_world(R, g, row(geometry.vertices, first + geometry.loop[p]))
+        side, _ = unit(cross(minus(b, a), n))
+        corner = along(c, 1.0, a)
+        outside = False
+        for q in range(count):
+            heights[q] = dot(side, minus(row(poly, q), corner))
+            outside = outside or heights[q] > tol
+        if outside:
+            count = cut(poly, count, heights, tol, other)
+            for q in range(count):
+                put(poly, q, row(other, q))
+        a = b
+    return count
+
+
+@kernel
+def clip_to_disk(radius, g, R, t, poly, count, rim, other):
+    """Points that span the part of a polygon, segment or point above or below a disk about the z axis of geom g.
+
+    They are the corners over the disk, the points of the edges over its circle, and those of `rim` points of the
+    circle that lie under the polygon, lifted to its plane. Returns their number, in poly.
+    """
+    tol, c = INSIDE * radius, row(t, g)
+    flat = np.empty((count, 3))  # the polygon in the frame of the disk
+    for k in range(count):
+        put(flat, k, to_local(R, g, minus(row(poly, k), c)))
+    kept = 0
+    for k in range(count):
+        u = row(flat, k)
+        if math.hypot(u[0], u[1]) <= radius + tol:
+            put(other, kept, row(poly, k))
+            kept += 1
+        if count == 1 or (count == 2 and k == 1):
+            break
+        q = k + 1 if k + 1 < count else 0
+        e = minus(row(flat, q), u)
+        square, half = e[0] * e[0] + e[1] * e[1], e[0] * u[0] + e[1] * u[1]
+        root = half * half - square * (u[0] * u[0] + u[1] * u[1] - radius * radius)
+        if root > 0.0 and square > tol * tol:
+            length = math.sqrt(square)
+            for sign in (-1.0, 1.0):
+                s = (-half + sign * math.sqrt(root)) / square
+                # Not beside a corner: there the corner itself is on the circle.
+                if s * length > tol and (1.0 - s) * length > tol:
+                    put(other, kept, along(row(poly, k), s, minus(row(poly, q), row(poly, k))))
+                    kept += 1
+    if count > 2:
+        # Newell's normal of the polygon, for its orientation and its plane.
+        n = (0.0, 0.0, 0.0)
+        for k in range(1, count - 1):
+            n = along(n, 1.0, cross(minus(row(flat, k), row(flat, 0)), minus(row(flat, k + 1), row(flat, 0))))
+        for p in range(rim if n[2] != 0.0 else 0):
+            x, y = radius * math.cos(2.0 * math.pi * p / rim), radius * math.sin(2.0 * math.pi * p / rim)
+            inside = True
+            for k in range(count):
+                u, v = row(flat, k), row(flat, k + 1 if k + 1 < count else 0)
+                turn = (v[0] - u[0]) * (y - u[1]) - (v[1] - u[1]) * (x - u[0])
+                inside = inside and turn * n[2] > 0.0
+            if inside:
+                z = flat[0, 2] - (n[0] * (x - flat[0, 0]) + n[1] * (y - flat[0, 1])) / n[2]
+                put(other, kept, along(c, 1.0, to_world(R, g, (x, y, z))))
+                kept += 1
+    for k in range(kept):
+        put(poly, k, row(other, k))
+    return kept
+
+
+@kernel(forceinline=True)
+def over_face(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, other, values, points, heights):
+    """Contacts of a face of geom i (or, if face1 < 0, of geom j) with the other geom, into points and heights.
+
+    Returns their number and the normal from 1 to 2.
+    """
+    g, o, face, sign = (i, j, face1, 1.0) if face1 >= 0 else (j, i, face2, -1.0)
+    kind, c = geometry.kind[g], row(t, g)
+    n = to_world(R, g, face_normal(geometry, g, face))
+    if kind == CYLINDER:
+        level = geometry.size[g, 1]
+    elif kind == POLYTOPE:
+        level = geometry.face_offsets[geometry.face_ptr[g] + face]
+    else:
+        level = geometry.offset[g]
+    count, radius, main = incident(geometry, o, R, t, n, whole, rim, poly)
+    kept, following = 0, geometry.face_ptr[o]
+    while count > 0:
+        if kind == CYLINDER:
+            count = clip_to_disk(geometry.size[g, 0], g, R, t, poly, count, rim, other)
+        elif kind == POLYTOPE:
+            count = clip_to_face(geometry, g, face, R, t, n, poly, count, other, values)
+        for k in range(count):
+            p = row(poly, k)
+            height = dot(n, minus(p, c)) - level - radius
+            if height <= margin and kept < heights.size:
+                put(points, kept, along(p, -radius, n))
+                heights[kept] = height
+                kept += 1
+        # Of a tilted geom other features reach below the margin too.
+        count = 0
+        if main >= 0 or geometry.kind[o] == CYLINDER:
+            m, above = to_local(R, o, n), dot(n, minus(row(t, o), c)) - level
+            if main < 0:
+                if following == geometry.face_ptr[o]:
+                    following += 1
+                    count = other_feature(geometry, o, R, t, m, margin - above, rim, poly)
+            elif following > geometry.face_ptr[o] or dipping(geometry, o, main, m, margin - above):
+                following = next_feature(geometry, o, following, main, m, margin - above)
+                if following < geometry.face_ptr[o + 1]:
+                    count = corners(geometry, o, R, t, following, poly)
+                following += 1
+    return kept, times(sign, n)
+
+
+@kernel
+def merge(poly, gap, count, tol):
+    """Keep one of several points within tol of each other, the deepest; returns the number left, in order."""
+    kept = 0
+    for k in range(count):
+        twin = -1
+        for q in range(kept):
+            d = minus(row(poly, k), row(poly, q))
+            if dot(d, d) <= tol * tol:
+                twin = q
+                break
+        if twin < 0 or gap[k] < gap[twin]:
+            to = kept if twin < 0 else twin
+            put(poly, to, row(poly, k))
+            gap[to] = gap[k]
+            kept = max(kept, to + 1)
+    return kept

@@ -1,0 +1,96 @@
+"""Where an ellipsoid or the rim of a cylinder touches: the direction in which the separation is largest."""
+
+import math
+
+from nsdyn._kernels.collision.geometry import CYLINDER
+from nsdyn._kernels.collision.support import INSIDE, bend, separation
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, times, unit
+
+
+@kernel
+def smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, valid2, point, normal, gap, at):
+    """Write the contact of two geoms of which one at least is an ellipsoid or touches with the rim of a cylinder.
+
+    The other may be a segment p, q with a radius (`valid`). From the given n on, Newton's method maximises the
+    separation: where it is stationary, the support points a and b differ by a multiple of the normal.
+    """
+    size = min(geometry.radius[i], geometry.radius[j])
+    if valid1 and valid2:  # not as segments, then: a cylinder touches with its rim
+        valid1 = geometry.kind[i] != CYLINDER
+        valid2 = geometry.kind[j] != CYLINDER and not valid1
+    start, end, radius, side = (p1, q1, radius1, 1.0) if valid1 else (p2, q2, radius2, -1.0)
+    d, length = unit(minus(end, start))
+    if not (valid1 or valid2):
+        length = 0.0
+    m = n
+    for _ in range(20):
+        best, a, b = separation(geometry, i, j, R, t, m)
+        if length > 0.0:
+            s = dot(d, minus(b if valid1 else a, start))
+            if not (s > 0.0 and s < length):  # opposite the other geom is an end
+                if s > 0.0:
+                    start = end
+                length = 0.0
+                # A cylinder does not end in a ball: its rim is meant.
+                valid1 = valid1 and geometry.kind[i] != CYLINDER
+                valid2 = valid2 and geometry.kind[j] != CYLINDER
+        if length > 0.0:  # turn about the line only
+            m, _ = unit(along(m, -dot(m, d), d))
+            e1, e2 = cross(d, m), (0.0, 0.0, 0.0)
+        else:
+            e1 = perpendicular(m)
+            e2 = cross(m, e1)
+        best, a, b = separation(geometry, i, j, R, t, m)
+        a11, a12, a22 = 0.0, 0.0, 0.0
+        if valid1:
+            a = start
+        else:
+            a11 += bend(geometry, i, R, m, e1, e1)
+            a12 += bend(geometry, i, R, m, e1, e2)
+            a22 += bend(geometry, i, R, m, e2, e2)
+        if valid2:
+            b = start
+        else:
+            back = times(-1.0, m)
+            a11 += bend(geometry, j, R, back, e1, e1)
+            a12 += bend(geometry, j, R, back, e1, e2)
+            a22 += bend(geometry, j, R, back, e2, e2)
+        delta = minus(b, a)
+        f1, f2, width, trace = dot(e1, delta), dot(e2, delta), dot(m, delta), a11 + a22
+        # Where the separation is not concave enough, step as if it were.
+        if not (a11 + width > 0.0 and (a11 + width) * (a22 + width) - a12 * a12 > 1e-10 * trace * trace):
+            width = abs(width) + 1e-5 * trace + INSIDE * size
+        a11 += width
+        a22 += width
+        det = a11 * a22 - a12 * a12
+        turn = along(times((a22 * f1 - a12 * f2) / det, e1), (a11 * f2 - a12 * f1) / det, e2)
+        step = math.sqrt(dot(turn, turn))
+        if step < 1e-15:
+            break
+        scale = min(1.0, 0.2 / step)
+        better = False
+        for _ in range(10):
+            trial, _ = unit(along(m, scale, turn))
+            value, _, _ = separation(geometry, i, j, R, t, trial)
+            # Close to the maximum round-off decides which value is larger.
+            if step < 1e-7 or value > best:
+                better = True
+                break
+            scale *= 0.5
+        if not better:
+            break
+        m = trial
+    value, a, b = separation(geometry, i, j, R, t, m)
+    given, _, _ = separation(geometry, i, j, R, t, n)
+    if value < given - INSIDE * size:
+        m = n
+        value, a, b = separation(geometry, i, j, R, t, m)
+    elif valid1 or valid2:
+        # The support point of a segment is any of its points: take the one opposite the other geom.
+        s = min(max(dot(d, minus(b if valid1 else a, start)), 0.0), length)
+        foot = along(along(start, s, d), side * radius, m)
+        a, b = (foot, b) if valid1 else (a, foot)
+    put(normal, at, m)
+    put(point, at, times(0.5, along(a, 1.0, b)))
+    gap[at] = value

@@ -1,0 +1,51 @@
+"""Shapes of all geoms as flat arrays, and their poses in the world."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+
+HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
+
+
+class Geometry(NamedTuple):
+    """Shapes of all geoms (see `nsdyn.scene.shapes.Shape`) as flat arrays, and how they hang on the frames.
+
+    Geom g has the vertices ``vertex_ptr[g]:vertex_ptr[g + 1]``, the faces ``face_ptr[g]:face_ptr[g + 1]``; face f has
+    the corners ``loop[loop_ptr[f]:loop_ptr[f + 1]]``, counted from the first vertex of its geom.
+    """
+
+    kind: np.ndarray
+    size: np.ndarray
+    offset: np.ndarray
+    radius: np.ndarray
+    vertex_ptr: np.ndarray
+    vertices: np.ndarray
+    face_ptr: np.ndarray
+    face_normals: np.ndarray
+    face_offsets: np.ndarray
+    loop_ptr: np.ndarray
+    loop: np.ndarray
+    frame: np.ndarray
+    placement_R: np.ndarray
+    placement_t: np.ndarray
+
+
+@kernel
+def place(geometry, x, R, out_R, out_t):
+    """World pose of every geom on a moving frame; the others keep theirs."""
+    for g in range(geometry.kind.size):
+        f = geometry.frame[g]
+        if f < 0:
+            continue
+        for i in range(3):
+            t = x[f, i]
+            for k in range(3):
+                t += R[f, i, k] * geometry.placement_t[g, k]
+                out_R[g, i, k] = (
+                    R[f, i, 0] * geometry.placement_R[g, 0, k]
+                    + R[f, i, 1] * geometry.placement_R[g, 1, k]
+                    + R[f, i, 2] * geometry.placement_R[g, 2, k]
+                )
+            out_t[g, i] = t

@@ -1,0 +1,129 @@
+"""Keys of contacts: which contact of one configuration goes on from the one before."""
+
+import numpy as np
+
+from nsdyn._kernels.collision.geometry import Geometry, place
+from nsdyn._kernels.collision.support import gap_along
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.sorting import order as order_of
+from nsdyn._kernels.vectors import dot, minus, put, row, to_local
+
+
+@kernel
+def match(
+    radius, R, t, first, second, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key,
+    key, local1, local2,
+):  # fmt: skip
+    """Give contacts the keys of those they continue; new ones count up from next_key, which is returned.
+
+    Both lists are sorted by pair. Within a pair the closest old and new points are matched first, by the smaller of
+    the distances seen from geom 1 and from geom 2, up to `tolerance` times the radius of the smaller geom and the
+    `slack` (ngeoms,) of both, by which they may have moved; the only contact of a pair continues the only one before.
+    """
+    count = first.size
+    used = np.zeros(old1.size, dtype=np.bool_)
+    o = 0
+    a = 0
+    while a < count:
+        i, j = first[a], second[a]
+        b = a
+        while b < count and first[b] == i and second[b] == j:
+            put(local1, b, to_local(R, i, minus(row(point, b), row(t, i))))
+            put(local2, b, to_local(R, j, minus(row(point, b), row(t, j))))
+            key[b] = -1
+            b += 1
+        while o < old1.size and (old1[o] < i or (old1[o] == i and old2[o] < j)):
+            o += 1
+        q = o
+        while q < old1.size and old1[q] == i and old2[q] == j:
+            q += 1
+        reach = tolerance * min(radius[i], radius[j]) + slack[i] + slack[j]
+        if b - a == 1 and q - o == 1:
+            reach = np.inf
+        for _ in range(min(b - a, q - o)):
+            best, new, old = reach * reach, -1, -1
+            for c in range(a, b):
+                for e in range(o, q):
+                    if key[c] < 0 and not used[e]:
+                        d1 = minus(row(local1, c), row(old_local1, e))
+                        d2 = minus(row(local2, c), row(old_local2, e))
+                        square = min(dot(d1, d1), dot(d2, d2))
+                        if square < best:
+                            best, new, old = square, c, e
+            if new < 0:
+                break
+            key[new] = old_key[old]
+            used[old] = True
+        for c in range(a, b):
+            if key[c] < 0:
+                key[c] = next_key
+                next_key += 1
+        a, o = b, q
+    return next_key
+
+
+@kernel
+def collect(
+    pair, first, second, frame, mu, restitution, point, normal, gap, radius, R, t, tolerance, slack, old_names,
+    old_points, next_key, names, points, scalars,
+):  # fmt: skip
+    """What `manifolds` found and what contacts have from pairs and geoms, into arrays of their number; then `match`.
+
+    Rows of the arrays: `names` (5, nc), both geoms, both frames, key; `points` (4, nc, 3), point, normal, the point in
+    the frames of both geoms; `scalars` (3, nc), gap, mu, restitution. Returns the next key.
+    """
+    geom1, geom2, key, local1, local2 = names[0], names[1], names[4], points[2], points[3]
+    for c in range(key.size):
+        p = pair[c]
+        i, j = first[p], second[p]
+        geom1[c], geom2[c], names[2, c], names[3, c] = i, j, frame[i], frame[j]
+        scalars[0, c], scalars[1, c], scalars[2, c] = gap[c], mu[p], restitution[p]
+        put(points[0], c, row(point, c))
+        put(points[1], c, row(normal, c))
+    return match(
+        radius, R, t, geom1, geom2, points[0], tolerance, slack, old_names[0], old_names[1], old_names[4],
+        old_points[2], old_points[3], next_key, key, local1, local2,
+    )  # fmt: skip
+
+
+@kernel
+def gaps(
+    fields, x, R_frames, R, t, geom1, geom2, normal, key, found1, found2, found_key, found_gap, out
+):  # fmt: skip
+    """Gaps of contacts at a later configuration, into out: of the same key there, else between the whole geoms.
+
+    The latter is their separation along the normal of the contact, but no less than the least gap found between them,
+    which is their distance, or than 0 if none was: the normal may have turned with the body that it left. `found1`,
+    `found2` are sorted. `fields` are those of `Geometry`; x, R_frames are the poses of the frames, R, t room for those
+    of the geoms.
+    """
+    geometry = Geometry(*fields)
+    order = order_of(found_key)
+    placed = False
+    for c in range(key.size):
+        low, high = 0, order.size
+        while low < high:
+            middle = (low + high) // 2
+            if found_key[order[middle]] < key[c]:
+                low = middle + 1
+            else:
+                high = middle
+        if low < order.size and found_key[order[low]] == key[c]:
+            out[c] = found_gap[order[low]]
+        else:
+            if not placed:
+                place(geometry, x, R_frames, R, t)
+                placed = True
+            low, high = 0, found1.size
+            while low < high:
+                middle = (low + high) // 2
+                if found1[middle] < geom1[c] or (found1[middle] == geom1[c] and found2[middle] < geom2[c]):
+                    low = middle + 1
+                else:
+                    high = middle
+            least = np.inf
+            while low < found1.size and found1[low] == geom1[c] and found2[low] == geom2[c]:
+                least = min(least, found_gap[low])
+                low += 1
+            apart = gap_along(geometry, geom1[c], geom2[c], R, t, row(normal, c))
+            out[c] = max(apart, least if least < np.inf else 0.0)

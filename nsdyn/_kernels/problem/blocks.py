@@ -1,0 +1,291 @@
+"""Products with H and M⁻¹ in block form, the Delassus operator W = Hᵀ M⁻¹ H, islands.
+
+Coordinates come in blocks (a free body: 6, an articulated tree: its nv). Contact c touches at most two blocks,
+``block[c, s]`` (-1: none), and ``h[start[c, s]:]`` holds the 3 x n rows of Hᵀ for that block, row by row.
+``m`` and ``minv`` hold the n x n diagonal blocks of M and M⁻¹, block k from ``m_start[k]`` on.
+"""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
+
+
+@kernel
+def relative_velocity(offset, block, start, h, v, u):
+    """u = Hᵀ v, into u (3 nc,)."""
+    for c in range(block.shape[0]):
+        u0, u1, u2 = 0.0, 0.0, 0.0
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                # Unsigned indices spare the test whether they count from the end: a third of the time.
+                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                d, e = a + n, a + n + n
+                for j in range(n):
+                    x = v[o + j]
+                    u0 += h[a + j] * x
+                    u1 += h[d + j] * x
+                    u2 += h[e + j] * x
+        u[3 * c], u[3 * c + 1], u[3 * c + 2] = u0, u1, u2
+
+
+@kernel
+def momentum(offset, block, start, h, r, p):
+    """p = H r, into p (n,)."""
+    p[:] = 0.0
+    for c in range(block.shape[0]):
+        r0, r1, r2 = r[3 * c], r[3 * c + 1], r[3 * c + 2]
+        if r0 == 0.0 and r1 == 0.0 and r2 == 0.0:
+            continue
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                d, e = a + n, a + n + n
+                for j in range(n):
+                    p[o + j] += h[a + j] * r0 + h[d + j] * r1 + h[e + j] * r2
+
+
+@kernel
+def block_product(offset, m_start, m, x, y):
+    """y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
+    for k in range(offset.size - 1):
+        o, n, row = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(m_start[k])
+        for i in range(n):
+            total = 0.0
+            for j in range(n):
+                total += m[row + j] * x[o + j]
+            y[o + i] = total
+            row += n
+
+
+@kernel
+def contacts_of_blocks(block, count):
+    """Contacts of every block as (pointer, list), each list ascending."""
+    pointer = np.zeros(count + 1, np.int64)
+    for c in range(block.shape[0]):
+        for s in range(2):
+            if block[c, s] >= 0:
+                pointer[block[c, s] + 1] += 1
+    for k in range(count):
+        pointer[k + 1] += pointer[k]
+    fill = pointer[:-1].copy()
+    members = np.empty(pointer[-1], np.int64)
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                members[fill[k]] = c
+                fill[k] += 1
+    return pointer, members
+
+
+@kernel
+def weighted_rows(offset, block, start, h, m_start, minv):
+    """Rows of (M⁻¹ H)ᵀ in the layout of h."""
+    y = np.empty_like(h)
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                n = offset[k + 1] - offset[k]
+                for i in range(3):
+                    row = start[c, s] + i * n
+                    y[row : row + n] = 0.0  # contacts may share their rows
+                    for l in range(n):
+                        x = h[row + l]
+                        if x != 0.0:
+                            base = m_start[k] + l * n
+                            for j in range(n):
+                                y[row + j] += x * minv[base + j]
+    return y
+
+
+@kernel
+def _add_coupling(offset, block, start, h, y, a, b, out):
+    """Add Σ over shared blocks of H_aᵀ M⁻¹ H_b to out (3, 3)."""
+    for s in range(2):
+        k = block[a, s]
+        if k < 0:
+            continue
+        n = offset[k + 1] - offset[k]
+        for t in range(2):
+            if block[b, t] == k:
+                for i in range(3):
+                    for j in range(3):
+                        ra, rb = start[a, s] + i * n, start[b, t] + j * n
+                        total = 0.0
+                        for l in range(n):
+                            total += y[ra + l] * h[rb + l]
+                        out[i, j] += total
+
+
+@kernel
+def delassus(offset, block, start, h, m_start, minv):
+    """Block-sparse W = Hᵀ M⁻¹ H as (indptr, indices, data (nnz, 3, 3)), exactly symmetric, columns ascending."""
+    nc, count = block.shape[0], offset.size - 1
+    pointer, members = contacts_of_blocks(block, count)
+    y = weighted_rows(offset, block, start, h, m_start, minv)
+    indptr = np.zeros(nc + 1, np.int64)
+    seen = np.full(nc, -1, np.int64)
+    for a in range(nc):
+        found = 0
+        for s in range(2):
+            k = block[a, s]
+            if k >= 0:
+                for m in range(pointer[k], pointer[k + 1]):
+                    if seen[members[m]] != a:
+                        seen[members[m]] = a
+                        found += 1
+        indptr[a + 1] = indptr[a] + found
+    indices = np.empty(indptr[nc], np.int64)
+    data = np.zeros((indptr[nc], 3, 3))
+    seen[:] = -1
+    fill = indptr[:-1].copy()
+    # Visiting columns in ascending order and dropping each into its rows sorts every row.
+    for b in range(nc):
+        for s in range(2):
+            k = block[b, s]
+            if k >= 0:
+                for m in range(pointer[k], pointer[k + 1]):
+                    a = members[m]
+                    if seen[a] != b:
+                        seen[a] = b
+                        indices[fill[a]] = b
+                        fill[a] += 1
+    fill[:] = indptr[:-1]
+    for a in range(nc):
+        for p in range(indptr[a], indptr[a + 1]):
+            b = indices[p]
+            if b < a:
+                # Rows are filled in ascending order of a, so row b has reached its entry for column a.
+                while indices[fill[b]] != a:
+                    fill[b] += 1
+                mirror = data[fill[b]]
+                for i in range(3):
+                    for j in range(3):
+                        data[p, i, j] = mirror[j, i]
+            else:
+                _add_coupling(offset, block, start, h, y, a, b, data[p])
+                if a == b:
+                    for i in range(3):
+                        for j in range(i):
+                            data[p, i, j] = data[p, j, i]
+    return indptr, indices, data
+
+
+@kernel
+def velocity_change(offset, block, start, h, m_start, minv, r, v):
+    """v = M⁻¹ H r, into v (n,)."""
+    p = np.empty(v.size)
+    momentum(offset, block, start, h, r, p)
+    block_product(offset, m_start, minv, p, v)
+
+
+@kernel
+def judged(offset, block, start, h, m_start, minv, q, mu, scales, r, u):
+    """u = Hᵀ M⁻¹ H r + q, into u; returns the two `measures` of r."""
+    v = np.empty(offset[-1])
+    velocity_change(offset, block, start, h, m_start, minv, r, v)
+    relative_velocity(offset, block, start, h, v, u)
+    u += q
+    return measures(scales, u, r, mu)
+
+
+@kernel
+def prepare(offset, block, start, h, m_start, minv, q, mu, scales):
+    """`delassus_scales`; returns the norm of q, and whether q, mu and the scales are what they have to be."""
+    delassus_scales(offset, block, start, h, m_start, minv, scales)
+    norm, good = size_of(q, mu)
+    for c in range(mu.size):
+        good = good and scales[c] > 0.0
+    return norm, good
+
+
+@kernel
+def size_of(q, mu):
+    """The norm of q, and whether q and mu are what they have to be."""
+    total, good = 0.0, True
+    for c in range(mu.size):
+        for i in range(3):
+            total += q[3 * c + i] ** 2
+        good = good and 0.0 <= mu[c] < np.inf
+    return math.sqrt(total), good and total < np.inf
+
+
+@kernel
+def delassus_scales(offset, block, start, h, m_start, minv, out):
+    """lambda_max of every diagonal block W_cc, without the rest of W, into out (nc,)."""
+    nc = block.shape[0]
+    widest = 0
+    for k in range(offset.size - 1):
+        widest = max(widest, offset[k + 1] - offset[k])
+    x, y = np.empty((3, widest)), np.empty((3, widest))
+    w = np.empty((3, 3))
+    for c in range(nc):
+        w[:] = 0.0
+        twice = block[c, 0] == block[c, 1]  # both sides on one block: their rows add up
+        for s in range(1 if twice else 2):
+            k = block[c, s]
+            if k < 0:
+                continue
+            n = offset[k + 1] - offset[k]
+            for i in range(3):
+                for j in range(n):
+                    x[i, j] = h[start[c, s] + i * n + j] + (h[start[c, 1] + i * n + j] if twice else 0.0)
+                    y[i, j] = 0.0
+                for l in range(n):
+                    f, base = x[i, l], m_start[k] + l * n
+                    if f != 0.0:
+                        for j in range(n):
+                            y[i, j] += f * minv[base + j]
+            for i in range(3):
+                for j in range(i, 3):
+                    total = 0.0
+                    for l in range(n):
+                        total += y[i, l] * x[j, l]
+                    w[i, j] += total
+        w[1, 0], w[2, 0], w[2, 1] = w[0, 1], w[0, 2], w[1, 2]
+        out[c] = largest_eigenvalue(w)
+
+
+@kernel
+def unite(parent, a, b):
+    """Join the components of a and b in a union-find forest; the smaller root stays."""
+    while parent[a] != a:
+        parent[a] = parent[parent[a]]
+        a = parent[a]
+    while parent[b] != b:
+        parent[b] = parent[parent[b]]
+        b = parent[b]
+    if a < b:
+        parent[b] = a
+    else:
+        parent[a] = b
+
+
+@kernel
+def islands(block, count, label):
+    """Connected components of the graph of blocks and contacts; contacts are connected when they share a block.
+
+    The label of every contact into label (nc,), ascending in the order of first contact; returns their number.
+    """
+    parent = np.arange(count)
+    for c in range(block.shape[0]):
+        a, b = block[c, 0], block[c, 1]
+        if a >= 0 and b >= 0:
+            unite(parent, a, b)
+    label_of_root = np.full(count, -1, np.int64)
+    found = 0
+    for c in range(block.shape[0]):
+        k = block[c, 0] if block[c, 0] >= 0 else block[c, 1]
+        while parent[k] != k:
+            k = parent[k]
+        if label_of_root[k] < 0:
+            label_of_root[k] = found
+            found += 1
+        label[c] = label_of_root[k]
+    return found

@@ -1,0 +1,190 @@
+"""The certificate of an impulse along a direction that opens contacts, and Newton's step towards such a direction."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem.blocks import block_product, relative_velocity
+from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
+
+
+@kernel
+def into_cones(r, mu, out):
+    """P_K(r), into out (3 nc,); returns whether that is more than round-off away from r."""
+    moved = False
+    for c in range(mu.size):
+        i = 3 * c
+        a, b, d = project(r[i], r[i + 1], r[i + 2], mu[c])
+        change = max(abs(a - r[i]), abs(b - r[i + 1]), abs(d - r[i + 2]))
+        moved = moved or not change <= 4.0 * ROUNDING * max(abs(r[i]), abs(r[i + 1]), abs(r[i + 2]))
+        out[i], out[i + 1], out[i + 2] = a, b, d
+    return moved
+
+
+@kernel(inline="always")
+def _opening(o, i, mu):
+    """κ = o_N - mu |o_T| of the contact whose rows begin at i: o is in κ e_N + K*."""
+    return o[i] - mu * math.sqrt(o[i + 1] * o[i + 1] + o[i + 2] * o[i + 2])
+
+
+@kernel
+def _step_along(u, o, mu, speed):
+    """A λ ≥ 0 with û + λ o in K* at every contact; inf if there is none among the two tried.
+
+    That is the least with u_N + λ κ ≥ 0, which suffices, or else `speed`.
+    """
+    least = 0.0
+    for c in range(mu.size):
+        i = 3 * c
+        if u[i] < 0.0:
+            kappa = _opening(o, i, mu[c])
+            least = max(least, -u[i] / kappa) if kappa > 0.0 else np.inf
+    for c in range(mu.size):
+        i = 3 * c
+        # The contact that decides has u_N + λ κ = 0 up to round-off.
+        if least < np.inf and u[i] >= 0.0 and not u[i] + least * _opening(o, i, mu[c]) >= 0.0:
+            least = np.inf
+    if least < np.inf:
+        return least
+    for c in range(mu.size):
+        i = 3 * c
+        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+        x, y = u[i + 1] + speed * o[i + 1], u[i + 2] + speed * o[i + 2]
+        if not u[i] + s + speed * o[i] >= mu[c] * math.sqrt(x * x + y * y):
+            return np.inf
+    return speed
+
+
+@kernel
+def certificate(u, r, o, mu):
+    """(gap, |δ|_2, max δ, λ, Σ r·(û + λ o)) of an impulse in K, with o = Hᵀ d; every term of the sum is ≥ 0.
+
+    A max δ below the round-off of u counts as that.
+    """
+    gap, shift = duality_gap(u, r, mu)
+    if shift == 0.0:
+        return gap, shift, 0.0, 0.0, gap
+    speed = ROUNDING * np.abs(u).max()
+    for c in range(mu.size):
+        speed = max(speed, -u[3 * c])
+    step, total = _step_along(u, o, mu, speed), 0.0
+    if step < np.inf:
+        for c in range(mu.size):
+            i = 3 * c
+            s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+            own = r[i] * (u[i] + s + step * o[i])
+            own += r[i + 1] * (u[i + 1] + step * o[i + 1]) + r[i + 2] * (u[i + 2] + step * o[i + 2])
+            total += max(own, 0.0)  # less is round-off
+    return gap, shift, speed, step, total
+
+
+@kernel
+def along_blocks(offset, block, start, h, m_start, m, d, o):
+    """o = Hᵀ d, into o (3 nc,); returns ‖d‖²_M."""
+    relative_velocity(offset, block, start, h, d, o)
+    work = np.empty(d.size)
+    block_product(offset, m_start, m, d, work)
+    total = 0.0
+    for i in range(d.size):
+        total += d[i] * work[i]
+    return total
+
+
+@kernel
+def certificate_along(offset, block, start, h, m_start, m, u, r, mu, d):
+    """`certificate` with o = Hᵀ d, and ‖d‖²_M; a d of other coordinates opens nothing."""
+    o, square = np.zeros(u.size), 0.0
+    if d.size == offset[-1]:
+        square = along_blocks(offset, block, start, h, m_start, m, d, o)
+    gap, shift, speed, step, total = certificate(u, r, o, mu)
+    return gap, shift, speed, step, total, square
+
+
+@kernel
+def pull(o, b, rho, mu, A, g):
+    """Newton's step on ½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ: d = (M + Σ H_c A_c H_cᵀ)⁻¹ H g, into A and g."""
+    for c in range(mu.size):
+        i = 3 * c
+        z0, z1, z2 = rho[c] * (b[i] - o[i]), rho[c] * (b[i + 1] - o[i + 1]), rho[c] * (b[i + 2] - o[i + 2])
+        B = A[c]
+        projection_jacobian(z0, z1, z2, mu[c], B)
+        B *= rho[c]
+        g[i], g[i + 1], g[i + 2] = project(z0, z1, z2, mu[c])
+        for j in range(3):
+            g[i + j] += B[j, 0] * o[i] + B[j, 1] * o[i + 1] + B[j, 2] * o[i + 2]
+
+
+@kernel
+def merit(square, o, b, rho, mu):
+    """½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ, which `pull` descends, from ‖d‖²_M and o = Hᵀ d."""
+    total = square
+    for c in range(mu.size):
+        i, k = 3 * c, rho[c]
+        x, y, z = project(k * (b[i] - o[i]), k * (b[i + 1] - o[i + 1]), k * (b[i + 2] - o[i + 2]), mu[c])
+        total += (x * x + y * y + z * z) / k
+    return 0.5 * total
+
+
+@kernel
+def least_opening(o, b, mu):
+    """Largest t with o - b in t e_N + K* at every contact."""
+    excess, least = o - b, np.inf
+    for c in range(mu.size):
+        kappa = _opening(excess, 3 * c, mu[c])
+        if not kappa >= least:
+            least = kappa
+    return least
+
+
+@kernel
+def relax(offset, block, start, h, m_start, minv, mu, enough, sweeps, d):
+    """Change d (n,) until κ ≥ `enough` < 1 at every contact, by projections; whether that was reached.
+
+    Each contact in turn where κ is less gets the shortest change, in the kinetic norm, that brings the linearised κ to
+    1: along the impulse g = (1, -μ o_T/|o_T|), the gradient of κ = o_N - μ|o_T|. Where directions with κ > 1 exist,
+    d comes closer to all of them with every change, and finitely many do.
+    """
+    for _ in range(sweeps):
+        found = True
+        for c in range(mu.size):
+            o0, o1, o2 = 0.0, 0.0, 0.0
+            for s in range(2):
+                k = block[c, s]
+                if k >= 0:
+                    o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                    e, f = a + n, a + n + n
+                    for j in range(n):
+                        x = d[o + j]
+                        o0 += h[a + j] * x
+                        o1 += h[e + j] * x
+                        o2 += h[f + j] * x
+            slip = math.sqrt(o1 * o1 + o2 * o2)
+            kappa = o0 - mu[c] * slip
+            if kappa >= enough:
+                continue
+            found = False
+            g1, g2 = (-mu[c] * o1 / slip, -mu[c] * o2 / slip) if slip > 0.0 else (0.0, 0.0)
+            # First p = H g and p·M⁻¹ p, then the change along M⁻¹ p.
+            square, change = 0.0, 0.0
+            for stage in range(2):
+                for s in range(2):
+                    k = block[c, s]
+                    if k >= 0:
+                        o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                        e, f, row = a + n, a + n + n, np.uint64(m_start[k])
+                        for i in range(n):
+                            w = 0.0
+                            for j in range(n):
+                                w += minv[row + j] * (h[a + j] + g1 * h[e + j] + g2 * h[f + j])
+                            row += n
+                            if stage == 0:
+                                square += w * (h[a + i] + g1 * h[e + i] + g2 * h[f + i])
+                            else:
+                                d[o + i] += change * w
+                if not square > 0.0:
+                    return False
+                change = (1.0 - kappa) / square
+        if found:
+            return True
+    return False

@@ -1,0 +1,286 @@
+"""Interior point method for K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K, the law of Coulomb as it is (nonassociated): contact loops.
+
+Per contact x = (u_N / μ + ‖u_T‖, u_T) and z = (μ r_N, r_T) lie in the Lorentz cone, and x ∘ z = σ e on the central
+path. With Nesterov and Todd's matrix T (T z = T⁻¹ x = λ) a Newton step of it reads dr = E T⁻¹ d - A du,
+
+    A = E T⁻² C,   E = diag(1/μ, 1, 1),   C = [[1/μ, tᵀ], [0, I]],   t = u_T / ‖u_T‖,
+
+so that (I + A W) p = g gives du = W p - F with g = E T⁻¹ d + A F and F the defect u - W r - q. u stays linear in the
+step, its only constraint is u_N > 0; z moves along the cone, for the direction of slip may turn. All is in units
+where max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact with μ = 0 has only its normal component.
+"""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem.cones import natural_error, natural_residual
+from nsdyn._kernels.problem.linear import factorise, substitute
+
+START = 100.0  # first x and z: far inside, whatever the solution of a problem of unit size
+
+
+@kernel
+def start(q, mu, u, z):
+    """First point: u_T = q_T, everything else far inside the cones."""
+    for c in range(mu.size):
+        u[c, 0] = START * (mu[c] if mu[c] > 0.0 else 1.0)
+        u[c, 1], u[c, 2] = q[3 * c + 1], q[3 * c + 2]
+        z[c, 0], z[c, 1], z[c, 2] = START, 0.0, 0.0
+
+
+@kernel
+def impulse(z, mu, unit, r):
+    """Impulses of z in units of `unit`, into r (3 nc,)."""
+    for c in range(mu.size):
+        r[3 * c] = (z[c, 0] / mu[c] if mu[c] > 0.0 else z[c, 0]) * unit
+        r[3 * c + 1], r[3 * c + 2] = z[c, 1] * unit, z[c, 2] * unit
+
+
+@kernel
+def defect(u, v, mu, F):
+    """F = u - v for v = W r + q, into F (nc, 3); returns its largest entry."""
+    worst = 0.0
+    for c in range(mu.size):
+        for i in range(3):
+            F[c, i] = u[c, i] - v[3 * c + i] if i == 0 or mu[c] > 0.0 else 0.0
+            worst = max(worst, abs(F[c, i]))
+    return worst
+
+
+@kernel
+def scaling(u, z, mu, T, V, C, A, lam):
+    """T, V = T⁻¹, C, A and λ = T z of every contact; returns the mean of x·z."""
+    total = 0.0
+    for c in range(mu.size):
+        m = mu[c] if mu[c] > 0.0 else 1.0
+        x1, x2 = (u[c, 1], u[c, 2]) if mu[c] > 0.0 else (0.0, 0.0)
+        t = math.sqrt(x1 * x1 + x2 * x2)
+        x0 = u[c, 0] / m + t
+        z0, z1, z2 = z[c, 0], z[c, 1], z[c, 2]
+        total += x0 * z0 + x1 * z1 + x2 * z2
+        tz = math.sqrt(z1 * z1 + z2 * z2)
+        dx, dz = math.sqrt(u[c, 0] / m * (x0 + t)), math.sqrt(max(z0 - tz, 1e-16 * z0) * (z0 + tz))
+        g = math.sqrt(0.5 * (1.0 + (x0 * z0 + x1 * z1 + x2 * z2) / (dx * dz)))
+        w0, w1, w2 = (x0 / dx + z0 / dz) / (2 * g), (x1 / dx - z1 / dz) / (2 * g), (x2 / dx - z2 / dz) / (2 * g)
+        eta = math.sqrt(dx / dz)
+        k = 1.0 / (1.0 + w0)
+        for B, e, s in ((T, eta, 1.0), (V, 1.0 / eta, -1.0)):
+            B[c, 0, 0] = e * w0
+            B[c, 0, 1] = B[c, 1, 0] = e * s * w1
+            B[c, 0, 2] = B[c, 2, 0] = e * s * w2
+            B[c, 1, 1] = e * (1.0 + k * w1 * w1)
+            B[c, 2, 2] = e * (1.0 + k * w2 * w2)
+            B[c, 1, 2] = B[c, 2, 1] = e * k * w1 * w2
+        for i in range(3):
+            lam[c, i] = T[c, i, 0] * z0 + T[c, i, 1] * z1 + T[c, i, 2] * z2
+        C[c] = 0.0
+        A[c] = 0.0
+        C[c, 0, 0] = 1.0 / m
+        if mu[c] > 0.0:
+            C[c, 1, 1] = C[c, 2, 2] = 1.0
+            if t > 0.0:
+                C[c, 0, 1], C[c, 0, 2] = x1 / t, x2 / t
+        for i in range(3):
+            e = 1.0 / m if i == 0 else 1.0
+            for j in range(3):
+                for l in range(3):
+                    square = V[c, i, 0] * V[c, 0, l] + V[c, i, 1] * V[c, 1, l] + V[c, i, 2] * V[c, 2, l]
+                    A[c, i, j] += e * square * C[c, l, j]
+        if mu[c] == 0.0:
+            for i in range(1, 3):
+                for j in range(3):
+                    A[c, i, j] = A[c, j, i] = 0.0
+    return total / mu.size
+
+
+@kernel
+def target(lam, T, V, dx, dz, sigma, correct, d):
+    """Solve λ ∘ d = σ e - λ ∘ λ - (T⁻¹ dx) ∘ (T dz), the last term (Mehrotra's) only when `correct`."""
+    for c in range(lam.shape[0]):
+        l0, l1, l2 = lam[c, 0], lam[c, 1], lam[c, 2]
+        b0 = sigma - (l0 * l0 + l1 * l1 + l2 * l2)
+        b1, b2 = -2.0 * l0 * l1, -2.0 * l0 * l2
+        if correct:
+            p0 = V[c, 0, 0] * dx[c, 0] + V[c, 0, 1] * dx[c, 1] + V[c, 0, 2] * dx[c, 2]
+            p1 = V[c, 1, 0] * dx[c, 0] + V[c, 1, 1] * dx[c, 1] + V[c, 1, 2] * dx[c, 2]
+            p2 = V[c, 2, 0] * dx[c, 0] + V[c, 2, 1] * dx[c, 1] + V[c, 2, 2] * dx[c, 2]
+            q0 = T[c, 0, 0] * dz[c, 0] + T[c, 0, 1] * dz[c, 1] + T[c, 0, 2] * dz[c, 2]
+            q1 = T[c, 1, 0] * dz[c, 0] + T[c, 1, 1] * dz[c, 1] + T[c, 1, 2] * dz[c, 2]
+            q2 = T[c, 2, 0] * dz[c, 0] + T[c, 2, 1] * dz[c, 1] + T[c, 2, 2] * dz[c, 2]
+            b0 -= p0 * q0 + p1 * q1 + p2 * q2
+            b1 -= p0 * q1 + q0 * p1
+            b2 -= p0 * q2 + q0 * p2
+        t = math.sqrt(l1 * l1 + l2 * l2)
+        d[c, 0] = (l0 * b0 - l1 * b1 - l2 * b2) / (max(l0 - t, 1e-16 * l0) * (l0 + t))
+        d[c, 1] = (b1 - d[c, 0] * l1) / l0
+        d[c, 2] = (b2 - d[c, 0] * l2) / l0
+
+
+@kernel
+def right_side(mu, V, A, d, F, g):
+    """G = E T⁻¹ d + A F, into g (3 nc,)."""
+    for c in range(mu.size):
+        for i in range(3):
+            e = 1.0 / mu[c] if i == 0 and mu[c] > 0.0 else 1.0
+            g[3 * c + i] = (
+                e * (V[c, i, 0] * d[c, 0] + V[c, i, 1] * d[c, 1] + V[c, i, 2] * d[c, 2])
+                + (A[c, i, 0] * F[c, 0] + A[c, i, 1] * F[c, 1] + A[c, i, 2] * F[c, 2])
+            )  # fmt: skip
+        if mu[c] == 0.0:
+            g[3 * c + 1] = g[3 * c + 2] = 0.0
+
+
+@kernel
+def recover(mu, V, C, d, F, Wp, du, dx, dz):
+    """Set du = W p - F, dx = C du, dz = T⁻¹ (d - T⁻¹ dx)."""
+    for c in range(mu.size):
+        for i in range(3):
+            du[c, i] = Wp[3 * c + i] - F[c, i]
+        for i in range(3):
+            dx[c, i] = C[c, i, 0] * du[c, 0] + C[c, i, 1] * du[c, 1] + C[c, i, 2] * du[c, 2]
+        e0 = d[c, 0] - (V[c, 0, 0] * dx[c, 0] + V[c, 0, 1] * dx[c, 1] + V[c, 0, 2] * dx[c, 2])
+        e1 = d[c, 1] - (V[c, 1, 0] * dx[c, 0] + V[c, 1, 1] * dx[c, 1] + V[c, 1, 2] * dx[c, 2])
+        e2 = d[c, 2] - (V[c, 2, 0] * dx[c, 0] + V[c, 2, 1] * dx[c, 1] + V[c, 2, 2] * dx[c, 2])
+        for i in range(3):
+            dz[c, i] = V[c, i, 0] * e0 + V[c, i, 1] * e1 + V[c, i, 2] * e2
+        if mu[c] == 0.0:
+            dz[c, 1] = dz[c, 2] = 0.0
+
+
+@kernel
+def longest(u, z, du, dz):
+    """Largest step that keeps u_N, z_N and the slack z_N - ‖z_T‖ (to first order) from becoming negative."""
+    a = 1e300
+    for c in range(u.shape[0]):
+        if du[c, 0] < 0.0:
+            a = min(a, -u[c, 0] / du[c, 0])
+        if dz[c, 0] < 0.0:
+            a = min(a, -z[c, 0] / dz[c, 0])
+        t = math.sqrt(z[c, 1] ** 2 + z[c, 2] ** 2)
+        slack = dz[c, 0]
+        if t > 0.0:
+            slack -= (z[c, 1] * dz[c, 1] + z[c, 2] * dz[c, 2]) / t
+        if slack < 0.0:
+            a = min(a, (t - z[c, 0]) / slack)
+    return a
+
+
+@kernel
+def move(mu, u, z, du, dz, a, nu, nz):
+    """Points after a step a, into nu and nz; returns the mean of x·z there.
+
+    Where the straight step leaves less than half of the slack the linear model promises, z_T is shortened: the cone
+    is round and the direction of slip has turned.
+    """
+    total = 0.0
+    for c in range(mu.size):
+        t = math.sqrt(z[c, 1] ** 2 + z[c, 2] ** 2)
+        slack = z[c, 0] - t + a * dz[c, 0]
+        if t > 0.0:
+            slack -= a * (z[c, 1] * dz[c, 1] + z[c, 2] * dz[c, 2]) / t
+        for i in range(3):
+            nu[c, i] = u[c, i] + a * du[c, i]
+            nz[c, i] = z[c, i] + a * dz[c, i]
+        t = math.sqrt(nz[c, 1] ** 2 + nz[c, 2] ** 2)
+        if nz[c, 0] - t < 0.5 * slack and t > 0.0:
+            s = (nz[c, 0] - min(slack, 0.9 * nz[c, 0])) / t
+            nz[c, 1] *= s
+            nz[c, 2] *= s
+        if mu[c] > 0.0:
+            total += (nu[c, 0] / mu[c] + math.sqrt(nu[c, 1] ** 2 + nu[c, 2] ** 2)) * nz[c, 0]
+            total += nu[c, 1] * nz[c, 1] + nu[c, 2] * nz[c, 2]
+        else:
+            total += nu[c, 0] * nz[c, 0]
+    return total / mu.size
+
+
+@kernel
+def centring(gap, after, full, worst, last):
+    """Share of the gap to aim at: after the affine step `full`, with the defect `worst` and the last step `last`."""
+    if last < 0.1:  # the last step hit the boundary at once
+        return 1.0
+    return max(min(1.0, (after / gap) ** 3), 1e-4, 0.5 * (1.0 - full) ** 3, min(1.0, 0.1 * worst / gap))
+
+
+@kernel
+def system(W, A, unit, S):
+    """S = I + unit A W for a dense W, into S."""
+    n = W.shape[0]
+    for c in range(A.shape[0]):
+        for i in range(3):
+            a0, a1, a2 = unit * A[c, i, 0], unit * A[c, i, 1], unit * A[c, i, 2]
+            row = S[3 * c + i]
+            w0, w1, w2 = W[3 * c], W[3 * c + 1], W[3 * c + 2]
+            for j in range(n):
+                row[j] = a0 * w0[j] + a1 * w1[j] + a2 * w2[j]
+            row[3 * c + i] += 1.0
+
+
+@kernel
+def product(W, x, y):
+    """y = W x for a dense W, into y."""
+    for i in range(x.size):
+        total = 0.0
+        for j in range(x.size):
+            total += W[i, j] * x[j]
+        y[i] = total
+
+
+@kernel
+def measure(W, q, mu, scales, q_norm, r, u):
+    """Larger of the literature's error and the residual in m/s of impulse r for a dense W, its velocity into u."""
+    product(W, r, u)
+    for i in range(q.size):
+        u[i] += q[i]
+    return max(natural_residual(scales, u, r, mu), natural_error(u, r, mu) / q_norm)
+
+
+@kernel
+def dense(W, q_given, mu, scales, r, tol, q_norm, max_iter):
+    """Solve from nothing for a dense W (n, n), into r the best impulse seen; returns (factorisations, its measure)."""
+    nc, n = mu.size, q_given.size
+    speed, mean = np.abs(q_given).max(), scales.mean()
+    if speed == 0.0:
+        speed = 1.0
+    q = q_given / speed
+    u, z, F, nu, nz = np.empty((nc, 3)), np.empty((nc, 3)), np.empty((nc, 3)), np.empty((nc, 3)), np.empty((nc, 3))
+    T, V, C, A = np.empty((nc, 3, 3)), np.empty((nc, 3, 3)), np.empty((nc, 3, 3)), np.empty((nc, 3, 3))
+    lam, d, du, dx, dz = np.empty((nc, 3)), np.empty((nc, 3)), np.empty((nc, 3)), np.zeros((nc, 3)), np.zeros((nc, 3))
+    g, v, trial, S = np.empty(n), np.empty(n), np.empty(n), np.empty((n, n))
+    pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    start(q, mu, u, z)
+    best, last, short, count = np.inf, 1.0, 0, 0
+    while True:
+        gap = scaling(u, z, mu, T, V, C, A, lam)
+        impulse(z, mu, speed / mean, trial)
+        now = measure(W, q_given, mu, scales, q_norm, trial, v)
+        if now < best:
+            best = now
+            r[:] = trial
+        if best <= tol or not gap > 1e-12 or short >= 6 or count >= max_iter:
+            return count, best
+        v /= speed
+        worst = defect(u, v, mu, F)
+        system(W, A, 1.0 / mean, S)
+        if not factorise(S, pivot, low, end):
+            return count, best
+        count += 1
+        sigma = 0.0
+        for stage in range(2):
+            target(lam, T, V, dx, dz, sigma * gap, stage == 1, d)
+            right_side(mu, V, A, d, F, g)
+            substitute(S, pivot, low, end, g)
+            product(W, g, v)
+            v /= mean
+            recover(mu, V, C, d, F, v, du, dx, dz)
+            reach = longest(u, z, du, dz)
+            if stage == 0:
+                full = min(1.0, reach)
+                sigma = centring(gap, max(0.0, move(mu, u, z, du, dz, full, nu, nz)), full, worst, last)
+        last = min(1.0, 0.99 * reach)
+        move(mu, u, z, du, dz, last, nu, nz)
+        u[:] = nu
+        z[:] = nz
+        short = short + 1 if last < 0.02 else 0

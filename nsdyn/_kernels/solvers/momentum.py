@@ -1,0 +1,311 @@
+"""Projected Gauss–Seidel with momentum on free bodies, where W is given by its factors.
+
+The rows of Hᵀ are taken in coordinates where M = I, Ĥ = Gᵀ H with M⁻¹ = G Gᵀ, so that one array serves to read the
+velocity of a contact, u = Ĥᵀ v̂ + q, and to apply its impulse, v̂ += Ĥ_c dr: six coordinates a body, unrolled. A
+frictionless contact has one row.
+"""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem.cones import natural_error, natural_residual, project
+from nsdyn._kernels.solvers.pgs import velocity, velocity_of
+
+ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
+CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
+
+
+@kernel
+def rows_in_unit_mass(offset, block, start, h, m_start, minv, mu):
+    """Rows of Ĥᵀ, (nc, 2, 18) made flat, zeros for a missing body or row, and bodies (nc, 2), 0 for a missing one."""
+    G = np.zeros_like(minv)
+    for k in range(offset.size - 1):
+        b = m_start[k]
+        for j in range(6):
+            for i in range(j, 6):
+                total = minv[b + 6 * i + j]
+                for l in range(j):
+                    total -= G[b + 6 * i + l] * G[b + 6 * j + l]
+                G[b + 6 * i + j] = math.sqrt(total) if i == j else total / G[b + 7 * j]
+    out, body = np.zeros((block.shape[0], 2, 18)), np.zeros((block.shape[0], 2), np.uint64)
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                body[c, s] = k
+                for i in range(3 if mu[c] > 0.0 else 1):
+                    for l in range(6):
+                        x = h[start[c, s] + 6 * i + l]
+                        for j in range(l + 1):
+                            out[c, s, 6 * i + j] += x * G[m_start[k] + 6 * l + j]
+    return out.reshape(-1), body
+
+
+@kernel
+def local_steps(rows, mu):
+    """1/W_NN, W_TN and 1/lambda_max(W_TT) of every contact, shape (nc, 4); zeros for a missing row."""
+    out = np.zeros((mu.size, 4))
+    w = np.empty((3, 3))
+    for c in range(mu.size):
+        x, y = rows[36 * c : 36 * c + 18], rows[36 * c + 18 : 36 * c + 36]
+        for i in range(3 if mu[c] > 0.0 else 1):
+            for j in range(i + 1):
+                total = 0.0
+                for l in range(6):
+                    total += x[6 * i + l] * x[6 * j + l] + y[6 * i + l] * y[6 * j + l]
+                w[i, j] = total
+        out[c, 0] = 1.0 / w[0, 0]
+        if mu[c] == 0.0:
+            continue
+        mean, half = 0.5 * (w[1, 1] + w[2, 2]), 0.5 * (w[1, 1] - w[2, 2])
+        out[c, 1], out[c, 2] = w[1, 0], w[2, 0]
+        out[c, 3] = 1.0 / (mean + math.sqrt(half * half + w[2, 1] * w[2, 1]))
+    return out
+
+
+@kernel(inline="always")
+def read(rows, c, body, v):
+    """Ĥ_cᵀ v: normal, first and second tangent."""
+    u0, u1, u2 = 0.0, 0.0, 0.0
+    for s in range(2):
+        # Unsigned and flat: the compiler need not ask whether an index counts from the end, nor make views.
+        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
+        for l in range(6):
+            e, z = o + np.uint64(l), v[a + np.uint64(l)]
+            u0 += rows[e] * z
+            u1 += rows[e + np.uint64(6)] * z
+            u2 += rows[e + np.uint64(12)] * z
+    return u0, u1, u2
+
+
+@kernel(inline="always")
+def apply(rows, c, body, z0, z1, z2, v):
+    """v += Ĥ_c z."""
+    for s in range(2):
+        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
+        for l in range(6):
+            e = o + np.uint64(l)
+            v[a + np.uint64(l)] += rows[e] * z0 + rows[e + np.uint64(6)] * z1 + rows[e + np.uint64(12)] * z2
+
+
+@kernel(inline="always")
+def read_normal(rows, c, body, v):
+    """The normal component of Ĥ_cᵀ v."""
+    u0 = 0.0
+    for s in range(2):
+        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
+        for l in range(6):
+            u0 += rows[o + np.uint64(l)] * v[a + np.uint64(l)]
+    return u0
+
+
+@kernel(inline="always")
+def apply_normal(rows, c, body, z0, v):
+    """v += Ĥ_c z for an impulse along the normal."""
+    for s in range(2):
+        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
+        for l in range(6):
+            v[a + np.uint64(l)] += rows[o + np.uint64(l)] * z0
+
+
+@kernel
+def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
+    """One sweep over the contacts that are awake, in place of r = y and of v = Ĥ y.
+
+    x is the last sweep's result; t shrinks to `keep` of itself where momentum was wrong. A contact takes its normal
+    impulse exactly and its friction by a projected gradient step.
+    """
+    for c in awake:
+        r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
+        if mu[c] == 0.0:
+            z0 = max(-r0, -(q[c, 0] + read_normal(rows, c, body, v)) * steps[c, 0])
+            if z0 != 0.0:
+                apply_normal(rows, c, body, z0, v)
+                r[c, 0] = r0 + z0
+                if z0 * (r0 + z0 - x[c, 0]) < 0.0:
+                    t[c] = max(1.0, keep * t[c])
+            continue
+        u0, u1, u2 = read(rows, c, body, v)
+        z0 = max(-r0, -(q[c, 0] + u0) * steps[c, 0])
+        x0 = r0 + z0
+        x1 = r1 - (q[c, 1] + u1 + steps[c, 1] * z0) * steps[c, 3]
+        x2 = r2 - (q[c, 2] + u2 + steps[c, 2] * z0) * steps[c, 3]
+        slip, limit = x1 * x1 + x2 * x2, mu[c] * x0
+        if slip > limit * limit:
+            f = limit / math.sqrt(slip)
+            x1 *= f
+            x2 *= f
+        z1, z2 = x1 - r1, x2 - r2
+        if z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
+            apply(rows, c, body, z0, z1, z2, v)
+            r[c, 0], r[c, 1], r[c, 2] = x0, x1, x2
+            if z0 * (x0 - x[c, 0]) + z1 * (x1 - x[c, 1]) + z2 * (x2 - x[c, 2]) < 0.0:
+                t[c] = max(1.0, keep * t[c])
+
+
+@kernel
+def extrapolate(awake, rows, body, mu, v, r, x, t):
+    """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it; of contacts awake."""
+    for c in awake:
+        r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
+        b = (t[c] - 1.0) / (t[c] + 1.0)
+        t[c] += 0.5
+        z0, z1, z2 = b * (r0 - x[c, 0]), b * (r1 - x[c, 1]), b * (r2 - x[c, 2])
+        x[c, 0], x[c, 1], x[c, 2] = r0, r1, r2
+        if mu[c] == 0.0:
+            if z0 != 0.0:
+                r[c, 0] = max(0.0, r0 + z0)
+                apply_normal(rows, c, body, r[c, 0] - r0, v)
+        elif z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
+            y0, y1, y2 = project(r0 + z0, r1 + z1, r2 + z2, mu[c])
+            r[c, 0], r[c, 1], r[c, 2] = y0, y1, y2
+            apply(rows, c, body, y0 - r0, y1 - r1, y2 - r2, v)
+
+
+@kernel
+def refresh(rows, body, r, v):
+    """v = Ĥ r."""
+    v[:] = 0.0
+    for c in range(r.shape[0]):
+        if r[c, 0] != 0.0:
+            apply(rows, c, body, r[c, 0], r[c, 1], r[c, 2], v)
+
+
+@kernel
+def measure(rows, body, q, mu, scales, q_norm, r, v, u):
+    """Larger of the literature's error and the residual in m/s of an impulse r, given v = Ĥ r."""
+    for c in range(mu.size):
+        u0, u1, u2 = read(rows, c, body, v)
+        u[c, 0], u[c, 1], u[c, 2] = q[c, 0] + u0, q[c, 1] + u1, q[c, 2] + u2
+    flat, own = u.reshape(-1), r.reshape(-1)
+    return max(natural_residual(scales, flat, own, mu), natural_error(flat, own, mu) / q_norm)
+
+
+@kernel
+def wake(u, last, r, x, awake):
+    """Put the contacts worth a sweep first in `awake` and return their number.
+
+    One without an impulse sleeps while it opens faster than its velocity u has changed from the `last` time.
+    """
+    count = 0
+    for c in range(r.shape[0]):
+        change = abs(u[c, 0] - last[c, 0])
+        if r[c, 0] > 0.0 or x[c, 0] > 0.0 or not u[c, 0] > ALERT * change:
+            awake[count] = c
+            count += 1
+    return count
+
+
+@kernel
+def solve(
+    rows, body, steps, q, mu, scales, q_norm, tol, best_r, y, x, v, t, count, last, best, keep, most, check, patience
+):
+    """Sweeps with Nesterov's momentum, which every contact loses by itself, from where the last call stopped.
+
+    x' = sweep(y), y = P_K(x' + b (x' - x)) with b = (t - 1)/(t + 1), t growing by 1/2 a sweep. A contact whose
+    momentum points against its own step, (y - x')·(x' - x) > 0, halves its t, or loses it all once that cycles. Unlike
+    a restart of all contacts or combinations of past iterates this survives contacts that change their state one after
+    the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested, and which
+    contacts are worth the next ones; best_r keeps the best. Stops after `most` sweeps in all, or `patience` without a
+    better one. Returns (sweeps, the one of the best, its measure, keep).
+    """
+    u, before = np.full((mu.size, 3), -np.inf), np.empty((mu.size, 3))
+    order = np.arange(mu.size)
+    awake = order
+    while best > tol and count < most and count - last < patience:
+        count += 1
+        sweep(awake, rows, body, steps, q, mu, v, y, x, t, keep)
+        if count % check == 0:
+            refresh(rows, body, y, v)  # what the updates leave of round-off
+            before, u = u, before
+            now = measure(rows, body, q, mu, scales, q_norm, y, v, u)
+            if now < best:
+                best, last = now, count
+                best_r[:] = y
+            awake = order[: wake(u, before, y, x, order)]
+        if count - last > CYCLE:
+            keep = 0.0
+        extrapolate(awake, rows, body, mu, v, y, x, t)
+    return count, last, best, keep
+
+
+@kernel
+def begin(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, v):
+    """Rows, bodies and steps of the contacts, v = Ĥ r, and the measure of r (nc, 3), whose missing rows become 0."""
+    rows, body = rows_in_unit_mass(offset, block, start, h, m_start, minv, mu)
+    for c in range(mu.size):
+        if mu[c] == 0.0:
+            r[c, 1] = r[c, 2] = 0.0
+    refresh(rows, body, r, v)
+    best = measure(rows, body, q, mu, scales, q_norm, r, v, np.empty((mu.size, 3)))
+    return rows, body, local_steps(rows, mu), best
+
+
+@kernel
+def steps_of_matrix(indptr, indices, data, mu):
+    """`local_steps` of a block-sparse W."""
+    out = np.zeros((mu.size, 4))
+    for c in range(mu.size):
+        for p in range(indptr[c], indptr[c + 1]):
+            if indices[p] != c:
+                continue
+            w = data[p]
+            out[c, 0] = 1.0 / w[0, 0] if w[0, 0] > 0.0 else 0.0
+            mean, half = 0.5 * (w[1, 1] + w[2, 2]), 0.5 * (w[1, 1] - w[2, 2])
+            largest = mean + math.hypot(half, 0.5 * (w[1, 2] + w[2, 1]))
+            if mu[c] > 0.0 and largest > 0.0:
+                out[c, 1], out[c, 2], out[c, 3] = w[1, 0], w[2, 0], 1.0 / largest
+    return out
+
+
+@kernel
+def sweep_matrix(indptr, indices, data, steps, q, mu, r, x, t, keep):
+    """`sweep` over all contacts of a block-sparse W, in place of r = y."""
+    for c in range(mu.size):
+        u0, u1, u2 = velocity_of(indptr, indices, data, q, r, c)
+        r0, r1, r2 = r[3 * c], r[3 * c + 1], r[3 * c + 2]
+        z0 = max(-r0, -u0 * steps[c, 0])
+        x0 = r0 + z0
+        x1 = r1 - (u1 + steps[c, 1] * z0) * steps[c, 3]
+        x2 = r2 - (u2 + steps[c, 2] * z0) * steps[c, 3]
+        slip, limit = x1 * x1 + x2 * x2, mu[c] * x0
+        if slip > limit * limit:
+            f = limit / math.sqrt(slip)
+            x1 *= f
+            x2 *= f
+        back = z0 * (x0 - x[3 * c]) + (x1 - r1) * (x1 - x[3 * c + 1]) + (x2 - r2) * (x2 - x[3 * c + 2])
+        r[3 * c], r[3 * c + 1], r[3 * c + 2] = x0, x1, x2
+        if back < 0.0:
+            t[c] = max(1.0, keep * t[c])
+
+
+@kernel
+def solve_matrix(
+    indptr, indices, data, steps, q, mu, scales, q_norm, tol, best_r, y, x, t, count, last, best, keep, most, check,
+    patience,
+):  # fmt: skip
+    """`solve` for a block-sparse W, which need not be symmetric; all contacts are awake."""
+    u = np.empty(y.size)
+    while best > tol and count < most and count - last < patience:
+        count += 1
+        sweep_matrix(indptr, indices, data, steps, q, mu, y, x, t, keep)
+        if count % check == 0:
+            velocity(indptr, indices, data, q, y, u)
+            now = max(natural_residual(scales, u, y, mu), natural_error(u, y, mu) / q_norm)
+            if now < best:
+                best, last = now, count
+                best_r[:] = y
+        if count - last > CYCLE:
+            keep = 0.0
+        for c in range(mu.size):
+            i = 3 * c
+            b = (t[c] - 1.0) / (t[c] + 1.0)
+            t[c] += 0.5
+            r0, r1, r2 = y[i], y[i + 1], y[i + 2]
+            y[i], y[i + 1], y[i + 2] = project(
+                r0 + b * (r0 - x[i]), r1 + b * (r1 - x[i + 1]), r2 + b * (r2 - x[i + 2]), mu[c]
+            )
+            x[i], x[i + 1], x[i + 2] = r0, r1, r2
+    return count, last, best, keep

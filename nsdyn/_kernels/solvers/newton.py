@@ -1,0 +1,309 @@
+"""Semismooth Newton on the augmented Lagrangian of the velocity problem.
+
+For an impulse estimate r and penalties rho, the unknown is the velocity change y with u = Hᵀ y + q:
+
+    F(y) = M y - H P(y) = 0,
+    P_N  = max(0, r_N - rho u_N),   P_T = projection of r_T - rho u_T on the disk of radius mu P_N,
+    F'   = M + Σ_c H_c A_c H_cᵀ,    A_c = -dP_c/du_c.
+
+M is definite, so a rank-deficient W is no obstacle. A_c = rho I where a contact sticks and 0 where it is open, so
+that F' is symmetric unless a contact slips.
+"""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem.blocks import block_product, islands, momentum, relative_velocity
+from nsdyn._kernels.problem.cones import natural_error, natural_residual
+from nsdyn._kernels.problem.linear import factorise, substitute
+
+PATIENCE = 5  # Newton steps without settling after which a penalty is called too large
+
+
+@kernel
+def grown(penalty, inner):
+    """Next penalty after settling in `inner` steps: twice as large after a quick success."""
+    return min(2.0 * penalty, 1e8) if inner <= 2 else penalty
+
+
+@kernel
+def projected(u, r, rho, mu, P):
+    """P(u) of every contact, into P (3 nc,)."""
+    for c in range(mu.size):
+        i = 3 * c
+        a = r[i] - rho[c] * u[i]
+        if a <= 0.0:
+            P[i] = P[i + 1] = P[i + 2] = 0.0
+            continue
+        z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
+        t = math.sqrt(z1 * z1 + z2 * z2)
+        s = mu[c] * a / t if t > mu[c] * a else 1.0
+        P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
+
+
+@kernel
+def stiffness(u, r, rho, mu, A):
+    """A_c = -dP_c/du_c of every contact, into A (nc, 3, 3)."""
+    for c in range(mu.size):
+        i = 3 * c
+        B = A[c]
+        B[:] = 0.0
+        a = r[i] - rho[c] * u[i]
+        if a <= 0.0:
+            continue
+        z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
+        t = math.sqrt(z1 * z1 + z2 * z2)
+        B[0, 0] = rho[c]
+        if t <= mu[c] * a:
+            B[1, 1] = B[2, 2] = rho[c]
+            continue
+        x, y, k = z1 / t, z2 / t, rho[c] * mu[c] * a / t
+        B[1, 0], B[2, 0] = rho[c] * mu[c] * x, rho[c] * mu[c] * y
+        B[1, 1], B[2, 2] = k * y * y, k * x * x
+        B[1, 2] = B[2, 1] = -k * x * y
+
+
+@kernel
+def assemble_dense(offset, block, start, h, m_start, m, A, K):
+    """K = M + Σ H_c A_c H_cᵀ as a dense matrix, into K (n, n)."""
+    K[:] = 0.0
+    for k in range(offset.size - 1):
+        o, n = offset[k], offset[k + 1] - offset[k]
+        for i in range(n):
+            for j in range(n):
+                K[o + i, o + j] = m[m_start[k] + i * n + j]
+    for c in range(block.shape[0]):
+        a = A[c]
+        rubs = a[1, 1] != 0.0 or a[2, 2] != 0.0  # else it has one row
+        if a[0, 0] == 0.0 and not rubs:
+            continue
+        for s in range(2):
+            k = block[c, s]
+            if k < 0:
+                continue
+            ok, nk, hk = offset[k], offset[k + 1] - offset[k], start[c, s]
+            for t in range(2):
+                l = block[c, t]
+                if l < 0:
+                    continue
+                ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
+                for i in range(nk):
+                    if not rubs:
+                        y0 = h[hk + i] * a[0, 0]
+                        for j in range(nl):
+                            K[ok + i, ol + j] += y0 * h[hl + j]
+                        continue
+                    x0, x1, x2 = h[hk + i], h[hk + nk + i], h[hk + 2 * nk + i]
+                    y0 = x0 * a[0, 0] + x1 * a[1, 0] + x2 * a[2, 0]
+                    y1 = x0 * a[0, 1] + x1 * a[1, 1] + x2 * a[2, 1]
+                    y2 = x0 * a[0, 2] + x1 * a[1, 2] + x2 * a[2, 2]
+                    for j in range(nl):
+                        K[ok + i, ol + j] += y0 * h[hl + j] + y1 * h[hl + nl + j] + y2 * h[hl + 2 * nl + j]
+
+
+@kernel
+def defect(offset, block, start, h, m_start, m, y, P, F, work):
+    """F = M y - H P, into F (n,)."""
+    momentum(offset, block, start, h, P, F)
+    block_product(offset, m_start, m, y, work)
+    for i in range(y.size):
+        F[i] = work[i] - F[i]
+
+
+@kernel
+def velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work):
+    """y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
+    momentum(offset, block, start, h, r, work)
+    block_product(offset, m_start, minv, work, y)
+    relative_velocity(offset, block, start, h, y, u)
+    for i in range(q.size):
+        u[i] += q[i]
+
+
+@kernel
+def measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, y, u, work):
+    """Larger of the literature's error and the residual in m/s of impulse r, with its own y and u."""
+    velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work)
+    return max(natural_residual(scales, u, r, mu), natural_error(u, r, mu) / q_norm)
+
+
+@kernel
+def measures_of_islands(label, found, scales, q_norm, u, r, mu):
+    """The measure of every island by itself, shape (found,), for the impulse r and its velocity u."""
+    residual, squares = np.zeros(found), np.zeros(found)
+    for c in range(mu.size):
+        i, l = 3 * c, label[c]
+        part = slice(i, i + 3)
+        residual[l] = max(residual[l], natural_residual(scales[c : c + 1], u[part], r[part], mu[c : c + 1]))
+        squares[l] += natural_error(u[part], r[part], mu[c : c + 1]) ** 2
+    return np.maximum(residual, np.sqrt(squares) / q_norm)
+
+
+@kernel
+def settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F, work):
+    """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)).
+
+    That is a hundredth of the momentum H (P - estimate), or 1e-5 of the step weighed by lambda_max(W_cc) contact by
+    contact: redundant contacts exchange impulses without any momentum.
+    """
+    defect(offset, block, start, h, m_start, m, y, P, F, work)
+    block_product(offset, m_start, minv, F, work)
+    left = 0.0
+    for i in range(F.size):
+        left += F[i] * work[i]
+    change = P - estimate
+    momentum(offset, block, start, h, change, F)
+    block_product(offset, m_start, minv, F, work)
+    total, weighed = 0.0, 0.0
+    for i in range(F.size):
+        total += F[i] * work[i]
+    for i in range(change.size):
+        weighed += scales[i // 3] * change[i] ** 2
+    return left <= max(1e-4 * total, 1e-10 * weighed)
+
+
+@kernel
+def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_norm, penalty, max_iter):
+    """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
+
+    Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and where F
+    has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, doubles with
+    every quick success and falls tenfold after a failure, which starts again from the estimate.
+    """
+    n, nr = offset[-1], q.size
+    y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
+    P, own_y, own_u = np.empty(nr), np.empty(n), np.empty(nr)
+    A, K = np.empty((mu.size, 3, 3)), np.empty((n, n))
+    pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    best = measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, y, u, work)
+    estimate = r.copy()
+    count, inner = 0, 0
+    rho = penalty / scales
+    projected(u, estimate, rho, mu, P)
+    while best > tol and count < max_iter and penalty > 1e-3:
+        defect(offset, block, start, h, m_start, m, y, P, F, work)
+        stiffness(u, estimate, rho, mu, A)
+        assemble_dense(offset, block, start, h, m_start, m, A, K)
+        if not factorise(K, pivot, low, end):
+            return count, best
+        substitute(K, pivot, low, end, F)
+        y -= F
+        count += 1
+        inner += 1
+        relative_velocity(offset, block, start, h, y, u)
+        u += q
+        projected(u, estimate, rho, mu, P)
+        measure = measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, P, own_y, own_u, work)
+        if measure < best:
+            best = measure
+            r[:] = P
+        if settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F, work):
+            penalty = grown(penalty, inner)
+            estimate[:] = P
+            inner = 0
+        elif inner >= PATIENCE:
+            penalty *= 0.1
+            inner = 0
+            velocity_of(offset, block, start, h, m_start, minv, q, estimate, y, u, work)
+        else:
+            continue
+        rho = penalty / scales
+        projected(u, estimate, rho, mu, P)
+    return count, best
+
+
+@kernel
+def extract(offset, block, start, h, m_start, m, minv, label, island):
+    """Blocks and contacts of one island: (contacts, offset, block, start, h, m_start, m, minv)."""
+    contacts = np.flatnonzero(label == island)
+    nb = offset.size - 1
+    new = np.full(nb, -1, np.int64)
+    for c in contacts:
+        for s in range(2):
+            if block[c, s] >= 0:
+                new[block[c, s]] = 0
+    kept = np.flatnonzero(new == 0)
+    o = np.zeros(kept.size + 1, np.int64)
+    ms = np.zeros(kept.size + 1, np.int64)
+    for e in range(kept.size):
+        n = offset[kept[e] + 1] - offset[kept[e]]
+        new[kept[e]] = e
+        o[e + 1] = o[e] + n
+        ms[e + 1] = ms[e] + n * n
+    mm, mi = np.empty(ms[-1]), np.empty(ms[-1])
+    for e in range(kept.size):
+        a = m_start[kept[e]]
+        mm[ms[e] : ms[e + 1]] = m[a : a + ms[e + 1] - ms[e]]
+        mi[ms[e] : ms[e + 1]] = minv[a : a + ms[e + 1] - ms[e]]
+    b = np.full((contacts.size, 2), -1, np.int64)
+    st = np.zeros((contacts.size, 2), np.int64)
+    size = 0
+    for e in range(contacts.size):
+        for s in range(2):
+            k = block[contacts[e], s]
+            if k >= 0:
+                b[e, s], st[e, s] = new[k], size
+                size += 3 * (offset[k + 1] - offset[k])
+    hh = np.empty(size)
+    for e in range(contacts.size):
+        for s in range(2):
+            k = block[contacts[e], s]
+            if k >= 0:
+                n = 3 * (offset[k + 1] - offset[k])
+                a = start[contacts[e], s]
+                hh[st[e, s] : st[e, s] + n] = h[a : a + n]
+    return contacts, o, b, st, hh, ms[:-1].copy(), mm, mi
+
+
+@kernel
+def warm_islands(
+    offset, block, start, h, m_start, m, minv, q, mu, scales, r, u, label, tol, accept, q_norm, largest, penalty,
+    max_iter,
+):  # fmt: skip
+    """`dense` on every island of at most `largest` coordinates with measure above `tol`, in place of r unless r = 0.
+
+    The islands into label (nc,). Returns their measures, 0 for those of a warm start that end within `accept` times
+    their share; their shares of the tolerance by contacts, since the literature's error adds the islands up in squares
+    and the judge measures them together; and the factorisations.
+    """
+    found = islands(block, offset.size - 1, label)
+    measures = measures_of_islands(label, found, scales, q_norm, u, r, mu)
+    share = np.zeros(found)
+    for c in range(label.size):
+        share[label[c]] += 1.0 / label.size
+    share[:] = np.sqrt(share)
+    count = 0
+    if not r.any():
+        return measures, share, count
+    alone = found == 1 and offset.size == 2  # one body, nothing to extract
+    for k in range(found):
+        if measures[k] <= tol:
+            continue
+        if alone and offset[-1] <= largest:
+            count, measures[k] = dense(
+                offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_norm, penalty, max_iter
+            )  # fmt: skip
+            continue
+        contacts, o, b, st, hh, ms, mm, mi = extract(offset, block, start, h, m_start, m, minv, label, k)
+        if o[-1] > largest:
+            continue
+        nc = contacts.size
+        x, own_q, own_mu, own_scales = np.empty(3 * nc), np.empty(3 * nc), np.empty(nc), np.empty(nc)
+        for e in range(nc):
+            c = contacts[e]
+            own_mu[e], own_scales[e] = mu[c], scales[c]
+            for i in range(3):
+                x[3 * e + i], own_q[3 * e + i] = r[3 * c + i], q[3 * c + i]
+        used, measures[k] = dense(
+            o, b, st, hh, ms, mm, mi, own_q, own_mu, own_scales, x, tol, q_norm, penalty, max_iter
+        )  # fmt: skip
+        count += used
+        for e in range(nc):
+            for i in range(3):
+                r[3 * contacts[e] + i] = x[3 * e + i]
+    for k in range(found):
+        if measures[k] <= accept * share[k]:
+            measures[k] = 0.0
+    return measures, share, count

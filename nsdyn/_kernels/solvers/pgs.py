@@ -1,0 +1,327 @@
+"""Block Gauss–Seidel sweeps with the exact one-contact solver, Anderson-accelerated.
+
+W is given as a `Matrix` of 3 x 3 blocks, where a contact costs its neighbours, or by its `Factors`, where it costs its
+two bodies, however many contacts they have.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem.blocks import momentum, relative_velocity, weighted_rows
+from nsdyn._kernels.problem.cones import natural_error, natural_residual, project_all, solve_one
+from nsdyn._kernels.problem.linear import factorise, substitute
+
+
+class Matrix(NamedTuple):
+    """Block-sparse W: rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3); the inverses of its W_cc."""
+
+    indptr: np.ndarray
+    indices: np.ndarray
+    data: np.ndarray
+    inverse: np.ndarray
+
+
+class Factors(NamedTuple):
+    """W = Hᵀ M⁻¹ H as in `blocks`, with `y` the rows of (M⁻¹ H)ᵀ, and all W_cc (nc, 3, 3) with their inverses."""
+
+    offset: np.ndarray
+    block: np.ndarray
+    start: np.ndarray
+    h: np.ndarray
+    y: np.ndarray
+    diagonal: np.ndarray
+    inverse: np.ndarray
+
+
+@kernel
+def invert(W, S):
+    """Inverse of a 3 x 3 block into S; 0 where it is singular to round-off."""
+    c0 = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1]
+    c1 = W[1, 2] * W[2, 0] - W[1, 0] * W[2, 2]
+    c2 = W[1, 0] * W[2, 1] - W[1, 1] * W[2, 0]
+    det = W[0, 0] * c0 + W[0, 1] * c1 + W[0, 2] * c2
+    S[:] = 0.0
+    if det > 1e-12 * W[0, 0] * W[1, 1] * W[2, 2]:
+        S[0, 0], S[1, 0], S[2, 0] = c0 / det, c1 / det, c2 / det
+        S[0, 1] = (W[0, 2] * W[2, 1] - W[0, 1] * W[2, 2]) / det
+        S[1, 1] = (W[0, 0] * W[2, 2] - W[0, 2] * W[2, 0]) / det
+        S[2, 1] = (W[0, 1] * W[2, 0] - W[0, 0] * W[2, 1]) / det
+        S[0, 2] = (W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1]) / det
+        S[1, 2] = (W[0, 2] * W[1, 0] - W[0, 0] * W[1, 2]) / det
+        S[2, 2] = (W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]) / det
+
+
+@kernel
+def matrix(indptr, indices, data):
+    """`Matrix` of a block-sparse W."""
+    S = np.zeros((indptr.size - 1, 3, 3))
+    for c in range(indptr.size - 1):
+        for p in range(indptr[c], indptr[c + 1]):
+            if indices[p] == c:
+                invert(data[p], S[c])
+    return Matrix(indptr, indices, data, S)
+
+
+@kernel
+def factors(offset, block, start, h, m_start, minv):
+    """`Factors` of W = Hᵀ M⁻¹ H."""
+    nc = block.shape[0]
+    y = weighted_rows(offset, block, start, h, m_start, minv)
+    D, S = np.zeros((nc, 3, 3)), np.empty((nc, 3, 3))
+    for c in range(nc):
+        for s in range(2):
+            for t in range(2):
+                k = block[c, s]
+                if k < 0 or block[c, t] != k:
+                    continue
+                n = offset[k + 1] - offset[k]
+                for i in range(3):
+                    for j in range(3):
+                        total = 0.0
+                        for l in range(n):
+                            total += y[start[c, s] + i * n + l] * h[start[c, t] + j * n + l]
+                        D[c, i, j] += total
+        invert(D[c], S[c])
+    return Factors(offset, block, start, h, y, D, S)
+
+
+@kernel
+def solve_contact(W, S, b0, b1, b2, mu, b, x):
+    """Impulse of one contact with free velocity b: the cheap cases here, slip by `solve_one`; b and x are scratch."""
+    if b0 >= 0.0:
+        return 0.0, 0.0, 0.0
+    x0 = -(S[0, 0] * b0 + S[0, 1] * b1 + S[0, 2] * b2)
+    x1 = -(S[1, 0] * b0 + S[1, 1] * b1 + S[1, 2] * b2)
+    x2 = -(S[2, 0] * b0 + S[2, 1] * b1 + S[2, 2] * b2)
+    if x0 > 0.0 and x1 * x1 + x2 * x2 <= (mu * x0) ** 2:
+        return x0, x1, x2
+    b[0], b[1], b[2] = b0, b1, b2
+    solve_one(W, b, mu, x)
+    return x[0], x[1], x[2]
+
+
+@kernel
+def sweep_matrix(W, q, mu, r):
+    """One Gauss–Seidel sweep in place: each contact solved exactly with the others frozen."""
+    indptr, indices, data, inverse = W
+    b, x = np.empty(3), np.empty(3)
+    for c in range(mu.size):
+        i = 3 * c
+        b0, b1, b2 = q[i], q[i + 1], q[i + 2]
+        own = indptr[c]
+        for p in range(indptr[c], indptr[c + 1]):
+            if indices[p] == c:
+                own = p
+                continue
+            # Unsigned: the compiler need not ask whether an index counts from the end.
+            e, d = np.uint64(p), np.uint64(3 * indices[p])
+            x0, x1, x2 = r[d], r[d + np.uint64(1)], r[d + np.uint64(2)]
+            b0 += data[e, 0, 0] * x0 + data[e, 0, 1] * x1 + data[e, 0, 2] * x2
+            b1 += data[e, 1, 0] * x0 + data[e, 1, 1] * x1 + data[e, 1, 2] * x2
+            b2 += data[e, 2, 0] * x0 + data[e, 2, 1] * x1 + data[e, 2, 2] * x2
+        r[i], r[i + 1], r[i + 2] = solve_contact(data[own], inverse[c], b0, b1, b2, mu[c], b, x)
+
+
+@kernel
+def sweep_factors(W, q, mu, v, r):
+    """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
+    offset, block, start, h, y, diagonal, inverse = W
+    b, x = np.empty(3), np.empty(3)
+    for c in range(mu.size):
+        i = 3 * c
+        b0, b1, b2 = q[i], q[i + 1], q[i + 2]
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                # Unsigned: the compiler need not ask whether an index counts from the end.
+                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                d, e = a + n, a + n + n
+                for l in range(n):
+                    z = v[o + l]
+                    b0 += h[a + l] * z
+                    b1 += h[d + l] * z
+                    b2 += h[e + l] * z
+        D, r0, r1, r2 = diagonal[c], r[i], r[i + 1], r[i + 2]
+        b0 -= D[0, 0] * r0 + D[0, 1] * r1 + D[0, 2] * r2
+        b1 -= D[1, 0] * r0 + D[1, 1] * r1 + D[1, 2] * r2
+        b2 -= D[2, 0] * r0 + D[2, 1] * r1 + D[2, 2] * r2
+        x0, x1, x2 = solve_contact(D, inverse[c], b0, b1, b2, mu[c], b, x)
+        r[i], r[i + 1], r[i + 2] = x0, x1, x2
+        x0, x1, x2 = x0 - r0, x1 - r1, x2 - r2
+        if x0 != 0.0 or x1 != 0.0 or x2 != 0.0:
+            for s in range(2):
+                k = block[c, s]
+                if k >= 0:
+                    o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                    d, e = a + n, a + n + n
+                    for l in range(n):
+                        v[o + l] += y[a + l] * x0 + y[d + l] * x1 + y[e + l] * x2
+
+
+@kernel
+def change_of(W, r):
+    """v = M⁻¹ H r by the factors, shape (n,)."""
+    v = np.zeros(W.offset[-1])
+    momentum(W.offset, W.block, W.start, W.y, r, v)
+    return v
+
+
+def _sweep(W, q, mu, v, r):
+    """A sweep in place of r, and of v = M⁻¹ H r where W is given by its factors."""
+    if isinstance(W, Matrix):
+        sweep_matrix(W, q, mu, r)
+    else:
+        sweep_factors(W, q, mu, v, r)
+
+
+@overload(_sweep)
+def _sweep_of(W, q, mu, v, r):
+    if W.instance_class is Matrix:
+        return lambda W, q, mu, v, r: sweep_matrix(W, q, mu, r)
+    return lambda W, q, mu, v, r: sweep_factors(W, q, mu, v, r)
+
+
+def _change(W, r):
+    """v = M⁻¹ H r where W is given by its factors, nothing for a matrix."""
+    return np.empty(0) if isinstance(W, Matrix) else change_of(W, r)
+
+
+@overload(_change)
+def _change_of(W, r):
+    if W.instance_class is Matrix:
+        return lambda W, r: np.empty(0)
+    return lambda W, r: change_of(W, r)
+
+
+def _velocity(W, q, r, u):
+    """u = W r + q, into u."""
+    if isinstance(W, Matrix):
+        velocity(W.indptr, W.indices, W.data, q, r, u)
+    else:
+        relative_velocity(W.offset, W.block, W.start, W.h, change_of(W, r), u)
+        u += q
+
+
+@overload(_velocity)
+def _velocity_of(W, q, r, u):
+    if W.instance_class is Matrix:
+        return lambda W, q, r, u: velocity(W.indptr, W.indices, W.data, q, r, u)
+
+    def by_factors(W, q, r, u):
+        relative_velocity(W.offset, W.block, W.start, W.h, change_of(W, r), u)
+        u += q
+
+    return by_factors
+
+
+@kernel
+def velocity_of(indptr, indices, data, q, r, c):
+    """u_c = (W r + q)_c of contact c: three scalars."""
+    u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
+    for p in range(indptr[c], indptr[c + 1]):
+        d = 3 * indices[p]
+        A = data[p]
+        u0 += A[0, 0] * r[d] + A[0, 1] * r[d + 1] + A[0, 2] * r[d + 2]
+        u1 += A[1, 0] * r[d] + A[1, 1] * r[d + 1] + A[1, 2] * r[d + 2]
+        u2 += A[2, 0] * r[d] + A[2, 1] * r[d + 1] + A[2, 2] * r[d + 2]
+    return u0, u1, u2
+
+
+@kernel
+def velocity(indptr, indices, data, q, r, u):
+    """u = W r + q, into u (3 nc,)."""
+    for c in range(indptr.size - 1):
+        u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(indptr, indices, data, q, r, c)
+
+
+@kernel
+def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, patience):
+    """Anderson-accelerated sweeps (type II) in place of r; memory 0 is plain Gauss–Seidel.
+
+    The fixed point is r = sweep(r). Differences f = sweep(r) - r are scaled by sqrt(lambda_max(W_cc)); the new
+    iterate is the combination of the last `memory` sweeps whose combined f is least, projected on the cones; the
+    memory is dropped when |f| exceeds twice its best. Every `check` sweeps both measures are tested; r keeps the
+    best iterate seen by a test. From `patience` sweeps on the method gives up when, at the rate of the later half of
+    the sweeps so far, the tolerance lies beyond `max_sweeps`. Returns (sweeps, measure of r).
+    """
+    n, m = r.size, max(memory, 1)
+    weight = np.empty(n)
+    for c in range(mu.size):
+        weight[3 * c] = weight[3 * c + 1] = weight[3 * c + 2] = math.sqrt(scales[c])
+    F, G = np.empty((m, n)), np.empty((m, n))
+    gram = np.zeros((m, m))
+    x, u, best_r = r.copy(), np.empty(n), r.copy()
+    _velocity(W, q, x, u)
+    best = max(natural_residual(scales, u, x, mu), natural_error(u, x, mu) / q_norm)
+    best_f = np.inf
+    history = np.full(max_sweeps // check + 2, best)
+    used, slot, k = 0, 0, 0
+    for k in range(1, max_sweeps + 1):
+        g = G[slot]
+        g[:] = x
+        _sweep(W, q, mu, _change(W, g), g)
+        f = F[slot]
+        size = 0.0
+        for i in range(n):
+            f[i] = (g[i] - x[i]) * weight[i]
+            size += f[i] * f[i]
+        if k % check == 0 or k == max_sweeps or size == 0.0:
+            _velocity(W, q, g, u)
+            residual = natural_residual(scales, u, g, mu)
+            error = natural_error(u, g, mu) / q_norm
+            if max(residual, error) < best:
+                best = max(residual, error)
+                best_r[:] = g
+            done = (k + check - 1) // check
+            history[done] = best
+            if best <= tol or size == 0.0:
+                break
+            if k >= patience:
+                rate = math.log(history[done // 2] / best) / (k - done // 2 * check)
+                if math.log(best / tol) > rate * (max_sweeps - k):
+                    break
+        if memory == 0:
+            x[:] = g
+            continue
+        if used > 1 and math.sqrt(size) > 2.0 * best_f:
+            F[0], G[0] = f.copy(), g.copy()
+            f, g = F[0], G[0]
+            used, slot, best_f = 0, 0, np.inf
+        best_f = min(best_f, math.sqrt(size))
+        used = min(used + 1, m)
+        for j in range(used):
+            total = 0.0
+            for i in range(n):
+                total += F[j, i] * f[i]
+            gram[j, slot] = gram[slot, j] = total
+        x[:] = g
+        if used > 1:
+            A, b = np.zeros((used - 1, used - 1)), np.empty(used - 1)
+            trace = 0.0
+            for i in range(used - 1):
+                p = i if i < slot else i + 1
+                b[i] = gram[slot, slot] - gram[p, slot]
+                for j in range(used - 1):
+                    o = j if j < slot else j + 1
+                    A[i, j] = gram[p, o] - gram[p, slot] - gram[o, slot] + gram[slot, slot]
+                trace += A[i, i]
+            for i in range(used - 1):
+                A[i, i] += 1e-10 * trace + 1e-300
+            # Sweeps that all change r alike, to round-off, are no basis: then the last one alone is taken.
+            pivot, low, end = np.empty((3, used - 1), np.int64)
+            steady = factorise(A, pivot, low, end)
+            if steady:
+                substitute(A, pivot, low, end, b)
+                steady = np.abs(b).max() <= 1e4
+            for i in range(used - 1 if steady else 0):
+                p = i if i < slot else i + 1
+                for l in range(n):
+                    x[l] += b[i] * (G[p, l] - g[l])
+            project_all(x, mu, x)
+        slot = (slot + 1) % m
+    r[:] = best_r
+    return k, best

@@ -1,0 +1,341 @@
+"""The contact law of a step: relative velocities and their offsets, slip, works.
+
+Rows come first for the contacts, three a contact (N, T1, T2), then for joint limits and joint friction. Names are those
+of `nsdyn.stepping.encounter`.
+"""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem.blocks import relative_velocity
+from nsdyn._kernels.sorting import order, place_of
+from nsdyn._kernels.vectors import along, cross, dot, minus, row
+
+ROLLS = 12.0
+"""How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10
+for a rattleback. What jumps from corner to corner goes farther in all but large steps."""
+
+
+@kernel
+def places(old_key, new_key):
+    """Where every new key stands among the old ones, -1 where it does not."""
+    out = np.full(new_key.size, -1)
+    known = 0
+    while known < min(old_key.size, new_key.size) and old_key[known] == new_key[known]:
+        out[known] = known
+        known += 1
+    if known < new_key.size:
+        old = order(old_key)
+        keys = old_key[old]
+        for c in range(known, new_key.size):
+            k = place_of(keys, new_key[c])
+            if k < keys.size and keys[k] == new_key[c]:
+                out[c] = old[k]
+    return out
+
+
+@kernel
+def warm_start(place, impulse, factor, frame, r):
+    """World impulses of old contacts in the frames of those that continue them, 0 for new ones, into r (3 nc,)."""
+    for c in range(place.size):
+        for i in range(3):
+            r[3 * c + i] = 0.0
+            if place[c] >= 0:
+                p = impulse[place[c]]
+                r[3 * c + i] = factor * (frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2])
+
+
+@kernel
+def begin_velocities(
+    place, old_point, old_normal, x_old, linear, angular, carried, reach, frame1, frame2, point, frame, x, drag, u
+):  # fmt: skip
+    """Relative velocities of the contacts where the step begins, with the rows that they have there, into u (3 nc,).
+
+    Frame f moves there with linear[f] + angular[f] x (p - x_old[f]). A contact that was found there too, at a point
+    from which the motion may have carried it here, has that point and that normal, and its tangents are those of here
+    turned by the least rotation from normal to normal; any other one has the arms and the frame of here. `reach` is how
+    far points of the frames move in about half a step. Surfaces that move add `carried` (old contacts, 3) there, in
+    world axes, and `drag` (3 nc,) here, in the frames; both are empty where none do.
+    """
+    for c in range(place.size):
+        f1, f2, n = frame1[c], frame2[c], row(frame[c], 0)
+        p, k = row(point, c), place[c]
+        m, there = n, False
+        if k >= 0:
+            d, m = minus(p, row(old_point, k)), row(old_normal, k)
+            far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
+            there = dot(d, d) <= ROLLS * ROLLS * far * far and dot(m, n) > 0.5
+        w = (0.0, 0.0, 0.0)
+        for s in range(2):
+            f = f1 if s == 0 else f2
+            if f >= 0:
+                arm = minus(row(old_point, k), row(x_old, f)) if there else minus(p, row(x, f))
+                w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
+        if there and carried.size:
+            w = along(w, 1.0, row(carried, k))
+        if there:  # turned back by the rotation from n to m
+            total = along(n, 1.0, m)
+            w = along(along(w, -dot(total, w) / (1.0 + dot(n, m)), total), 2.0 * dot(m, w), n)
+        for i in range(3):
+            u[3 * c + i] = dot(row(frame[c], i), w)
+            if not there and drag.size:
+                u[3 * c + i] += drag[3 * c + i]
+
+
+@kernel
+def any_positive(x):
+    """Whether an entry is positive; NumPy takes ten times as long for few."""
+    for i in range(x.size):
+        if x[i] > 0.0:
+            return True
+    return False
+
+
+@kernel
+def least(x):
+    """The smallest entry, or 0 if none is negative."""
+    out = 0.0
+    for i in range(x.size):
+        out = min(out, x[i])
+    return out
+
+
+@kernel
+def most(x):
+    """The largest entry, or 0 if none is positive."""
+    out = 0.0
+    for i in range(x.size):
+        out = max(out, x[i])
+    return out
+
+
+@kernel
+def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
+    """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far."""
+    for f in range(arm.size):
+        shift, turn = 0.0, 0.0
+        for i in range(3):
+            shift = max(shift, abs(x[f, i] - x_now[f, i]))
+            for j in range(3):
+                turn = max(turn, abs(R[f, i, j] - R_now[f, i, j]))
+        if shift + 3.0 * turn * arm[f] > tol or reach_now[f] > reach[f] + tol:
+            return False
+    return True
+
+
+@kernel
+def approach(frame1, frame2, point, normal, x, linear, angular, out):
+    """Normal velocities of contacts whose frames move as in `begin_velocities`, m/s, into out (nc,)."""
+    for c in range(out.size):
+        p, w = row(point, c), (0.0, 0.0, 0.0)
+        for s in range(2):
+            f = frame1[c] if s == 0 else frame2[c]
+            if f >= 0:
+                arm = minus(p, row(x, f))
+                w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
+        out[c] = dot(row(normal, c), w)
+
+
+@kernel
+def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
+    """The least normal velocity of contacts that are closed, m/s, 0 if none is negative."""
+    out, least = np.empty(gap.size), 0.0
+    approach(frame1, frame2, point, normal, x, linear, angular, out)
+    for c in range(gap.size):
+        if gap[c] <= closed:
+            least = min(least, out[c])
+    return least
+
+
+@kernel
+def known(key, old_key, old_gap, closed, out):
+    """Which contacts are among old ones that are closed, into out (nc,); whether all are."""
+    place, every = places(old_key, key), True
+    for c in range(key.size):
+        out[c] = place[c] >= 0 and old_gap[place[c]] <= closed
+        every = every and out[c]
+    return every
+
+
+@kernel
+def meet(
+    offset, block, start, h, v_begin, v, v_free, carried, drag, drag_end, press, old_key, impulse, begin_key,
+    begin_point, begin_normal, x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, longer,
+    ahead, u_begin, u, u_free, turn, guess, end_gap,
+):  # fmt: skip
+    """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
+
+    u at v, u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces
+    that move (`carried` and `drag` as in `begin_velocities`, but all of these at the twists of the impulses, and
+    `drag_end` with those of the end) and the normal velocities of joint friction (`press`, empty for none). end_gap =
+    gap - ahead/2 turn_N, but for what the twists change: the parabola whose speed at the end of the step, `ahead`
+    seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in world axes start the
+    solver, `longer` times as large, as the move is; they need not be those found where the step begins.
+    """
+    nc = key.size
+    relative_velocity(offset, block, start, h, v, u)
+    relative_velocity(offset, block, start, h, v_free, u_free)
+    place = places(old_key, key)
+    warm_start(place, impulse, longer, frame, guess)
+    if u.size > 3 * nc:  # joint rows are the same everywhere
+        relative_velocity(offset, block, start, h, v_begin, u_begin)
+    begin_velocities(
+        places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, carried, reach, frame1, frame2,
+        point, frame, x, drag, u_begin,
+    )  # fmt: skip
+    for i in range(drag.size):
+        u[i] += drag[i]
+        u_free[i] += drag[i]
+    for i in range(u.size):
+        turn[i] = u[i] - u_begin[i]
+    for c in range(nc):
+        end_gap[c] = gap[c] - 0.5 * ahead * turn[3 * c]
+    # Driven bodies go with the twist of the end all the way from here, which needs no time to be reached.
+    for i in range(drag.size):
+        turn[i] += drag_end[i] - drag[i]
+    for i in range(press.size):
+        u_free[i] += press[i]
+    return place
+
+
+@kernel
+def foresee(offset, block, start, h, m_start, minv, mu, place, old_status, u_begin, u, u_free, turn, guess, slides):
+    """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
+
+    What stuck begins without slip, but for what the solver's tolerance left; of what is new nothing can be foreseen.
+    """
+    for c in range(slides.size):
+        i = 3 * c
+        slides[c] = False
+        if place[c] < 0 or old_status[place[c]] != 2:
+            continue
+        slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
+        if slip <= 2.0 * math.sqrt(turn[i + 1] ** 2 + turn[i + 2] ** 2) or mu[c] == 0.0:
+            continue
+        normal, tangential = 0.0, 0.0
+        for s in range(2):
+            k = block[c, s]
+            if k < 0:
+                continue
+            n = offset[k + 1] - offset[k]
+            for j in range(3):
+                a = start[c, s] + j * n
+                total = 0.0
+                for l in range(n):
+                    if h[a + l] != 0.0:
+                        for m in range(n):
+                            total += h[a + l] * minv[m_start[k] + l * n + m] * h[a + m]
+                if j == 0:
+                    normal += total
+                else:
+                    tangential += total
+        press = max(0.0, -(u_free[i] + turn[i])) / normal if normal > 0.0 else 0.0
+        slides[c] = slip > mu[c] * max(press, guess[i]) * tangential
+
+
+@kernel
+def offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b):
+    """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
+
+    Normal: u_free + turn, plus end_gap / ahead where it is open, minus what is kept of an impact (`rebound`, empty for
+    none). Tangential: u_free + turn for slip at the end of the step, u + u_free, twice the mean slip without impulses,
+    where a contact slides through.
+    """
+    for c in range(end_gap.size):
+        i = 3 * c
+        b[i] = u_free[i] + turn[i]
+        if end_gap[c] > closed:
+            b[i] += end_gap[c] / ahead
+        if rebound.size > 0:
+            b[i] -= rebound[c]
+        if slides.size > c and slides[c]:
+            b[i + 1], b[i + 2] = u[i + 1] + u_free[i + 1], u[i + 2] + u_free[i + 2]
+        else:
+            b[i + 1], b[i + 2] = u_free[i + 1] + turn[i + 1], u_free[i + 2] + turn[i + 2]
+
+
+@kernel
+def reconsider(r, y, b, mu, u_begin, u, u_free, turn, slides, back):
+    """Change `slides` (nc,) where the solution y = W r + b shows otherwise, and tell whether any has.
+
+    One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
+    stop but slips on in the direction it had slides through, unless it is only looked `back`.
+    """
+    some = False
+    for c in range(slides.size):
+        i = 3 * c
+        found = state(r, mu[c], i)
+        # The relative velocities after the impulses, and at the end.
+        p, q = y[i + 1] - b[i + 1] + u_free[i + 1], y[i + 2] - b[i + 2] + u_free[i + 2]
+        e, f = p + turn[i + 1], q + turn[i + 2]
+        if slides[c]:
+            mean = (u[i + 1] + p) * e + (u[i + 2] + q) * f
+            if found == 1 or (found == 2 and mean <= 0.0):
+                slides[c] = False
+                some = True
+        elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * e + u_begin[i + 2] * f > 0.0:
+            slides[c] = True
+            some = True
+    return some
+
+
+@kernel
+def state(r, mu, i):
+    """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary) of rows i to i + 2."""
+    if r[i] <= 0.0:
+        return 0
+    return 1 if math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu * r[i] * (1.0 - 1e-9) else 2
+
+
+@kernel
+def states(r, mu, out):
+    """`state` of every contact, into out (nc,)."""
+    for c in range(out.size):
+        out[c] = state(r, mu[c], 3 * c)
+
+
+@kernel
+def outcome(
+    offset, block, start, h, v_plus, drag, r, mu, place, old_status, struck, u, u_free, turn, frame, status, normal,
+    friction, u_end, world,
+):  # fmt: skip
+    """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
+
+    The states are those of `states`, the works (rows,) those of the impulses at the one configuration where they act,
+    ½ (u + u⁺)·r. Returns the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is
+    the work of a contact that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an
+    impact whose first step only closed the gap; joint rows always do work.
+    """
+    nc, u_plus = status.size, np.empty(u.size)
+    relative_velocity(offset, block, start, h, v_plus, u_plus)
+    for i in range(drag.size):
+        u_plus[i] += drag[i]
+    impact, slip, rest = 0.0, 0.0, 0.0
+    for c in range(normal.size):
+        i = 3 * c
+        normal[c] = 0.5 * (u[i] + u_plus[i]) * r[i]
+        friction[c] = 0.5 * ((u[i + 1] + u_plus[i + 1]) * r[i + 1] + (u[i + 2] + u_plus[i + 2]) * r[i + 2])
+        for j in range(3):
+            u_end[i + j] = u_plus[i + j] + turn[i + j]
+        stays, sticks = False, False
+        if c < nc:
+            status[c] = state(r, mu[c], i)
+            if struck.size > c and struck[c] > 0.0:
+                stays = True
+            elif place[c] >= 0:
+                old = old_status[place[c]]
+                rests = u[i] - turn[i] >= -2.0 * (abs(u_free[i] - u[i]) + abs(turn[i]))
+                stays, sticks = old > 0 and rests, old == 1 and status[c] == 1
+            for j in range(3):
+                world[c, j] = frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]
+        if stays:
+            rest += normal[c]
+        else:
+            impact += normal[c]
+        if sticks:
+            rest += friction[c]
+        else:
+            slip += friction[c]
+    return impact, slip, rest

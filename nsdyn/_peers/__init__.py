@@ -1,1 +1,0 @@
-"""Scripts that `nsdyn.profile` and `nsdyn.bench` run in processes of their own: ours, and the peers to compare with."""

@@ -1,0 +1,1 @@
+"""Contacts of a configuration: which shapes touch, where, and how far apart they are."""

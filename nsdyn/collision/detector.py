@@ -1,0 +1,381 @@
+"""Contact detection: candidate pairs from bounding boxes, touching features from Coal, exact points from the features.
+
+Coal's own contact points are not used: its patches lose points, share one depth among all of them and are noisy near
+gap 0. It is asked only for the distance and the direction of each pair; `nsdyn._kernels.collision.manifold` computes
+normals, points and gaps from the faces, edges and curved surfaces that this direction singles out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from nsdyn._kernels.collision import advancement, broadphase, keys, manifold
+from nsdyn._kernels.collision.geometry import Geometry
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches, carry
+from nsdyn.collision.distances import SHRINK, Batch, core, distance_request, empty_model, split
+from nsdyn.scene.scene import Geom
+from nsdyn.scene.shapes import CAPSULE, HALFSPACE, SPHERE
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+__all__ = ["Detector"]
+
+MARGIN = 1e-3
+"""Contacts start at a gap of this fraction of the smaller bounding radius, plus what the bodies may move in a step."""
+
+SKIN = 0.05
+"""The candidate pairs serve until a geom has moved this fraction of its bounding radius, and beyond that as far as it
+may in as many steps as the pairs before them served, at most `AHEAD`: where bodies knock each other about, a list that
+looks far ahead is long and outlived in a step all the same."""
+
+AHEAD = 4
+
+TOLERANCE = 0.05
+"""A contact keeps its key while it moves less than this fraction of the smaller bounding radius, on either geom, beyond
+what the geoms themselves may move in the step."""
+
+TOUCH = 1e-4
+"""Bodies closer than this fraction of the smaller bounding radius, and approaching, touch on their way."""
+
+ADVANCES = 200
+"""Most advances of a pair along its motion; one that is still close then, and not past, counts as touching."""
+
+_NONE, _NOWHERE, _NOTHING = np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
+_NO_CONTACTS = ContactSet(
+    _NONE, _NONE, _NONE, _NONE, _NOWHERE, _NOWHERE, _NOTHING, _NOTHING, _NOTHING, _NONE
+)  # fmt: skip
+
+
+class Detector:
+    """Finds the contacts of a fixed list of geoms in any configuration.
+
+    A function of its arguments: what it keeps between calls (candidate pairs, models of Coal) changes no result.
+
+    Parameters
+    ----------
+    geoms : sequence of Geom
+        Half-spaces must be fixed.
+    pair_material : callable
+        ``pair_material(i, j) -> (mu, restitution)`` for index arrays of pairs.
+    excluded : collection of (int, int)
+        Pairs of geoms that never touch. Pairs of fixed geoms and those on one frame are left out anyway.
+    max_points : int
+        Most contacts of one pair, at least 4. More are reduced to those that hold the area of the patch.
+    """
+
+    def __init__(
+        self,
+        geoms: Sequence[Geom],
+        pair_material: Callable[[Index, Index], tuple[Array, Array]],
+        excluded: Collection[tuple[int, int]] = (),
+        max_points: int = 8,
+    ) -> None:
+        if max_points < 4:
+            raise ValueError(f"max_points must be at least 4, got {max_points}")
+        for g in geoms:
+            if g.shape.kind == HALFSPACE and g.frame >= 0:
+                raise ValueError(f"halfspace {g.name!r} must be fixed, not on a moving frame")
+        n = len(geoms)
+        self._max_points = max_points
+        self._pair_material = pair_material
+        self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
+        self._geometry = _flatten(geoms)
+        self._fields = tuple(self._geometry)
+        cores: dict[int, Any] = {id(g.shape): core(g.shape) for g in geoms}
+        self._solids = [g.shape.geometry for g in geoms]
+        for solid in (*cores.values(), *self._solids):
+            solid.computeLocalAABB()
+        self._cores = [cores[id(g.shape)] for g in geoms]
+        rounded = (self._geometry.kind == SPHERE) | (self._geometry.kind == CAPSULE)
+        self._slack = np.where(rounded, 0.0, 2.0 * SHRINK * self._geometry.radius)
+        self._frame = self._geometry.frame
+        self._moving = self._frame >= 0
+        self._R = self._geometry.placement_R.copy()
+        self._t = self._geometry.placement_t.copy()
+        arm = np.linalg.norm(self._t, axis=1) + self._geometry.radius
+        self._arm = np.where(self._moving, arm, 0.0)  # farthest any point is from the origin of its frame
+        self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
+        self._reach = np.zeros(n)
+        self._lower, self._upper = np.empty((n, 3)), np.empty((n, 3))
+        for k in range(n):
+            broadphase.bound(self._geometry, k, self._R[k], self._t[k], self._lower, self._upper)
+        self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+        self._served = 0  # calls served by the present candidates
+        self._batches: list[Batch] = []
+        self._models: list[pin.GeometryModel] = []
+        # Largest polygon: a face clipped by a face or by a circle, or all vertices against a half-space.
+        loops = np.diff(self._geometry.loop_ptr).max(initial=max_points)
+        room = int(max(4 * max(loops, max_points), np.diff(self._geometry.vertex_ptr).max(initial=0)))
+        faces = int(np.diff(self._geometry.face_ptr).max(initial=2))
+        points = np.empty((faces * room, 3)), np.empty(faces * room)
+        self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room), *points
+        self._set_pairs(np.empty(0, dtype=np.int64))
+
+    @property
+    def pairs(self) -> tuple[Index, Index]:
+        """The candidate pairs of geoms, sorted."""
+        return self._first, self._second
+
+    def codes(self, contacts: ContactSet) -> Index:
+        """One number for the pair of geoms of every contact, shape (nc,)."""
+        return contacts.geom1 * len(self._cores) + contacts.geom2
+
+    def find(self, x: Array, R: Array, reach: Array, memory: ContactMemory) -> tuple[ContactSet, ContactMemory]:
+        """Contacts of a configuration.
+
+        Parameters
+        ----------
+        x, R : ndarray, shapes (nframes, 3), (nframes, 3, 3)
+            Poses of the moving frames, body to world; m.
+        reach : ndarray, shape (nframes,)
+            How far any point of the frame's geoms may still move, m. Contacts up to a gap of the sum of both reaches
+            (and `MARGIN` of the size) are found.
+        memory : ContactMemory
+            Of the configuration whose contacts go on: those found again keep their keys.
+
+        Returns
+        -------
+        ContactSet
+        ContactMemory
+            To go on from these contacts.
+        """
+        self._renew(x, R, reach)
+        for batch in self._batches:
+            batch.run(self._R, self._t)
+        count = manifold.manifolds(*self._search)
+        names, points, scalars = np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))
+        next_key = keys.collect(*self._found, memory.names, memory.points, memory.next_key, names, points, scalars)
+        # By index: to unpack an array takes twice as long.
+        found = ContactSet(
+            names[0], names[1], names[2], names[3], points[0], points[1], scalars[0], scalars[1], scalars[2], names[4]
+        )
+        return found, ContactMemory(names, points, next_key)
+
+    def gaps(self, contacts: ContactSet, found: ContactSet, poses: Poses) -> Array:
+        """Gaps of contacts at later poses, shape (nc,), m.
+
+        A contact that is still among those `found` there has its gap, known by its key. Any other has the separation of
+        its geoms along its own normal, or their least gap found, if that is more: they overlap only where one is found.
+        """
+        if contacts is found:
+            return contacts.gap
+        c, out = contacts, np.empty(contacts.gap.size)
+        pose, room = (poses.x, poses.R), (self._R, self._t)
+        old, new = (c.geom1, c.geom2, c.normal, c.key), (found.geom1, found.geom2, found.key, found.gap)
+        keys.gaps(self._fields, *pose, *room, *old, *new, out)
+        return out
+
+    def touches(
+        self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet | None = None,
+        least: Array | None = None,
+    ) -> Touches:  # fmt: skip
+        """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
+
+        A pair is followed by conservative advancement [1]_: its distance over a bound of its approach speed is a time
+        in which it cannot touch.
+
+        Parameters
+        ----------
+        begin, end : Poses
+            No frame turns by more than half a turn between them.
+        memory : ContactMemory
+            Of the configuration whose contacts go on, as for `find`.
+        known : ContactSet, optional
+            Pairs with a contact here, sorted as `find` returns them, are left out.
+        least : ndarray, shape (geoms,), optional
+            Pairs that move past each other by no more than the smaller of theirs are left out, m; default 0.
+
+        References
+        ----------
+        .. [1] B. Mirtich, Impulse-based Dynamic Simulation of Rigid Body Systems, PhD thesis, Berkeley 1996, ch. 2.
+        """
+        turn, reach = np.empty_like(begin.x), np.empty(len(begin.x))
+        advancement.motions(self._frame, self._arm, *begin, *end, turn, reach)
+        self._renew(begin.x, begin.R, reach)
+        codes = _NONE if known is None else known.geom1 * len(self._cores) + known.geom2
+        pairs, boxes = np.empty(len(self._first), dtype=np.int64), (self._lower, self._upper)
+        candidates = self._first, self._second, codes
+        pose = self._R, self._t
+        count = advancement.may_touch(
+            self._fields, self._arm, np.zeros(len(self._arm)) if least is None else least, *candidates, begin.x, end.x,
+            turn, *pose, *boxes, pairs,
+        )  # fmt: skip
+        parts, fractions = [], []
+        for p in pairs[:count].tolist():
+            fraction = self._first_touch(p, begin, end, turn)
+            if fraction is not None:
+                there = self._between(p, begin, end, turn, fraction)
+                found = carry(self._manifold(p, there), there, end)
+                parts.append(found)
+                fractions.append(np.full(found.gap.size, fraction))
+        return self._remember(parts, fractions, end, memory)
+
+    def _between(self, p: int, begin: Poses, end: Poses, turn: Array, s: float) -> Poses:
+        """Poses at the fraction s of the way; only those of the frames of pair p are right."""
+        x, R = begin.x.copy(), begin.R.copy()
+        for f in self._frame[[self._first[p], self._second[p]]]:
+            if f >= 0:
+                x[f] += s * (end.x[f] - begin.x[f])
+                R[f] = pin.exp3(s * turn[f]) @ begin.R[f]
+        return Poses(x, R)
+
+    def _placed(self, g: int, poses: Poses) -> tuple[Array, Array]:
+        """World pose (R, t) of a geom."""
+        f = self._frame[g]
+        if f < 0:
+            return self._R[g], self._t[g]
+        R = poses.R[f]
+        return R @ self._geometry.placement_R[g], poses.x[f] + R @ self._geometry.placement_t[g]
+
+    def _first_touch(self, p: int, begin: Poses, end: Poses, turn: Array) -> float | None:
+        """Fraction of the way at which pair p touches, None if it does not."""
+        i, j = geoms = int(self._first[p]), int(self._second[p])
+        placements = self._frame, self._geometry.placement_R, self._geometry.placement_t
+        near = TOUCH / MARGIN * self._pair_base[p]
+        R, t = np.empty((2, 3, 3)), np.empty((2, 3))
+        request, s = distance_request(), 0.0
+        for _ in range(ADVANCES):
+            advancement.place_at(*placements, begin.x, begin.R, end.x, turn, s, geoms, R, t)
+            placed, result = [coal.Transform3s(R[k], t[k]) for k in (0, 1)], coal.DistanceResult()
+            distance = coal.distance(self._solids[i], placed[0], self._solids[j], placed[1], request, result)
+            n, points = result.normal, (result.getNearestPoint1(), result.getNearestPoint2())
+            if not np.isfinite(n).all():  # deep inside each other
+                return s
+            bound, speed = advancement.approach(self._frame, self._arm, begin.x, end.x, turn, s, geoms, n, *points)
+            if distance <= near and speed > 0.0:
+                return s
+            if bound * (1.0 - s) <= distance or bound == 0.0:
+                return None
+            s += max(distance, near) / bound
+            if s >= 1.0:
+                return None
+        return s
+
+    def _manifold(self, p: int, poses: Poses) -> ContactSet:
+        """Contacts of pair p at rest at poses."""
+        i, j = int(self._first[p]), int(self._second[p])
+        R, t = self._R.copy(), self._t.copy()
+        for g in (i, j):
+            R[g], t[g] = self._placed(g, poses)
+        one, row = slice(p, p + 1), np.empty((1, 10))
+        slot = np.where(self._asked[one], 0, -1)
+        if self._asked[p]:
+            request, result = distance_request(), coal.DistanceResult()
+            placed = coal.Transform3s(R[i], t[i]), coal.Transform3s(R[j], t[j])
+            row[0, 0] = coal.distance(self._cores[i], placed[0], self._cores[j], placed[1], request, result)
+            row[0, 1:4] = result.normal
+        point, normal = np.empty((self._max_points, 3)), np.empty((self._max_points, 3))
+        gap, pair = np.empty(self._max_points), np.empty(self._max_points, dtype=np.int64)
+        first, second = self._first[one], self._second[one]
+        count = manifold.manifolds(
+            self._fields, R, t, self._slack, first, second, slot, row, self._pair_base[one], np.zeros(len(R)),
+            self._max_points, *self._scratch, point, normal, gap, pair,
+        )  # fmt: skip
+        mu, restitution = self._pair_material(first, second)
+        each = np.zeros(count, dtype=np.int64)
+        return ContactSet(
+            first[each], second[each], self._frame[first[each]], self._frame[second[each]], point[:count],
+            normal[:count], gap[:count], mu[each], restitution[each], each,
+        )  # fmt: skip
+
+    def _remember(self, parts: list[ContactSet], fractions: list[Array], end: Poses, memory: ContactMemory) -> Touches:
+        """Put contacts of several pairs together and give them keys."""
+        if not parts:
+            return Touches(_NO_CONTACTS, np.empty(0), memory)
+        found = ContactSet(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        count = found.gap.size
+        names, points = np.empty((5, count), np.int64), np.empty((4, count, 3))
+        names[:4], points[0], points[1] = found[:4], found.point, found.normal
+        R, t, reach = self._R.copy(), self._t.copy(), np.zeros(len(self._R))
+        for g in np.unique(names[:2]).tolist():
+            R[g], t[g] = self._placed(g, end)
+        next_key = keys.match(
+            self._geometry.radius, R, t, names[0], names[1], points[0], TOLERANCE, reach, memory.names[0],
+            memory.names[1], memory.names[4], memory.points[2], memory.points[3], memory.next_key, names[4], points[2],
+            points[3],
+        )  # fmt: skip
+        n = len(self._R)
+        others = ~np.isin(memory.names[0] * n + memory.names[1], names[0] * n + names[1])
+        names = np.concatenate((memory.names[:, others], names), axis=1)
+        points = np.concatenate((memory.points[:, others], points), axis=1)
+        order = np.argsort(names[0] * n + names[1], kind="stable")
+        remembered = ContactMemory(names[:, order], points[:, order], next_key)
+        return Touches(found._replace(key=names[4, -count:].copy()), np.concatenate(fractions), remembered)
+
+    def _renew(self, x: Array, R: Array, reach: Array) -> None:
+        """Place the geoms, and renew the candidate pairs if one has left its fat box."""
+        fields, boxes = self._fields, (self._lower, self._upper)
+        fat = self._fat_lower, self._fat_upper
+        if broadphase.follow(fields, x, R, reach, self._base, self._R, self._t, self._reach, *boxes, *fat):
+            ahead = 1 + min(self._served, AHEAD)
+            broadphase.fatten(fields, self._base, self._reach, SKIN, ahead, *boxes, *fat)
+            self._served = 0
+            codes = broadphase.candidates(fields, self._R, self._t, *fat, self._excluded)
+            if not np.array_equal(codes, self._codes):
+                self._set_pairs(codes)
+        self._served += 1
+
+    def _set_pairs(self, codes: Index) -> None:
+        """Everything that depends on the candidate list alone."""
+        self._codes = codes
+        first, second = np.divmod(codes, len(self._cores))
+        kind1, kind2 = self._geometry.kind[first], self._geometry.kind[second]
+        round1, round2 = (kind1 == SPHERE) | (kind1 == CAPSULE), (kind2 == SPHERE) | (kind2 == CAPSULE)
+        asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | (round1 & round2))
+        self._first, self._second, self._asked = first, second, asked
+        slot = np.where(asked, np.cumsum(asked) - 1, -1)
+        radius = np.where(self._moving, self._geometry.radius, np.inf)
+        self._pair_base = base = MARGIN * np.minimum(radius[first], radius[second])
+        self._coal = np.empty((int(asked.sum()), 10))
+        self._batches = []
+        for k, (lo, hi) in enumerate(split(first[asked], second[asked])):
+            if k == len(self._models):
+                self._models.append(empty_model(len(self._cores)))
+            pairs = first[asked][lo:hi], second[asked][lo:hi]
+            self._batches.append(Batch(self._models[k], self._cores, *pairs, self._coal[lo:hi]))
+        room = len(codes) * self._max_points
+        point, normal, gap = np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
+        pair = np.empty(room, dtype=np.int64)
+        # What the kernels get in every step.
+        mu, restitution = self._pair_material(first, second)
+        pose = self._R, self._t
+        self._search = (
+            self._fields, *pose, self._slack, first, second, slot, self._coal, base, self._reach, self._max_points,
+            *self._scratch, point, normal, gap, pair,
+        )  # fmt: skip
+        self._found = (
+            pair, first, second, self._frame, mu, restitution, point, normal, gap, self._geometry.radius, *pose,
+            TOLERANCE, self._reach,
+        )  # fmt: skip
+
+
+def _flatten(geoms: Sequence[Geom]) -> Geometry:
+    """The shapes of all geoms in flat arrays."""
+    all_shapes = [g.shape for g in geoms]
+
+    def pointer(lengths: list[int]) -> Index:
+        return np.cumsum([0, *lengths], dtype=np.int64)
+
+    return Geometry(
+        kind=np.array([s.kind for s in all_shapes], dtype=np.int64),
+        size=np.array([s.size for s in all_shapes]).reshape(-1, 3),
+        offset=np.array([s.offset for s in all_shapes], dtype=float),
+        radius=np.array([s.bounding_radius for s in all_shapes], dtype=float),
+        vertex_ptr=pointer([len(s.vertices) for s in all_shapes]),
+        vertices=np.concatenate([np.zeros((0, 3)), *(s.vertices for s in all_shapes)]),
+        face_ptr=pointer([len(s.face_normals) for s in all_shapes]),
+        face_normals=np.concatenate([np.zeros((0, 3)), *(s.face_normals for s in all_shapes)]),
+        face_offsets=np.concatenate([np.zeros(0), *(s.face_offsets for s in all_shapes)]),
+        loop_ptr=pointer([n for s in all_shapes for n in np.diff(s.face_ptr)]),
+        loop=np.concatenate([np.zeros(0, dtype=np.int64), *(s.face_loop for s in all_shapes)]),
+        frame=np.array([g.frame for g in geoms], dtype=np.int64),
+        placement_R=np.array([g.placement_R for g in geoms], dtype=float).reshape(-1, 3, 3),
+        placement_t=np.array([g.placement_t for g in geoms], dtype=float).reshape(-1, 3),
+    )

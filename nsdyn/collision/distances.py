@@ -1,0 +1,167 @@
+"""Distances from Coal, many pairs in one call of Pinocchio, between cores a little smaller than the shapes.
+
+The poses of the geoms are written and the results read through views of the memory that Pinocchio owns.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from nsdyn.scene import shapes
+from nsdyn.scene.shapes import Shape
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+__all__ = ["SHRINK", "Batch", "core", "empty_model", "distance_request", "pose_views", "split"]
+
+SHRINK = 1e-3
+"""Coal sees the shapes smaller by this fraction of their inscribed radius. At gap 0 its normals are wrong by anything
+(half of them for ellipsoids), while those of bodies a little apart are right: contact is between cores still apart."""
+
+GJK_TOLERANCE = 1e-9
+"""m; with Coal's 1e-6 two bodies closer than that count as overlapping and get any normal."""
+
+SLOTS = 256
+"""Geoms per call of Pinocchio: its GeometryModel needs time and memory that grow with the square of their number."""
+
+
+def core(shape: Shape) -> Any:
+    """Coal's geometry of a slightly smaller shape with the same normals; round ones need none."""
+    thinner = SHRINK * shape.inscribed_radius
+    match shape.kind:
+        case shapes.CYLINDER:
+            return coal.Cylinder(shape.size[0] - thinner, 2.0 * (shape.size[1] - thinner))
+        case shapes.ELLIPSOID:
+            return coal.Ellipsoid(*(shape.size - thinner))
+        case shapes.POLYTOPE if shape.size.any():
+            return coal.Box(*(shape.size - 2.0 * thinner))
+        case shapes.POLYTOPE:
+            return shapes.coal_convex(shape.vertices * (1.0 - SHRINK), shape.face_loop, shape.face_ptr)
+    return shape.geometry
+
+
+def split(first: Index, second: Index) -> list[tuple[int, int]]:
+    """Ranges of consecutive pairs that involve at most `SLOTS` geoms each."""
+    ranges, start = [], 0
+    geoms: set[int] = set()
+    for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        if len(geoms) + (i not in geoms) + (j not in geoms) > SLOTS:
+            ranges.append((start, k))
+            start, geoms = k, set()
+        geoms |= {i, j}
+    return [*ranges, (start, len(first))] if len(first) else []
+
+
+def empty_model(geoms: int) -> pin.GeometryModel:
+    """Model of placeholders on the universe, `SLOTS` at most, to be given their shapes later."""
+    model, ball = pin.GeometryModel(), coal.Sphere(1.0)
+    for k in range(min(geoms, SLOTS)):
+        model.addGeometryObject(pin.GeometryObject(str(k), 0, pin.SE3.Identity(), ball))
+    return model
+
+
+@cache
+def _pair(a: int, b: int) -> pin.CollisionPair:
+    """A pair of slots; making one takes ten times as long as looking it up."""
+    return pin.CollisionPair(a, b)
+
+
+def distance_request() -> Any:
+    """How Coal is asked for a distance."""
+    request = coal.DistanceRequest()
+    request.gjk_tolerance = GJK_TOLERANCE
+    request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
+    return request
+
+
+class Batch:
+    """Pairs whose distances are one call of `pin.computeDistances`.
+
+    The poses of the geoms are written and the results read through views of the memory of `pin.GeometryData`, whose
+    elements lie one after the other: rotations column by column, then translations; distance, normal, nearest points.
+    """
+
+    def __init__(
+        self, model: pin.GeometryModel, shapes: Sequence[object], first: Index, second: Index, out: Array
+    ) -> None:
+        self._geoms, slots = np.unique(np.concatenate((first, second)), return_inverse=True)
+        for k, g in enumerate(self._geoms):
+            model.geometryObjects[k].geometry = shapes[g]
+        m = len(first)
+        del model.collisionPairs[:]
+        model.collisionPairs.extend([_pair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
+        self._model, self._data, self._out = model, pin.GeometryData(model), out
+        request = distance_request()
+        requests = self._data.distanceRequests
+        for k in range(m):  # Pinocchio's own requests start from the last answer: not reproducible
+            requests[k] = request
+        self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
+
+    def run(self, R: Array, t: Array) -> None:
+        """Distances at these poses of all geoms, into the rows of `out`."""
+        self._rotation[:] = R[self._geoms]
+        self._translation[:] = t[self._geoms]
+        pin.computeDistances(self._model, self._data)
+        self._out[:] = self._results
+
+
+def _memory(address: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> Array:
+    """Array over foreign memory; whoever owns that must outlive it."""
+    length = sum((n - 1) * s for n, s in zip(shape, strides, strict=True)) // 8 + 1
+    flat = np.frombuffer(memoryview((ctypes.c_double * length).from_address(address)))
+    return np.lib.stride_tricks.as_strided(flat, shape, strides)
+
+
+def _views(data: pin.GeometryData, geoms: int, pairs: int) -> tuple[Array, Array, Array]:
+    """Rotations (n, 3, 3) and translations (n, 3) of the geoms, results (m, 10) of the pairs, as live arrays."""
+    result = _strides()[1]
+    rotation, translation = pose_views(data.oMg, geoms)
+    results = _memory(data.distanceResults[0].normal.ctypes.data - 8, (pairs, 10), (result, 8))
+    return rotation, translation, results
+
+
+def pose_views(poses: Any, count: int) -> tuple[Array, Array]:
+    """Rotations (n, 3, 3) and translations (n, 3) of the first poses of a vector of Pinocchio's, as live arrays."""
+    pose, _, shift = _strides()
+    origin = poses[0].rotation.ctypes.data
+    return _memory(origin, (count, 3, 3), (pose, 8, 24)), _memory(origin + shift, (count, 3), (pose, 8))
+
+
+@cache
+def _strides() -> tuple[int, int, int]:
+    """Bytes from pose to pose, from result to result and from a rotation to its translation, checked by value."""
+    model = empty_model(2)
+    model.collisionPairs.extend([pin.CollisionPair(0, 1), pin.CollisionPair(1, 0)])
+    data = pin.GeometryData(model)
+    pose, result = data.oMg, data.distanceResults
+    address = [p.rotation.ctypes.data for p in pose]
+    out = (
+        address[1] - address[0],
+        result[1].normal.ctypes.data - result[0].normal.ctypes.data,
+        pose[0].translation.ctypes.data - address[0],
+    )
+    rotation = _memory(address[0], (2, 3, 3), (out[0], 8, 24))
+    translation = _memory(address[0] + out[2], (2, 3), (out[0], 8))
+    results = _memory(result[0].normal.ctypes.data - 8, (2, 10), (out[1], 8))
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rotation[:], translation[:] = turn, ((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
+    pin.computeDistances(model, data)
+    good = np.array_equal(pose[1].rotation, turn) and np.array_equal(pose[1].translation, translation[1])
+    for row, r in zip(results, result, strict=True):
+        seen = np.concatenate(([r.min_distance], r.normal, r.getNearestPoint1(), r.getNearestPoint2()))
+        good = good and np.array_equal(row, seen)
+    if not good:
+        raise RuntimeError(
+            f"pin {pin.__version__} with coal {coal.__version__} stores distance results in another way than nsdyn "
+            "knows: install the versions that nsdyn was tested with"
+        )
+    return out

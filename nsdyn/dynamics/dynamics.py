@@ -1,0 +1,449 @@
+"""Mass matrices, flows, forces and contact Jacobians of a scene: functions of values, which keep nothing.
+
+Free bodies are batched in arrays; each articulated tree has its own Pinocchio model. The velocity is one vector v
+(n,) in blocks: 6 per free body (linear in world axes, angular in body axes), then nv per tree. Bodies that move as
+prescribed have a frame, but no block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from nsdyn._kernels.dynamics import motion as _motion
+from nsdyn._kernels.dynamics import trees as _trees
+from nsdyn._kernels.dynamics.rotation import principal
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.joints import JointLaws, JointRows, Rows
+from nsdyn.dynamics.surfaces import Surfaces
+from nsdyn.dynamics.trees import FreeMotion, Halfway, Links, Tree, TreeEnd
+from nsdyn.problem.fc3d import Blocks
+from nsdyn.scene.scene import Scene
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+__all__ = ["Dynamics", "Forces", "Middle", "Placement", "Position"]
+
+NOTHING: Mapping[Any, Any] = {}
+NONE = np.empty(0)
+
+NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
+
+
+class Position(NamedTuple):
+    """Where everything is.
+
+    Attributes
+    ----------
+    x : ndarray, shape (nf, 3)
+        Centres of mass of the free bodies, m, world frame.
+    quaternion : ndarray, shape (nf, 4)
+        Their orientations, xyzw, body to world.
+    trees : tuple of ndarray
+        Pinocchio configuration of every articulated tree.
+    driven_x, driven_quaternion : ndarray, shapes (nd, 3), (nd, 4)
+        Poses of the bodies that move as prescribed.
+    """
+
+    x: Array
+    quaternion: Array
+    trees: tuple[Array, ...]
+    driven_x: Array
+    driven_quaternion: Array
+
+
+class Placement(NamedTuple):
+    """All frames at a position.
+
+    Attributes
+    ----------
+    x, R : ndarray, shapes (frames, 3), (frames, 3, 3)
+        Origins [m] and rotations to the world.
+    links : tuple of Links
+        Those of every tree, with its Jacobian.
+    """
+
+    x: Array
+    R: Array
+    links: tuple[Links, ...]
+
+
+class Middle(NamedTuple):
+    """Where the forces and impulses of a step act, after a part of it without them.
+
+    Attributes
+    ----------
+    position : Position
+    v : ndarray, shape (n,)
+        v⁻, the velocity there before they act.
+    placement : Placement
+    trees : tuple of Halfway
+    """
+
+    position: Position
+    v: Array
+    placement: Placement
+    trees: tuple[Halfway, ...]
+
+
+class Forces(NamedTuple):
+    """What acts during a step besides contacts and joint rows, at the configuration of the impulses.
+
+    Attributes
+    ----------
+    v : ndarray, shape (n,)
+        Velocity after the step without impulses, v⁻ + M̃⁻¹ h f̃.
+    force, torque : ndarray, shape (nf, 3)
+        Applied to free bodies; force in world axes [N], torque about the centre of mass in body axes [N m].
+    m, minv : ndarray
+        M̃ and its inverse in the layout of `Blocks`.
+    trees : tuple of FreeMotion
+    """
+
+    v: Array
+    force: Array
+    torque: Array
+    m: Array
+    minv: Array
+    trees: tuple[FreeMotion, ...]
+
+
+def _rotation(quaternion: Array) -> Array:
+    """Rotation matrix of a unit quaternion xyzw."""
+    return np.array(pin.Quaternion(quaternion).toRotationMatrix())
+
+
+def _mapping(given: Any, what: str) -> Mapping[str, Any]:
+    """What a callback returned, checked."""
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{what} must return a mapping of names or None, got {given!r}")
+    return given
+
+
+class Dynamics:
+    """Equations of motion of a scene between contacts.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        bodies, frames, driven = scene.free_bodies, scene.link_frames(), scene.driven_bodies
+        self.gravity: Array = np.array(scene.gravity)
+        self.free = len(bodies)
+        self.frames = self.free + len(frames) + len(driven)
+        self.mass = np.array([b.mass for b in bodies])
+        self._inverse_mass, self._no_load = 1.0 / self.mass, np.zeros((self.free, 3))
+        self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
+        self._principal = principal(self.J)
+        self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
+        self.names = {b.name: k for k, b in enumerate(bodies)}
+        self.trees: list[Tree] = []
+        start, first = 6 * self.free, self.free
+        for name, a in scene.articulations.items():
+            joints = [joint for owner, joint in frames if owner == name]
+            motions = {
+                a.model.joints[a.model.getJointId(joint)].idx_v: m
+                for key, m in scene.motions.items()
+                for owner, _, joint in [key.partition("/")]
+                if owner == name
+            }
+            self.trees.append(Tree(a, self.gravity, start, joints, first, motions))
+            start, first = start + a.model.nv, first + len(joints)
+        sizes = [6] * self.free + [t.model.nv for t in self.trees]
+        self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
+        self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
+        owner = [self.free + k for k, t in enumerate(self.trees) for _ in t.joints]
+        self.block_of_frame = np.array([*range(self.free), *owner, *([-1] * len(driven))], dtype=np.int64)
+        self.n = int(self.offset[-1])
+        m, minv = np.zeros((self.free, 6, 6)), np.zeros((self.free, 6, 6))
+        for k in range(self.free):
+            m[k, :3, :3], m[k, 3:, 3:] = self.mass[k] * np.eye(3), self.J[k]
+            inverse = np.linalg.inv(self.J[k])
+            minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / self.mass[k], 0.5 * (inverse + inverse.T)
+        self._m, self._minv = m.ravel(), minv.ravel()
+        self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
+        self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
+        self._fall = float(np.linalg.norm(self.gravity))
+        self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
+        self.surfaces = Surfaces(scene)
+        starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]
+        self._start = (
+            Position(
+                np.array([b.position for b in bodies]).reshape(-1, 3),
+                np.array([b.quaternion for b in bodies]).reshape(-1, 4),
+                tuple(q for q, _ in starts),
+                np.array([b.position for b in driven]).reshape(-1, 3),
+                np.array([b.quaternion for b in driven]).reshape(-1, 4),
+            ),
+            np.concatenate([self._velocity(b) for b in bodies] + [v for _, v in starts] + [np.empty(0)]),
+        )
+
+    @staticmethod
+    def _velocity(body: Any) -> Array:
+        return np.concatenate((body.linear_velocity, _rotation(body.quaternion).T @ body.angular_velocity))
+
+    def start(self) -> tuple[Position, Array]:
+        """Initial position and velocity of the scene."""
+        return self._start
+
+    # -- configurations ----------------------------------------------------------------------------------------
+
+    def halfway(self, position: Position, v: Array, h: float, theta: float, twist: Array) -> Middle:
+        """Where the forces of a step of h act: after (1 - θ) h of motion without any, Φ.
+
+        Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it, driven bodies with
+        `twist` (surfaces, 2, 3), linear and angular velocities in world axes.
+        """
+        ahead = (1.0 - theta) * h
+        x, quaternion, after, X, R = self._flow(position, v, ahead)
+        if self.frames == self.free and not self.trees:
+            there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
+            return Middle(there, after, Placement(X, R, ()), ())
+        halves = tuple(
+            [t.halfway(q, v[t.coordinates], h, theta) for t, q in zip(self.trees, position.trees, strict=True)]
+        )
+        for t, half in zip(self.trees, halves, strict=True):
+            after[t.coordinates] = half.v
+        driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, ahead * twist)
+        there = Position(x, quaternion, tuple([half.q for half in halves]), *driven)
+        return Middle(there, after, self._with_others(there, X, R, [half.links for half in halves]), halves)
+
+    def end(
+        self, middle: Middle, forces: Forces, v: Array, impulse: Array | None, h: float, twist: Array
+    ) -> tuple[Position, Array, Placement, tuple[TreeEnd, ...]]:
+        """(position, velocity, frames, trees) after h s without forces from the middle of a step, which left v there.
+
+        The impulses H r (n,) of contacts and joint rows tell which trees are pushed; None where there are no trees.
+        """
+        x, quaternion, after, X, R = self._flow(middle.position, v, h)
+        position = middle.position
+        if self.frames == self.free and not self.trees:
+            there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
+            return there, after, Placement(X, R, ()), ()
+        ends = []
+        for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
+            pushed = impulse is not None and bool(impulse[t.coordinates].any())
+            ends.append(t.end(half, free, v[t.coordinates], pushed))
+            after[t.coordinates] = ends[-1].v
+        driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
+        there = Position(x, quaternion, tuple([e.q for e in ends]), *driven)
+        links = [t.links(q) for t, q in zip(self.trees, there.trees, strict=True)]
+        return there, after, self._with_others(there, X, R, links), tuple(ends)
+
+    def _flow(self, position: Position, v: Array, h: float) -> tuple[Array, Array, Array, Array, Array]:
+        """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
+        x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
+        X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
+        moments, axes = self._principal
+        _motion.flow(moments, axes, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
+        return x, quaternion, after, X, R
+
+    def shift(self, position: Position, step: Array) -> Position:
+        """Position ⊕ a small displacement `step` (n,) in the coordinates of velocities, loops closed."""
+        x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
+        _motion.integrate(position.x, position.quaternion, step, 1.0, x, quaternion)
+        moved = zip(self.trees, position.trees, strict=True)
+        trees = tuple([t.close(pin.integrate(t.model, q, step[t.coordinates])) for t, q in moved])
+        return Position(x, quaternion, trees, position.driven_x, position.driven_quaternion)
+
+    def place(self, position: Position) -> Placement:
+        """Frames and Jacobians at a position."""
+        x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
+        _motion.place(position.x, position.quaternion, x, R)
+        links = [t.links(q) for t, q in zip(self.trees, position.trees, strict=True)]
+        return self._with_others(position, x, R, links)
+
+    def _with_others(self, position: Position, x: Array, R: Array, links: list[Links]) -> Placement:
+        """The placement whose free bodies are in x and R."""
+        if position.driven_x.size:
+            nd = len(position.driven_x)
+            _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])
+        for t, at in zip(self.trees, links, strict=True):
+            x[t.frames], R[t.frames] = at.x, at.R
+        return Placement(x, R, tuple(links))
+
+    def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
+        """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
+        linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
+        _motion.twists(place.R, v, self.free, linear, angular)
+        for t, links in zip(self.trees, place.links, strict=True):
+            linear[t.frames], angular[t.frames] = t.twists(links, v[t.coordinates])
+        return linear, angular
+
+    def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
+        """How far any point of each frame's shapes moves in h seconds, m, shape (frames,); `dt` of them under gravity.
+
+        Driven bodies move with `twist` (surfaces, 2, 3).
+        """
+        out = np.zeros(self.frames)
+        fall = h * dt * self._fall
+        _motion.reach(v, h, fall, self.radius, out)
+        for t, links in zip(self.trees, place.links, strict=True):
+            at = links.x, t.support, links.J, v[t.coordinates], h, t.radius, fall
+            _trees.link_reach(*at, out[t.frames])
+        if self.surfaces.count:
+            self.surfaces.reach(h * np.abs(twist), out)
+        return out
+
+    # -- forces ------------------------------------------------------------------------------------------------
+
+    def forces(
+        self, middle: Middle, t: float, h: float, wrenches: Mapping[str, Any] | None, tau: Mapping[str, Any] | None
+    ) -> Forces:
+        """What acts in a step: M̃ (v_f - v⁻) = h f̃.
+
+        Parameters
+        ----------
+        middle : Middle
+        t, h : float
+            Time at the end of the step, and step, s.
+        wrenches : mapping, optional
+            Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes. For a
+            body of an articulation, "articulation/body", the force acts at the origin of its frame.
+        tau : mapping, optional
+            Articulation name to its joint forces (nv,), or to a `PD`.
+        """
+        force, torque, applied, given = self._no_load, self._no_load, NOTHING, NOTHING
+        if wrenches is not None:
+            force, torque, applied = self._applied(middle.position, _mapping(wrenches, "external_force"))
+        if tau is not None:
+            given = _mapping(tau, "controller")
+            if unknown := given.keys() - self._tree_names.keys():
+                raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
+        out = np.empty(self.n)
+        _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
+        if not self.trees:
+            return Forces(out, force, torque, self._m, self._minv, ())
+        motions = []
+        for k, (tree, half) in enumerate(zip(self.trees, middle.trees, strict=True)):
+            motions.append(tree.free_motion(half, t, given.get(tree.name), applied.get(k)))
+            out[tree.coordinates] = motions[-1].v
+        return self._with_trees(out, force, torque, motions)
+
+    def external_works(self, forces: Forces, shift: Array, turn: Array) -> Array | float:
+        """Works of external forces and torques on free bodies that move by `shift` and `turn`, J: (nf,), or 0.
+
+        Shapes (nf, 3), m in world axes, and rad in body axes.
+        """
+        if forces.force is self._no_load:
+            return 0.0
+        out: Array = (shift * forces.force).sum(axis=1) + (turn * forces.torque).sum(axis=1)
+        return out
+
+    def inertia(self, position: Position, v: Array) -> Forces:
+        """Mass matrices at a position, where no forces act: what impacts meet."""
+        motions = [t.inertia(q, v[t.coordinates]) for t, q in zip(self.trees, position.trees, strict=True)]
+        return self._with_trees(v, self._no_load, self._no_load, motions)
+
+    def _with_trees(self, v: Array, force: Array, torque: Array, motions: list[FreeMotion]) -> Forces:
+        m = np.concatenate([self._m, *(motion.m.ravel() for motion in motions)])
+        minv = np.concatenate([self._minv, *(motion.minv.ravel() for motion in motions)])
+        return Forces(v, force, torque, m, minv, tuple(motions))
+
+    def _applied(self, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
+        """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
+        force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
+        applied: dict[int, Array] = {}
+        for name, wrench in wrenches.items():
+            try:
+                parts = np.array(wrench, dtype=float)
+            except (TypeError, ValueError):
+                parts = np.array(np.nan)
+            if parts.shape not in ((3,), (2, 3)) or not np.isfinite(parts).all():
+                raise ValueError(f"external_force on {name!r} must be finite with shape (3,) or (2, 3), got {wrench!r}")
+            pull, turn = parts if parts.ndim == 2 else (parts, np.zeros(3))
+            owner, _, body = name.partition("/")
+            if name in self.names:
+                k = self.names[name]
+                force[k], torque[k] = pull, _rotation(middle.quaternion[k]).T @ turn
+            elif body and owner in self._tree_names:
+                k = self._tree_names[owner]
+                applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(middle.trees[k], body, pull, turn)
+            else:
+                raise ValueError(
+                    f"external_force names {name!r}, which is no free body and no 'articulation/body'; free bodies are "
+                    f"{list(self.names)}, articulations {list(self._tree_names)}"
+                )
+        return force, torque, applied
+
+    # -- rows --------------------------------------------------------------------------------------------------
+
+    def joint_rows(self, middle: Position, v: Array, v_free: Array, h: float) -> JointRows | None:
+        """Rows of joint limits and joint friction of a step; None when there are none."""
+        return self.joints.rows(self._angles(middle), v, v_free, h) if self.joints.size else None
+
+    def limits(self, position: Position) -> Array:
+        """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
+        slots = self.joints.limits
+        return self.joints.gaps(slots, self._angles(position)) if slots.size else NONE
+
+    def _angles(self, position: Position) -> Array:
+        """Joint coordinates, shape (n,), 0 where there are none."""
+        out = np.zeros(self.n)
+        for t, q in zip(self.trees, position.trees, strict=True):
+            out[t.coordinates] = t.angle(q)
+        return out
+
+    def rows(
+        self, contacts: ContactSet, place: Placement, forces: Forces, joints: JointRows | None
+    ) -> tuple[Rows, Array]:
+        """Factors of contacts and joint rows where the frames are placed; frames (nc, 3, 3), rows (n, t1, t2)."""
+        nc = contacts.gap.size
+        frame, block, start = np.empty((nc, 3, 3)), np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
+        hang, where = (contacts.frame1, contacts.frame2), (contacts.point, frame)
+        size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
+        h = np.zeros(size)
+        _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, h)
+        for t, links in zip(self.trees, place.links, strict=True):
+            _trees.link_rows(*hang, *where, t.frames.start, t.support, links.J, start, h)
+        full = Blocks(self.offset, block, start, h, self.m_start, forces.m, forces.minv)
+        bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
+        if joints is None:
+            return Rows(full, bases, *NOT_PRESSED), frame
+        pressed = np.flatnonzero(joints.press)
+        return Rows(self.joints.append(joints, full), bases, nc + pressed, joints.press[pressed]), frame
+
+    # -- what is shown -----------------------------------------------------------------------------------------
+
+    def energies(self, position: Position, v: Array) -> tuple[float, float]:
+        """(kinetic, potential) energy, J; potential energy is 0 at the world's origin."""
+        kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
+        for t, q in zip(self.trees, position.trees, strict=True):
+            more = t.energies(q, v[t.coordinates])
+            kinetic, potential = kinetic + more[0], potential + more[1]
+        return kinetic, potential
+
+    def lift(self, before: Position, after: Position, v: Array) -> tuple[Array, float]:
+        """Velocity with the same momentum where a projection brought the free bodies, and what it did to their energy.
+
+        The angular momentum in space is kept, so that ω in body axes changes with the turn, and kinetic energy a bit.
+        """
+        out = np.empty(self.n)
+        _motion.keep_spin(self.J, self.inverse_J, before.quaternion, after.quaternion, v, out)
+        bodies = self.mass, self.J, self.gravity
+        now, then = _motion.free_energies(*bodies, after.x, out), _motion.free_energies(*bodies, before.x, v)
+        return out, (now[0] - then[0]) + (now[1] - then[1])
+
+    def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
+        """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
+        q, out = np.empty(7 * self.free), np.empty(self.n)
+        _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)
+        return np.concatenate((q, *position.trees)) if position.trees else q, out
+
+    def poses(self, position: Position, place: Placement) -> tuple[Array, Array] | tuple[None, None]:
+        """Positions (frames, 3) and quaternions (frames, 4) of all frames; None where all are free bodies."""
+        if self.frames == self.free:
+            return None, None
+        quaternion = np.empty((self.frames, 4))
+        links = slice(self.free, self.frames - len(position.driven_x))
+        _trees.quaternions(place.R[links], quaternion[links])
+        quaternion[: self.free] = position.quaternion
+        quaternion[links.stop :] = position.driven_quaternion
+        return place.x, quaternion

@@ -1,0 +1,88 @@
+"""Bodies that move as prescribed and surfaces that slide, as the contacts see them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels.dynamics import motion as _motion
+from nsdyn._kernels.dynamics import trees as _trees
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+__all__ = ["Surfaces"]
+
+NONE, NOTHING, NO_VELOCITIES = np.empty((0, 2, 3)), np.empty(0), np.empty((0, 3))
+
+
+class Surfaces:
+    """The driven bodies of a scene, then its sliding surfaces: velocities at the contacts, poses of the bodies.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        names = [b.name for b in scene.driven_bodies]
+        names += [name for name, m in scene.motions.items() if m.kind == "surface"]
+        self.count = len(names)
+        self._motions = [scene.motions[name] for name in names]
+        self._driven = len(scene.driven_bodies)
+        self._slides = np.array([m.kind == "surface" for m in self._motions], dtype=bool)
+        self._origin = np.array([scene.bodies[name].position for name in names]).reshape(-1, 3)
+        self._radius = np.array([b.shape.bounding_radius for b in scene.driven_bodies])
+        place = {name: k for k, name in enumerate(names)}
+        self._motion_of_geom = np.array([place.get(g.body, -1) for g in scene.geoms()], dtype=np.int64)
+
+    def twists(self, t: float) -> Array:
+        """(linear, angular) velocities at time t, shape (surfaces, 2, 3), m/s and rad/s, world axes."""
+        return np.array([m.twist(t) for m in self._motions]) if self.count else NONE
+
+    def mean(self, begun: Array, ended: Array, theta: float) -> Array:
+        """(1 - θ) begun + θ ended."""
+        return (1.0 - theta) * begun + theta * ended if self.count else begun
+
+    def advance(self, x: Array, quaternion: Array, step: Array) -> tuple[Array, Array]:
+        """Poses of the driven bodies after small displacements (surfaces, 2, 3) in world axes."""
+        if not self._driven:
+            return x, quaternion
+        step = step[: self._driven]
+        x_out, quaternion_out, R = np.empty_like(x), np.empty_like(quaternion), np.empty((self._driven, 3, 3))
+        _motion.rotations(quaternion, R)
+        local = np.concatenate((step[:, 0], np.einsum("kji,kj->ki", R, step[:, 1])), axis=1)
+        _motion.integrate(x, quaternion, local.ravel(), 1.0, x_out, quaternion_out)
+        return x_out, quaternion_out
+
+    def reach(self, step: Array, out: Array) -> None:
+        """How far any point of the driven bodies moves, into the last entries of `out`, m."""
+        if self._driven:
+            length = np.linalg.norm(step[: self._driven], axis=2)
+            out[-self._driven :] = length[:, 0] + length[:, 1] * self._radius
+
+    def drags(
+        self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, begun: Array, ended: Array
+    ) -> tuple[Array, Array]:
+        """What the surfaces add to the relative velocities of the contacts at the beginning and the end of a step.
+
+        Shapes (3 rows,), 0 beyond the contacts, m/s; empty in a scene without surfaces.
+        """
+        if not self.count:
+            return NOTHING, NOTHING
+        out = np.zeros((2, rows, 3))
+        for k, twist in enumerate((begun, ended)):
+            out[k, : len(frame)] = np.einsum("cij,cj->ci", frame, self.velocities(contacts, driven_x, twist))
+        return out[0].ravel(), out[1].ravel()
+
+    def velocities(self, contacts: ContactSet, driven_x: Array, twist: Array) -> Array:
+        """What the surfaces add to the relative velocities, world axes, shape (nc, 3); (0, 3) without surfaces."""
+        if not self.count:
+            return NO_VELOCITIES
+        w, origin = np.zeros((contacts.gap.size, 3)), self._origin.copy()
+        origin[: self._driven] = driven_x
+        fields = self._motion_of_geom, origin, twist[:, 0].copy(), twist[:, 1].copy(), self._slides
+        _trees.surface_velocities(contacts.geom1, *fields, contacts.point, contacts.normal, -1.0, w)
+        _trees.surface_velocities(contacts.geom2, *fields, contacts.point, contacts.normal, 1.0, w)
+        return w

@@ -1,0 +1,628 @@
+"""One articulated tree: Pinocchio's terms, the forces of its joints, and its motion without contacts."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from nsdyn._kernels.dynamics import trees as _trees
+from nsdyn.collision.distances import pose_views
+from nsdyn.dynamics.loops import Closures, admissible, supports
+from nsdyn.scene.articulations import Articulation
+from nsdyn.scene.control import PD
+from nsdyn.scene.prescribed import Motion
+from nsdyn.tools.naming import meant
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+__all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "Tree", "TreeEnd", "TreeLoads", "TreeWorks"]
+
+SETTLING = 5
+"""Passes in which a control may also leave its limit, so that their number is bounded; two are usual."""
+
+PASSES = 20
+"""Most passes of the fixed point for the flow of a constrained tree; it contracts by O(h ω) a pass."""
+
+SETTLED = 1e-12
+"""Relative change of the velocity by the next pass, extrapolated from the last two, at which it stops."""
+
+SLOW = 1e-10
+"""Motion in a step, rad or m, that is slow: Coriolis terms change its velocity by that fraction, less than round-off
+does of the velocities that forces make in a step."""
+
+TURN, PARTS = 0.1, 100
+"""Angle in rad that a part of a step turns at most, which leaves 1e-7 of the motion, and the most parts."""
+
+
+def _span(places: list[int]) -> Index | slice:
+    """Ascending places as an index: a slice, which is quicker, where they follow each other."""
+    if places and places[-1] - places[0] == len(places) - 1:
+        return slice(places[0], places[-1] + 1)
+    return np.array(places, dtype=np.int64)
+
+
+class Links(NamedTuple):
+    """The k joints of a tree that carry geometry, at one configuration; world axes.
+
+    Attributes
+    ----------
+    x : ndarray, shape (k, 3)
+        Origins of their frames, m.
+    R : ndarray, shape (k, 3, 3)
+        Their orientations.
+    J : ndarray, shape (6, nv)
+        Velocity field of every coordinate, linear at the world's origin, then angular; it moves the links that
+        `Tree.support` says.
+    """
+
+    x: Array
+    R: Array
+    J: Array
+
+
+class Flow(NamedTuple):
+    """A motion of a tree between contacts.
+
+    Attributes
+    ----------
+    q, v : ndarray, shapes (nq,), (nv,)
+        Configuration and velocity at its end.
+    mean : ndarray, shape (nv,)
+        Mean velocity.
+    work : float
+        Of driven joints, J.
+    """
+
+    q: Array
+    v: Array
+    mean: Array
+    work: float
+
+
+class Halfway(NamedTuple):
+    """Where the forces of a step act, after (1 - θ) h of motion without forces.
+
+    Attributes
+    ----------
+    begin, begin_v : ndarray, shapes (nq,), (nv,)
+        Configuration and velocity at the beginning of the step.
+    q, v : ndarray, shapes (nq,), (nv,)
+        Configuration, and velocity before the forces.
+    work : float
+        Of driven joints until then, J.
+    M : ndarray, shape (nv, nv)
+        Mass matrix.
+    links : Links
+    h, theta : float
+        Step, s, and θ.
+    """
+
+    begin: Array
+    begin_v: Array
+    q: Array
+    v: Array
+    work: float
+    M: Array
+    links: Links
+    h: float
+    theta: float
+
+
+class TreeLoads(NamedTuple):
+    """What acts on a tree during a step besides contacts, joint limits and joint friction.
+
+    Attributes
+    ----------
+    tau : ndarray, shape (nv,)
+        Joint forces given or of external wrenches, and the part of a PD control that the motion does not change.
+    kp, kd : ndarray, shape (nv,)
+        Gains of the PD control, 0 where there is none.
+    stretch : ndarray, shape (nv,)
+        Of the joint springs at the midpoint, q - rest, rad or m.
+    weight : ndarray, shape (nv,)
+        Gravity terms there.
+    implicit : bool
+        Whether there are damping, springs or a PD control, which act as the velocity after them says.
+    """
+
+    tau: Array
+    kp: Array
+    kd: Array
+    stretch: Array
+    weight: Array
+    implicit: bool
+
+
+class Constraints(NamedTuple):
+    """Loops and driven joints of a tree at the midpoint: v = P b + Z y are the velocities with B v = b.
+
+    Attributes
+    ----------
+    B, P, Z : ndarray, shapes (m, nv), (nv, m), (nv, ny)
+        Zᵀ M̃ Z = I.
+    """
+
+    B: Array
+    P: Array
+    Z: Array
+
+
+class FreeMotion(NamedTuple):
+    """What the forces of a step without contacts and joint rows do.
+
+    Attributes
+    ----------
+    v : ndarray, shape (nv,)
+        Velocity after them.
+    loads : TreeLoads
+    m, minv : ndarray, shape (nv, nv)
+        Effective mass matrix M̃ and its inverse, Z Zᵀ of a constrained tree.
+    constraints : Constraints or None
+    """
+
+    v: Array
+    loads: TreeLoads
+    m: Array
+    minv: Array
+    constraints: Constraints | None
+
+
+class TreeEnd(NamedTuple):
+    """Where a step ends.
+
+    Attributes
+    ----------
+    q, v : ndarray, shapes (nq,), (nv,)
+    mean : ndarray, shape (nv,)
+        Velocity on which the forces of the step worked.
+    work : float
+        Of driven joints after them, J.
+    """
+
+    q: Array
+    v: Array
+    mean: Array
+    work: float
+
+
+class TreeWorks(NamedTuple):
+    """Energies of a tree at the end of a step and works during it, J.
+
+    Attributes
+    ----------
+    kinetic, potential : float
+        At the end; of gravity, 0 at the world's origin, and of joint springs.
+    change : float
+        Of their sum in the step.
+    actuation, damping, constraint : float
+        Works of joint forces, of viscous damping, of loops and driven joints.
+    integration : float
+        Error of the motion: the rest of the change but for the work of the impulses, O(h⁵) of a free motion under
+        constant joint forces, O(h³) else.
+    projection : float
+        Of the position projection.
+    """
+
+    kinetic: float
+    potential: float
+    change: float
+    actuation: float
+    damping: float
+    constraint: float
+    integration: float
+    projection: float
+
+
+class Tree:
+    """One articulated tree with Pinocchio's scratch data.
+
+    Parameters
+    ----------
+    articulation : Articulation
+    gravity : ndarray, shape (3,)
+    start : int
+        Its first coordinate in the scene's velocity.
+    joints : list of int
+        Joints that carry geometry, one frame each.
+    first : int
+        Index of the first of these frames.
+    driven : mapping of int to Motion
+        Coordinates whose velocity is prescribed.
+    """
+
+    def __init__(
+        self,
+        articulation: Articulation,
+        gravity: Array,
+        start: int,
+        joints: list[int],
+        first: int,
+        driven: dict[int, Motion],
+    ) -> None:
+        a = articulation
+        self.name = a.name
+        self.model = a.model.copy()
+        self.model.gravity = pin.Motion(gravity, np.zeros(3))
+        self.model.armature = a.armature
+        self.data = self.model.createData()
+        nv = self.model.nv
+        self.coordinates = slice(start, start + nv)
+        self.joints, self.frames = joints, slice(first, first + len(joints))
+        self.support = supports(self.model)[joints]
+        self.radius = np.zeros(len(joints))
+        for _, joint, placement, shape in a.links:
+            if joint in joints:
+                k = joints.index(joint)
+                far = float(np.linalg.norm(placement.translation)) + shape.bounding_radius
+                self.radius[k] = max(self.radius[k], far)
+        self._weightless = self.model.copy()
+        self._weightless.gravity = pin.Motion.Zero()
+        # Views of Pinocchio's own memory, in which each evaluation shows; one with nv = 1 comes without its last axis.
+        self._J: Array = self.data.J.reshape(6, nv, order="A")
+        self._R, self._x = pose_views(self.data.oMi, self.model.njoints)
+        self._carriers = np.array(joints, dtype=np.int64)
+        self.damping, self.stiffness, self.rest, self.effort = a.damping, a.stiffness, a.rest, a.effort
+        self._linear, self._linear_q, self._turning = self._scalar_coordinates()
+        scalar = np.zeros(nv, dtype=bool)
+        scalar[self._linear], scalar[[j for j, _ in self._turning]] = True, True
+        self.scalar = scalar
+        self._springs = bool(a.stiffness.any())
+        self._implicit = self._springs or bool(a.damping.any())
+        self.driven = tuple(driven.values())
+        self._driven_rows = np.zeros((len(driven), nv))
+        self._driven_rows[np.arange(len(driven)), list(driven)] = 1.0
+        self._closures = Closures(self.model, a.loops) if a.loops else None
+        self.constrained = bool(driven) or self._closures is not None
+        self._controlled: tuple[Any, Any] = (None, None)
+        kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
+        self._bodies = {
+            f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
+        }
+        self._zero = np.zeros(nv)
+        self._zero.flags.writeable = False
+        pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
+        self._turns = self._J[3:].any(axis=0)
+
+    def _scalar_coordinates(self) -> tuple[Index | slice, Index | slice, list[tuple[int, int]]]:
+        """Coordinates whose rate is the velocity, their places in q, and (v, q) places of joints given by cos, sin."""
+        v: list[int] = []
+        q: list[int] = []
+        turning = []
+        for joint in self.model.joints[1:]:
+            if joint.nq == joint.nv:
+                v += range(joint.idx_v, joint.idx_v + joint.nv)
+                q += range(joint.idx_q, joint.idx_q + joint.nq)
+            elif joint.nv == 1:
+                turning.append((joint.idx_v, joint.idx_q))
+        return _span(v), _span(q), turning
+
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits of the joint coordinates, (nv,) each, infinite where there are none."""
+        lower, upper = np.full(self.model.nv, -np.inf), np.full(self.model.nv, np.inf)
+        lower[self._linear] = self.model.lowerPositionLimit[self._linear_q]
+        upper[self._linear] = self.model.upperPositionLimit[self._linear_q]
+        return lower, upper
+
+    def angle(self, q: Array) -> Array:
+        """Joint coordinates in rad or m, shape (nv,); 0 where a joint has none of its own (free, spherical)."""
+        out = np.zeros(self.model.nv)
+        out[self._linear] = q[self._linear_q]
+        for j, k in self._turning:
+            out[j] = np.arctan2(q[k + 1], q[k])
+        return out
+
+    def _deviation(self, angle: Array, target: Array) -> Array:
+        """Angle - target, for joints given by cos and sin the short way round."""
+        out: Array = angle - target
+        for j, _ in self._turning:
+            out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
+        return out
+
+    def start(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Initial configuration and velocity with closed loops and driven joints at their speed."""
+        v = v.copy()
+        for row, motion in zip(self._driven_rows, self.driven, strict=True):
+            v[row > 0.0] = motion.rate(0.0)
+        return self.close(q), v
+
+    def links(self, q: Array) -> Links:
+        """Poses and Jacobian of the links at q."""
+        pin.computeJointJacobians(self.model, self.data, q)
+        return self._links()
+
+    def _links(self) -> Links:
+        """Copies of what Pinocchio computed last."""
+        x, R = np.empty((len(self.joints), 3)), np.empty((len(self.joints), 3, 3))
+        _trees.gather(self._x, self._R, self._carriers, x, R)
+        return Links(x, R, self._J.copy(order="F"))
+
+    def poses(self, q: Array) -> tuple[Array, Array]:
+        """(x, R) of `Links` alone, which is quicker."""
+        pin.forwardKinematics(self.model, self.data, q)
+        x, R = np.empty((len(self.joints), 3)), np.empty((len(self.joints), 3, 3))
+        _trees.gather(self._x, self._R, self._carriers, x, R)
+        return x, R
+
+    def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
+        """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
+        linear, angular = np.empty_like(links.x), np.empty_like(links.x)
+        _trees.link_twists(links.x, self.support, links.J, v, linear, angular)
+        return linear, angular
+
+    def close(self, q: Array) -> Array:
+        """The closest configuration whose loops are closed; q itself when they are."""
+        return q if self._closures is None else self._closures.close(q, self._driven_rows)
+
+    def _control(self, given: Any, angle: Array) -> tuple[Array, Array, Array, Array | None]:
+        """(tau, kp, kd, limit if any) of what a controller returned, at rest at the angles; ValueError if unfit."""
+        if isinstance(given, PD):
+            if given is not self._controlled[0]:
+                kp, kd, target, rate, feedforward, limit = given.on(self.name, self.scalar, self.effort)
+                bound = limit if np.isfinite(limit).any() else None
+                self._controlled = given, (kp, kd, target, feedforward + kd * rate, bound)
+            kp, kd, target, constant, bound = self._controlled[1]
+            return constant - kp * self._deviation(angle, target), kp, kd, bound
+        zero = self._zero
+        if given is None:
+            return zero, zero, zero, None
+        try:
+            tau = np.array(given, dtype=float)
+        except (TypeError, ValueError):
+            tau = np.array(np.nan)
+        if tau.shape != zero.shape or not np.isfinite(tau).all():
+            raise ValueError(f"controller must give {zero.size} finite joint forces for {self.name!r}, got {given!r}")
+        return tau, zero, zero, None
+
+    def joint_forces(self, q: Array, body: str, force: Array, torque: Array) -> Array:
+        """Jᵀ (force, torque), shape (nv,), of a force [N] at the origin of a body's frame and a torque [N m] at q.
+
+        World axes.
+        """
+        if body not in self._bodies:
+            known = list(self._bodies)
+            raise ValueError(
+                f"external_force: {self.name!r} has no moving body {body!r}; it has {known}{meant(body, known)}"
+            )
+        at = self._bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        out: Array = pin.computeFrameJacobian(self.model, self.data, q, *at).T @ np.concatenate((force, torque))
+        return out
+
+    def flow(self, q: Array, v: Array, h: float) -> Flow:
+        """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
+
+        A tree without constraints: fourth order, by `_runge_kutta`; a constrained one: second order, by `_slide`.
+        """
+        speed, turn = _trees.fastest(v, self._turns)
+        if h * speed <= SLOW:  # Coriolis terms are below round-off
+            end = q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v))
+            return Flow(end, v, v, 0.0)
+        return self._slide(q, v, h) if self.constrained else self._move(self._weightless, q, v, h, self._zero, turn)
+
+    def _move(self, model: pin.Model, q: Array, v: Array, h: float, tau: Array, turn: float) -> Flow:
+        """Motion under constant joint forces tau and the gravity of the model, of rates up to `turn`, in parts."""
+        parts = min(1 + int(h * turn / TURN), PARTS)
+        if parts == 1:
+            return self._runge_kutta(model, q, v, h, tau)
+        mean = np.zeros_like(v)
+        for _ in range(parts):
+            q, v, part, _ = self._runge_kutta(model, q, v, h / parts, tau)
+            mean += part / parts
+        return Flow(q, v, mean, 0.0)
+
+    def _runge_kutta(self, model: pin.Model, q: Array, v: Array, h: float, tau: Array) -> Flow:
+        """One step of the classical Runge–Kutta method of fourth order.
+
+        Its last combination is made of two displacements one after the other, so that it is of that order for free
+        and spherical joints too. What it changes of energy and momentum is O(h⁵).
+
+        References
+        ----------
+        E. Celledoni, A. Marthinsen, B. Owren, Commutator-free Lie group methods, Future Generation Computer Systems
+        19, 2003.
+        """
+        data, half = self.data, 0.5 * h
+        a1 = pin.aba(model, data, q, v, tau)
+        v2, q2 = v + half * a1, pin.integrate(model, q, half * v)
+        a2 = pin.aba(model, data, q2, v2, tau)
+        v3, q3 = v + half * a2, pin.integrate(model, q, half * v2)
+        a3 = pin.aba(model, data, q3, v3, tau)
+        v4, q4 = v + h * a3, pin.integrate(model, q2, h * v3 - half * v)
+        a4 = pin.aba(model, data, q4, v4, tau)
+        out = np.empty((4, v.size))
+        _trees.combine(v, v2, v3, v4, a1, a2, a3, a4, h, out)
+        return Flow(pin.integrate(model, pin.integrate(model, q, out[0]), out[1]), out[2], out[3], 0.0)
+
+    def _slide(self, q: Array, v: Array, h: float) -> Flow:
+        """One step of the implicit midpoint rule on loops and driven joints, without forces.
+
+        The velocity at the end is one that the loops admit there. Its work is that of the driven joints.
+        """
+        middle = self.close(pin.integrate(self.model, q, 0.5 * h * v))
+        M = np.array(pin.crba(self.model, self.data, middle)).reshape(v.size, v.size)
+        B, P, Z = self._restrict(middle, np.linalg.inv(np.linalg.cholesky(M)))
+        minv = Z @ Z.T
+        rest = start = minv @ (M @ v)
+        b, loops = np.zeros(len(B)), slice(len(B) - len(self.driven))
+        b[loops.stop :] = self._driven_rows @ v
+        new, change = v.copy(), SETTLED
+        for k in range(PASSES):
+            mean = 0.5 * (v + new)
+            bias = pin.nonLinearEffects(self._weightless, self.data, middle, mean)
+            if k < 2:
+                # Later passes would diverge where a step is longer than the way to a singular configuration.
+                if self._closures is not None:
+                    end = pin.integrate(self.model, q, h * mean)
+                    b[loops] = (B[loops] - self._closures.at(end)[1]) @ new
+                start = rest + P @ b
+            last, change = change, _trees.respond(start, minv, self._zero, bias, h, new)
+            if k and change * min(change, last) <= SETTLED * last:
+                break
+        mean = 0.5 * (v + new)
+        reaction = P.T @ (M @ (new - v) + h * bias)
+        work = float((B[loops.stop :] @ mean) @ reaction[loops.stop :])
+        return Flow(self.close(pin.integrate(self.model, q, h * mean)), new, mean, work)
+
+    def _restrict(self, q: Array, F: Array) -> tuple[Array, Array, Array]:
+        """(B, P, Z) of `Constraints` at q, where M⁻¹ = Fᵀ F."""
+        loops = np.empty((0, self.model.nv)) if self._closures is None else self._closures.at(q)[1]
+        B = np.concatenate((loops, self._driven_rows))
+        Z, P = admissible(B, F)
+        return B, P, Z
+
+    def halfway(self, q: Array, v: Array, h: float, theta: float) -> Halfway:
+        """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
+        middle, v0, _, work = self.flow(q, v, (1.0 - theta) * h)
+        M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD)).reshape(v.size, v.size)
+        return Halfway(q, v, middle, v0, work, M, self._links(), h, theta)
+
+    def free_motion(self, halfway: Halfway, t: float, given: Any, applied: Array | None) -> FreeMotion:
+        """Velocity after the forces of a step without contacts and joint rows.
+
+        M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces, in which the forces linear
+        in v' make the effective mass matrix M̃ = M + h θ D + h² θ² K + h kd + h² kp. Damping -D v_θ and springs act at
+        the θ-point of the step, v_θ = θ v' + (1 - θ) v0, PD control at its end. For θ = ½ a spring neither gains nor
+        loses energy, and any stiffness is stable as long as its vibrations turn nothing by a radian in a step; θ > ½
+        damps them, at first order in h. PD control is stable with any gains. θ says nothing of the motion without
+        forces but how it is parted, (1 - θ) h before them and θ h after. Of a tree with loops or driven joints
+        B v' = b holds too.
+
+        Parameters
+        ----------
+        halfway : Halfway
+        t : float
+            Time at the end of the step, s.
+        given : array or PD or None
+            What the controller returned.
+        applied : ndarray, shape (nv,), optional
+            Joint forces of external wrenches.
+
+        Raises
+        ------
+        ValueError
+            For joint forces that do not fit, and where a joint moves no mass.
+        """
+        angle, v0, h = self.angle(halfway.q), halfway.v, halfway.h
+        tau, kp, kd, limit = self._control(given, angle)
+        stretch = self._deviation(angle, self.rest) if self._springs else self._zero
+        weight = pin.computeGeneralizedGravity(self.model, self.data, halfway.q)
+        push = self._zero if applied is None else applied
+        loads = TreeLoads(tau + push, kp, kd, stretch, weight, self._implicit or isinstance(given, PD))
+        out = self._respond(halfway, t, loads)
+        if limit is None:
+            return out
+        side = np.zeros(v0.size)  # of its limit at which a control is
+        for k in range(SETTLING + v0.size + 1):
+            wanted = tau - kd * out.v - kp * h * (out.v - (1.0 - halfway.theta) * v0)
+            new = np.where(np.abs(wanted) > limit, np.sign(wanted), 0.0)
+            if k >= SETTLING:  # to end: what has been at its limit stays there
+                new = np.where(side != 0.0, side, new)
+            if (new == side).all():
+                break
+            side, free = new, new == 0.0
+            held = np.where(free, tau, side * np.where(free, 0.0, limit))
+            out = self._respond(halfway, t, loads._replace(tau=held + push, kp=kp * free, kd=kd * free))
+        return out
+
+    def _respond(self, halfway: Halfway, t: float, loads: TreeLoads) -> FreeMotion:
+        """What loads do in a step; ValueError where a joint moves no mass."""
+        v0, M, h, theta = halfway.v, halfway.M, halfway.h, halfway.theta
+        (factor, m, minv), force, v = np.empty((3, v0.size, v0.size)), np.empty_like(v0), v0.copy()
+        laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
+        if not _trees.implicit(M, *laws, v0, h, theta, factor, m, minv, force):
+            raise ValueError(
+                f"mass matrix of {self.name!r} is not positive definite: a joint moves no mass; give it an armature"
+            )
+        start, constraints = v0, None
+        if self.constrained:
+            B, P, Z = self._restrict(halfway.q, factor)
+            minv, b = Z @ Z.T, np.zeros(len(B))
+            b[b.size - len(self.driven) :] = [motion.rate(t) for motion in self.driven]
+            start, constraints = minv @ (m @ v0) + P @ b, Constraints(B, P, Z)
+        _trees.respond(start, minv, force, loads.weight, h, v)
+        return FreeMotion(v, loads, m, minv, constraints)
+
+    def inertia(self, q: Array, v: Array) -> FreeMotion:
+        """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
+        M = np.array(pin.crba(self.model, self.data, q)).reshape(v.size, v.size)
+        factor, loads = np.linalg.inv(np.linalg.cholesky(M)), TreeLoads(*5 * (self._zero,), False)
+        if not self.constrained:
+            return FreeMotion(v, loads, M, factor.T @ factor, None)
+        B, P, Z = self._restrict(q, factor)
+        return FreeMotion(v, loads, M, Z @ Z.T, Constraints(B, P, Z))
+
+    def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> TreeEnd:
+        """Where a step ends whose forces leave the velocity v.
+
+        It goes on without forces for θ h. But a tree without constraints that nothing has `pushed`, no contact and
+        no joint row, and on which only gravity and given joint forces act, ends where a fourth-order motion from the
+        beginning does: the same but for O(h³). At rest, where v and the velocity before it are 0, nothing moves.
+        """
+        h, theta, loads = halfway.h, halfway.theta, free.loads
+        if not (pushed or loads.implicit or self.constrained):
+            speed, turn = _trees.fastest(v, self._turns)
+            begin_speed, begin_turn = _trees.fastest(halfway.begin_v, self._turns)
+            if h * max(speed, begin_speed) > SLOW:
+                turn = max(turn, begin_turn)
+                return TreeEnd(*self._move(self.model, halfway.begin, halfway.begin_v, h, loads.tau, turn))
+        q, v1, _, work = self.flow(halfway.q, v, theta * h)
+        return TreeEnd(q, v1, 0.5 * (halfway.v + v), work)
+
+    def forces(self, halfway: Halfway, free: FreeMotion, v: Array) -> Array:
+        """Actuation, damping and springs of a step whose forces leave the velocity v, shape (3, nv), N m or N."""
+        out, loads = np.empty((3, v.size)), free.loads
+        laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
+        _trees.forces(*laws, halfway.v, v, halfway.h, halfway.theta, out)
+        return out
+
+    def works(
+        self, halfway: Halfway, free: FreeMotion, v: Array, end: TreeEnd, lifted: Array, impulse: Array
+    ) -> TreeWorks:
+        """The tree's part in the ledger of a step.
+
+        Parameters
+        ----------
+        halfway : Halfway
+        free : FreeMotion
+        v : ndarray, shape (nv,)
+            Velocity that the forces leave.
+        end : TreeEnd
+        lifted : ndarray, shape (nq,)
+            Configuration after the position projection, end.q itself without.
+        impulse : ndarray, shape (nv,)
+            H r of contacts and joint rows.
+        """
+        h, loads = halfway.h, free.loads
+        laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
+        velocities = halfway.v, v, end.mean
+        actuation, damping, pushed = _trees.works(*laws, *velocities, impulse, h, halfway.theta)
+        constraint = 0.0
+        if free.constraints is not None:
+            # Bᵀ λ is what the constraints and nothing else explain.
+            B, P, _ = free.constraints
+            force = self.forces(halfway, free, v).sum(axis=0) - loads.weight
+            reaction = P.T @ (halfway.M @ (v - halfway.v) - h * force - impulse)
+            constraint = halfway.work + end.work + float((B @ end.mean) @ reaction)
+        before, after = self.energies(halfway.begin, halfway.begin_v), self.energies(end.q, end.v)
+        kinetic, potential = after if lifted is end.q else self.energies(lifted, end.v)
+        # In the order of the ledger, whose round-off then is that of the changes, not of the energies.
+        projection = (kinetic - after[0]) + (potential - after[1])
+        change = (kinetic - before[0]) + (potential - before[1])
+        integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
+        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection)
+
+    def energies(self, q: Array, v: Array) -> tuple[float, float]:
+        """(kinetic, potential) energy in J, potential of gravity and of joint springs."""
+        pin.computeMechanicalEnergy(self.model, self.data, q, v)
+        kinetic, potential = float(self.data.kinetic_energy), float(self.data.potential_energy)
+        if self._springs:
+            deviation = self._deviation(self.angle(q), self.rest)
+            potential += 0.5 * float(deviation @ (self.stiffness * deviation))
+        return kinetic, potential
+
+    def bias(self, q: Array, v: Array) -> Array:
+        """Coriolis, centrifugal and gravity terms, shape (nv,), N m or N."""
+        return np.array(pin.nonLinearEffects(self.model, self.data, q, v))

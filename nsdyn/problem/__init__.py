@@ -1,0 +1,1 @@
+"""The frictional contact problem: its statement, formulations and certificate, and its files."""

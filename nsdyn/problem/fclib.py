@@ -1,0 +1,505 @@
+"""FCLIB files (HDF5): the exchange format of frictional contact problems.
+
+A file holds one problem, normal first, in 2D or 3D: ``fclib_local``,
+
+    u = W r + V λ + q,   Vᵀ r + R λ + s = 0,
+
+or ``fclib_global``,
+
+    M v = H r + G λ + f,   u = Hᵀ v + w,   Gᵀ v + b = 0,
+
+with the bilateral part (V, R, s or G, b) optional, and beside it ``guesses`` and a ``solution``. The layout written
+here is the C library's: integers int32, reals float64, scalars of shape (1,), strings of fixed length that end in NUL.
+
+References
+----------
+V. Acary, M. Brémond, T. Koziara, F. Pérignon, FCLIB: a collection of discrete 3D frictional contact problems, INRIA
+technical report 444, 2014.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from nsdyn.problem.fc3d import FC3D, Array, Blocks, Solution
+from nsdyn.tools import files
+
+__all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
+
+LARGEST_BLOCK = 200
+"""Coordinates of one block of M beyond which its dense inverse costs more than condensing the problem to W."""
+
+
+class Stored(NamedTuple):
+    """A solution or guess of a file, with 3 entries per contact also where the file is planar (then u_T2 = r_T2 = 0).
+
+    Attributes
+    ----------
+    u, r : ndarray, shape (3 nc,)
+        Relative velocity [m/s] and impulse [N·s]; in files of the literature often zeros that solve nothing.
+    v : ndarray, shape (n,), or None
+        Velocity of a global problem.
+    l : ndarray, shape (p,), or None
+        Bilateral impulses λ.
+    """
+
+    u: Array
+    r: Array
+    v: Array | None
+    l: Array | None
+
+
+# -- reading ---------------------------------------------------------------------------------------------------
+
+
+def read(path: str | Path) -> FC3D:
+    """Problem of a local or global FCLIB file, in 2D or 3D.
+
+    A global problem keeps its factors M and H (`FC3D.blocks`) where M falls into small blocks of which a contact
+    touches at most two; else, and with bilateral constraints, it is condensed to W by sparse factorisation. A planar
+    problem gets a second tangent that is not coupled to anything, so that r_T2 = 0.
+
+    Raises
+    ------
+    ValueError
+        Naming the file and the field: missing or foreign file, missing dataset, wrong length, inconsistent matrix
+        storage, value that is not finite, μ < 0, contact with a zero diagonal block, singular M.
+    """
+    with _open(path) as file:
+        group, dim = _group(file)
+        mu = _array(group, "vectors/mu")
+        if group.name == "/fclib_local":
+            W, q = _local(group, dim * mu.size)
+        else:
+            M, H = _matrix(group, "M"), _matrix(group, "H")
+            K, B, c = _system(group, M, H)
+            w = _array(group, "vectors/w", size=H.shape[1])
+            if H.shape[1] != dim * mu.size:
+                raise ValueError(f"fclib_global/H must have {dim} columns per contact, got {H.shape[1]} for {mu.size}")
+            solve = _factor(K, "fclib_global/M")
+            q = B.T @ solve(c) + w
+            blocks = _blocks(M, H) if dim == 3 and K is M else None
+            if blocks is not None:
+                return FC3D.from_blocks(blocks, q, mu)
+            W = _condensed(B, solve, symmetric=_is_symmetric(M))
+        return FC3D(*((W, q) if dim == 3 else _embedded(W, q)), mu)
+
+
+def read_solution(path: str | Path) -> Stored | None:
+    """Solution stored in a file, None if there is none; ValueError as `read`."""
+    with _open(path) as file:
+        return _stored(file, "solution") if "solution" in file else None
+
+
+def read_guesses(path: str | Path) -> list[Stored]:
+    """Guesses stored in a file, in their order; ValueError as `read`."""
+    with _open(path) as file:
+        if "guesses" not in file:
+            return []
+        count = int(_array(file, "guesses/number_of_guesses", np.int64, 1)[0])
+        return [_stored(file, f"guesses/{k + 1}") for k in range(count)]
+
+
+@contextmanager
+def _open(path: str | Path) -> Iterator[Any]:
+    """Open a file to read; every error becomes a ValueError that names it."""
+    if not Path(path).is_file():
+        raise ValueError(f"no such file: {path}")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except (OSError, RuntimeError) as failure:  # h5py raises both for broken files
+        raise ValueError(f"{path} is not an HDF5 file, or a damaged one: {failure}") from None
+    except ValueError as failure:
+        raise ValueError(f"{path}: {failure}") from None
+
+
+def _group(file: Any) -> tuple[Any, int]:
+    """(group of the problem, 2 or 3)."""
+    for name in ("fclib_local", "fclib_global"):
+        if isinstance(file.get(name), h5py.Group):
+            dim = int(_array(file, f"{name}/spacedim", np.int64, 1)[0])
+            if dim not in (2, 3):
+                raise ValueError(f"{name}/spacedim must be 2 or 3, got {dim}")
+            return file[name], dim
+    raise ValueError(f"neither fclib_local nor fclib_global in it, only {sorted(file) or 'nothing'}")
+
+
+def _array(group: Any, name: str, kind: Any = np.float64, size: int | None = None) -> Any:
+    """Vector of numbers, checked."""
+    where = f"{group.name}/{name}".lstrip("/")
+    item = group.get(name)
+    if not isinstance(item, h5py.Dataset):
+        raise ValueError(f"{where} is missing")
+    if item.shape is None or item.ndim > 1 or item.dtype.kind not in ("iuf" if kind is np.float64 else "iu"):
+        raise ValueError(f"{where} must be a vector of numbers, got {item.dtype} of shape {item.shape}")
+    out = np.atleast_1d(item[()]).astype(kind)
+    if size is not None and out.size != size:
+        raise ValueError(f"{where} must have length {size}, got {out.size}")
+    if not np.isfinite(out).all():
+        raise ValueError(f"{where} must be finite, got NaN or infinity")
+    return out
+
+
+def _matrix(group: Any, name: str) -> Any:
+    """Sparse matrix as CSR: nz = -1 compressed columns, -2 compressed rows, else nz triplets."""
+    where = f"{group.name}/{name}".lstrip("/")
+    m, n, nz = (int(_array(group, f"{name}/{key}", np.int64, 1)[0]) for key in ("m", "n", "nz"))
+    p, i = (_array(group, f"{name}/{key}", np.int64) for key in ("p", "i"))
+    x = _array(group, f"{name}/x")
+    if min(m, n) < 0 or nz < -2 or i.size != x.size:
+        raise ValueError(
+            f"{where} must have m, n ≥ 0, nz ≥ -2 and as many i as x, got {m}, {n}, {nz}, {i.size} and {x.size}"
+        )
+    if nz >= 0:
+        if min(p.size, x.size) < nz:
+            raise ValueError(f"{where} must have nz = {nz} triplets, got {p.size} p and {x.size} x")
+        row, column, x = i[:nz], p[:nz], x[:nz]
+        # The library's header calls p the rows, the files have rows in i: the shape decides where it can.
+        if row.max(initial=-1) >= m or column.max(initial=-1) >= n:
+            row, column = column, row
+        if not all((0 <= index).all() and (index < size).all() for index, size in ((row, m), (column, n))):
+            raise ValueError(f"{where} must have its triplets inside {m} x {n}")
+        return sp.coo_array((x, (row, column)), shape=(m, n)).tocsr()
+    major, minor = (m, n) if nz == -2 else (n, m)
+    if p.size != major + 1 or p[0] != 0 or (np.diff(p) < 0).any() or p[-1] > x.size:
+        raise ValueError(f"{where}/p must have {major + 1} ascending entries from 0 to at most {x.size}, like x")
+    i, x = i[: p[-1]], x[: p[-1]]
+    if i.min(initial=0) < 0 or i.max(initial=-1) >= minor:
+        raise ValueError(f"{where}/i must lie between 0 and {minor - 1}")
+    kind = sp.csr_array if nz == -2 else sp.csc_array
+    return kind((x, i, p), shape=(m, n)).tocsr()
+
+
+def _factor(K: Any, where: str) -> Callable[[Array], Array]:
+    """Solve with K by sparse factorisation."""
+    if K.shape[0] != K.shape[1]:
+        raise ValueError(f"{where} must be square, got shape {K.shape}")
+    try:
+        solve: Callable[[Array], Array] = splu(K.tocsc()).solve
+    except RuntimeError:
+        raise ValueError(f"{where} must be regular, is singular") from None
+    return solve
+
+
+def _local(group: Any, rows: int) -> tuple[Any, Array]:
+    """(W, q) of a local problem without its bilateral impulses, W - V R⁻¹ Vᵀ and q - V R⁻¹ s."""
+    W, q = _matrix(group, "W"), _array(group, "vectors/q", size=rows)
+    if W.shape != (rows, rows):
+        raise ValueError(f"fclib_local/W must have shape {(rows, rows)} like q and mu, got {W.shape}")
+    if "V" in group or "R" in group:
+        V, R, s = _bilateral(group, rows)
+        solve = _factor(R, "fclib_local/R")
+        W, q = sp.csr_array(W - V @ solve(V.T.toarray())), q - V @ solve(s)
+    return W, q
+
+
+def _bilateral(group: Any, rows: int) -> tuple[Any, Any, Array]:
+    """(V, R, s) of a local problem."""
+    V, R = _matrix(group, "V"), _matrix(group, "R")
+    if V.shape != (rows, R.shape[0]):
+        raise ValueError(f"fclib_local/V must have shape {(rows, R.shape[0])} like W and R, got {V.shape}")
+    return V, R, _array(group, "vectors/s", size=V.shape[1])
+
+
+def _system(group: Any, M: Any, H: Any) -> tuple[Any, Any, Array]:
+    """(K, B, c) of a global problem, K x = B r + c, u = Bᵀ x + w with x = (v, λ)."""
+    if M.shape[0] != M.shape[1] or H.shape[0] != M.shape[0]:
+        raise ValueError(f"fclib_global/M must be square with the rows of H, got shapes {M.shape} and {H.shape}")
+    f = _array(group, "vectors/f", size=M.shape[0])
+    if "G" not in group:
+        return M, H, f
+    G = _matrix(group, "G")
+    if G.shape[0] != M.shape[0]:
+        raise ValueError(f"fclib_global/G must have {M.shape[0]} rows like M, got {G.shape[0]}")
+    K = sp.block_array([[M, -G], [G.T, None]], format="csr")
+    B = sp.vstack([H, sp.csr_array((G.shape[1], H.shape[1]))], format="csr")
+    return K, B, np.concatenate((f, -_array(group, "vectors/b", size=G.shape[1])))
+
+
+def _condensed(B: Any, solve: Callable[[Array], Array], symmetric: bool) -> Any:
+    """W = Bᵀ K⁻¹ B."""
+    columns = B.tocsc()
+    step = 256  # dense columns at a time: all of them may not fit into memory
+    W = np.hstack([B.T @ solve(columns[:, k : k + step].toarray()) for k in range(0, B.shape[1], step)])
+    if symmetric:
+        W = 0.5 * (W + W.T)
+    W[abs(W) < 1e-14 * abs(W).max(initial=0.0)] = 0.0  # round-off, which would fill a block-sparse W
+    return sp.csr_array(W)
+
+
+def _is_symmetric(M: Any) -> bool:
+    return bool(abs(M - M.T).max() <= 1e-12 * abs(M).max())  # the round-off of assembled matrices
+
+
+def _blocks(M: Any, H: Any) -> Blocks | None:
+    """Factors in blocks of coordinates, permuted to be contiguous, or None where M and H do not fall into such blocks.
+
+    Coordinates that M couples belong together. Where M is so diagonal that a contact touches more than two such groups,
+    neighbours are joined: 6 coordinates of a body, 3 of a node.
+    """
+    n, nc = M.shape[0], H.shape[1] // 3
+    if not n or not nc or not _is_symmetric(M):
+        return None
+    H = H.tocoo()
+    pattern = abs(M)
+    pattern.eliminate_zeros()
+    for run in (1, 6, 3):
+        if n % run:
+            continue
+        count, label = connected_components(pattern + sp.kron(sp.eye_array(n // run), np.ones((run, run))), False)
+        key, pair = np.unique(H.col // 3 * count + label[H.row], return_inverse=True)
+        contact, touched = np.divmod(key, count)
+        first = np.searchsorted(contact, contact)
+        slot = np.arange(key.size) - first
+        if slot.max(initial=0) < 2 and np.bincount(label).max() <= LARGEST_BLOCK:
+            break
+    else:
+        return None
+    size = np.bincount(label, minlength=count)
+    offset = np.concatenate(([0], np.cumsum(size)))
+    inside = np.empty(n, np.int64)  # place of a coordinate in its block
+    inside[np.argsort(label, kind="stable")] = np.arange(n) - np.repeat(offset[:-1], size)
+    block, start = np.full((nc, 2), -1), np.zeros((nc, 2), np.int64)
+    begin = np.concatenate(([0], np.cumsum(3 * size[touched])))
+    block[contact, slot], start[contact, slot] = touched, begin[:-1]
+    h = np.zeros(begin[-1])
+    h[begin[pair] + H.col % 3 * size[label[H.row]] + inside[H.row]] = H.data
+    M = M.tocoo()
+    m_start = np.concatenate(([0], np.cumsum(size**2)))
+    m = np.zeros(m_start[-1])
+    m[m_start[label[M.row]] + inside[M.row] * size[label[M.row]] + inside[M.col]] = M.data
+    minv = np.empty_like(m)
+    for a, b, k in zip(m_start[:-1], m_start[1:], size, strict=True):
+        part = m[a:b].reshape(k, k)
+        try:
+            np.linalg.cholesky(part)
+        except np.linalg.LinAlgError:
+            return None
+        inverse = np.linalg.inv(part)
+        minv[a:b] = (0.5 * (inverse + inverse.T)).ravel()
+    return Blocks(offset, block, start, h, m_start[:-1], m, minv)
+
+
+def _embedded(W: Any, q: Array) -> tuple[Any, Array]:
+    """(W, q) of a planar problem in 3D; W_T2 is the mean of W_N and W_T, which leaves the scale of the contact."""
+    nc = q.size // 2
+    rows = _planar(nc)
+    E = sp.csr_array((np.ones(2 * nc), (rows, np.arange(2 * nc))), shape=(3 * nc, 2 * nc))
+    diagonal = np.zeros(3 * nc)
+    diagonal[2::3] = W.diagonal().reshape(nc, 2).mean(axis=1)
+    return E @ W @ E.T + sp.diags_array(diagonal), E @ q
+
+
+def _planar(nc: int) -> Any:
+    """Rows N and T1 of vectors with 3 entries per contact."""
+    return np.arange(3 * nc).reshape(nc, 3)[:, :2].ravel()
+
+
+def _stored(file: Any, name: str) -> Stored:
+    group, dim = _group(file)
+    nc = _array(group, "vectors/mu").size
+    u, r = np.zeros(3 * nc), np.zeros(3 * nc)
+    rows = slice(None) if dim == 3 else _planar(nc)
+    u[rows] = _array(file, f"{name}/u", size=dim * nc)
+    r[rows] = _array(file, f"{name}/r", size=dim * nc)
+    v, l = (_array(file, f"{name}/{key}") if f"{name}/{key}" in file else None for key in ("v", "l"))
+    return Stored(u, r, v, l)
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+def write(
+    path: str | Path,
+    problem: FC3D,
+    solution: Solution | None = None,
+    *,
+    guesses: Sequence[Array] = (),
+    v_free: Array | None = None,
+    spacedim: int = 3,
+    title: str = "",
+    description: str = "",
+    overwrite: bool = False,
+) -> None:
+    """Write a problem: global if it has factors M and H (`FC3D.blocks`), else local with W in compressed rows.
+
+    Parameters
+    ----------
+    path : path
+        Written beside its place first: a write that fails leaves nothing.
+    problem : FC3D
+    solution : Solution, optional
+        Written as ``solution``, with v = M⁻¹ (H r + f) in a global file.
+    guesses : sequence of ndarray, shape (3 nc,)
+        Impulses to start from, written with their u = W r + q.
+    v_free : ndarray, shape (n,), optional
+        Velocity without contact impulses, for f = M v_free and w = q - Hᵀ v_free in a global file. The problem knows
+        only their sum q: without it f = 0 and w = q.
+    spacedim : int
+        2 writes a local problem without its second tangents, as `read` made them.
+    title, description : str
+        Kept in ``info``; the title is the file's name by default.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    ValueError
+        If the path exists or cannot be written, for a guess of wrong length, or if spacedim is 2 and the problem is
+        not planar.
+
+    Examples
+    --------
+    >>> import tempfile, nsdyn as nd
+    >>> problem = nd.FC3D([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]], [-1.0, 0.2, 0.0], [0.5])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     nd.fclib.write(f"{folder}/drop.hdf5", problem, nd.solve(problem))
+    ...     nd.fclib.read(f"{folder}/drop.hdf5").q.tolist()
+    [-1.0, 0.2, 0.0]
+    """
+    blocks = problem.blocks
+    rows = slice(None) if spacedim == 3 else _planar(problem.nc)
+    if spacedim != 3:
+        _check_planar(problem, spacedim)
+    for guess in guesses:
+        if np.shape(guess) != problem.q.shape:
+            raise ValueError(f"guesses must have shape {problem.q.shape} like q, got {np.shape(guess)}")
+    with _created(path, overwrite) as file:
+        group = file.create_group("fclib_local" if blocks is None else "fclib_global")
+        _put(group, "spacedim", spacedim)
+        _put(group, "vectors/mu", problem.mu)
+        if blocks is None:
+            _put_matrix(group, "W", problem.W.tocsr()[rows][:, rows])
+            _put(group, "vectors/q", problem.q[rows])
+            mathematics = "u = W r + q, normal first"
+        else:
+            v = np.zeros(blocks.n) if v_free is None else v_free
+            M, H = _sparse(blocks)
+            _put_matrix(group, "M", M)
+            _put_matrix(group, "H", H)
+            _put(group, "vectors/f", M @ v)
+            _put(group, "vectors/w", problem.q - blocks.relative_velocity(v))
+            mathematics = "M v = H r + f, u = H^T v + w, normal first"
+        _put_text(group, "info/title", title or Path(path).stem)
+        _put_text(group, "info/description", description or "Written by nsdyn.")
+        _put_text(group, "info/math_info", mathematics)
+        if guesses:
+            _put(file, "guesses/number_of_guesses", len(guesses))
+        for k, guess in enumerate(guesses):
+            _put_answer(file, f"guesses/{k + 1}", guess, problem.velocity(guess))
+        if solution is not None:
+            _put_answer(file, "solution", solution.r, solution.u)
+
+
+def write_solution(path: str | Path, source: str | Path, solution: Solution, *, overwrite: bool = False) -> None:
+    """Write a copy of the problem file `source` with its solution, in the file's own dimension.
+
+    Raises
+    ------
+    ValueError
+        If the path exists or cannot be written, or as `read` for the source.
+    """
+    with _open(source) as problem, _created(path, overwrite) as file:
+        for name in problem:
+            if name != "solution":
+                problem.copy(name, file)
+        _put_answer(file, "solution", solution.r, solution.u)
+
+
+@contextmanager
+def _created(path: str | Path, overwrite: bool) -> Iterator[Any]:
+    """Create a file that takes its place when the block succeeds; else nothing is left."""
+    if Path(path).exists() and not overwrite:
+        raise ValueError(f"cannot write {path}: it exists")
+    with files.writing(path) as part, h5py.File(part, "w") as file:
+        yield file
+
+
+def _put(group: Any, name: str, value: Any) -> None:
+    """Vector, or scalar of shape (1,), in the library's types."""
+    value = np.atleast_1d(value)
+    group[name] = value.astype(np.float64 if value.dtype.kind == "f" else np.int32)
+
+
+def _put_matrix(group: Any, name: str, A: Any) -> None:
+    """Sparse matrix in compressed rows."""
+    A = sp.csr_array(A)
+    A.sort_indices()
+    for key, value in {"nzmax": A.nnz, "m": A.shape[0], "n": A.shape[1], "nz": -2}.items():
+        _put(group, f"{name}/{key}", value)
+    for key, values in {"p": A.indptr, "i": A.indices, "x": A.data}.items():
+        _put(group, f"{name}/{key}", values)
+
+
+def _put_text(group: Any, name: str, text: str) -> None:
+    """Fixed-length string that ends in NUL, as H5LTmake_dataset_string makes it; h5py's own strings may not end."""
+    data = text.encode()
+    kind = h5py.h5t.C_S1.copy()
+    kind.set_size(len(data) + 1)
+    parent = group.require_group(name.rpartition("/")[0])
+    item = h5py.h5d.create(parent.id, name.rpartition("/")[2].encode(), kind, h5py.h5s.create(h5py.h5s.SCALAR))
+    item.write(h5py.h5s.ALL, h5py.h5s.ALL, np.array(data, f"S{len(data) + 1}"))
+
+
+def _put_answer(file: Any, name: str, r: Array, u: Array) -> None:
+    """Solution or guess of the problem that is already in the file, with its v and λ."""
+    group, dim = _group(file)
+    rows = slice(None) if dim == 3 else _planar(_array(group, "vectors/mu").size)
+    r, u = r[rows], u[rows]
+    _put(file, f"{name}/u", u)
+    _put(file, f"{name}/r", r)
+    if group.name == "/fclib_global":
+        M = _matrix(group, "M")
+        K, B, c = _system(group, M, _matrix(group, "H"))
+        x = _factor(K, "fclib_global/M")(B @ r + c)
+        _put(file, f"{name}/v", x[: M.shape[0]])
+        if K is not M:
+            _put(file, f"{name}/l", x[M.shape[0] :])
+    elif "R" in group:
+        V, R, s = _bilateral(group, r.size)
+        _put(file, f"{name}/l", _factor(R, "fclib_local/R")(-(V.T @ r) - s))
+
+
+def _check_planar(problem: FC3D, spacedim: int) -> None:
+    """ValueError unless the second tangents are coupled to nothing."""
+    if spacedim != 2:
+        raise ValueError(f"spacedim must be 2 or 3, got {spacedim}")
+    if problem.blocks is not None:
+        raise ValueError("spacedim must be 3 for a problem given by its factors")
+    W = problem.W.tocoo()
+    out = W.row != W.col
+    if W.data[out & ((W.row % 3 == 2) | (W.col % 3 == 2))].any() or problem.q[2::3].any():
+        raise ValueError("spacedim must be 3: the second tangents of W or q are not zero")
+
+
+def _sparse(blocks: Blocks) -> tuple[Any, Any]:
+    """(M, H) of factors as sparse matrices of shapes (n, n) and (n, 3 nc), without stored zeros."""
+    size = np.diff(blocks.offset)
+    mass, rows = [], []  # (row, column, value) of every block
+    for o, n, s in zip(blocks.offset, size, blocks.m_start, strict=False):
+        i, j = np.divmod(np.arange(n * n), n)
+        mass.append((o + i, o + j, blocks.m[s : s + n * n]))
+    for c, slot in zip(*np.nonzero(blocks.block >= 0), strict=True):
+        k, s = blocks.block[c, slot], blocks.start[c, slot]
+        i, j = np.divmod(np.arange(3 * size[k]), size[k])
+        rows.append((blocks.offset[k] + j, 3 * c + i, blocks.h[s : s + 3 * size[k]]))
+    return _assembled(mass, (blocks.n, blocks.n)), _assembled(rows, (blocks.n, 3 * blocks.nc))
+
+
+def _assembled(parts: list[tuple[Any, Any, Array]], shape: tuple[int, int]) -> Any:
+    if not parts:
+        return sp.csr_array(shape)
+    i, j, x = (np.concatenate(column) for column in zip(*parts, strict=True))
+    out = sp.coo_array((x, (i, j)), shape=shape).tocsr()
+    out.eliminate_zeros()
+    return out

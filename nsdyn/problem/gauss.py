@@ -1,0 +1,241 @@
+"""Gauss's principle as the certificate of a step.
+
+For any r ∈ K put v = v_f + M⁻¹ H r, u = Hᵀ v + w, freeze s = μ‖u_T‖, and write û(x) = Hᵀ x + w + s e_N. The velocity
+v* of least constraint, min ½‖x - v_f‖²_M under û(x) ∈ K*, is unique although impulses are not. For any direction d
+and λ ≥ 0 with û(v + λ d) ∈ K*,
+
+    ‖v - v*‖_M ≤ ½ λ‖d‖_M + (G + ¼ λ²‖d‖²_M)^½,   G = Σ r·û(v + λ d) = Σ r·(u + s e_N) + λ r·Hᵀ d ≥ 0.
+
+Proof. Let f be the objective and a = v + λ d. As M (v - v_f) = H r, f(x) = f(v) + r·Hᵀ(x - v) + ½‖x - v‖²_M. At
+x = v* this gives f(v*) ≥ f(v) - r·û(v) + ½‖v* - v‖²_M, for r·û(v*) ≥ 0; at x = a it gives f(a); and
+f(a) ≥ f(v*) + ½‖a - v*‖²_M, since v* is the minimum over a convex set that a belongs to. Together,
+‖v - v*‖²_M + ‖v + λ d - v*‖²_M ≤ 2 G + λ²‖d‖²_M: the ball of centre v + ½ λ d and radius (G + ¼ λ²‖d‖²_M)^½ holds v*.
+The terms of Σ r·(u + s e_N) are negative where u_N < 0, and every r·û(a) is ≥ 0 again because both are in cones that
+are dual to each other. (Without the term ½‖a - v*‖²_M the same lines give the weaker √(2 G + λ²‖d‖²_M).)
+
+Where u_N ≥ 0 everywhere, λ = 0 will do and the bound is the root of the duality gap. Else û(v) + λ Hᵀ d is in K* if
+u_N + λ κ ≥ 0 with κ = (Hᵀ d)_N - μ‖(Hᵀ d)_T‖, at every contact: d must open those that close, and may close those that
+open fast enough. So r = 0, whose gap is 0, gets a bound that is worth something. A direction with κ ≥ 1 everywhere
+depends on the contacts alone. It is found once and used as long as it serves, which one product with Hᵀ verifies.
+
+Where r is right up to η and contacts carry impulses, the bound is of the order of √η: of an answer to 1e-13 m/s it
+says 1e-7 √J. Where the frozen problem has no velocity inside all cones it has no bound, for then the least error of u
+may leave it without any velocity at all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn._kernels.problem import gauss as _kernels
+from nsdyn.problem.fc3d import FC3D, Array
+from nsdyn.solvers.interior import Local
+from nsdyn.solvers.newton import contact_graph
+
+__all__ = ["Certificate", "Opening", "certify"]
+
+NOTHING = np.empty(0)
+
+SLACK = 0.1
+"""Fraction of the margin a of MARGINS that a direction may miss: the least one is hardly shorter."""
+
+WEAK = 4.0
+"""Where a direction found for other contacts needs a λ of so many times the largest -u_N, a new one is found."""
+
+ENOUGH, SWEEPS = 0.5, 1000
+"""A direction for other contacts is changed until κ is at least so much everywhere, in at most so many sweeps; a few do
+where few contacts have changed, a hundred or more where a heap is struck, and Newton's method costs as much as that."""
+
+PENALTY, GROWTH, LARGEST = 10.0, 10.0, 1e9
+"""Penalty times λ_max(W_cc) of the first Newton step, its growth with every full step, and its limit."""
+
+STEPS, SHORTEST = 60, 1e-3
+"""Newton steps for a direction, and the shortest fraction of one. About five are needed, and where none exists no
+number of them is enough."""
+
+MARGINS = (1.0, 0.0), (1.2, 1e-3), (0.01, 1.0)
+"""Directions are sought with Hᵀ d ∈ a e_N - b y + K*, for pairs (a, b) in turn; y is û(v) over the largest -u_N. The
+first is of the contacts alone and serves longest. The second lets contacts close that open a thousand times as fast as
+the worst closes: a body between walls, with some play, has no direction that opens both. The last asks no more than
+that û(v + λ d) is inside K*."""
+
+
+class Certificate(NamedTuple):
+    """Error bound of one solve.
+
+    Attributes
+    ----------
+    gap : float
+        Duality gap Σ r·(u + δ e_N + s e_N) of the problem shifted by δ = max(0, -u_N), J.
+    shift : float
+        ‖δ‖₂ over the contacts, m/s: how far that problem is from the given one.
+    bound : float
+        At least ‖v - v*‖_M, in √J, where v is the velocity of the computed impulse and v* the exact solution of the
+        convex problem with the computed friction shifts s = μ‖u_T‖ frozen. It is not the distance to a solution of
+        Coulomb's problem, which need not be unique, nor the error of time stepping; round-off in u is not counted.
+        Infinite where some u_N < 0 and no velocity with û inside K* is found (two walls that close on a body, a roller
+        that friction grips in a nip), or where the impulse is not finite.
+    """
+
+    gap: float
+    shift: float
+    bound: float
+
+
+class Opening(NamedTuple):
+    """A direction that opens contacts, kept from one certificate to the next.
+
+    Attributes
+    ----------
+    d : ndarray, shape (n,)
+        Velocity in the coordinates of `FC3D.blocks`, κ ≥ 1 - SLACK where it was found; the impulse x (3 nc,) of
+        d = M⁻¹ H x where W is given alone. Empty where none was found.
+    nc : int
+        Number of contacts it was found for.
+    speed : float
+        Largest -u_N that it was sought for, m/s.
+    """
+
+    d: Array
+    nc: int
+    speed: float
+
+    def hopeless(self, nc: int, speed: float) -> bool:
+        """Whether another search is not worth its cost: as many contacts, and not much less to open."""
+        return not self.d.size and nc == self.nc and speed > 0.1 * self.speed
+
+
+def certify(
+    problem: FC3D, r: Array, u: Array | None = None, opening: Opening | None = None
+) -> tuple[Certificate, Opening | None]:
+    """Certificate of the impulse r, and the direction it rests on, for the certificate of the next step.
+
+    Parameters
+    ----------
+    problem : FC3D
+        With symmetric W.
+    r : ndarray, shape (3 nc,)
+        Impulse, N·s; outside K it stands for P_K(r).
+    u : ndarray, shape (3 nc,), optional
+        Relative velocity W r + q, m/s; computed where it is not given, or r is outside K.
+    opening : Opening, optional
+        What the last certificate returned. Any gives a valid bound, and the same one the same bound.
+
+    Returns
+    -------
+    certificate : Certificate
+    opening : Opening or None
+        That given, unless it had to be replaced.
+
+    References
+    ----------
+    J. J. Moreau, Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
+    """
+    mu, impulse = problem.mu, np.empty_like(problem.q)
+    if _kernels.into_cones(r, mu, impulse) or u is None:
+        u = problem.velocity(impulse)
+    d = opening.d if opening else NOTHING
+    gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
+    if not math.isfinite(gap + shift):
+        return Certificate(gap, shift, math.inf), opening
+    if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):
+        d = _relaxed(problem, d)
+        if not d.size:
+            d = _open(problem, u, speed)
+        if d.size or step == math.inf:
+            opening = Opening(d, problem.nc, speed)
+            step, total, square = _along_direction(problem, u, impulse, d)[3:]
+    half = 0.5 * step * math.sqrt(square) if step < math.inf else math.inf
+    return Certificate(gap, shift, half + math.sqrt(half * half + total)), opening
+
+
+def _along_direction(problem: FC3D, u: Array, r: Array, d: Array) -> tuple[float, float, float, float, float, float]:
+    """(gap, |δ|_2, max δ, λ, Σ r·(û + λ Hᵀ d), ‖d‖²_M) along `Opening.d`."""
+    b = problem.blocks
+    if b is not None:
+        factors = b.offset, b.block, b.start, b.h, b.m_start, b.m
+        return _kernels.certificate_along(*factors, u, r, problem.mu, d)  # type: ignore[no-any-return]
+    o, square = _along(problem, d)
+    return *_kernels.certificate(u, r, o, problem.mu), square
+
+
+def _along(problem: FC3D, d: Array) -> tuple[Array, float]:
+    """(Hᵀ d, ‖d‖²_M) of `Opening.d`; zeros, which open nothing, where it is of other coordinates."""
+    o, b = np.zeros_like(problem.q), problem.blocks
+    if b is None and d.size == o.size:
+        o = problem.velocity(d) - problem.q
+        return o, float(d @ o)
+    if b is not None and d.size == b.n:
+        return o, float(_kernels.along_blocks(b.offset, b.block, b.start, b.h, b.m_start, b.m, d, o))
+    return o, 0.0
+
+
+def _relaxed(problem: FC3D, d: Array) -> Array:
+    """`Opening.d` from one of other contacts, where few of them have changed; empty where that does not suffice."""
+    b = problem.blocks
+    if b is None or d.size != b.n:
+        return NOTHING
+    d = d.copy()
+    found = _kernels.relax(b.offset, b.block, b.start, b.h, b.m_start, b.minv, problem.mu, ENOUGH, SWEEPS, d)
+    return d if found else NOTHING
+
+
+def _open(problem: FC3D, u: Array, speed: float) -> Array:
+    """`Opening.d` for the first of MARGINS that has one, empty if none has; `speed` is the largest -u_N."""
+    own = u / speed
+    own[0::3] += problem.mu * np.hypot(own[1::3], own[2::3])
+    for margin, share in MARGINS:
+        b = -share * own
+        b[0::3] += margin
+        d = _least_direction(problem, b, SLACK * margin)
+        if d.size:
+            return d
+    return NOTHING
+
+
+def _least_direction(problem: FC3D, b: Array, slack: float) -> Array:
+    """`Opening.d` of least ‖d‖_M with Hᵀ d ∈ b - slack e_N + K*, by a growing penalty; empty if there is none.
+
+    The minimum of ½‖d‖²_M + Σ ρ/2 dist²(Hᵀ d, b + K*) grows with ρ to the least ‖d‖_M without slack, so that the first
+    one that will do is hardly longer. It is the problem of contact without de Saxcé's shift, K* ∋ W x - b ⟂ x ∈ K:
+    convex, with a symmetric matrix in Newton's method, which a step that is halved until it descends makes safe.
+    """
+    solve, mu, penalty = _newton(problem), problem.mu, PENALTY
+    g, A = np.empty_like(problem.q), np.empty((problem.nc, 3, 3))
+    d = np.zeros(g.size if problem.blocks is None else problem.blocks.n)
+    o, square = np.zeros_like(g), 0.0
+    for _ in range(STEPS):
+        rho = penalty / problem.scales
+        _kernels.pull(o, b, rho, mu, A, g)
+        try:
+            change, step = solve(A, g) - d, 1.0
+        except RuntimeError:  # singular up to round-off
+            break
+        last = _kernels.merit(square, o, b, rho, mu)
+        while True:
+            o, square = _along(problem, d + step * change)
+            if step < SHORTEST or _kernels.merit(square, o, b, rho, mu) <= last:
+                break
+            step *= 0.5
+        d = d + step * change
+        if _kernels.least_opening(o, b, mu) >= -slack:
+            return d
+        if step == 1.0:
+            penalty *= GROWTH
+        if penalty > LARGEST:
+            break
+    return NOTHING
+
+
+def _newton(problem: FC3D) -> Callable[[Array, Array], Array]:
+    """Function (A, g) ↦ `Opening.d`, d = (M + Σ H_c A_c H_cᵀ)⁻¹ H g, which is x = (I + A W)⁻¹ g."""
+    blocks = problem.blocks
+    if blocks is None:
+        factor = Local(problem.W).factor
+        return lambda A, g: g - (A @ factor(A)(g).reshape(-1, 3, 1)).ravel()
+    graph = contact_graph(blocks)
+    return lambda A, g: graph.solve(blocks, A, blocks.momentum(g))

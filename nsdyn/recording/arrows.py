@@ -1,0 +1,99 @@
+"""Contact forces to draw: summed over the steps between keyframes, in the axes of the bodies they push."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from nsdyn.recording.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+__all__ = ["Forces", "between"]
+
+
+class Forces(NamedTuple):
+    """Mean forces of the steps before keyframes.
+
+    Attributes
+    ----------
+    keyframe : ndarray, shape (n,)
+        The keyframe, from 1 on, that ends the steps.
+    frame : ndarray, shape (n,)
+        Moving frame of the body that is pushed: body 2, or body 1 where 2 is fixed.
+    point, force : ndarray, shape (n, 3)
+        m and N, in the axes and from the origin of that frame.
+    """
+
+    keyframe: Index
+    frame: Index
+    point: Array
+    force: Array
+
+
+def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
+    """Contact forces between the recorded states `rows`, ascending.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    rows : ndarray of int
+        Indices of states; to each keyframe belong the steps since the one before.
+    by : {"pair", "point"}
+        One force for each pair of bodies, at their centre of pressure; or one for each contact point,
+        whose impulses, not unique, are those of least norm with the same force and torque if none of them pulls.
+    """
+    c = {name.removeprefix("contacts/"): x for name, x in trajectory.columns.items() if name.startswith("contacts/")}
+    step = np.repeat(np.arange(1, trajectory.steps + 1), np.diff(c["offset"]))
+    k = np.flatnonzero((step > rows[0]) & (step <= rows[-1]))
+    step, c = step[k], {name: x[k] for name, x in c.items() if name != "offset"}
+    geoms = trajectory.scene["geoms"]
+    frame_of = np.array([geom["frame"] for geom in geoms], dtype=np.int64)
+    names = [geom.get("link", geom["name"]) for geom in geoms]
+    link_of = np.array([names.index(name) for name in names], dtype=np.int64)
+    second = frame_of[c["geom2"]] >= 0
+    pushed, other = (np.where(second, *pair) for pair in ((c["geom2"], c["geom1"]), (c["geom1"], c["geom2"])))
+    axes = np.stack([c["normal"], c["tangent"], np.cross(c["normal"], c["tangent"])], axis=1)
+    sign = np.where(second, 1.0, -1.0)[:, None]
+    push, normal = sign * np.einsum("ci,cij->cj", c["impulse"], axes), sign * c["normal"]
+    frame, point = frame_of[pushed], c["point"].copy()
+    for f in np.unique(frame):
+        on, motion = frame == f, trajectory.body(trajectory.scene["frames"][f])
+        turn = Rotation.from_quat(motion.quaternion[step[on]]).inv()
+        point[on] = turn.apply(point[on] - motion.position[step[on]])
+        push[on], normal[on] = turn.apply(push[on]), turn.apply(normal[on])
+    keyframe = np.searchsorted(rows, step)
+    pair = np.column_stack([keyframe, link_of[pushed], link_of[other], frame])
+    if by == "point":
+        pair = np.column_stack([pair, c["geom1"], c["geom2"], c["key"]])
+    groups, member = np.unique(pair, axis=0, return_inverse=True)
+    weight = np.maximum(c["impulse"][:, 0], 0.0)
+    n = len(groups)
+
+    def total(values: Array) -> Array:
+        out = np.zeros((n, 3))
+        np.add.at(out, member.ravel(), values)
+        return out
+
+    weights = np.maximum(np.bincount(member.ravel(), weight, n), 1e-300)[:, None]
+    force, mean = total(push), total(weight[:, None] * point) / weights
+    if by == "point" and n:
+        _spread(groups[:, :4], mean, total(weight[:, None] * normal), force)
+    length = np.diff(trajectory.t[rows])[groups[:, 0] - 1]
+    return Forces(groups[:, 0], groups[:, 3], mean, force / length[:, None])
+
+
+def _spread(pairs: Index, point: Array, normal: Array, impulse: Array) -> None:
+    """Give the points of each pair the impulses of least norm with the same sum and moment, where none pulls."""
+    same, member = np.unique(pairs, axis=0, return_inverse=True)
+    for k in range(len(same)):
+        on = np.flatnonzero(member.ravel() == k)
+        # [I; x ×] of every point, shape (6, 3 n).
+        wrench = np.concatenate([np.concatenate([np.eye(3), np.cross(x, np.eye(3)).T]) for x in point[on]], axis=1)
+        least = (np.linalg.pinv(wrench, rcond=1e-9) @ (wrench @ impulse[on].ravel())).reshape(-1, 3)
+        if (np.einsum("ci,ci->c", least, normal[on]) >= 0.0).all():
+            impulse[on] = least

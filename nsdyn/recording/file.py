@@ -1,0 +1,174 @@
+"""The file of a recording: HDF5 that any HDF5 library reads.
+
+Layout of the file (n steps, row 0 of a state is the initial one; SI units; quaternions xyzw)::
+
+    /meta            attributes: format "nsdyn", format_version, dt, theta, solver, scene_name, external_force
+                     (whether there was one; since version 3), versions of nsdyn, pin, coal, numpy
+    /meta/scene      JSON string, what `Scene.describe` returns: shapes, poses, gravity, frames; since version 3 the
+                     pairs of shapes that may overlap
+    /t               (n+1,)  s
+    /q, /v           (n+1, nq), (n+1, nv)  Pinocchio's free-flyer of every free body (x y z qx qy qz qw;
+                     linear then angular velocity in the body frame), then the articulations
+    /frames/x, quat  (n+1, nframes, 3), (n+1, nframes, 4)  world poses; only in scenes with articulations
+                                                   or driven bodies
+    /energy/kinetic, potential                     (n+1,)  J
+    /energy/external, normal, friction, damping, constraint, integration, projection, defect
+                                                   (n,)  work of the step, J; damping and constraint since version 2;
+                                                   before version 3 gyroscopic, theta and mass make up integration
+    /energy/created                                (n,)  J, no term of the balance; since version 3
+    /gauss/gap, shift, bound                       (n,)  J, m/s, sqrt(J)
+    /solver/error, residual, iterations, status, time
+                                                   (n,)  -, m/s, -, `nd.Status`, s; error since version 3
+    /wall_time                                     (n,)  s that the step took, recording apart; since version 4
+    /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
+                                                   rows offset[k-1] to offset[k] of
+    /contacts/geom1, geom2, key                    indices of the shapes; key of the warm start
+    /contacts/point, normal, tangent               (., 3)  world; normal from 1 to 2; t1, and t2 = n x t1
+    /contacts/gap, mu, restitution                 m, -, -
+    /contacts/u, impulse                           (., 3)  (N, T1, T2) of 2 relative to 1, m/s; on 2, N·s
+    /contacts/status                               0 open, 1 stick, 2 slip
+    /contacts/work_normal, work_friction           J
+
+A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
+HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file
+that opens as any other; if the kill falls into those milliseconds, ``h5py.File(path, swmr=True)`` opens it,
+and `nsdyn.Trajectory.load` does in either case. `/t` is written last: its length is the number of complete rows.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.tools.unfinished import open_to_read
+
+__all__ = ["create", "extend", "read"]
+
+Columns = dict[str, NDArray[Any]]
+
+FORMAT_VERSION = 4
+CONTACT_STATES = ("open", "stick", "slip")
+
+ENERGIES = ("kinetic", "potential")
+PHYSICS = ("external", "normal", "friction", "damping", "constraint")
+WORKS = (*PHYSICS, "integration", "projection", "defect")
+GAUSS = ("gap", "shift", "bound")
+SOLVER = {"error": "f8", "residual": "f8", "iterations": "i4", "status": "i1", "time": "f8"}
+# Columns of a contact by name: (where a step has it, type, components).
+CONTACT = {
+    "geom1": ("contacts.geom1", "i4", 1),
+    "geom2": ("contacts.geom2", "i4", 1),
+    "point": ("contacts.point", "f8", 3),
+    "normal": ("contacts.normal", "f8", 3),
+    "gap": ("gap", "f8", 1),
+    "mu": ("contacts.mu", "f8", 1),
+    "restitution": ("contacts.restitution", "f8", 1),
+    "key": ("contacts.key", "i8", 1),
+    "u": ("u", "f8", 3),
+    "impulse": ("r", "f8", 3),
+    "status": ("contact_status", "i1", 1),
+    "tangent": ("tangent", "f8", 3),
+    "work_normal": ("work_normal", "f8", 1),
+    "work_friction": ("work_friction", "f8", 1),
+}
+
+# Datasets of a file by their number of rows: n + 1, n, and one per contact.
+STATES = ["t", "q", "v", *(f"energy/{name}" for name in ENERGIES), "contacts/offset"]
+LINKS = ["frames/x", "frames/quat"]
+STEPS = [f"energy/{name}" for name in WORKS]
+STEPS += [f"gauss/{name}" for name in GAUSS] + [f"solver/{name}" for name in SOLVER] + ["energy/created", "wall_time"]
+# Columns that older files lack: (version, column, those that it is the sum of, its value without any).
+ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
+    (2, "energy/damping", (), 0.0),
+    (2, "energy/constraint", (), 0.0),
+    (3, "energy/integration", ("energy/gyroscopic", "energy/theta", "energy/mass"), 0.0),
+    (3, "energy/created", (), math.nan),
+    (3, "solver/error", (), math.nan),
+    (4, "wall_time", (), math.nan),
+]
+CONTACTS = [f"contacts/{name}" for name in CONTACT]
+
+
+def _rows(names: Iterable[str], states: int, contacts: int) -> dict[str, int]:
+    """Count the rows of each dataset in a recording of that many states and contacts."""
+    count = dict.fromkeys(CONTACTS, contacts) | dict.fromkeys([*STATES, *LINKS], states)
+    return {name: count.get(name, states - 1) for name in names}
+
+
+def create(path: Path, meta: Mapping[str, Any], scene: Mapping[str, Any], columns: Columns, grow: bool) -> None:
+    """Write a new file, its datasets of fixed size or ready to grow."""
+    with h5py.File(path, "w", libver="latest", locking=False) as file:
+        file.create_group("meta").attrs.update(meta)
+        file["meta/scene"] = json.dumps(scene)
+        for name, data in columns.items():
+            options: dict[str, Any] = {}
+            if grow:
+                shape = tuple(max(1, size) for size in data.shape[1:])
+                rows = 65536 // (data.itemsize * math.prod(shape))  # 64 kB: quick, yet small files stay small
+                options = {"maxshape": (None, *data.shape[1:]), "chunks": (min(1024, max(16, rows)), *shape)}
+            file.create_dataset(name, data=data, **options)
+
+
+def extend(path: Path, columns: Columns) -> None:
+    """Add rows to a file: all columns, then, when they have reached it, `/t`.
+
+    Rows an interrupted call left beyond the end of `/t` are written over. Locking is off, so that nobody who
+    reads the file can stop the simulation; single-writer mode keeps it readable at every moment.
+    """
+    with h5py.File(path, "r+", libver="latest", locking=False) as file:
+        file.swmr_mode = True
+        states = len(file["t"])
+        contacts = int(file["contacts/offset"][states - 1])
+        for name, old in sorted(_rows(columns, states, contacts).items(), key=lambda item: item[0] == "t"):
+            if name == "t":
+                file.flush()
+            file[name].resize(old + len(columns[name]), axis=0)
+            file[name][old:] = columns[name]
+
+
+def read(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns]:
+    """(meta, scene, columns) of a file, as `nsdyn.Trajectory` has them; errors as of `nsdyn.Trajectory.load`."""
+    if not path.is_file():
+        raise FileNotFoundError(f"no such recording: {path}")
+    if not h5py.is_hdf5(path):
+        raise ValueError(f"{path} is not a recording of nsdyn: it is not an HDF5 file")
+    try:
+        with open_to_read(path) as file:
+            return _contents(file, path)
+    except (OSError, RuntimeError, KeyError) as failure:  # all of them h5py raises for damaged files
+        raise ValueError(f"{path} is damaged: {failure.args[0] if failure.args else failure}") from None
+
+
+def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns]:
+    attributes = file["meta"].attrs if "meta" in file else {}
+    meta = {k: v.item() if isinstance(v, np.generic) else v for k, v in attributes.items()}
+    if meta.get("format") != "nsdyn":
+        raise ValueError(f"{path} is not a recording of nsdyn: /meta with format='nsdyn' is missing")
+    if meta["format_version"] > FORMAT_VERSION:
+        raise ValueError(f"{path} has format_version {meta['format_version']}, this nsdyn reads up to {FORMAT_VERSION}")
+    added = [row for row in ADDED if meta["format_version"] < row[0]]
+    parts = [part for _, _, parts, _ in added for part in parts]
+    steps = [name for name in STEPS if name not in {column for _, column, _, _ in added}] + parts
+    missing = [name for name in ["meta/scene", *STATES, *steps, *CONTACTS] if name not in file]
+    if missing:
+        raise ValueError(f"{path} is not a recording of nsdyn: /{missing[0]} is missing")
+    scene = json.loads(file["meta/scene"][()])
+    states = len(file["t"])
+    offset = file["contacts/offset"][:states]
+    names = STATES + (LINKS if "frames" in file else []) + steps + CONTACTS
+    rows = _rows(names, states, int(offset[-1]) if len(offset) else 0)
+    for name, size in rows.items():
+        if len(file[name]) < size or not states:
+            raise ValueError(f"{path} is damaged: /{name} has {len(file[name])} rows, {size} expected")
+    columns = {name: file[name][:size] for name, size in rows.items()}
+    for _, column, summed, value in added:
+        columns[column] = sum((columns.pop(part) for part in summed), np.full(states - 1, value))
+    meta["format_version"] = FORMAT_VERSION
+    return meta, scene, columns

@@ -1,0 +1,170 @@
+"""Tables of a recording: its contacts, what two bodies do to each other, forces on a body, the motion of a joint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.recording.file import CONTACT_STATES
+from nsdyn.tools.naming import choice
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+__all__ = ["JointMotion", "Pair", "contact_table", "force", "joint", "pair"]
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """What body a does to body b by contact in each of n steps; SI units, world frame.
+
+    Attributes
+    ----------
+    a, b : str
+    t : ndarray, shape (n,)
+        Ends of the steps, s.
+    force, torque : ndarray, shape (n, 3)
+        Impulses of the step over dt, on b; the torque is about the world's origin.
+    work : ndarray, shape (n,)
+        Of normal and tangential impulses, on both, J.
+    gap : ndarray, shape (n,)
+        Smallest at the end of the step, m; infinite without contact points.
+    state : tuple of str
+        "apart" without contact points, "open" with points that carry nothing, else "stick", or "slip" where any slips.
+    """
+
+    a: str
+    b: str
+    t: Array
+    force: Array
+    torque: Array
+    work: Array
+    gap: Array
+    state: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """Motion of a joint: `position` (n + 1, nq) and `velocity` (n + 1, nv), (n + 1,) for one coordinate; rad or m."""
+
+    name: str
+    position: Array
+    velocity: Array
+
+
+def contact_table(trajectory: Trajectory) -> Any:
+    """All contacts of all steps by columns; see `nsdyn.Trajectory.contact_table`."""
+    columns, names = trajectory.columns, _names(trajectory)
+    row, step = _rows(trajectory)
+    frame = _frames(columns)
+    out: dict[str, NDArray[Any]] = {"step": step, "t": trajectory.t[step]}
+    for side in "12":
+        out[f"body{side}"] = names[columns[f"contacts/geom{side}"][row]]
+    states = np.array(CONTACT_STATES)[columns["contacts/status"][row]]
+    out |= {"state": states, "gap": columns["contacts/gap"][row]}
+    for name, vector in (
+        ("point", columns["contacts/point"]),
+        ("normal", columns["contacts/normal"]),
+        ("impulse", np.einsum("ci,cij->cj", columns["contacts/impulse"], frame)),
+        ("velocity", np.einsum("ci,cij->cj", columns["contacts/u"], frame)),
+    ):
+        out |= {f"{name}_{axis}": vector[row, k] for k, axis in enumerate("xyz")}
+    for name in ("impulse", "u"):
+        values = columns[f"contacts/{name}"][row]
+        out |= {f"{name}_N": values[:, 0], f"{name}_T": np.hypot(values[:, 1], values[:, 2])}
+    out |= {name: columns[f"contacts/{name}"][row] for name in ("mu", "restitution", "work_normal", "work_friction")}
+    try:
+        import pandas as pd
+    except ModuleNotFoundError:
+        return out
+    return pd.DataFrame(out)
+
+
+def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
+    """What body a does to body b; see `nsdyn.Trajectory.pair`."""
+    on_a, on_b = (_members(trajectory, name) for name in (a, b))
+    row, step = _rows(trajectory)
+    first, second = (trajectory.columns[f"contacts/geom{side}"][row] for side in "12")
+    sign = 1.0 * (on_a[first] & on_b[second]) - 1.0 * (on_b[first] & on_a[second])
+    k, n = np.flatnonzero(sign), trajectory.steps
+    row, step, sign = row[k], step[k] - 1, sign[k]
+    c = {name: trajectory.columns[f"contacts/{name}"][row] for name in ("point", "gap", "status")}
+    push = sign[:, None] * _impulses(trajectory.columns)[row]
+    force, torque, work, gap = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
+    np.add.at(force, step, push / trajectory.dt)
+    np.add.at(torque, step, np.cross(c["point"], push) / trajectory.dt)
+    for name in ("work_normal", "work_friction"):
+        np.add.at(work, step, trajectory.columns[f"contacts/{name}"][row])
+    np.minimum.at(gap, step, c["gap"])
+    state = np.full(n, -1)
+    np.maximum.at(state, step, c["status"])
+    words = ("apart", *CONTACT_STATES)
+    return Pair(a, b, trajectory.t[1:], force, torque, work, gap, tuple(words[s + 1] for s in state))
+
+
+def force(trajectory: Trajectory, name: str) -> Array:
+    """Contact force on a body in each step; see `nsdyn.Trajectory.force`."""
+    members = _members(trajectory, name)
+    row, step = _rows(trajectory)
+    first, second = (members[trajectory.columns[f"contacts/geom{side}"][row]] for side in "12")
+    sign = 1.0 * second - 1.0 * first
+    out = np.zeros((trajectory.steps, 3))
+    np.add.at(out, step - 1, sign[:, None] * _impulses(trajectory.columns)[row] / trajectory.dt)
+    return out
+
+
+def joint(trajectory: Trajectory, name: str) -> JointMotion:
+    """Motion of the joint "articulation/joint"; see `nsdyn.Trajectory.joint`."""
+    scene = trajectory.scene
+    free = scene["free"]
+    q, v, places = 7 * free, 6 * free, {}
+    for a in scene["articulations"]:
+        sizes = a.get("sizes")
+        if sizes is None:
+            raise ValueError("joints have no places in recordings before format 4")
+        for label, (nq, nv) in zip(a["joints"], sizes, strict=True):
+            places[f"{a['name']}/{label}"] = slice(q, q + nq), slice(v, v + nv)
+            q, v = q + nq, v + nv
+    at, rows = places[choice(name, places, "joint")]
+    position, velocity = trajectory.q[:, at], trajectory.v[:, rows]
+    if velocity.shape[1] == 1 and position.shape[1] == 2:  # cos and sin of an angle, which goes on over turns
+        position = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))[:, None]
+    if velocity.shape[1] == 1:
+        position, velocity = position[:, 0], velocity[:, 0]
+    return JointMotion(name, position, velocity)
+
+
+def _rows(trajectory: Trajectory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(row, step from 1 on) of all contacts."""
+    counts = np.diff(trajectory.columns["contacts/offset"])
+    return np.arange(int(counts.sum())), np.repeat(np.arange(1, trajectory.steps + 1), counts)
+
+
+def _frames(columns: dict[str, NDArray[Any]]) -> Array:
+    """Axes (n, t1, t2) of all contacts, shape (., 3, 3)."""
+    normal, tangent = columns["contacts/normal"], columns["contacts/tangent"]
+    return np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
+
+
+def _impulses(columns: dict[str, NDArray[Any]]) -> Array:
+    """Impulses on body 2 of all contacts in world axes, shape (., 3), N·s."""
+    out: Array = np.einsum("ci,cij->cj", columns["contacts/impulse"], _frames(columns))
+    return out
+
+
+def _names(trajectory: Trajectory) -> NDArray[Any]:
+    """Name of the body or link of every shape."""
+    return np.array([geom.get("link", geom["name"]) for geom in trajectory.scene["geoms"]])
+
+
+def _members(trajectory: Trajectory, name: str) -> NDArray[np.bool_]:
+    """Which shapes belong to a body, a link or a whole articulation, by shape."""
+    geoms = trajectory.scene["geoms"]
+    labels = [(geom["body"], geom.get("link", geom["name"])) for geom in geoms]
+    choice(name, dict.fromkeys(label for both in labels for label in both), "body")
+    return np.array([name in both for both in labels])

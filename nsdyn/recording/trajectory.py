@@ -1,0 +1,510 @@
+"""The record of a simulation: states, energies, contacts, certificates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from nsdyn.recording import file as recording
+from nsdyn.recording import tables
+from nsdyn.recording.file import CONTACT, CONTACT_STATES, ENERGIES, GAUSS, PHYSICS, SOLVER, WORKS, Columns
+from nsdyn.tools import files
+from nsdyn.tools.naming import meant
+
+Array = NDArray[np.float64]
+
+__all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "SolverLog", "Trajectory"]
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """Energies and works in J: kinetic + potential grows in each step by the sum of the works and the defect.
+
+    Attributes
+    ----------
+    kinetic, potential : ndarray, shape (n + 1,)
+        At the times t.
+    external, normal, friction, damping, constraint : ndarray, shape (n,)
+        Physics, work done on the system in each step: by applied forces and joint actuation, by the normal and the
+        tangential impulses of contacts and joints, by viscous joint damping, by prescribed motion and closed loops.
+    integration, projection : ndarray, shape (n,)
+        Numerics: by the time discretisation of smooth motion, by position projection and what takes back such gains.
+    defect : ndarray, shape (n,)
+        What the ledger of each step fails to explain; round-off when all is well.
+    created : ndarray, shape (n,)
+        What of `normal` and `friction` the contacts of a step with an impact created, by a paradox of its law; no
+        term of the balance. NaN in recordings that do not tell.
+    """
+
+    kinetic: Array
+    potential: Array
+    external: Array
+    normal: Array
+    friction: Array
+    damping: Array
+    constraint: Array
+    integration: Array
+    projection: Array
+    defect: Array
+    created: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The terms of the balance, states first."""
+        return ENERGIES + WORKS
+
+    @property
+    def total(self) -> Array:
+        """Kinetic + potential, shape (n + 1,)."""
+        return self.kinetic + self.potential
+
+
+@dataclass(frozen=True, eq=False)
+class Gauss:
+    """Certificate of each step by Gauss's principle, shape (n,).
+
+    Attributes
+    ----------
+    gap : ndarray
+        Duality gap, J.
+    shift : ndarray
+        Size of the perturbation of the step that was solved exactly, m/s.
+    bound : ndarray
+        At least the error of the velocity in the kinetic norm, √J; infinite where none is (`nsdyn.problem.gauss`).
+    """
+
+    gap: Array
+    shift: Array
+    bound: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SolverLog:
+    """What the solver reported in each step, shape (n,).
+
+    Attributes
+    ----------
+    error, residual : ndarray
+        `FC3D.error` [-] and `FC3D.residual` [m/s].
+    iterations : ndarray of int
+    status : ndarray of int8
+        Values of `nsdyn.problem.fc3d.Status`; 0 is converged.
+    time : ndarray
+        Wall time of the solve, s.
+    """
+
+    error: Array
+    residual: Array
+    iterations: NDArray[np.int32]
+    status: NDArray[np.int8]
+    time: Array
+
+    @property
+    def status_names(self) -> list[str]:
+        """Names of the status of each step."""
+        from nsdyn.problem.fc3d import Status
+
+        return [Status(int(s)).name for s in self.status]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMotion:
+    """Motion of one free body or link in the world frame.
+
+    Attributes
+    ----------
+    name : str
+    position : ndarray, shape (n + 1, 3)
+        m. Of the centre of mass of a free body, of the frame of a link or a joint.
+    quaternion : ndarray, shape (n + 1, 4)
+        xyzw, body to world.
+    """
+
+    name: str
+    position: Array
+    quaternion: Array
+    _twist: Array | None
+
+    @property
+    def linear_velocity(self) -> Array:
+        """Velocity of the centre of mass, shape (n + 1, 3), m/s; ValueError for a link."""
+        return self._velocity(0)
+
+    @property
+    def angular_velocity(self) -> Array:
+        """Angular velocity, shape (n + 1, 3), rad/s; ValueError for a link."""
+        return self._velocity(3)
+
+    def _velocity(self, start: int) -> Array:
+        if self._twist is None:
+            raise ValueError(f"velocities of link {self.name!r} are not recorded: they follow from q and v")
+        return rotate(self.quaternion, self._twist[:, start : start + 3])
+
+
+def rotate(quaternion: Array, vector: Array) -> Array:
+    """R(quaternion) vector, xyzw in the last axis."""
+    axis, w = quaternion[..., :3], quaternion[..., 3:]
+    turn = 2.0 * np.cross(axis, vector)
+    out: Array = vector + w * turn + np.cross(axis, turn)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class ContactTable:
+    """Contacts of one step, nc rows; SI units, world frame.
+
+    Attributes
+    ----------
+    body1, body2 : tuple of str
+        Names of the bodies, "articulation/body" of a link.
+    shape1, shape2 : tuple of str
+        Names of their shapes; a free body has one, of its own name.
+    point, normal, tangent : ndarray, shape (nc, 3)
+        Normal from body 1 to body 2; t1, with t2 = n x t1.
+    gap : ndarray, shape (nc,)
+        At the end of the step, m, positive apart.
+    u : ndarray, shape (nc, 3)
+        Velocity of body 2 relative to body 1 after the step, (N, T1, T2), m/s.
+    impulse : ndarray, shape (nc, 3)
+        On body 2, its opposite on body 1, (N, T1, T2), N·s; not unique when contacts are redundant.
+    mu, restitution : ndarray, shape (nc,)
+    key : ndarray of int64, shape (nc,)
+        The same for the same features of the same pair of shapes in the next step.
+    status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    work_normal, work_friction : ndarray, shape (nc,)
+        J.
+    """
+
+    body1: tuple[str, ...]
+    body2: tuple[str, ...]
+    shape1: tuple[str, ...]
+    shape2: tuple[str, ...]
+    point: Array
+    normal: Array
+    tangent: Array
+    gap: Array
+    u: Array
+    impulse: Array
+    mu: Array
+    restitution: Array
+    key: NDArray[np.int64]
+    status: NDArray[np.int8]
+    work_normal: Array
+    work_friction: Array
+
+    @property
+    def impulse_world(self) -> Array:
+        """Impulse on body 2 in the world frame, shape (nc, 3), N·s."""
+        other = np.cross(self.normal, self.tangent)
+        r = self.impulse
+        out: Array = r[:, :1] * self.normal + r[:, 1:2] * self.tangent + r[:, 2:] * other
+        return out
+
+    @property
+    def status_names(self) -> list[str]:
+        """Words for the status of each contact: open, stick or slip."""
+        return [CONTACT_STATES[s] for s in self.status]
+
+    def __len__(self) -> int:
+        return self.gap.size
+
+    def __repr__(self) -> str:
+        width = max([5, *map(len, self.body1 + self.body2)])
+        lines = [
+            f"{'body1':{width}} {'body2':{width}} {'gap [m]':>10} {'u_N [m/s]':>10} {'|u_T|':>9}"
+            f" {'r_N [N·s]':>10} {'|r_T|':>9} {'mu':>5} status"
+        ]
+        for k, state in enumerate(self.status_names[:_SHOWN]):
+            slip, drag = np.hypot(*self.u[k, 1:]), np.hypot(*self.impulse[k, 1:])
+            lines.append(
+                f"{self.body1[k]:{width}} {self.body2[k]:{width}} {self.gap[k]:10.2e} {self.u[k, 0]:10.2e}"
+                f" {slip:9.2e} {self.impulse[k, 0]:10.3e} {drag:9.2e} {self.mu[k]:5.3g} {state}"
+            )
+        if len(self) > _SHOWN:
+            lines.append(f"... {len(self) - _SHOWN} more")
+        return "\n".join(lines)
+
+
+_SHOWN = 40  # contacts a printed table shows
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """States, energies, certificates and contacts of a simulation of n steps.
+
+    Attributes
+    ----------
+    meta : dict
+        dt, theta, solver, scene_name, format and versions.
+    scene : dict
+        What `Scene.describe` returned: enough to draw it.
+    columns : dict of str to ndarray
+        The datasets by their name in the file, see `nsdyn.recording.file`.
+    """
+
+    meta: dict[str, Any]
+    scene: dict[str, Any]
+    columns: Columns
+
+    @property
+    def t(self) -> Array:
+        """Times, shape (n + 1,), s."""
+        return self.columns["t"]
+
+    @property
+    def q(self) -> Array:
+        """Configurations, shape (n + 1, nq), Pinocchio's convention; row 0 is the initial one."""
+        return self.columns["q"]
+
+    @property
+    def v(self) -> Array:
+        """Velocities, shape (n + 1, nv), Pinocchio's convention (body frame for a free body)."""
+        return self.columns["v"]
+
+    @property
+    def dt(self) -> float:
+        """Time step, s."""
+        return float(self.meta["dt"])
+
+    @property
+    def steps(self) -> int:
+        """Number of steps n."""
+        return self.t.size - 1
+
+    @property
+    def energy(self) -> Energy:
+        """Energies and works, J."""
+        return Energy(**{f.name: self.columns[f"energy/{f.name}"] for f in fields(Energy)})
+
+    @property
+    def gauss(self) -> Gauss:
+        """Certificates."""
+        return Gauss(**{name: self.columns[f"gauss/{name}"] for name in GAUSS})
+
+    @property
+    def solver(self) -> SolverLog:
+        """Reports of the solver."""
+        return SolverLog(**{name: self.columns[f"solver/{name}"] for name in SOLVER})
+
+    @property
+    def wall_time(self) -> Array:
+        """Wall time of each step without its recording, shape (n,), s; NaN where a recording does not tell."""
+        return self.columns["wall_time"]
+
+    def body(self, name: str) -> BodyMotion:
+        """Motion of a body, or of a link or a joint ("arm/link2"); ValueError naming the known ones.
+
+        Links whose joint carries no shape are not recorded.
+        """
+        frames, links = self.scene["frames"], {link["name"]: link for link in self.scene.get("links", ())}
+        if name not in frames and name in links:
+            return self._link(name, links[name]["frame"], np.array(links[name]["placement"]))
+        if name not in frames:
+            known = [*frames, *links]
+            raise ValueError(f"no moving body {name!r}; the recording has {known}{meant(name, known)}")
+        k = frames.index(name)
+        if k < self.scene["free"]:
+            pose, twist = self.q[:, 7 * k : 7 * k + 7], self.v[:, 6 * k : 6 * k + 6]
+            return BodyMotion(name, pose[:, :3], pose[:, 3:], twist)
+        return BodyMotion(name, self.columns["frames/x"][:, k], self.columns["frames/quat"][:, k], None)
+
+    def _link(self, name: str, frame: int, placement: Array) -> BodyMotion:
+        """Motion of a link that is placed, shape (4, 4), in a moving frame or in the world, -1."""
+        turn = Rotation.from_matrix(placement[:3, :3])
+        if frame < 0:
+            one = np.ones((self.t.size, 1))
+            return BodyMotion(name, one * placement[:3, 3], one * turn.as_quat(), None)
+        carrier = self.body(self.scene["frames"][frame])
+        position = carrier.position + rotate(carrier.quaternion, placement[:3, 3])
+        return BodyMotion(name, position, (Rotation.from_quat(carrier.quaternion) * turn).as_quat(), None)
+
+    def contacts(self, k: int) -> ContactTable:
+        """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError."""
+        step = k + self.steps + 1 if k < 0 else k
+        if not 1 <= step <= self.steps:
+            raise IndexError(f"contacts belong to steps 1 to {self.steps}, got {k}")
+        offset = self.columns["contacts/offset"]
+        rows = slice(int(offset[step - 1]), int(offset[step]))
+        part = {name: self.columns[f"contacts/{name}"][rows] for name in CONTACT}
+        geoms = self.scene["geoms"]
+        sides = [[geoms[g] for g in part.pop(side)] for side in ("geom1", "geom2")]
+        # Recordings before format 4 have no names of links.
+        body1, body2 = (tuple(geom.get("link", geom["name"]) for geom in side) for side in sides)
+        shape1, shape2 = (tuple(geom["name"] for geom in side) for side in sides)
+        return ContactTable(body1, body2, shape1, shape2, **part)
+
+    def contact_table(self) -> Any:
+        """All contacts of all steps, one a row, by columns; SI units, world axes.
+
+        Returns
+        -------
+        pandas.DataFrame, or dict of str to ndarray where pandas is not installed
+            step, t of its end, body1, body2, state, gap, point, normal, impulse on body 2 and velocity of body 2
+            relative to body 1 (each _x, _y, _z; the latter two also _N, _T), mu, restitution, work_normal,
+            work_friction.
+        """
+        return tables.contact_table(self)
+
+    def pair(self, a: str, b: str) -> tables.Pair:
+        """What body `a` does to body `b` in each step: net force, torque, work, smallest gap, state.
+
+        Both are bodies, "articulation/body" or whole articulations; ValueError naming the known ones.
+        """
+        return tables.pair(self, a, b)
+
+    def force(self, name: str) -> Array:
+        """Net contact force on a body, "articulation/body" or articulation in each step, shape (n, 3), N, world axes.
+
+        Between the links of one articulation it cancels. ValueError naming the known ones.
+        """
+        return tables.force(self, name)
+
+    def joint(self, name: str) -> tables.JointMotion:
+        """Motion of a joint, "articulation/joint"; ValueError naming the known ones."""
+        return tables.joint(self, name)
+
+    def save(self, path: str | Path) -> None:
+        """Write an HDF5 file, which replaces one of that name once complete; ValueError naming the path."""
+        with files.writing(path) as part:
+            recording.create(part, self.meta, self.scene, self.columns, grow=False)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Trajectory:
+        """Read a recording, also one whose simulation is running or was killed.
+
+        Raises
+        ------
+        FileNotFoundError
+        ValueError
+            If the file is no recording, naming the file and what is missing.
+        """
+        return cls(*recording.read(Path(path)))
+
+    def to_html(self, path: str | Path, **options: Any) -> None:
+        """Write a self-contained animated page; options as in `nsdyn.recording.viewer.write_html`."""
+        from nsdyn.recording.viewer import write_html
+
+        write_html(self, path, **options)
+
+    def plot_energy(self, ax: Any = None) -> Any:
+        """Draw kinetic and potential energy, stacked, and over them the works done so far.
+
+        The axis of energy spans at least a millionth of the largest energy: what is smaller shows as rest.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            A new one by default.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        if ax is None:
+            import matplotlib.pyplot as plt
+
+            ax = plt.subplots(layout="constrained")[1]
+        e = self.energy
+        potential = e.potential - e.potential.min()
+        labels, colours = ["kinetic", "potential, from its minimum"], ["#88bbdd", "#dde5ea"]
+        ax.stackplot(self.t, e.kinetic, potential, labels=labels, colors=colours)
+        for name in self._active_works():
+            ax.plot(self.t, self._cumulative(name), label=f"work: {name}")
+        ax.plot(self.t, e.kinetic + potential, "k", lw=1, label="kinetic + potential")
+        ax.set(xlabel="t [s]", ylabel="energy, work so far [J]", title=self.meta["scene_name"])
+        ax.margins(x=0)
+        low, high = ax.get_ylim()
+        least = 1e-6 * self._largest_energy or 1.0
+        if high - low < least:
+            ax.set_ylim(-0.1 * least, 0.9 * least)
+            ax.text(0.5, 0.5, "at rest", transform=ax.transAxes, ha="center", va="center", size="x-large")
+        ax.legend(loc="best", frameon=False)
+        return ax
+
+    def ledger(self, rows: int = 10) -> dict[str, Array]:
+        """Energies and works done so far, J, at about `rows` times "t" from the first to the last: physics, numerics.
+
+        Works that never exceed a billionth of the largest energy are left out, the defect is not.
+        """
+        k = np.unique(np.linspace(0, self.steps, rows + 1).round().astype(int))
+        out = {"t": self.t[k], "kinetic": self.energy.kinetic[k], "potential": self.energy.potential[k]}
+        return out | {name: self._cumulative(name)[k] for name in [*self._active_works(), "defect"]}
+
+    def energy_table(self, rows: int = 10) -> str:
+        """Text table of `ledger`, and the worst figures of all steps."""
+        ledger, worst = self.ledger(rows), self.worst()
+        times, *energies = ledger.values()
+        lines = [f"{'t [s]':>12}" + "".join(f"{name:>12}" for name in list(ledger)[1:])]
+        for k, t in enumerate(times):
+            lines.append(f"{t:12.6g}" + "".join(f"{values[k]:12.4e}" for values in energies))
+        shares = self.shares()
+        lines.append(f"{'':12}{'in all':>12}{'at most':>12}{'share':>12}  of the energy at play, {self.at_play:.4g} J")
+        for name, (total, most) in shares.items():
+            lines.append(f"{name:12}{total:12.4e}{most:12.4e}{most / max(self.at_play, 1e-300):12.1e}")
+        lines.append(
+            f"energies and works so far in J; max |defect| {worst['defect']:.1e} J, "
+            f"max Gauss bound {worst['gauss_bound']:.1e} √J, max residual {worst['residual']:.1e} m/s"
+        )
+        return "\n".join(lines)
+
+    @property
+    def at_play(self) -> float:
+        """Energy at play, J: the most of kinetic energy, range of potential energy and physical works so far."""
+        e = self.energy
+        works = (float(np.abs(self._cumulative(name)).max()) for name in PHYSICS)
+        return max(float(e.kinetic.max()), float(np.ptp(e.potential)), *works)
+
+    @property
+    def _largest_energy(self) -> float:
+        """Of the energy at play and the potential energy, which a body at rest has too, J."""
+        return max(self.at_play, float(np.abs(self.energy.potential).max()))
+
+    def shares(self) -> dict[str, tuple[float, float]]:
+        """Works of physics, numerics (integration, defect) and projection, J: (in all, largest absolute sum so far)."""
+        groups = {"physics": PHYSICS, "numerics": ("integration", "defect"), "projection": ("projection",)}
+        out = {}
+        for group, names in groups.items():
+            work = sum((self._cumulative(name) for name in names), np.zeros(self.t.size))
+            out[group] = float(work[-1]), float(np.abs(work).max())
+        return out
+
+    def worst(self) -> dict[str, float]:
+        """Largest |defect| [J], Gauss bound [√J] and shift [m/s], residual [m/s] and penetration [m].
+
+        The penetration is that of the recorded gaps; `nsdyn.check` finds the true overlaps.
+        """
+        return {
+            "defect": _largest(np.abs(self.energy.defect)),
+            "gauss_bound": _largest(self.gauss.bound),
+            "gauss_shift": _largest(self.gauss.shift),
+            "residual": _largest(self.solver.residual),
+            "penetration": _largest(-self.columns["contacts/gap"]),
+        }
+
+    def _active_works(self) -> list[str]:
+        """Works of more than round-off, without the defect."""
+        works = {name: np.abs(self._cumulative(name)).max() for name in WORKS if name != "defect"}
+        return [
+            name for name, work in works.items() if work > 1e-9 * max(self._largest_energy, 1e-300, *works.values())
+        ]
+
+    def _cumulative(self, work: str) -> Array:
+        """Work from 0 to t, shape (n + 1,)."""
+        return np.concatenate([[0.0], np.cumsum(self.columns[f"energy/{work}"])])
+
+    def __repr__(self) -> str:
+        return (
+            f"<Trajectory of {self.meta['scene_name']!r}: {self.steps} steps of {self.dt:g} s, "
+            f"{len(self.scene['frames'])} moving bodies>"
+        )
+
+
+def _largest(values: ArrayLike) -> float:
+    """Maximum of non-negative numbers, 0 if there are none; NaN if one is."""
+    return float(np.max(values, initial=0.0))

@@ -1,8 +1,0 @@
-"""Readers of robot files: each turns one into a `Description` and tells what it left out."""
-
-from nsdyn.robot_files.mjcf import read_mjcf
-from nsdyn.robot_files.model import read_model
-from nsdyn.robot_files.sdf import read_sdf
-from nsdyn.robot_files.urdf import read_urdf
-
-__all__ = ["read_mjcf", "read_model", "read_sdf", "read_urdf"]

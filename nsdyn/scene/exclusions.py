@@ -1,0 +1,81 @@
+"""Links that are never tested for contact with each other: joined by joints, disabled by a file, in each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from nsdyn.scene.shapes import HALFSPACE
+
+if TYPE_CHECKING:
+    from nsdyn.scene.articulations import Link, Loop
+
+Array = NDArray[np.float64]
+
+__all__ = ["FREE", "disabled_pairs", "joined", "neighbours", "overlapping"]
+
+FREE = "JointModelFreeFlyer"
+
+
+def disabled_pairs(name: str, path: Path, model: Any, unused: list[str]) -> set[frozenset[str]]:
+    """Pairs of bodies whose contact an SRDF file disables."""
+    if not path.is_file():
+        raise ValueError(f"srdf of {name!r} must be an SRDF file, got {str(path)!r}")
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as failure:
+        raise ValueError(f"srdf of {name!r}: {path} could not be read: {failure}") from None
+    out = set()
+    for pair in root.iter("disable_collisions"):
+        bodies = frozenset((pair.get("link1", ""), pair.get("link2", "")))
+        if all(model.existBodyName(body) for body in bodies):
+            out.add(bodies)
+        else:
+            unused.append(f"SRDF: disable_collisions of {sorted(bodies)}, which are not both bodies of the model")
+    unused += [f"SRDF: <{tag}>" for tag in sorted({child.tag for child in root} - {"disable_collisions"})]
+    return out
+
+
+def joined(links: Sequence[Link], joined: set[frozenset[int]]) -> frozenset[tuple[int, int]]:
+    """Pairs of links, by index, that share a joint or hang on two joints that are `joined`."""
+    return frozenset(
+        (i, j)
+        for (i, first), (j, second) in combinations(enumerate(links), 2)
+        if first.joint == second.joint or frozenset((first.joint, second.joint)) in joined
+    )
+
+
+def neighbours(model: Any, loops: Sequence[Loop], world_touches: bool) -> set[frozenset[int]]:
+    """Pairs of joints whose links are joined by a joint or a loop; a free base is not joined to the world."""
+    out = {frozenset((c.joint1, c.joint2)) for c in loops}
+    for joint in range(1, model.njoints):
+        parent = int(model.parents[joint])
+        if model.joints[joint].shortname() != FREE and not (world_touches and parent == 0):
+            out.add(frozenset((joint, parent)))
+    return out
+
+
+def overlapping(model: Any, q: Array, links: Sequence[Link], apart: frozenset[tuple[int, int]]) -> set[tuple[int, int]]:
+    """Pairs of links, by index, that overlap at q, save those that are kept `apart` already."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    poses = [data.oMi[link.joint] * link.placement for link in links]
+    places = [coal.Transform3s(pose.rotation, pose.translation) for pose in poses]
+    out = set()
+    for i, j in combinations(range(len(links)), 2):
+        a, b = links[i].shape, links[j].shape
+        far = np.linalg.norm(poses[i].translation - poses[j].translation) > a.bounding_radius + b.bounding_radius
+        if far or (i, j) in apart or HALFSPACE == a.kind == b.kind:
+            continue
+        pair = a.geometry, places[i], b.geometry, places[j]
+        if coal.collide(*pair, coal.CollisionRequest(), coal.CollisionResult()):
+            out.add((i, j))
+    return out

@@ -1,0 +1,48 @@
+"""Materials of surfaces, and how two of them make the coefficients of a contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.scene import checks
+
+Array = NDArray[np.float64]
+
+__all__ = ["COMBINATION_RULES", "Material"]
+
+COMBINATION_RULES: dict[str, Callable[[Array, Array], Array]] = {
+    "average": lambda a, b: 0.5 * (a + b),
+    "geometric_mean": lambda a, b: np.asarray(np.sqrt(a * b)),
+    "harmonic_mean": lambda a, b: 2.0 * a * b / np.where(a + b > 0.0, a + b, 1.0),
+    "max": np.maximum,
+    "min": np.minimum,
+    "multiply": np.multiply,
+}
+"""How two materials make one coefficient, by name."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """What two surfaces are made of, before a combination rule makes one value per pair.
+
+    Parameters
+    ----------
+    mu : float
+        Coulomb's coefficient of friction, ≥ 0.
+    restitution : float
+        Newton's coefficient e in [0, 1]; u_N⁺ = -e u_N⁻ at an impact.
+    """
+
+    mu: float = 0.5
+    restitution: float = 0.0
+
+    def __post_init__(self) -> None:
+        mu, restitution = checks.number(self.mu, "mu"), checks.number(self.restitution, "restitution")
+        if mu < 0.0:
+            raise ValueError(f"mu must not be negative, got {mu:g}")
+        if not 0.0 <= restitution <= 1.0:
+            raise ValueError(f"restitution must lie in [0, 1], got {restitution:g}")

@@ -1,0 +1,356 @@
+"""MJCF, the format of MuJoCo.
+
+Pinocchio builds the tree, the inertias and the shapes from a file simplified here: one file without includes, classes
+and pictures, every default written out and everything named, under one body without a joint, because Pinocchio reads
+the first tree of a file only. The values of the joints are read here: Pinocchio takes the range of a slide for
+degrees, shifts that of a joint with `ref`, and knows no springs.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.scene.articulations import Description, Loop, describe_model
+from nsdyn.scene.materials import Material
+from nsdyn.scene.robot_files.inertias import check_mass, flaw
+from nsdyn.scene.robot_files.model import links_of
+from nsdyn.scene.robot_files.xml import Array, Notes, numbers, parse
+from nsdyn.tools import noise
+from nsdyn.tools.naming import choice
+
+__all__ = ["read_mjcf"]
+
+WORLD = "world"
+
+SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
+"""(nq, nv) of every type of joint."""
+
+MACROS = {"attach", "composite", "flexcomp", "frame", "plugin", "replicate"}
+"""Elements inside bodies that MuJoCo's compiler replaces by others."""
+
+SOLID = {"box", "capsule", "cylinder", "ellipsoid", "mesh", "plane", "sphere"}
+"""Types of geoms that have a shape here."""
+
+ASSETS = {"mesh"}
+
+POSE = {"pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"}
+
+ATTRIBUTES = {
+    "joint": {"name", "type", "pos", "axis", "range", "limited", "ref", "stiffness", "springref", "springdamper",
+              "damping", "armature", "frictionloss"},
+    "geom": {"name", "type", "size", "fromto", "mesh", "mass", "density", "contype", "conaffinity", "friction",
+             "condim", *POSE},
+    "connect": {"name", "active", "body1", "body2", "site1", "site2", "anchor"},
+    "weld": {"name", "active", "body1", "body2", "site1", "site2", "relpose"},
+    "mesh": {"name", "file", "scale", "vertex"},
+}  # fmt: skip
+"""What is used of the attributes of an element, or warned of."""
+
+
+def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
+    """Description of an MJCF file; its bases are fixed or free as it says, and `keyframe` names its initial state."""
+    root = _with_includes(name, path, parse(name, path, "MJCF"))
+    if root.tag != "mujoco":
+        raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <mujoco>")
+    dropped, unused = Notes(), Notes()
+    try:
+        _write_out_defaults(root)
+        masks, materials = _simplify(root, dropped, unused)
+        flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
+        model, geometry = _build(root, path)
+        stiffness, rest = _set_joints(root, model, dropped)
+        q = _initial(root, model, keyframe, dropped, unused)
+        loops = tuple(_loops(root, model, q, dropped))
+        links, bodies = links_of(model, geometry.geometryObjects, dropped)
+        excluded = frozenset(frozenset((e.get("body1", ""), e.get("body2", ""))) for e in root.iter("exclude"))
+        solid = [k for k, link in enumerate(links) if any(masks[link.name])]
+        links, bodies = [links[k] for k in solid], [bodies[k] for k in solid]
+        filtered = frozenset(
+            frozenset((a.name, b.name)) for a, b in combinations(links, 2) if not _collide(masks[a.name], masks[b.name])
+        )
+    except (ValueError, RuntimeError) as failure:
+        raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
+    return describe_model(
+        model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, excluded=excluded, filtered=filtered,
+        world_touches=True, dropped=tuple(dropped), unused=tuple(unused),
+        flaws=tuple(flaws), materials=materials,
+    )  # fmt: skip
+
+
+# -- a simpler file --------------------------------------------------------------------------------------------
+
+
+def _with_includes(name: str, path: Path, element: Element) -> Element:
+    """Element with the contents of included files, which are named from the folder of the main file."""
+    for child in list(element):
+        if child.tag == "include":
+            k = list(element).index(child)
+            element.remove(child)
+            included = parse(name, path.parent / child.get("file", ""), "MJCF")
+            for offset, inner in enumerate(_with_includes(name, path, included)):
+                element.insert(k + offset, inner)
+        else:
+            _with_includes(name, path, child)
+    return element
+
+
+def _write_out_defaults(root: Element) -> None:
+    """Give every joint, geom, site and mesh the attributes of its class, and take the classes away."""
+    classes: dict[str, dict[str, dict[str, str]]] = {"main": {}}
+
+    def collect(default: Element, parent: str, name: str) -> None:
+        own = {tag: dict(attributes) for tag, attributes in classes[parent].items()}
+        for child in default:
+            if child.tag != "default":
+                own[child.tag] = own.get(child.tag, {}) | child.attrib
+        classes[name] = own
+        for child in default.findall("default"):
+            collect(child, name, child.get("class", ""))
+
+    def apply(element: Element, inherited: str) -> None:
+        inherited = element.get("childclass", inherited)
+        element.attrib.pop("childclass", None)
+        name = element.attrib.pop("class", inherited)
+        if name not in classes:
+            raise ValueError(f"class {name!r} of a <{element.tag}> is not defined")
+        element.attrib.update(classes[name].get(element.tag, {}) | element.attrib)
+        for child in element:
+            apply(child, inherited)
+
+    for default in root.findall("default"):
+        collect(default, "main", "main")
+        root.remove(default)
+    for section in root:
+        apply(section, "main")
+
+
+def _simplify(root: Element, dropped: Notes, unused: Notes) -> tuple[dict[str, tuple[int, int]], dict[str, Material]]:
+    """Keep what Pinocchio reads, all of it named and under one body.
+
+    Returns (contype, conaffinity) of the geoms and the materials that they tell, by name.
+    """
+    world = root.find("worldbody")
+    if world is None:
+        raise ValueError("it has no <worldbody>")
+    compiler = root.find("compiler")
+    for attribute in ("settotalmass", "balanceinertia", "inertiagrouprange", "fitaabb"):
+        if compiler is not None and compiler.get(attribute):
+            dropped.append(f"compiler: {attribute}")
+    for tag in ("actuator", "tendon", "deformable"):
+        if root.find(tag) is not None:
+            dropped.append(f"<{tag}>")
+    dropped += [f"contact: <pair> of {e.get('geom1')!r} and {e.get('geom2')!r}" for e in root.iter("pair")]
+    option = root.find("option")
+    for attribute in ("density", "viscosity", "wind"):
+        if option is not None and any(float(x) for x in option.get(attribute, "0").split()):
+            dropped.append(f"option: {attribute}")
+    dropped += [f"joint {e.get('name')!r}: springdamper" for e in world.iter("joint") if e.get("springdamper")]
+    read = {"compiler", "worldbody", "equality", "contact", "asset", "keyframe", "actuator", "tendon", "deformable"}
+    unused.of_children([root], read, "mujoco")
+    for tag, used in ATTRIBUTES.items():
+        unused.of_attributes([e for e in root.iter(tag) if "joint1" not in e.attrib], used, tag)
+    masks: dict[str, tuple[int, int]] = {}
+    materials: dict[str, Material] = {}
+    for number, body in enumerate(world.iter("body")):
+        body.attrib.setdefault("name", f"body{number}")
+    for body in [world, *world.iter("body")]:
+        where = body.attrib.setdefault("name", WORLD)
+        unused.of_children(
+            [body], {"body", "joint", "freejoint", "inertial", "geom", "site"} | MACROS, f"body {where!r}"
+        )
+        for attribute in ("mocap", "gravcomp"):
+            if body.get(attribute, "0") not in ("0", "false"):
+                dropped.append(f"body {where!r}: {attribute}")
+        for child in list(body):
+            if child.tag in MACROS:
+                raise ValueError(
+                    f"body {where!r} has a <{child.tag}>: save the file as MuJoCo compiles it, then read that"
+                )
+            if child.tag not in ("body", "joint", "freejoint", "inertial", "geom", "site"):
+                body.remove(child)
+        meshes = [g for g in body.findall("geom") if g.get("type", "sphere") == "mesh" and g.get("mass") != "0"]
+        if meshes and body.find("inertial") is None and body is not world:
+            dropped.append(f"body {where!r}: inertia of its meshes")
+        for number, geom in enumerate(body.findall("geom")):
+            geom.attrib.pop("material", None)
+            if geom.get("type", "sphere") not in SOLID:
+                dropped.append(f"body {where!r}: geom of type {geom.get('type')!r}")
+                body.remove(geom)
+                continue
+            label = geom.attrib.setdefault("name", f"{where}_{number}")
+            if material := _material(geom, label):
+                materials[label] = material
+            if geom.get("condim") in ("4", "6"):
+                dropped.append(f"geom {label!r}: friction of spinning and rolling")
+            masks[label] = int(geom.get("contype", "1")), int(geom.get("conaffinity", "1"))
+            if geom.get("type", "sphere") != "mesh":
+                # Pinocchio leaves the mass of a geom that touches nothing out; that of a mesh it never counts.
+                geom.attrib |= {"contype": "1", "conaffinity": "1"}
+    world.tag = "body"
+    for section in list(root):
+        if section.tag not in ("compiler", "equality", "contact", "asset", "keyframe"):
+            root.remove(section)
+    for asset in root.findall("asset"):
+        for child in [c for c in asset if c.tag not in ASSETS]:
+            asset.remove(child)
+    ElementTree.SubElement(root, "worldbody").append(world)
+    return masks, materials
+
+
+def _build(root: Element, path: Path) -> tuple[Any, Any]:
+    """(model, geometry) that Pinocchio builds from the simplified file."""
+    compiler = root.find("compiler")
+    if compiler is None:
+        compiler = ElementTree.SubElement(root, "compiler")
+    folder = compiler.get("meshdir", compiler.get("assetdir", ""))
+    compiler.set("meshdir", str((path.parent / folder).absolute()))
+    bare = Element("mujoco", root.attrib)
+    bare.extend(e for e in root if e.tag in ("compiler", "asset", "worldbody"))
+    with tempfile.TemporaryDirectory() as scratch:
+        file = Path(scratch) / path.with_suffix(".xml").name
+        ElementTree.ElementTree(bare).write(file)
+        with noise.caught():
+            model = pin.buildModelFromMJCF(str(file))
+            return model, pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+
+
+def _material(geom: Element, label: str) -> Material | None:
+    """Material of a geom that gives Coulomb's friction, of sliding; a `condim` of 1 has none."""
+    if geom.get("condim") == "1":
+        return Material(mu=0.0)
+    given = geom.get("friction")
+    if given is None:
+        return None
+    return Material(mu=float(numbers(" ".join(given.split()[:1]), 1, None, f"friction of geom {label!r}")[0]))
+
+
+def _flaws(body: Element) -> Iterator[str]:
+    """What no body can have in the inertia of a body, if it has one of its own."""
+    inertial, where = body.find("inertial"), f"body {body.get('name')!r}"
+    for geom in body.findall("geom"):
+        for attribute in ("mass", "density"):
+            check_mass(float(numbers(geom.get(attribute), 1, (0.0,), f"{attribute} of {where}")[0]), where)
+    if inertial is None:
+        return
+    check_mass(float(numbers(inertial.get("mass"), 1, None, f"mass of {where}")[0]), where)
+    xx, yy, zz = numbers(inertial.get("diaginertia"), 3, (0, 0, 0), f"diaginertia of {where}")
+    full = numbers(inertial.get("fullinertia"), 6, (xx, yy, zz, 0, 0, 0), f"fullinertia of {where}")
+    xx, yy, zz, xy, xz, yz = full
+    if fault := flaw(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), where):
+        yield fault
+
+
+def _collide(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    """Whether two geoms may touch, from their (contype, conaffinity)."""
+    return bool(a[0] & b[1] or b[0] & a[1])
+
+
+# -- joints ----------------------------------------------------------------------------------------------------
+
+
+def _joints(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
+    """(element, type, its part of q, its part of v) of every joint, in the order of Pinocchio: depth first."""
+    q = v = 0
+    for element in root.iter():
+        if element.tag in ("joint", "freejoint") and "joint1" not in element.attrib:
+            kind = "free" if element.tag == "freejoint" else element.get("type", "hinge")
+            nq, nv = SIZES[kind]
+            yield element, kind, slice(q, q + nq), slice(v, v + nv)
+            q, v = q + nq, v + nv
+
+
+def _set_joints(root: Element, model: Any, dropped: Notes) -> tuple[Array, Array]:
+    """Put limits, damping, dry friction and armature into the model; returns (stiffness, rest) of the springs."""
+    compiler = root.find("compiler")
+    settings: dict[str, str] = {} if compiler is None else compiler.attrib
+    unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
+    lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
+    damping, friction, armature, stiffness, rest = np.zeros((5, model.nv))
+    for element, kind, at, rows in _joints(root):
+        label = f"joint {element.get('name')!r}"
+        if element.tag == "freejoint":
+            continue
+
+        def value(attribute: str, label: str = label, element: Element = element) -> float:
+            return float(numbers(element.get(attribute), 1, (0.0,), f"{attribute} of {label}")[0])
+
+        damping[rows], friction[rows], armature[rows] = value("damping"), value("frictionloss"), value("armature")
+        factor = unit if kind == "hinge" else 1.0
+        limited = element.get("limited", "auto")
+        if limited == "auto":
+            limited = "true" if settings.get("autolimits", "true") == "true" and element.get("range") else "false"
+        if kind in ("hinge", "slide"):
+            stiffness[rows], rest[rows] = value("stiffness"), factor * value("springref")
+            if limited == "true":
+                bounds = factor * numbers(element.get("range"), 2, None, f"range of {label}")
+                lower[at], upper[at] = bounds[0], bounds[1]
+        else:
+            if limited == "true":
+                dropped.append(f"{label}: range of a {kind} joint")
+            if value("stiffness"):
+                dropped.append(f"{label}: stiffness of a {kind} joint")
+    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+    model.damping, model.armature = damping, armature
+    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -friction, friction
+    return stiffness, rest
+
+
+def _initial(root: Element, model: Any, keyframe: str | None, dropped: Notes, unused: Notes) -> Array:
+    """Initial configuration: that of the bodies as they are written, or of a keyframe."""
+    keys = {e.get("name", f"key{k}"): e for k, e in enumerate(root.iterfind("keyframe/key"))}
+    unused += [f"keyframe {key!r}" for key in keys if key != keyframe]
+    if keyframe is None:
+        return np.array(model.referenceConfigurations["qpos0"])
+    key = keys[choice(keyframe, keys, "keyframe")]
+    q = numbers(key.get("qpos"), model.nq, None, f"qpos of keyframe {keyframe!r}")
+    for _, kind, at, _ in _joints(root):
+        if kind in ("free", "ball"):  # MuJoCo writes w x y z
+            q[at.stop - 4 : at.stop] = np.roll(q[at.stop - 4 : at.stop], -1)
+    if key.get("qvel") and numbers(key.get("qvel"), model.nv, None, f"qvel of keyframe {keyframe!r}").any():
+        dropped.append(f"keyframe {keyframe!r}: qvel")
+    return q
+
+
+# -- loops -----------------------------------------------------------------------------------------------------
+
+
+def _loops(root: Element, model: Any, q: Array, dropped: Notes) -> Iterator[Loop]:
+    """Loops of <connect> and <weld>; where the file gives no second point, they are closed at q."""
+    frames = {f.name: f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME)}
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    for number, element in enumerate(root.iterfind("equality/*")):
+        label = element.get("name", f"{element.tag}{number}")
+        if element.get("active", "true") == "false":
+            continue
+        if element.tag not in ("connect", "weld"):
+            dropped.append(f"equality {label!r} of type {element.tag!r}")
+            continue
+        names = [element.get(f"{what}{k}") for what in ("site", "body") for k in (1, 2)]
+        sites = names[0] is not None
+        first, second = (frames.get(n or WORLD) for n in (names[:2] if sites else names[2:]))
+        if first is None or second is None:
+            raise ValueError(f"equality {label!r} joins {names}, which are not both bodies or sites of the file")
+        joint1, joint2 = int(first.parentJoint), int(second.parentJoint)
+        placement1, placement2 = first.placement.copy(), second.placement.copy()
+        pose = numbers(element.get("relpose"), 7, (0, 0, 0, 0, 0, 0, 0), f"relpose of {label!r}")
+        if element.tag == "connect" and not sites:
+            anchor = numbers(element.get("anchor"), 3, None, f"anchor of {label!r}")
+            placement1 = placement1 * pin.SE3(np.eye(3), anchor)
+        elif pose[3:].any():
+            placement1 = placement1 * pin.XYZQUATToSE3(
+                np.r_[pose[:3], np.roll(pose[3:], -1) / np.linalg.norm(pose[3:])]
+            )
+        if not sites and not pose[3:].any():
+            placement2 = data.oMi[joint2].actInv(data.oMi[joint1] * placement1)
+        yield Loop(label, joint1, placement1, joint2, placement2, "point" if element.tag == "connect" else "frame")

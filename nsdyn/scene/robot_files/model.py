@@ -1,0 +1,46 @@
+"""Pinocchio models made by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.scene import shapes
+from nsdyn.scene.articulations import Description, Link, describe_model
+from nsdyn.scene.robot_files.inertias import check_mass
+from nsdyn.scene.robot_files.xml import Notes
+
+__all__ = ["links_of", "read_model"]
+
+
+def read_model(name: str, model: Any, geometry: Any | None) -> Description:
+    """Description of a pinocchio.Model made by hand and its collision shapes, a pinocchio.GeometryModel or None."""
+    if not isinstance(model, pin.Model):
+        raise ValueError(f"model of {name!r} must be a pinocchio.Model, got {type(model).__name__}")
+    if geometry is not None and not isinstance(geometry, pin.GeometryModel):
+        raise ValueError(
+            f"geometry_model of {name!r} must be a pinocchio.GeometryModel or None, got {type(geometry).__name__}"
+        )
+    dropped = Notes()
+    links, bodies = links_of(model, geometry.geometryObjects if geometry else (), dropped)
+    for joint, body in zip(model.names, model.inertias, strict=True):
+        if not np.isfinite([body.mass, *body.lever, *body.inertia.ravel()]).all():
+            raise ValueError(f"mass and inertia of joint {joint!r} of {name!r} must be finite, got {body}")
+        check_mass(body.mass, f"joint {joint!r} of {name!r}")
+    return describe_model(model, links, bodies, dropped=tuple(dropped))
+
+
+def links_of(model: Any, objects: Iterable[Any], dropped: Notes) -> tuple[list[Link], list[str]]:
+    """(links, the bodies they belong to) of Pinocchio's geometry objects."""
+    links, bodies = [], []
+    for g in objects:
+        joint = int(g.parentJoint)
+        with dropped.of_warnings(g.name):
+            shape, shift = shapes.from_coal(g.geometry)
+        links.append(Link(g.name, joint, g.placement * pin.SE3(np.eye(3), shift), shape))
+        # Objects made by hand often name no frame: then the joint stands for the body.
+        bodies.append(model.frames[g.parentFrame].name if g.parentFrame < model.nframes else model.names[joint])
+    return links, bodies

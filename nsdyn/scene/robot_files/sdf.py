@@ -1,0 +1,369 @@
+"""SDF, the format of Gazebo, read without Pinocchio, whose packages come without SDFormat.
+
+A link with several parents closes a loop: it is cut into equal parts, one per parent, which a `Loop` welds together,
+so that every joint of the file is a joint of the tree, with its limits, springs and friction.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.scene import shapes
+from nsdyn.scene.articulations import Description, Link, Loop, describe_model
+from nsdyn.scene.materials import Material
+from nsdyn.scene.robot_files.inertias import check_mass, flaw
+from nsdyn.scene.robot_files.xml import Array, Notes, mesh_file, numbers, parse
+from nsdyn.scene.shapes import Shape
+
+__all__ = ["read_sdf"]
+
+AXES = {"fixed": (), "ball": (), "revolute": ("axis",), "continuous": ("axis",), "prismatic": ("axis",),
+        "universal": ("axis", "axis2"), "revolute2": ("axis", "axis2")}  # fmt: skip
+"""Axes of the types of joints that are read."""
+
+BEHAVIOUR = {"gravity": "true", "kinematic": "false", "enable_wind": "false", "velocity_decay": None}
+"""Elements of a link that change how it moves, and what they say where they do not, if they can."""
+
+UNLIMITED = 1e15
+"""A limit of this size means none: SDF writes 1e16."""
+
+
+def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description:
+    """Description of an SDF file with one model; a base that no joint holds is free unless the model is static."""
+    root = parse(name, path, "SDF")
+    try:
+        if root.tag != "sdf":
+            raise ValueError(f"its root is <{root.tag}>, not <sdf>")
+        found = [*root.findall("model"), *root.findall("world/model")]
+        if len(found) != 1:
+            raise ValueError(f"it must hold one model, got {[m.get('name') for m in found]}")
+        reader = _Reader(found[0], [path.parent, *package_dirs])
+        reader.unused.of_children([root, *root.findall("world")], {"model", "world"}, "world")
+        return reader.description()
+    except ValueError as failure:
+        raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """A joint of the file; its pose is that of its frame in the world at zero configuration."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    pose: Any
+    element: Element
+
+
+class _Reader:
+    """Builds a Pinocchio model from the elements of an SDF model."""
+
+    def __init__(self, element: Element, folders: Sequence[Path]) -> None:
+        self.element, self.folders = element, folders
+        self.dropped, self.unused, self.flaws = Notes(), Notes(), Notes()
+        for tag in ("model", "include"):
+            if element.find(tag) is not None:
+                raise ValueError(f"a <{tag}> inside the model is not read: write it out")
+        self.links = {e.get("name", ""): e for e in element.findall("link")}
+        if not self.links:
+            raise ValueError("it has no <link>")
+        joints = element.findall("joint")
+        self.frames = {e.get("name", ""): e for e in [*element.findall("link"), *joints, *element.findall("frame")]}
+        self.joints = [self._joint(e) for e in joints]
+        self._note_unused(joints)
+        self.model = pin.Model()
+        self.at = {0: pin.SE3.Identity()}  # joint of the model to the pose of its frame in the world, at zero
+        self.base = [np.empty(0)]  # initial q, joint by joint
+        self.values: list[tuple[float, ...]] = []  # per coordinate, as `_values_of` returns them
+        self.where: dict[str, int] = {}  # link to its joint of the model
+        self.loops: list[Loop] = []
+        self.parts = Counter(j.child for j in self.joints)
+        self.shapes: list[Link] = []
+        self.bodies: list[str] = []
+        self.materials: dict[str, Material] = {}
+
+    def _note_unused(self, joints: Sequence[Element]) -> None:
+        links = list(self.links.values())
+        used = {"link", "joint", "frame", "pose", "static", "self_collide", "enable_wind"}
+        self.unused.of_children([self.element], used, "model")
+        self.unused.of_children(links, {"pose", "inertial", "collision", *BEHAVIOUR}, "link")
+        self.unused.of_children(
+            [i for e in links for i in e.findall("inertial")], {"pose", "mass", "inertia"}, "inertial"
+        )
+        self.unused.of_children(joints, {"parent", "child", "pose", "axis", "axis2"}, "joint")
+        collisions = [c for e in links for c in e.findall("collision")]
+        self.unused.of_children(collisions, {"pose", "geometry", "surface"}, "collision")
+        surfaces = [s for c in collisions for s in c.findall("surface")]
+        self.unused.of_children(surfaces, {"friction"}, "surface")
+        self.unused.of_children([f for s in surfaces for f in s.iter("friction")], {"ode"}, "friction")
+        self.unused.of_children([o for s in surfaces for o in s.iterfind("friction/ode")], {"mu"}, "friction")
+        fast = [e.get("name") for e in joints for v in e.iterfind("*/limit/velocity") if float(v.text or 0.0) > 0.0]
+        if fast:
+            self.dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
+        limits = [limit for e in joints for limit in e.iter("limit")]
+        self.unused.of_children(limits, {"lower", "upper", "effort", "velocity"}, "limit")
+        switches = [("model", self.element, "enable_wind"), *(("link", e, tag) for e in links for tag in BEHAVIOUR)]
+        self.dropped += [
+            f"{kind} {e.get('name')!r}: <{tag}>"
+            for kind, e, tag in switches
+            if e.find(tag) is not None and e.findtext(tag, "").strip() != BEHAVIOUR[tag]
+        ]
+        self.dropped += [f"joint {e.get('name')!r}: <mimic>" for e in joints if e.find("*/mimic") is not None]
+        self.dropped += [
+            f"link {e.get('name')!r}: automatic inertia" for e in links if e.find("inertial[@auto='true']") is not None
+        ]
+
+    # -- poses ---------------------------------------------------------------------------------------------
+
+    def _pose_of(self, name: str, seen: tuple[str, ...] = ()) -> Any:
+        """Pose in the world of a link, joint, frame, the model ("__model__") or "world"."""
+        if name == "world":
+            return pin.SE3.Identity()
+        if name in ("__model__", ""):
+            return _pose(self.element.find("pose"))
+        if name not in self.frames or name in seen:
+            raise ValueError(
+                f"frame {name!r} is not defined" if name not in seen else f"frame {name!r} hangs on itself"
+            )
+        element = self.frames[name]
+        pose = element.find("pose")
+        default = {"joint": element.findtext("child", ""), "frame": element.get("attached_to", "")}.get(element.tag, "")
+        relative_to = (None if pose is None else pose.get("relative_to")) or default
+        return self._pose_of(relative_to, (*seen, name)) * _pose(pose)
+
+    def _joint(self, element: Element) -> _Joint:
+        name, kind = element.get("name", ""), element.get("type", "")
+        if kind not in AXES:
+            raise ValueError(f"joint {name!r} is of type {kind!r}; read are {sorted(AXES)}")
+        parent, child = (self._link_of(element.findtext(end, ""), name) for end in ("parent", "child"))
+        if child == "world":
+            raise ValueError(f"joint {name!r} has the world for a child")
+        return _Joint(name, kind, parent, child, self._pose_of(name), element)
+
+    def _link_of(self, frame: str, joint: str) -> str:
+        """Link that a frame named by a joint is attached to."""
+        for _ in range(len(self.frames) + 1):
+            if frame == "world" or frame in self.links:
+                return frame
+            element = self.frames.get(frame)
+            if element is None or element.tag != "frame":
+                break
+            frame = element.get("attached_to", "")
+        raise ValueError(f"joint {joint!r} names {frame!r}, which is no link")
+
+    # -- the tree --------------------------------------------------------------------------------------------
+
+    def description(self) -> Description:
+        """Build the model and describe it."""
+        static = self.element.findtext("static", "false").strip() in ("true", "1")
+        for link in self.links:
+            if link not in self.parts:
+                self._hang(link, 0 if static else self._free(link))
+                self._descend(link)
+        self._descend("world")
+        lost = [link for link in self.links if link not in self.where]
+        if lost:
+            raise ValueError(f"links {lost} hang on each other in a circle that no base holds")
+        model = self.model
+        lower, upper, damping, friction, stiffness, rest, effort = np.array(self.values).reshape(-1, 7).T
+        model.upperEffortLimit = effort
+        q = np.concatenate(self.base)
+        limits = [np.where(np.abs(x) < UNLIMITED, x, np.sign(x) * np.inf) for x in (lower, upper)]
+        for which, limit in zip(("lowerPositionLimit", "upperPositionLimit"), limits, strict=True):
+            values = np.array(getattr(model, which))
+            for joint in range(1, model.njoints):
+                if model.nqs[joint] == model.nvs[joint]:
+                    k, row, n = model.idx_qs[joint], model.idx_vs[joint], model.nvs[joint]
+                    values[k : k + n] = limit[row : row + n]
+            setattr(model, which, values)
+        model.damping, model.lowerDryFrictionLimit, model.upperDryFrictionLimit = damping, -friction, friction
+        apart: frozenset[frozenset[str]] = frozenset()
+        if self.element.findtext("self_collide", "false").strip() not in ("true", "1"):
+            apart = frozenset(frozenset(pair) for pair in combinations(self.links, 2))
+        return describe_model(
+            model, self.shapes, self.bodies, q=q, stiffness=stiffness, rest=rest, loops=tuple(self.loops),
+            excluded=apart, dropped=tuple(self.dropped), unused=tuple(self.unused),
+            flaws=tuple(self.flaws), materials=self.materials,
+        )  # fmt: skip
+
+    def _descend(self, parent: str) -> None:
+        """Add the joints below a link, and below their children."""
+        for joint in self.joints:
+            if joint.parent != parent:
+                continue
+            index = self._add(joint)
+            if joint.child in self.where:
+                self._close(joint, index)
+            else:
+                self._hang(joint.child, index)
+                self._descend(joint.child)
+
+    def _free(self, link: str) -> int:
+        index = self._add_joint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"{link}_free")
+        pose = self._pose_of(link)
+        self.base.append(np.array(pin.SE3ToXYZQUAT(pose)))
+        self.values += [(-np.inf, np.inf, 0.0, 0.0, 0.0, 0.0, np.inf)] * 6
+        self.at[index] = pose
+        return index
+
+    def _add_joint(self, parent: int, kind: Any, placement: Any, name: str) -> int:
+        index = int(self.model.addJoint(parent, kind, placement, name))
+        self.model.addJointFrame(index)
+        return index
+
+    def _add(self, joint: _Joint) -> int:
+        """Joint of the model that carries the child; that of the parent if the joint is fixed."""
+        parent = 0 if joint.parent == "world" else self.where[joint.parent]
+        if joint.kind == "fixed":
+            return parent
+        axes = [self._axis(joint, tag) for tag in AXES[joint.kind]]
+        if joint.kind == "ball":
+            kind = pin.JointModelSpherical()
+            self.base.append(np.array([0.0, 0.0, 0.0, 1.0]))
+            self.values += [(-np.inf, np.inf, 0.0, 0.0, 0.0, 0.0, np.inf)] * 3
+        else:
+            prismatic = joint.kind == "prismatic"
+            kinds = [
+                (pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned)(a) for a in axes
+            ]
+            kind = kinds[0]
+            if len(kinds) > 1:
+                kind = pin.JointModelComposite(kinds[0])
+                kind.addJoint(kinds[1])
+            self.base.append(np.zeros(len(axes)))
+            self.values += [self._values_of(joint, tag) for tag in AXES[joint.kind]]
+        index = self._add_joint(parent, kind, self.at[parent].actInv(joint.pose), joint.name)
+        self.at[index] = joint.pose
+        return index
+
+    def _axis(self, joint: _Joint, tag: str) -> Array:
+        """Axis in the frame of the joint."""
+        axis = joint.element.find(f"{tag}/xyz")
+        text, frame = (None, None) if axis is None else (axis.text, axis.get("expressed_in"))
+        xyz = numbers(text, 3, (0, 0, 1), f"{tag} of joint {joint.name!r}")
+        if joint.element.findtext(f"{tag}/use_parent_model_frame", "0").strip() in ("true", "1"):
+            frame = "__model__"
+        if frame:
+            xyz = joint.pose.rotation.T @ self._pose_of(frame).rotation @ xyz
+        if not xyz.any():
+            raise ValueError(f"{tag} of joint {joint.name!r} must not be zero")
+        out: Array = xyz / np.linalg.norm(xyz)
+        return out
+
+    @staticmethod
+    def _values_of(joint: _Joint, tag: str) -> tuple[float, ...]:
+        """(lower, upper, damping, friction, stiffness, rest, effort) of an axis."""
+        axis = joint.element.find(tag)
+
+        def value(where: str, default: float) -> float:
+            text = None if axis is None else axis.findtext(where)
+            if text is not None and text.strip().lstrip("+-") == "inf":
+                return float(text)
+            return float(numbers(text, 1, (default,), f"{where} of joint {joint.name!r}")[0])
+
+        limits = (-np.inf, np.inf)
+        if joint.kind != "continuous":
+            limits = value("limit/lower", -np.inf), value("limit/upper", np.inf)
+        rest = "damping", "friction", "spring_stiffness", "spring_reference"
+        return (*limits, *(value(f"dynamics/{what}", 0.0) for what in rest), value("limit/effort", np.inf))
+
+    # -- bodies ------------------------------------------------------------------------------------------------
+
+    def _hang(self, link: str, joint: int) -> None:
+        """Put a link on a joint: its frame, the part of its mass that this joint carries, its shapes."""
+        self.where[link] = joint
+        element, pose = self.links[link], self.at[joint].actInv(self._pose_of(link))
+        self.model.addFrame(pin.Frame(link, joint, 0, pose, pin.FrameType.BODY))
+        self._add_mass(link, joint)
+        for number, collision in enumerate(element.findall("collision")):
+            label = f"{link}_{number}"
+            with self.dropped.of_warnings(label):
+                found = self._shape(collision.find("geometry"))
+            if found is None:
+                self.dropped.append(f"collision {collision.get('name')!r} of link {link!r}: its shape")
+                continue
+            shape, shift = found
+            placement = pose * _pose(collision.find("pose")) * pin.SE3(np.eye(3), shift)
+            self.shapes.append(Link(label, joint, placement, shape))
+            self.bodies.append(link)
+            mu = collision.findtext("surface/friction/ode/mu")
+            if mu is not None:
+                self.materials[label] = Material(float(numbers(mu, 1, None, f"mu of link {link!r}")[0]))
+
+    def _close(self, joint: _Joint, index: int) -> None:
+        """Weld the part of a link that a further parent carries to the link."""
+        self._add_mass(joint.child, index)
+        pose, own = self._pose_of(joint.child), self.where[joint.child]
+        if own == index:  # two fixed joints
+            return
+        placements = self.at[own].actInv(pose), self.at[index].actInv(pose)
+        self.loops.append(Loop(joint.name, own, placements[0], index, placements[1], "frame"))
+
+    def _add_mass(self, link: str, joint: int) -> None:
+        """Add the mass of a link, divided by the number of joints that carry it."""
+        element = self.links[link].find("inertial")
+        part = 1.0 / max(1, self.parts[link])
+
+        def value(where: str, default: float) -> float:
+            text = None if element is None else element.findtext(where)
+            return float(numbers(text, 1, (default,), f"{where} of link {link!r}")[0])
+
+        xx, yy, zz = (value(f"inertia/i{a}", 1.0) for a in ("xx", "yy", "zz"))
+        xy, xz, yz = (value(f"inertia/i{a}", 0.0) for a in ("xy", "xz", "yz"))
+        inertia = part * np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        centre = self._pose_of(link) * _pose(None if element is None else element.find("pose"))
+        mass = check_mass(value("mass", 1.0), f"link {link!r}")
+        if fault := flaw(inertia, f"link {link!r}"):
+            self.flaws.append(fault)
+        body = pin.Inertia(part * mass, np.zeros(3), inertia)
+        self.model.appendBodyToJoint(joint, body, self.at[joint].actInv(centre))
+
+    def _shape(self, geometry: Element | None) -> tuple[Shape, Array] | None:
+        """(shape, its origin) of a <geometry>; None for what has no shape here."""
+        if geometry is None or len(geometry) != 1:
+            raise ValueError("<geometry> must hold one shape")
+        (element,), origin = geometry, np.zeros(3)
+
+        def value(tag: str, count: int, default: Sequence[float] | None = None) -> Array:
+            return numbers(element.findtext(tag), count, default, f"{tag} of <{element.tag}>")
+
+        match element.tag:
+            case "box":
+                return shapes.box(value("size", 3)), origin
+            case "sphere":
+                return shapes.sphere(float(value("radius", 1)[0])), origin
+            case "cylinder":
+                return shapes.cylinder(float(value("radius", 1)[0]), float(value("length", 1)[0])), origin
+            case "capsule":
+                return shapes.capsule(float(value("radius", 1)[0]), float(value("length", 1)[0])), origin
+            case "ellipsoid":
+                return shapes.ellipsoid(value("radii", 3)), origin
+            case "plane":
+                return shapes.halfspace(value("normal", 3, (0, 0, 1)), 0.0), origin
+            case "mesh":
+                file = mesh_file(element.findtext("uri", "").strip(), self.folders)
+                return shapes.mesh(file, value("scale", 3, (1, 1, 1)))
+            case _:
+                return None
+
+
+def _pose(element: Element | None) -> Any:
+    """SE3 of a <pose>: x y z and roll pitch yaw, or a quaternion x y z w."""
+    if element is None or element.text is None:
+        return pin.SE3.Identity()
+    if element.get("rotation_format") == "quat_xyzw":
+        values = numbers(element.text, 7, None, "<pose>")
+        return pin.XYZQUATToSE3(np.r_[values[:3], values[3:] / np.linalg.norm(values[3:])])
+    values = numbers(element.text, 6, None, "<pose>")
+    unit = np.pi / 180.0 if element.get("degrees") == "true" else 1.0
+    return pin.SE3(pin.rpy.rpyToMatrix(unit * values[3:]), values[:3])

@@ -1,0 +1,151 @@
+"""URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.scene import shapes
+from nsdyn.scene.articulations import Description, Link, describe_model
+from nsdyn.scene.robot_files.inertias import check_mass, flaw
+from nsdyn.scene.robot_files.xml import XACRO, Array, Notes, mesh_file, numbers, parse
+from nsdyn.scene.shapes import Shape
+from nsdyn.tools import noise
+from nsdyn.tools.naming import choice
+
+__all__ = ["read_urdf"]
+
+
+def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) -> Description:
+    """Description of a URDF file.
+
+    Pinocchio reads links, inertias and joints. The collision shapes are read here: urdfdom, which Pinocchio uses, knows
+    no capsules and drops all shapes of a link that has one.
+    """
+    if base not in ("fixed", "free"):
+        raise ValueError(f"base of {name!r} must be 'fixed' or 'free', got {base!r}")
+    root = parse(name, path, "URDF")
+    if root.tag != "robot":
+        raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <robot>")
+    if any("xacro" in e.tag or "${" in "".join(e.attrib.values()) for e in root.iter()):
+        raise ValueError(f"path of {name!r}: {path} {XACRO}")
+    dropped, unused = Notes(), Notes()
+    elements, joints = list(root.iter("link")), [e for e in root if e.tag == "joint"]
+    dropped += [
+        f"joint {e.get('name')!r}: <mimic> of {m.get('joint')!r}, it moves on its own"
+        for e in joints
+        for m in e.iter("mimic")
+    ]
+    fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if e.get("velocity", "0").strip("0.")]
+    if fast:
+        dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
+    unused.of_children([root], {"link", "joint"}, "robot")
+    unused.of_children(elements, {"inertial", "collision"}, "link")
+    unused.of_children(joints, {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"}, "joint")
+    collisions = [(e.get("name", ""), c) for e in elements for c in e.findall("collision")]
+    unused.of_children([c for _, c in collisions], {"origin", "geometry"}, "collision")
+    for element in elements:
+        for child in [c for c in element if c.tag != "inertial"]:
+            element.remove(child)
+    lines: list[str] = []
+    try:
+        _check_tree(elements, joints)
+        flaws = [fault for e in elements for fault in _flaws(e)]
+        root_joint = (pin.JointModelFreeFlyer(),) if base == "free" else ()
+        with noise.caught() as lines:
+            model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"), *root_joint)
+    except (ValueError, RuntimeError) as failure:
+        raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, lines)}") from None
+    links: list[Link] = []
+    bodies: list[str] = []
+    for body, collision in collisions:
+        frame = model.frames[model.getFrameId(body, pin.FrameType.BODY)]
+        link = f"{body}_{bodies.count(body)}"
+        try:
+            with dropped.of_warnings(link):
+                shape, shift = _shape(collision.find("geometry"), [path.parent, *package_dirs])
+            placement = frame.placement * _pose(collision.find("origin")) * pin.SE3(np.eye(3), shift)
+        except ValueError as failure:
+            raise ValueError(f"path of {name!r}: {path}, collision of {body!r}: {failure}") from None
+        links.append(Link(link, int(frame.parentJoint), placement, shape))
+        bodies.append(body)
+    return describe_model(model, links, bodies, dropped=tuple(dropped), unused=tuple(unused), flaws=tuple(flaws))
+
+
+def _check_tree(links: Sequence[Element], joints: Sequence[Element]) -> None:
+    """Refuse joints between links that are not there, and links that do not hang on one root."""
+    names = [e.get("name", "") for e in links]
+    parents: dict[str, str] = {}
+    for joint in joints:
+        label = f"joint {joint.get('name')!r}"
+        parent, child = (
+            choice("" if (e := joint.find(end)) is None else e.get("link", ""), names, f"{end} of {label}")
+            for end in ("parent", "child")
+        )
+        if child in parents:
+            raise ValueError(f"child of {label} must hang on one joint, link {child!r} hangs on two: cut the loop")
+        parents[child] = parent
+    roots = [name for name in names if name not in parents]
+    if names and len(roots) != 1:
+        raise ValueError(f"its links must hang on one root by joints, got {roots or 'a circle'}")
+    for name in names:
+        seen = {name}
+        while (name := parents.get(name, "")) and name not in seen:
+            seen.add(name)
+        if name:
+            raise ValueError(f"its links must hang on one root, but {sorted(seen)} hang on each other in a circle")
+
+
+def _flaws(link: Element) -> Iterator[str]:
+    """What no body can have in the inertia of a link."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return
+    where = f"link {link.get('name')!r}"
+    mass, inertia = (Element(tag) if (e := inertial.find(tag)) is None else e for tag in ("mass", "inertia"))
+    check_mass(float(numbers(mass.get("value"), 1, None, f"mass of {where}")[0]), where)
+    xx, yy, zz, xy, xz, yz = (
+        float(numbers(inertia.get(f"i{axes}"), 1, None, f"i{axes} of {where}")[0])
+        for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
+    )
+    if fault := flaw(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), where):
+        yield fault
+
+
+def _pose(origin: Element | None) -> Any:
+    """SE3 of an <origin>: xyz, and rpy about fixed axes."""
+    if origin is None:
+        return pin.SE3.Identity()
+    rpy = numbers(origin.get("rpy"), 3, (0, 0, 0), "rpy")
+    return pin.SE3(pin.rpy.rpyToMatrix(rpy), numbers(origin.get("xyz"), 3, (0, 0, 0), "xyz"))
+
+
+def _shape(geometry: Element | None, folders: Sequence[Path]) -> tuple[Shape, Array]:
+    """(shape, its origin) of a <geometry>."""
+    if geometry is None or len(geometry) != 1:
+        raise ValueError("<geometry> must hold one shape")
+    (shape,), origin = geometry, np.zeros(3)
+
+    def length(attribute: str) -> float:
+        return float(numbers(shape.get(attribute), 1, None, f"{attribute} of <{shape.tag}>")[0])
+
+    match shape.tag:
+        case "box":
+            return shapes.box(numbers(shape.get("size"), 3, None, "size of <box>")), origin
+        case "sphere":
+            return shapes.sphere(length("radius")), origin
+        case "cylinder":
+            return shapes.cylinder(length("radius"), length("length")), origin
+        case "capsule":
+            return shapes.capsule(length("radius"), length("length")), origin
+        case "mesh":
+            scale = numbers(shape.get("scale"), 3, (1, 1, 1), "scale of <mesh>")
+            return shapes.mesh(mesh_file(shape.get("filename", ""), folders), scale)
+        case tag:
+            raise ValueError(f"<{tag}> is no shape of a URDF")

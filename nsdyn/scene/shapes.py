@@ -1,0 +1,424 @@
+"""Collision shapes: convex, homogeneous, with their origin at the centre of mass.
+
+A `Shape` carries what the three users need: Coal its geometry object, the contact kernels the exact features
+(vertices, faces, sizes), the dynamics the mass properties. Lengths in m, volumes in m³.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nsdyn.tools import noise
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+__all__ = [
+    "CAPSULE", "CYLINDER", "ELLIPSOID", "HALFSPACE", "POLYTOPE", "SPHERE", "Shape", "box", "capsule", "convex",
+    "cylinder", "ellipsoid", "from_coal", "halfspace", "mesh", "sphere",
+]  # fmt: skip
+
+HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
+
+COPLANAR = 1e-6
+"""Facets of a hull whose corners lie within this fraction of its size of one plane are one face (float32 meshes)."""
+
+CONCAVE = 1.02
+"""A mesh whose hull has more than this times its volume is reported as not convex."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A convex solid in its own frame; the origin is the centre of mass (of a half-space: anywhere).
+
+    Attributes
+    ----------
+    kind : int
+        HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER or ELLIPSOID.
+    geometry : coal.ShapeBase
+        The same solid for Coal.
+    size : ndarray, shape (3,)
+        Half-space: outward unit normal. Box: full edge lengths; other polytopes: zeros. Sphere: (radius, 0, 0).
+        Capsule and cylinder: (radius, half length, 0), axis along z. Ellipsoid: the three radii. m.
+    vertices : ndarray, shape (nv, 3)
+        Corners of a polytope, m; empty for the others.
+    face_normals, face_offsets : ndarray, shapes (nf, 3), (nf,)
+        A polytope is {x : face_normals @ x ≤ face_offsets}; normals point outwards.
+    face_ptr : ndarray, shape (nf + 1,)
+        Face f has the corners ``face_loop[face_ptr[f]:face_ptr[f + 1]]``.
+    face_loop : ndarray
+        Vertex indices, anticlockwise seen from outside.
+    offset : float
+        Half-space only: the solid is {x : normal·x ≤ offset}, m.
+    volume : float
+        m³; infinite for a half-space.
+    bounding_radius, inscribed_radius : float
+        Of the smallest sphere about the origin that contains the shape and the largest one inside it, m.
+    """
+
+    kind: int
+    geometry: Any
+    size: Array
+    vertices: Array
+    face_normals: Array
+    face_offsets: Array
+    face_ptr: Index
+    face_loop: Index
+    offset: float
+    volume: float
+    bounding_radius: float
+    inscribed_radius: float
+
+    def inertia(self, mass: float) -> Array:
+        """Inertia of the homogeneous solid about its centre of mass, shape axes, shape (3, 3), in kg m².
+
+        Parameters
+        ----------
+        mass : float
+            kg.
+
+        Raises
+        ------
+        ValueError
+            For a half-space, which has none.
+        """
+        if self.kind == HALFSPACE:
+            raise ValueError("a halfspace has no inertia: it can only be fixed")
+        if self.kind == POLYTOPE:
+            inertia = self.geometry.computeMomentofInertiaRelatedToCOM()
+            volume = self.geometry.computeVolume()
+        else:
+            inertia, volume = self.geometry.computeMomentofInertia(), self.volume
+        out: Array = mass / volume * 0.5 * (inertia + inertia.T)
+        return out
+
+    def describe(self) -> dict[str, Any]:
+        """Name and dimensions as JSON values: ``shape``, ``size``, and for a polytope ``vertices`` and ``faces``.
+
+        A half-space has ``offset`` too; ``shape`` is "halfspace", "box", "convex", "sphere", "capsule", "cylinder"
+        or "ellipsoid". ``size`` is as in the attribute of that name.
+        """
+        name = ("halfspace", "convex", "sphere", "capsule", "cylinder", "ellipsoid")[self.kind]
+        out: dict[str, Any] = {"shape": name, "size": self.size.tolist()}
+        if self.kind == HALFSPACE:
+            out["offset"] = self.offset
+        if self.kind == POLYTOPE:
+            out["shape"] = "box" if self.size.any() else "convex"
+            out["vertices"] = self.vertices.tolist()
+            out["faces"] = [loop.tolist() for loop in np.split(self.face_loop, self.face_ptr[1:-1])]
+        return out
+
+
+def _positive(value: Any, name: str) -> float:
+    """The value as a float if it is positive and finite."""
+    try:
+        out = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number, got {value!r}") from None
+    if not (np.isfinite(out) and out > 0.0):
+        raise ValueError(f"{name} must be positive and finite, got {out:g}")
+    return out
+
+
+def _triple(value: ArrayLike, name: str) -> Array:
+    """The value as three finite floats."""
+    try:
+        out = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be 3 numbers, got {value!r}") from None
+    if out.shape != (3,) or not np.isfinite(out).all():
+        raise ValueError(f"{name} must be 3 finite numbers, got {out.tolist()}")
+    return out
+
+
+def _smooth(kind: int, geometry: Any, size: Sequence[float], bounding: float, inscribed: float) -> Shape:
+    """A shape without faces."""
+    empty, none = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    volume = geometry.computeVolume()
+    size_array = np.array(size, dtype=float)
+    return Shape(
+        kind, geometry, size_array, empty, empty, np.zeros(0), np.zeros(1, dtype=np.int64), none, 0.0, volume, bounding,
+        inscribed,
+    )  # fmt: skip
+
+
+def halfspace(normal: ArrayLike, offset: float) -> Shape:
+    """Solid {x : normal·x ≤ offset} below a plane.
+
+    Parameters
+    ----------
+    normal : array, shape (3,)
+        Outwards; any length but zero, normalised here. The plane itself is kept: `offset` is scaled alike.
+    offset : float
+        m, for a unit normal.
+    """
+    n = _triple(normal, "normal")
+    length = float(np.linalg.norm(n))
+    if length == 0.0:
+        raise ValueError("normal must not be zero")
+    try:
+        d = float(offset) / length
+    except (TypeError, ValueError):
+        raise ValueError(f"offset must be a number, got {offset!r}") from None
+    if not np.isfinite(d):
+        raise ValueError(f"offset must be finite, got {d:g}")
+    n /= length
+    empty, none = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    return Shape(
+        HALFSPACE, coal.Halfspace(n, d), n, empty, empty, np.zeros(0), np.zeros(1, dtype=np.int64), none, d, np.inf,
+        np.inf, np.inf,
+    )  # fmt: skip
+
+
+def box(size: ArrayLike) -> Shape:
+    """Box of the full edge lengths `size`, shape (3,), in m."""
+    lengths = _triple(size, "size")
+    if (lengths <= 0.0).any():
+        raise ValueError(f"size must be positive, got {lengths.tolist()}")
+    half = 0.5 * lengths
+    # Vertex 4 i + 2 j + k has the signs of (i, j, k).
+    vertices = np.array(list(np.ndindex(2, 2, 2))) * lengths - half
+    loops = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    normals = np.repeat(np.eye(3), 2, axis=0)
+    normals[::2] *= -1.0
+    return Shape(
+        POLYTOPE, coal.Box(*lengths), lengths, vertices, normals, np.repeat(half, 2), np.arange(0, 25, 4),
+        loops.ravel(), 0.0, float(np.prod(lengths)), float(np.linalg.norm(half)), float(half.min()),
+    )  # fmt: skip
+
+
+def sphere(radius: float) -> Shape:
+    """Ball of the given radius in m."""
+    r = _positive(radius, "radius")
+    return _smooth(SPHERE, coal.Sphere(r), (r, 0.0, 0.0), r, r)
+
+
+def capsule(radius: float, length: float) -> Shape:
+    """Points within `radius` of a segment of the given length along z (the distance of the two sphere centres), m."""
+    r, full = _positive(radius, "radius"), _positive(length, "length")
+    return _smooth(CAPSULE, coal.Capsule(r, full), (r, 0.5 * full, 0.0), r + 0.5 * full, r)
+
+
+def cylinder(radius: float, length: float) -> Shape:
+    """Cylinder of full height `length` along z, in m."""
+    r, full = _positive(radius, "radius"), _positive(length, "length")
+    bounding = float(np.hypot(r, 0.5 * full))
+    return _smooth(CYLINDER, coal.Cylinder(r, full), (r, 0.5 * full, 0.0), bounding, min(r, 0.5 * full))
+
+
+def ellipsoid(radii: ArrayLike) -> Shape:
+    """Ellipsoid with the given semi-axes along x, y, z, shape (3,), in m."""
+    r = _triple(radii, "radii")
+    if (r <= 0.0).any():
+        raise ValueError(f"radii must be positive, got {r.tolist()}")
+    return _smooth(ELLIPSOID, coal.Ellipsoid(*r), r.tolist(), float(r.max()), float(r.min()))
+
+
+def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
+    """Convex hull of points.
+
+    Parameters
+    ----------
+    vertices : array, shape (n, 3)
+        m, at least four points not in one plane.
+
+    Returns
+    -------
+    Shape
+        In a frame parallel to that of the points with its origin at the centroid of the hull.
+    centroid : ndarray, shape (3,)
+        In the frame of the points.
+    """
+    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that boxes and spheres do not need
+
+    try:
+        points = np.array(vertices, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError("vertices must be an array of shape (n, 3)") from None
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
+        raise ValueError(f"vertices must have shape (n, 3) with n ≥ 4, got {points.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError("vertices must be finite")
+    try:
+        hull = ConvexHull(points - points.mean(axis=0))
+    except QhullError:
+        raise ValueError("vertices must span a volume: all of them lie in one plane") from None
+    loops = _faces(hull)
+    used, flat = np.unique(np.concatenate(loops), return_inverse=True)
+    face_ptr = np.cumsum([0, *map(len, loops)])
+    corners = points[used]
+    # Twice: the centroid of a solid far from the origin loses digits.
+    centroid = corners.mean(axis=0)
+    try:
+        for _ in range(2):
+            geometry = coal_convex(corners - centroid, flat, face_ptr)
+            centroid = centroid + geometry.computeCOM()
+        corners = corners - centroid
+        geometry = coal_convex(corners, flat, face_ptr)
+    except RuntimeError as failure:  # for instance of a corner with more neighbours than Coal counts
+        raise ValueError(f"vertices must make a simpler hull: {noise.told(failure, [])}") from None
+    normals = np.array([_area_vector(corners[flat[a:b]]) for a, b in pairwise(face_ptr)])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    offsets = np.array([(corners[flat[face_ptr[f] : face_ptr[f + 1]]] @ n).max() for f, n in enumerate(normals)])
+    shape = Shape(
+        POLYTOPE, geometry, np.zeros(3), corners, normals, offsets, face_ptr, flat.astype(np.int64), 0.0,
+        float(geometry.computeVolume()), float(np.linalg.norm(corners, axis=1).max()), float(offsets.min()),
+    )  # fmt: skip
+    return shape, centroid
+
+
+def _area_vector(loop: Array) -> Array:
+    """Area times normal of a polygon (Newell), shape (3,)."""
+    out: Array = 0.5 * np.cross(loop - loop[0], np.roll(loop, -1, axis=0) - loop[0]).sum(axis=0)
+    return out
+
+
+def _faces(hull: Any) -> list[Index]:
+    """Faces of a hull as loops of point indices: facets merged where they are coplanar."""
+    points, simplices, planes = hull.points, hull.simplices, hull.equations
+    tol = COPLANAR * np.linalg.norm(np.ptp(points, axis=0))
+    group = np.full(len(simplices), -1)
+    loops = []
+    # Largest facets first: their planes are the best defined, slivers join them.
+    area = np.linalg.norm(
+        np.cross(points[simplices[:, 1]] - points[simplices[:, 0]], points[simplices[:, 2]] - points[simplices[:, 0]]),
+        axis=1,
+    )
+    for seed in np.argsort(-area, kind="stable"):
+        if group[seed] >= 0:
+            continue
+        group[seed] = seed
+        stack, members = [seed], []
+        while stack:
+            f = stack.pop()
+            members.append(f)
+            for g in hull.neighbors[f]:
+                distance = np.abs(points[simplices[g]] @ planes[seed, :3] + planes[seed, 3]).max()
+                if group[g] < 0 and distance <= tol:
+                    group[g] = seed
+                    stack.append(g)
+        successor: dict[int, int] = {}
+        edges = set()
+        for f in members:
+            a, b, c = (int(k) for k in simplices[f])
+            if np.dot(np.cross(points[b] - points[a], points[c] - points[a]), planes[f, :3]) < 0.0:
+                b, c = c, b
+            edges |= {(a, b), (b, c), (c, a)}
+        for a, b in edges:
+            if (b, a) not in edges:
+                successor[a] = b
+        start = min(successor)
+        loop = [start]
+        while successor[loop[-1]] != start:
+            loop.append(successor[loop[-1]])
+        loops.append(np.array(loop))
+    return loops
+
+
+def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:
+    """Coal's polytope: the faces cut into fans of triangles."""
+    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for v in vertices:
+        points.append(v)
+    for a, b in pairwise(ptr):
+        for k in range(a + 1, b - 1):
+            triangles.append(coal.Triangle(int(loop[a]), int(loop[k]), int(loop[k + 1])))
+    return coal.Convex(points, triangles)
+
+
+def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
+    """Convex hull of a mesh file (whatever Assimp reads: STL, OBJ, DAE, PLY).
+
+    Parameters
+    ----------
+    path : str or Path
+    scale : float, or 3 floats
+        Multiplies the file's lengths to give m; one per axis, where a negative one mirrors.
+
+    Returns
+    -------
+    Shape, ndarray
+        As `convex`.
+
+    Warns
+    -----
+    UserWarning
+        When the hull has more than 1.02 times the volume of the mesh: its hollows are filled.
+    """
+    file = Path(path)
+    factor = np.full(3, _positive(scale, "scale")) if np.ndim(scale) == 0 else np.array(scale, dtype=float)
+    if factor.shape != (3,) or not (np.isfinite(factor).all() and factor.all()):
+        raise ValueError(f"scale must be a number or 3 numbers other than 0, got {scale!r}")
+    if not file.is_file():
+        raise ValueError(f"path must be a mesh file, got {str(path)!r}")
+    try:
+        with noise.caught() as lines:
+            surface = coal.MeshLoader().load(str(file), factor)
+    except (RuntimeError, ValueError) as failure:
+        raise ValueError(
+            f"path: {file} could not be read as a mesh of triangles: {noise.told(failure, lines)}"
+        ) from None
+    return _hull_of_surface(surface, str(file))
+
+
+def _hull_of_surface(surface: Any, name: str) -> tuple[Shape, Array]:
+    """Hull of a triangulated surface of Coal, with a warning when it is not convex."""
+    shape, centroid = convex(np.array(surface.vertices()))
+    volume = abs(surface.computeVolume())
+    if shape.volume > CONCAVE * volume:
+        warnings.warn(
+            f"{name} is not convex (or not closed): its hull has {shape.volume:.4g} m³, the mesh {volume:.4g} m³. "
+            "Only the hull takes part in contact; split the mesh into convex pieces if its hollows matter",
+            stacklevel=3,
+        )
+    return shape, centroid
+
+
+def from_coal(geometry: Any) -> tuple[Shape, Array]:
+    """The Shape of a Coal geometry, as loaders of robot models return it.
+
+    Parameters
+    ----------
+    geometry : coal.CollisionGeometry
+        A primitive, a convex polytope or a triangulated mesh; of the latter the hull is taken, as in `mesh`.
+
+    Returns
+    -------
+    Shape
+    shift : ndarray, shape (3,)
+        Origin of the shape in the frame of `geometry`, m.
+
+    Raises
+    ------
+    ValueError
+        For any other geometry.
+    """
+    g, origin = geometry, np.zeros(3)
+    match type(geometry).__name__:
+        case "Halfspace":
+            return halfspace(g.n, g.d), origin
+        case "Box":
+            return box(2.0 * g.halfSide), origin
+        case "Sphere":
+            return sphere(g.radius), origin
+        case "Capsule":
+            return capsule(g.radius, 2.0 * g.halfLength), origin
+        case "Cylinder":
+            return cylinder(g.radius, 2.0 * g.halfLength), origin
+        case "Ellipsoid":
+            return ellipsoid(g.radii), origin
+        case "Convex" | "ConvexBase":
+            return convex(np.array(g.points()))
+        case name if name.startswith("BVHModel"):
+            return _hull_of_surface(geometry, "the mesh")
+        case name:
+            raise ValueError(f"geometry must be a primitive, a convex polytope or a mesh of Coal, got {name}")

@@ -1,0 +1,77 @@
+"""Proximal point algorithm with Newton inside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from nsdyn.problem.fc3d import FC3D, Array, Solution, Status
+from nsdyn.problem.formulations import ELEMENTS
+from nsdyn.solvers._common import Equilibrated, Run
+from nsdyn.solvers.impulse_newton import Function, Search, matrix, newton
+
+
+@dataclass(frozen=True)
+class Proximal:
+    """Proximal point algorithm, PPA-NSN: solve the problem of W + α I and q - α r_k by Newton, r_k its solution.
+
+    Good on redundant contacts at tight tolerances, masonry and stacks, where it is the robust one of the paper:
+    W + α I is definite. α falls tenfold when the inner Newton succeeds and grows fivefold when it fails. It fails
+    where α must stay large, for then it creeps: strongly sliding piles at high friction.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Factorisations in all.
+    alpha : float
+        First α, times λ_max(W_cc).
+    inner : int
+        Newton steps granted to one proximal step.
+    function, search
+        Inner Newton, see `ImpulseNewton`; full steps reach more than searched ones, which stop at kinks.
+
+    References
+    ----------
+    V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 4. W. Hager,
+    H. Zhang, Self-adaptive inexact proximal point methods, Comput. Optim. Appl. 39, 2008.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 1000
+    alpha: float = 1e-3
+    inner: int = 20
+    function: Function = "alart-curnier"
+    search: Search = "none"
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        run, count, alpha = Run(problem, r0, self.tol), 0, self.alpha
+        if run.over:
+            return run.finish(0)
+        scaled = Equilibrated(problem)
+        W = matrix(scaled.W)
+        shift = np.eye(scaled.q.size) if isinstance(W, np.ndarray) else sp.eye_array(scaled.q.size, format="bsr")
+        x, rho = run.r * scaled.root, np.ones((problem.nc, 2))
+        while count < self.max_iter and alpha < 1e8:
+            u = (W @ x + scaled.q).reshape(-1, 3)
+            target = 0.1 * float(np.linalg.norm(ELEMENTS[self.function](u, x.reshape(-1, 3), scaled.mu, rho)[0]))
+
+            def done(y: Array, size: float, target: float = target) -> bool:
+                return run.done(y / scaled.root) or size <= target
+
+            new, used, ended = newton(
+                W + alpha * shift, scaled.q - alpha * x, scaled.mu, x, rho, self.function, self.search, done,
+                min(self.inner, self.max_iter - count),
+            )  # fmt: skip
+            count += max(used, 1)
+            if run.over:
+                break
+            if ended:
+                x, alpha = new, max(0.1 * alpha, 1e-12)
+            else:
+                alpha *= 5.0
+        return run.finish(count, Status.MAX_ITERATIONS if count >= self.max_iter else Status.STALLED)

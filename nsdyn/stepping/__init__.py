@@ -1,0 +1,1 @@
+"""The step: moves between impacts, the contact law, impacts, projection, and where the energy went."""

@@ -1,0 +1,57 @@
+"""The balance of a step: no island of bodies gains energy but from what works on it.
+
+Impulses at one configuration and a motion of second order leave a small error in energy, of either sign: of contacts
+that roll by the curvature of their motion, of those that stop or change their features, and by the projection of
+positions, which lifts. What an island gained so is taken by rolling resistance, as if its contacts pressed a little
+ahead of where they touch: forces stay in their cones, and every momentum is kept. It is owed to the island, which gets
+it back as far as its smooth motion loses energy: the energy is the least that it would have been so far, and over many
+steps no more is lost than without.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsdyn._kernels.stepping import balance as _balance
+from nsdyn._kernels.stepping import law as _law
+from nsdyn.problem.fc3d import Array
+from nsdyn.stepping.instant import Impulses, Instant, System
+
+__all__ = ["balance"]
+
+
+def balance(
+    s: System, begin: Instant, end: Instant, done: list[Impulses], external: Array, owed: Array
+) -> tuple[Instant, float, Array]:
+    """The end of a step at which no island has gained energy, the work of that, J, and what is owed then.
+
+    Islands are free bodies that touch each other in the step, and the bodies that stand still; those that touch trees
+    or driven bodies, and all in scenes whose surfaces move, may be given energy. What the law of impact created
+    (`Step.created`) is not taken back.
+
+    Parameters
+    ----------
+    s : System
+    begin, end : Instant
+    done : list of Impulses
+        All that acted in the step.
+    external : ndarray, shape (nf,)
+        Works of external forces on the free bodies, J.
+    owed : ndarray, shape (nf,)
+        What was taken before and not given back, J.
+    """
+    d = s.dynamics
+    gain, slack, kinetic = np.empty((3, d.free))
+    states = begin.position.x, begin.v, end.position.x, end.v
+    some = _balance.gains(d.mass, d.J, d.gravity, external, s.closed, *states, gain, slack, kinetic)
+    if d.surfaces.count or not (some or _law.any_positive(owed)):
+        return end, 0.0, owed
+    acted = [(a.contacts, a.r[:, 0] > 0.0) for a in done] + [(end.contacts, end.contacts.gap <= s.closed)]
+    frame1, frame2, normal = (
+        np.concatenate([getattr(c, name)[on] for c, on in acted]) for name in ("frame1", "frame2", "normal")
+    )
+    created = float(sum(a.created for a in done))
+    v, owed, at = end.v.copy(), owed.copy(), end.placement
+    touching = frame1, frame2, normal, end.twists[1], at.R
+    gained = _balance.resist(gain, slack, kinetic, owed, created, *touching, d.inverse_J, v)
+    return end._replace(v=v, twists=d.twists(at, v)), gained, owed

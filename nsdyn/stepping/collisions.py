@@ -1,0 +1,95 @@
+"""Impacts of a scene: of what is closed at an instant, and of what a move catches where its impulses act."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsdyn._kernels.stepping import law as _law
+from nsdyn.dynamics.dynamics import Middle
+from nsdyn.dynamics.joints import JointRows
+from nsdyn.problem.fc3d import FC3D, Array, Solution
+from nsdyn.stepping.encounter import Encounter, meet
+from nsdyn.stepping.energy import Works
+from nsdyn.stepping.impacts import Impact, strike
+from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Bools, Impulses, Instant, System, account, take
+
+__all__ = ["caught_impacts", "collide"]
+
+
+def caught_impacts(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | None, Array | float]:
+    """Impacts in no time where the other impulses act, of contacts that close within the move.
+
+    What the others meet then, the impacts, and the change of v by them, 0 where there are none.
+    """
+    if not s.elastic or not met.mu.size:
+        return met, None, 0.0
+    fall = 2.0 * s.dt / h * np.abs((met.u_free - met.u)[0::3])
+    closes = met.end_gap + s.theta * h * (met.u_free + met.turn)[0::3] <= 0.0
+    struck = (met.restitution > 0.0) & (met.u_begin[0::3] < -fall) & (met.u[0::3] < 0.0) & closes
+    if not struck.any():
+        return met, None, 0.0
+    # Rows that turn with their bodies are no approach.
+    resting = np.where(struck, fall, fall + 2.0 * np.abs(met.turn[0::3]))
+    closed = struck | (met.end_gap <= s.closed)
+    impact = _strike(s, met, closed, resting, resting)
+    kick = met.rows.velocity_change(impact.r)
+    return met.changed(kick, struck), impact, kick
+
+
+def collide(
+    s: System, at: Instant, t: float, h: float, rate: Array
+) -> tuple[Instant, Impulses, Works, tuple[FC3D, Solution]] | None:
+    """Impacts in no time of what is closed at an instant; None where nothing strikes.
+
+    What rests, but closes so fast that it would become deep in the move to come, strikes without restitution.
+
+    Parameters
+    ----------
+    s : System
+    at : Instant
+    t, h : float
+        Time, and length of the move to come, s.
+    rate : ndarray, shape (n,)
+        Free acceleration there, m/s² and rad/s².
+    """
+    d, c = s.dynamics, at.contacts
+    joints = d.joint_rows(at.position, at.v, at.v, 0.0)
+    if not (d.surfaces.count or (joints is not None and _hits(s, joints, at.v, h))):
+        where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
+        limit = s.solver.tol if s.elastic and _law.any_positive(c.restitution) else s.slow / h
+        if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -limit:
+            return None
+    contacts = take(c, c.gap <= s.closed)
+    forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
+    here = Middle(at.position, at.v, at.placement, ())
+    start = contacts, at.position.driven_x, at.placement, at.twists, at.v, at.warm
+    met = meet(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0, 0.0)
+    # What the solver's tolerance leaves of a velocity is no approach.
+    resting = s.solver.tol + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
+    # What was pressed before turns with its bodies: it closes a little without striking.
+    slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, DEEP * JOINT)
+    depth[:nc] = np.where(np.isin(contacts.key, at.warm.key[at.warm.status > 0]), np.inf, s.deep(contacts))
+    slow = np.where(met.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
+    impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
+    if impact.problem is None or impact.solution is None:
+        return None
+    v = at.v + met.rows.velocity_change(impact.r)
+    impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact, None)
+    # What was struck is not pressed as it was: from its last impulses a solver may find what is not symmetric.
+    struck = np.isin(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
+    warm = at.warm._replace(impulse=np.where(struck[:, None], 0.0, at.warm.impulse))
+    after = at._replace(v=v, twists=d.twists(at.placement, v), warm=warm)
+    return after, impulses, works, (impact.problem, impact.solution)
+
+
+def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:
+    """Impacts of the closed contacts and joint limits; dry friction of joints has no impulse in no time."""
+    if met.rows.press.size:
+        closed = closed & (met.rows.press[0::3] == 0.0)
+    return strike(s.impact, s.solver, met.rows.blocks, met.u, met.mu, met.restitution, closed, resting, slow)
+
+
+def _hits(s: System, joints: JointRows, v: Array, h: float) -> bool:
+    """Whether a joint at a limit may strike it, at a velocity v and with a move of h s to come."""
+    limit = np.where(joints.restitution > 0.0, s.solver.tol, DEEP * JOINT / h)
+    return bool(((joints.gap <= s.closed) & (s.dynamics.joints.rates(joints.slot, v) < -limit)).any())

@@ -1,0 +1,252 @@
+"""What a step meets at its contacts: relative velocities, and the law they obey at its end.
+
+Impulses act at one configuration, between two flows. Until there the contacts' relative velocities have changed from
+u_k to u⁻ though nothing acted, for rows turn with their bodies; the second half of the motion adds as much once more,
+to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is remembered of earlier steps:
+
+    K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K,   y = W r + b,
+    b_N = u_f + c_N + [G > closed] G / h₂        u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
+    b_T = u_f + c_T       of a contact that sticks, or stops: slip of the end
+        = u⁻ + u_f        of one that slides through: twice the mean slip, exactly
+
+where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels.stepping import law as _law
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.dynamics import Dynamics, Forces, Middle, Placement
+from nsdyn.dynamics.joints import JointRows, Rows
+from nsdyn.problem.fc3d import FC3D, Array, Index, Solution
+from nsdyn.solvers import Solver
+
+__all__ = ["SOLVES", "Basis", "Encounter", "Warm", "foresee", "meet", "solve"]
+
+SOLVES = 3
+"""Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
+that stop, whose slip would else be turned round."""
+
+NOTHING = np.empty(0)
+
+Bools = NDArray[np.bool_]
+
+
+class Basis(NamedTuple):
+    """Contacts and their rows, which serve as long as nothing moves.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    rows : Rows
+    frame : ndarray, shape (nc, 3, 3)
+    problem : FC3D
+        Of the last move.
+    """
+
+    contacts: ContactSet
+    rows: Rows
+    frame: Array
+    problem: FC3D
+
+
+class Warm(NamedTuple):
+    """What a step leaves to the next besides its end: a start for the solver, and what was closed.
+
+    Attributes
+    ----------
+    key : ndarray of int, shape (nc,)
+        Names of the contacts.
+    impulse : ndarray, shape (nc, 3)
+        World axes, N·s.
+    status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    joints : ndarray, shape (slots, 3)
+        Impulses of joint limits and joint friction, by the slots of `nsdyn.dynamics.joints.JointLaws`.
+    h : float
+        Length of the move that they are of, s: those of loads grow with it.
+    basis : Basis, optional
+    """
+
+    key: Index
+    impulse: Array
+    status: NDArray[np.int8]
+    joints: Array
+    h: float
+    basis: Basis | None
+
+
+class Encounter(NamedTuple):
+    """The contacts of a step, then its joint rows, where the impulses act.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    joints : JointRows or None
+    rows : Rows
+    frame : ndarray, shape (nc, 3, 3)
+        Rows (n, t1, t2), world axes.
+    alike : FC3D or None
+        A problem that differs in its velocities only.
+    mu, restitution : ndarray, shape (rows,)
+    place : ndarray of int, shape (nc,)
+        Where the contacts stand in the warm start, -1 for new ones.
+    status : ndarray of int8
+        Of the contacts of the warm start.
+    u_begin, u, u_free : ndarray, shape (3 rows,)
+        u_k, u⁻ and u_f, m/s.
+    turn : ndarray, shape (3 rows,)
+        c, m/s.
+    end_gap : ndarray, shape (rows,)
+        G, m or rad.
+    guess : ndarray, shape (3 rows,)
+        Last impulses, N·s.
+    drag : ndarray, shape (3 rows,)
+        What surfaces that move add to u⁻ and u⁺, m/s; empty if none do.
+    rebound : ndarray, shape (rows,)
+        u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
+        Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
+        after it would be one too many, and an elastic ball would lose m g h v.
+    """
+
+    contacts: ContactSet
+    joints: JointRows | None
+    rows: Rows
+    frame: Array
+    alike: FC3D | None
+    mu: Array
+    restitution: Array
+    place: Index
+    status: NDArray[np.int8]
+    u_begin: Array
+    u: Array
+    u_free: Array
+    turn: Array
+    end_gap: Array
+    guess: Array
+    drag: Array
+    rebound: Array = NOTHING
+
+    def changed(self, dv: Array, struck: Bools) -> Encounter:
+        """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
+        du = self.rows.full.relative_velocity(dv)
+        turn = np.where(np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3), 0.0, self.turn)
+        u = self.u + du
+        end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
+        return self._replace(
+            u=u, u_free=self.u_free + du, turn=turn, end_gap=end_gap,
+            rebound=np.where(struck, np.maximum(u[0::3], 0.0), 0.0),
+        )  # fmt: skip
+
+
+def meet(
+    dynamics: Dynamics,
+    contacts: ContactSet,
+    joints: JointRows | None,
+    middle: Middle,
+    forces: Forces,
+    begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
+    reach: Array,
+    surfaces: tuple[Array, Array],
+    h: float,
+    ahead: float,
+) -> Encounter:
+    """Relative velocities of a step at its contacts and joint rows.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+    contacts : ContactSet
+        Where the impulses act.
+    joints : JointRows, optional
+    middle : Middle
+    forces : Forces
+    begin : (contacts, positions of driven bodies, placement, twists, velocity, warm start)
+        Where the step begins.
+    reach : ndarray, shape (frames,)
+        How far points of the frames move in about half a step, m.
+    surfaces : two ndarrays of shape (surfaces, 2, 3)
+        Twists of what moves as prescribed, when the impulses act and at the end.
+    h, ahead : float
+        The move, and h₂, s.
+    """
+    there = middle.placement
+    old, driven_x, place, twists, v_begin, warm = begin
+    basis = warm.basis
+    if basis is not None and basis.contacts is contacts and joints is None and not dynamics.trees:
+        _, rows, frame, alike = basis
+    else:
+        (rows, frame), alike = dynamics.rows(contacts, there, forces, joints), None
+    full, nc = rows.full, contacts.gap.size
+    nr = full.nc
+    u_begin, u, u_free, turn, guess = np.empty((5, 3 * nr))
+    end_gap = np.empty(nr)
+    drags = dynamics.surfaces.drags(contacts, frame, middle.position.driven_x, nr, *surfaces)
+    carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
+    where = _law.meet(
+        full.offset, full.block, full.start, full.h, v_begin, middle.v, forces.v, carried, *drags, rows.press,
+        warm.key, warm.impulse, old.key, old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1,
+        contacts.frame2, contacts.point, frame, there.x, contacts.gap, h / warm.h, ahead, u_begin, u, u_free,
+        turn, guess, end_gap,
+    )  # fmt: skip
+    mu, restitution = contacts.mu, contacts.restitution
+    if joints is not None:
+        guess[3 * nc :] = h / warm.h * warm.joints[joints.slot].ravel()
+        end_gap[nc:] = joints.gap - 0.5 * ahead * turn[3 * nc :: 3]
+        mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
+    return Encounter(
+        contacts, joints, rows, frame, alike, mu, restitution, where, warm.status, u_begin, u, u_free, turn,
+        end_gap, guess, drags[0],
+    )  # fmt: skip
+
+
+def solve(
+    met: Encounter, solver: Solver, ahead: float, closed: float, slides: Bools, back: bool, most: int
+) -> tuple[FC3D, Solution, bool]:
+    """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
+
+    Parameters
+    ----------
+    met : Encounter
+    solver : Solver
+    ahead, closed : float
+        h₂ [s], and the largest gap [m] that counts as closed.
+    slides : ndarray of bool, shape (nc,)
+        Which contacts slide through, as `foresee` says; changed to what the impulses show.
+    back : bool
+        Whether only those that stop are to be changed.
+    most : int
+        Most solves more for them.
+    """
+
+    def offsets() -> Array:
+        b = np.empty_like(met.u_free)
+        _law.offsets(met.u, met.u_free, met.turn, met.end_gap, met.rebound, slides, ahead, closed, b)
+        return b
+
+    alike = met.alike
+    problem = alike.with_velocity(offsets()) if alike else FC3D.from_blocks(met.rows.blocks, offsets(), met.mu)
+    solution = solver(problem, met.guess)
+    for k in range(most + 1):
+        shown = solution.r, solution.u, problem.q, met.mu, met.u_begin, met.u, met.u_free, met.turn
+        if not _law.reconsider(*shown, slides, back or k > 0):
+            return problem, solution, False
+        if k < most:
+            problem = problem.with_velocity(offsets())
+            solution = solver(problem, solution.r)
+    return problem, solution, True
+
+
+def foresee(met: Encounter) -> Bools:
+    """Which contacts slide through the step, by the friction foreseen."""
+    full, slides = met.rows.full, np.empty(met.frame.shape[0], np.bool_)
+    _law.foresee(
+        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.place, met.status,
+        met.u_begin, met.u, met.u_free, met.turn, met.guess, slides,
+    )  # fmt: skip
+    return slides

@@ -1,0 +1,65 @@
+"""The energy ledger of a step: where every joule went.
+
+Impulses and forces act at one configuration, so that their works add up to the change of kinetic energy whatever the
+accuracy of the solve, and the flows between keep it:
+
+    ΔT + ΔV = external + normal + friction + damping + constraint + integration + projection + defect.
+
+The first five are physics. Numerics are what would be nothing in the limit of small steps (`integration`), what the
+projection of positions lifts less what is taken back where bodies gained by these (`nsdyn.stepping.balance`), and the
+defect, which is round-off: a ledger that does not close is a bug.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+__all__ = ["Ledger", "Works"]
+
+
+class Works(NamedTuple):
+    """Works of a part of a step, J."""
+
+    external: float = 0.0
+    """Of external forces and joint actuation."""
+    normal: float = 0.0
+    """Of the normal impulses of impacts, Σ ½(u_N⁺ + u_N⁻) r_N, and of joint limits."""
+    friction: float = 0.0
+    """Of tangential contact impulses that slide or strike, Σ ½(u_T⁺ + u_T⁻)·r_T, and of dry joint friction."""
+    damping: float = 0.0
+    """Of viscous joint damping."""
+    constraint: float = 0.0
+    """Of bilateral constraints: of what drives bodies, surfaces and joints, and of closed loops, O(h²) of a motion."""
+    integration: float = 0.0
+    """Numerics: of contacts that stay closed and stick, of the flow of trees, and of θ > ½; O(h²) of a motion."""
+    projection: float = 0.0
+    """Of the position projection, and of the rolling resistance that takes what islands gained (`balance`)."""
+
+    @staticmethod
+    def total(parts: list[Works]) -> Works:
+        """The sum of the works of several parts."""
+        return parts[0] if len(parts) == 1 else Works(*map(sum, zip(*parts, strict=True)))
+
+
+class Ledger(NamedTuple):
+    """Energies at the end of a step and works during it, in J; the works are those of `Works`."""
+
+    kinetic: float
+    """½ vᵀ M v."""
+    potential: float
+    """Of gravity, 0 at the world's origin, and of joint springs."""
+    external: float
+    normal: float
+    friction: float
+    damping: float
+    constraint: float
+    integration: float
+    projection: float
+    defect: float
+    """What is left: round-off."""
+
+    @staticmethod
+    def of(before: tuple[float, float], after: tuple[float, float], works: Works) -> Ledger:
+        """Ledger of a step from (kinetic, potential) energies before and after it, and its works."""
+        gained = (after[0] - before[0]) + (after[1] - before[1])
+        return Ledger(*after, *works, gained - sum(works))

@@ -1,0 +1,219 @@
+"""What moves of a scene share: the system, its state at an instant, and what acted there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels.dynamics import motion as _motion
+from nsdyn._kernels.stepping import law as _law
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches
+from nsdyn.collision.detector import Detector
+from nsdyn.dynamics.dynamics import Dynamics, Forces, Placement, Position
+from nsdyn.problem.fc3d import FC3D, Array
+from nsdyn.solvers import Solver
+from nsdyn.stepping.encounter import Basis, Encounter, Warm
+from nsdyn.stepping.energy import Works
+from nsdyn.stepping.impacts import Impact
+
+__all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "Looked", "System", "account", "take"]
+
+NOTHING = np.empty(0)
+
+FAST = 0.1
+"""Fraction of the inscribed radius of the smallest shape beyond which bodies may get so far into each other in half a
+move that only the way there tells which sides met."""
+
+DEEP = 1e-3
+"""Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a step. What
+falls so far is lifted again at the end, and the energy of that is numerical."""
+
+JOINT = 0.1
+"""What counts for joint limits as the inscribed radius of a shape does, rad or m."""
+
+STILL = 0.5
+"""Fraction of what counts as closed by which frames may have moved while the contacts that were found stay those."""
+
+Bools = NDArray[np.bool_]
+
+
+class Looked(NamedTuple):
+    """Where contacts were looked for, and how far.
+
+    Attributes
+    ----------
+    x, R : ndarray, shapes (frames, 3), (frames, 3, 3)
+    reach : ndarray, shape (frames,)
+        m.
+    """
+
+    x: Array
+    R: Array
+    reach: Array
+
+
+class System(NamedTuple):
+    """What does not change from move to move.
+
+    Attributes
+    ----------
+    dynamics : Dynamics
+    detector : Detector
+    solver : Solver
+    theta : float
+        Fraction of the move after the impulses.
+    dt : float
+        The step of which moves are parts, s: what rests is slower than what forces do in two of them.
+    closed : float
+        Largest gap that counts as closed, m.
+    inscribed : ndarray, shape (geoms,)
+        Radii of balls inside the shapes, m; infinite of those that never move.
+    smallest : float
+        The least of them, m.
+    arm : ndarray, shape (frames,)
+        How far shapes reach from the origins of their frames, m.
+    impact : str
+        Law of impact.
+    elastic : bool
+        Whether any contact or joint limit has restitution.
+    """
+
+    dynamics: Dynamics
+    detector: Detector
+    solver: Solver
+    theta: float
+    dt: float
+    closed: float
+    inscribed: Array
+    smallest: float
+    arm: Array
+    impact: str
+    elastic: bool
+
+    @property
+    def slow(self) -> float:
+        """The least of what is `deep`."""
+        return DEEP * self.smallest
+
+    def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:
+        """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
+        return self.detector.touches(begin, end, memory, known, FAST * self.inscribed)
+
+    def unmoved(self, looked: Looked, now: Placement, reach: Array) -> bool:
+        """Whether the contacts found somewhere are those of now, up to the gaps that `reach` (frames,) allows, m."""
+        same: bool = _law.unmoved(*looked, now.x, now.R, reach, self.arm, STILL * self.closed)
+        return same
+
+    def deep(self, contacts: ContactSet) -> Array:
+        """Overlaps, m, that a step may catch: deeper ones are impacts to be located; of joint limits DEEP JOINT."""
+        out: Array = DEEP * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
+        return out
+
+
+class Instant(NamedTuple):
+    """A state of the scene with all that a move begins with.
+
+    Attributes
+    ----------
+    position : Position
+    v : ndarray, shape (n,)
+    placement : Placement
+    contacts : ContactSet
+        Found there, with the true gaps of the shapes.
+    limits : ndarray
+        Gaps of all joint limits, rad or m.
+    memory : ContactMemory
+    looked : Looked
+        Where the contacts were found; not quite here if nothing has moved since.
+    warm : Warm
+    twists : two ndarrays of shape (frames, 3)
+        Of the frames, world axes, m/s and rad/s.
+    """
+
+    position: Position
+    v: Array
+    placement: Placement
+    contacts: ContactSet
+    limits: Array
+    memory: ContactMemory
+    looked: Looked
+    warm: Warm
+    twists: tuple[Array, Array]
+
+
+class Impulses(NamedTuple):
+    """What acted at one configuration.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    frame : ndarray, shape (nc, 3, 3)
+    u, r : ndarray, shape (nc, 3)
+        Relative velocities afterwards [m/s], and impulses on body 2 [N·s], normal first.
+    status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    normal, friction : ndarray, shape (nc,)
+        Works, J.
+    joints : ndarray, shape (n,)
+        Impulses of joint limits and dry joint friction on the coordinates, N m s or N s.
+    created : float
+        Energy that impacts created, J.
+    """
+
+    contacts: ContactSet
+    frame: Array
+    u: Array
+    r: Array
+    status: NDArray[np.int8]
+    normal: Array
+    friction: Array
+    joints: Array
+    created: float
+
+
+def take(contacts: ContactSet, kept: Bools) -> ContactSet:
+    """Some of the contacts."""
+    return contacts if kept.all() else ContactSet._make(column[kept] for column in contacts)
+
+
+def account(
+    s: System, met: Encounter, forces: Forces, velocities: tuple[Array, Array, Array], r: Array, h: float,
+    impact: Impact | None, problem: FC3D | None,
+) -> tuple[Impulses, Works, Warm]:  # fmt: skip
+    """What the impulses r of a move, empty for none, and its impacts did, their works, and what they leave.
+
+    The velocities are those before the impacts, after them, and after r, which solves the problem.
+    """
+    d, nc, nr = s.dynamics, met.frame.shape[0], met.mu.size
+    normal, friction, total, u_end = np.zeros(nr), np.zeros(nr), r, met.u if impact is None else impact.u
+    status, world, created = np.zeros(nc, np.int8), np.zeros((nc, 3)), 0.0
+    external = beyond = 0.0
+    done = 0.0, 0.0, 0.0
+    if h > 0.0:
+        external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
+    if r.size:
+        struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
+        full = met.rows.full
+        done = _law.outcome(
+            full.offset, full.block, full.start, full.h, velocities[2], met.drag, r, met.mu, met.place, met.status,
+            struck, met.u, met.u_free, met.turn, met.frame, status, normal, friction, u_end, world,
+        )  # fmt: skip
+    struck_normal = struck_friction = 0.0
+    if impact is not None:
+        total = total + impact.r if r.size else impact.r
+        normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
+        struck_normal, struck_friction = float(impact.normal.sum()), float(impact.friction.sum())
+        _law.states(total, met.mu, status)
+    constraint = -float(met.drag @ total) if met.drag.size else 0.0
+    works = Works(
+        external, done[0] + struck_normal, done[1] + struck_friction, 0.0, constraint, beyond + done[2], 0.0
+    )  # fmt: skip
+    slots, on_joints = d.joints.impulses(met.joints, total.reshape(-1, 3)[nc:], d.n)
+    basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
+    impulses = Impulses(
+        met.contacts, met.frame, u_end.reshape(-1, 3)[:nc], total.reshape(-1, 3)[:nc], status, normal[:nc],
+        friction[:nc], on_joints, created,
+    )  # fmt: skip
+    return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)

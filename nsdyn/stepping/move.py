@@ -1,0 +1,329 @@
+"""One move of a scene: half a free flow, all forces and impulses at one configuration, half a free flow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nsdyn._kernels.stepping import law as _law
+from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.dynamics.dynamics import Forces, Middle, Position
+from nsdyn.dynamics.joints import JointRows
+from nsdyn.dynamics.trees import TreeEnd
+from nsdyn.problem.fc3d import FC3D, Array, Index, Solution
+from nsdyn.stepping.collisions import caught_impacts
+from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, meet, solve
+from nsdyn.stepping.energy import Works
+from nsdyn.stepping.impacts import Impact
+from nsdyn.stepping.instant import FAST, Bools, Impulses, Instant, Looked, System, account
+from nsdyn.stepping.projection import Placed, place, project
+from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
+
+__all__ = ["Move", "Trial", "finish", "trial"]
+
+NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
+
+LOOKS = 4
+"""Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
+
+Callbacks = Callable[[Position, Array], tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]]
+
+
+class Move(NamedTuple):
+    """A move and its end.
+
+    Attributes
+    ----------
+    end : Instant
+    impulses : Impulses
+    works : list of Works
+        Of its parts.
+    problem : FC3D
+    solution : Solution
+        Of the last problem solved.
+    clear : bool
+        Whether the end is without overlap.
+    rate : ndarray, shape (n,)
+        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
+    external : ndarray, shape (nf,), or 0
+        Works of external forces on the free bodies, J.
+    """
+
+    end: Instant
+    impulses: Impulses
+    works: list[Works]
+    problem: FC3D
+    solution: Solution
+    clear: bool
+    rate: Array
+    external: Array | float
+
+
+class Seen(NamedTuple):
+    """What was found where the impulses of a move act.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    memory : ContactMemory
+    looked : Looked
+    """
+
+    contacts: ContactSet
+    memory: ContactMemory
+    looked: Looked
+
+
+class Half(NamedTuple):
+    """The first half of a move.
+
+    Attributes
+    ----------
+    h, ahead : float
+        The move and its second half, s.
+    middle : Middle
+        Where the forces and impulses act.
+    forces : Forces
+    reach : ndarray, shape (frames,)
+        How far points of the frames may move in the second half, m.
+    fast : bool
+        Whether that is so far that it might go unseen.
+    surfaces : three ndarrays of shape (surfaces, 2, 3)
+        Twists of what moves as prescribed: at the beginning, when the impulses act, at the end.
+    """
+
+    h: float
+    ahead: float
+    middle: Middle
+    forces: Forces
+    reach: Array
+    fast: bool
+    surfaces: tuple[Array, Array, Array]
+
+
+class Response(NamedTuple):
+    """What the contacts of a move do, and where it then ends.
+
+    Attributes
+    ----------
+    met : Encounter
+    impact : Impact or None
+        Impacts that were caught, before the other impulses.
+    kick : ndarray or 0
+        Change of v by them.
+    slides : ndarray of bool, shape (nc,)
+        Contacts that slide through.
+    problem : FC3D
+    solution : Solution
+    otherwise : bool
+        Whether contacts slide otherwise than foreseen.
+    v : ndarray, shape (n,)
+        v⁺.
+    impulse : ndarray, shape (n,), or None
+        H r of all, where there are trees.
+    v_end : ndarray, shape (n,)
+    trees : tuple of TreeEnd
+    moved : Placed
+        Where the motion ends, whatever overlaps there.
+    """
+
+    met: Encounter
+    impact: Impact | None
+    kick: Array | float
+    slides: Bools
+    problem: FC3D
+    solution: Solution
+    otherwise: bool
+    v: Array
+    impulse: Array | None
+    v_end: Array
+    trees: tuple[TreeEnd, ...]
+    moved: Placed
+
+
+class Trial(NamedTuple):
+    """A move whose end may still overlap, and what it ran into.
+
+    Attributes
+    ----------
+    half : Half
+    joints : JointRows or None
+    seen : Seen
+    response : Response
+    unmet : Unmet, optional
+        What the motion did not meet, where it ends; None where there is nothing or all was caught.
+    touched : float
+        Time until a pair that is open where the move begins touches on its way, s; that of the move if none does, or
+        if nothing is so fast that it might go unseen.
+    """
+
+    half: Half
+    joints: JointRows | None
+    seen: Seen
+    response: Response
+    unmet: Unmet | None
+    touched: float
+
+
+def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, barred: Index | None) -> Trial:
+    """Move for h seconds from the time t.
+
+    With the state (q_k, v_k) and the free flow Φ:
+
+        q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
+
+    and the contact law of `encounter`, with the contacts that the motion shows.
+
+    Parameters
+    ----------
+    s : System
+    begin : Instant
+    t, h : float
+        s.
+    callbacks : callable
+        (wrenches, joint forces) at a position and a velocity.
+    barred : ndarray of int, optional
+        Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
+        move then says what it ran into. None: all is caught.
+    """
+    half = _half(s, begin, t, h, callbacks)
+    contacts, joints, seen = _reachable(s, begin, half, barred)
+    response = _respond(s, begin, half, contacts, joints, seen, barred, None)
+    missed = np.empty(0, np.int64)
+    for look in range(LOOKS - 1 if barred is None else 0):
+        places = half.middle.placement, response.moved.placement
+        found = response.moved.contacts
+        real, memory, missed = shown(
+            s, response.met, response.solution.r, found, seen.memory, places, half.fast, missed
+        )  # fmt: skip
+        seen = seen._replace(memory=memory)
+        if real is response.met.contacts and not (response.otherwise and look == 0):
+            break
+        response = _respond(s, begin, half, real, joints, seen, barred, response)
+    unmet, until = None, h
+    if barred is not None:
+        moved = response.moved
+        limits = moved.limits if barred.size or _law.least(moved.limits) < -s.closed else NOTHING
+        unmet = others(s, moved.contacts, response.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
+        if half.fast:
+            until = touched(s, begin, half.middle.placement, moved.placement, seen.memory, h)
+    return Trial(half, joints, seen, response, unmet, until)
+
+
+def _half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
+    """Half a free flow, and the forces there."""
+    d, ahead = s.dynamics, s.theta * h
+    begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
+    middle = d.halfway(begin.position, begin.v, h, s.theta, begun)
+    forces = d.forces(middle, t + h, h, *callbacks(middle.position, begin.v))
+    reach = d.reach(middle.placement, forces.v, ahead, h, ended)
+    fast = _law.most(reach) > FAST * s.smallest
+    return Half(h, ahead, middle, forces, reach, fast, (begun, d.surfaces.mean(begun, ended, 0.5), ended))
+
+
+def _reachable(
+    s: System, begin: Instant, half: Half, barred: Index | None
+) -> tuple[ContactSet, JointRows | None, Seen]:
+    """Contacts and joint rows that the second half may need, but for what is to be left alone; all that was found."""
+    middle, v = half.middle, half.forces.v
+    x, R, _ = middle.placement
+    if s.unmoved(begin.looked, middle.placement, half.reach):
+        seen = Seen(begin.contacts, begin.memory, begin.looked)
+    else:
+        seen = Seen(*s.detector.find(x, R, half.reach, begin.memory), Looked(x, R, half.reach))
+    contacts, joints = seen.contacts, s.dynamics.joint_rows(middle.position, middle.v, v, half.h)
+    if barred is None:
+        if half.fast:
+            contacts, memory = reached(s, contacts, begin, middle.placement, seen.memory)
+            seen = seen._replace(memory=memory)
+        return contacts, joints, seen
+    contacts = caught(s, contacts, begin, middle.placement, v, half.ahead, barred)
+    if joints is not None:
+        joints = caught_limits(s, joints, begin, v, half.ahead, barred)
+    return contacts, joints, seen
+
+
+def _respond(
+    s: System, begin: Instant, half: Half, contacts: ContactSet, joints: JointRows | None, seen: Seen,
+    barred: Index | None, last: Response | None,
+) -> Response:  # fmt: skip
+    """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
+    d, middle, forces = s.dynamics, half.middle, half.forces
+    start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
+    met = meet(d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead)
+    met, impact, kick = caught_impacts(s, met, half.h)
+    slides = foresee(met)
+    if last is not None:
+        _resume(met, slides, last)
+    # What catches its impacts is of first order anyway: there only what stops is worth another solve.
+    most, back = (0, True) if barred is None else (SOLVES, last is not None)
+    problem, solution, otherwise = solve(met, s.solver, half.ahead, s.closed, slides, back, most)
+    v = forces.v + kick + met.rows.velocity_change(solution.r)
+    impulse = None
+    if d.trees:
+        impulse = met.rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
+    end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
+    near = 2.0 * half.reach if barred is not None and barred.size else np.zeros(d.frames)
+    if s.unmoved(seen.looked, there, near):
+        moved = Placed(end, there, seen.contacts, d.limits(end), seen.memory, True)
+    else:
+        moved = place(d, s.detector, end, there, seen.memory, near)
+    return Response(met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, moved)
+
+
+def _resume(met: Encounter, slides: Bools, last: Response) -> None:
+    """Start from what the last look has left: impulses and slip of contacts that are still there, and joint rows."""
+    key, r = last.met.contacts.key, last.solution.r.reshape(-1, 3)
+    where, nc = _law.places(key, met.contacts.key), met.contacts.gap.size
+    known, guess = where >= 0, met.guess.reshape(-1, 3)
+    guess[:nc][known] = r[where[known]]
+    slides[known] = last.slides[where[known]]
+    guess[nc:] = r[key.size :]
+
+
+def finish(s: System, begin: Instant, tried: Trial) -> Move:
+    """The move to a position without overlap, and what was done on its way."""
+    d, half, seen, a = s.dynamics, tried.half, tried.seen, tried.response
+    placed = project(d, s.detector, a.moved, half.forces, s.closed)
+    velocities = half.middle.v, half.middle.v + a.kick, a.v
+    impulses, own, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem)
+    works = [own]
+    v_end = a.v_end
+    if placed is not a.moved:
+        v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
+        works.append(Works(projection=lifted))
+    if a.impulse is not None:
+        works += _tree_works(s, half, a, a.impulse, placed.position)
+    looked = seen.looked
+    if placed.contacts is not seen.contacts:
+        looked = Looked(placed.placement.x, placed.placement.R, np.zeros(d.frames))
+    end = Instant(
+        placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, looked, warm,
+        d.twists(placed.placement, v_end),
+    )  # fmt: skip
+    rate = (half.forces.v - half.middle.v) / half.h
+    turn = 0.5 * half.h * (half.middle.v + a.v)[: 6 * d.free].reshape(-1, 6)[:, 3:]
+    external = d.external_works(half.forces, placed.position.x - begin.position.x, turn)
+    return Move(end, impulses, works, a.problem, a.solution, placed.clear, rate, external)
+
+
+def _tree_works(s: System, half: Half, a: Response, impulse: Array, lifted: Position) -> list[Works]:
+    """Works of the trees besides those of contacts and joint rows, J."""
+    out, middle = [], half.middle
+    if a.impact is not None:
+        # The rows do their work in two parts, at two mean velocities.
+        full, struck = a.met.rows.full, middle.v + a.kick
+        first, second = full.momentum(a.impact.r), full.momentum(a.solution.r)
+        booked = 0.5 * (first * (middle.v + struck) + second * (struck + a.v))
+    for t, before, free, end, q in zip(
+        s.dynamics.trees, middle.trees, half.forces.trees, a.trees, lifted.trees, strict=True
+    ):
+        own = t.coordinates
+        w = t.works(before, free, a.v[own], end, q, impulse[own])
+        integration = w.integration
+        if a.impact is not None:
+            integration += float(impulse[own] @ end.mean - booked[own].sum())
+        out.append(Works(w.actuation, 0.0, 0.0, w.damping, w.constraint, integration, w.projection))
+    return out

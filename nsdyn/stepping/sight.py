@@ -1,0 +1,207 @@
+"""Which contacts a move meets: all that its motion shows, and no other.
+
+In small scenes impacts are located: contacts that are open where a move begins, and would strike or become deep, are
+left alone and found where they are hit. In large ones all are caught within the move, and looked at again after it: a
+pair that was deep in each other has the features with which it touched, contacts that the motion does not reach are
+dropped, pairs that it would pass through and contacts that end deep are added.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn._kernels.stepping import law as _law
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
+from nsdyn.collision.detector import Detector
+from nsdyn.dynamics.dynamics import Dynamics, Placement
+from nsdyn.dynamics.joints import JointRows
+from nsdyn.problem.fc3d import Array, Index
+from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.instant import DEEP, FAST, JOINT, Bools, Instant, System, take
+
+__all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "reached", "shown", "touched"]
+
+
+NONE = np.empty(0, np.int64)
+
+
+class Unmet(NamedTuple):
+    """Contacts and joint limits that a move leaves alone, at one instant.
+
+    Attributes
+    ----------
+    code : ndarray of int, shape (k,)
+        Of the pair of shapes, -1 - i of joint limit i.
+    gap, limit : ndarray, shape (k,)
+        m or rad; overlaps of more than `limit` are impacts to be located.
+    """
+
+    code: Index
+    gap: Array
+    limit: Array
+
+
+def caught(
+    s: System, contacts: ContactSet, begin: Instant, placement: Placement, v: Array, ahead: float, barred: Index
+) -> ContactSet:
+    """Contacts that a move need not leave alone: closed where it begins, or neither barred, deep nor elastic.
+
+    What parts there after a rebound is left alone, too: where bodies turn, it may strike again within the move. What
+    pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
+    that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
+    """
+    if not contacts.gap.size:
+        return contacts
+    held, parted = np.empty(contacts.gap.size, np.bool_), _parted(s, begin, v, ahead)
+    if _law.known(contacts.key, begin.contacts.key, begin.contacts.gap, s.closed, held) and not parted.size:
+        return contacts
+    held &= ~np.isin(contacts.key, parted)
+    warm = begin.warm
+    pressed = np.isin(contacts.key, warm.key[warm.status > 0])
+    loaded, free = (approach(s.dynamics, contacts, placement, w) for w in (begin.v, v))
+    shallow = contacts.gap + ahead * np.where(pressed, loaded, free) > -s.deep(contacts)
+    shallow &= ~np.isin(s.detector.codes(contacts), barred)
+    return take(contacts, held | (shallow & (contacts.restitution == 0.0)))
+
+
+def _parted(s: System, begin: Instant, v: Array, ahead: float) -> Index:
+    """Keys of elastic contacts that are closed where a move begins, but part faster than forces make them rest."""
+    c = begin.contacts
+    if not s.elastic or not c.gap.size:
+        return NONE
+    parts, free = (approach(s.dynamics, c, begin.placement, w) for w in (begin.v, v))
+    rests = s.solver.tol + 2.0 * s.dt * s.theta / ahead * np.abs(free - parts)
+    return c.key[(c.restitution > 0.0) & (c.gap <= s.closed) & (parts > rests)]
+
+
+def caught_limits(
+    s: System, joints: JointRows, begin: Instant, v: Array, ahead: float, barred: Index
+) -> JointRows | None:
+    """Joint rows that a move need not leave alone, as `caught` has it of contacts."""
+    laws = s.dynamics.joints
+    place = np.searchsorted(laws.limits, joints.slot)
+    friction = joints.mu > 0.0
+    held = begin.limits[np.where(friction, 0, place)] <= s.closed if begin.limits.size else friction
+    pressed = begin.warm.joints[joints.slot, 0] > 0.0
+    rate = np.where(pressed, laws.rates(joints.slot, begin.v), laws.rates(joints.slot, v))
+    shallow = joints.gap + ahead * rate > -DEEP * JOINT
+    shallow &= ~np.isin(-1 - place, barred)
+    return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
+
+
+def others(s: System, found: ContactSet, met: ContactSet, limits: Array, slot: Index) -> Unmet | None:
+    """Of the contacts found and the gaps of all joint limits those not met; None where all are.
+
+    Parameters
+    ----------
+    s : System
+    found, met : ContactSet
+    limits : ndarray
+    slot : ndarray of int
+        Joint rows that are met.
+    """
+    if found is met and not limits.size:
+        return None
+    same = np.empty(found.gap.size, np.bool_)
+    if _law.known(found.key, met.key, met.gap, np.inf, same) and not limits.size:
+        return None
+    left = take(found, ~same)
+    code, gap, limit = s.detector.codes(left), left.gap, np.where(left.restitution > 0.0, s.closed, s.deep(left))
+    if limits.size:
+        # Strikes on these are few: they are located sharply, with restitution or without.
+        k = np.flatnonzero(~np.isin(s.dynamics.joints.limits, slot))
+        code, gap = np.concatenate((code, -1 - k)), np.concatenate((gap, limits[k]))
+        limit = np.concatenate((limit, np.full(k.size, s.closed)))
+    return Unmet(code, gap, limit)
+
+
+def approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) -> Array:
+    """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s; driven bodies at rest."""
+    out = np.empty(contacts.gap.size)
+    where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, placement.x
+    _law.approach(*where, *d.twists(placement, v), out)
+    return out
+
+
+def reached(
+    s: System, contacts: ContactSet, begin: Instant, there: Placement, memory: ContactMemory
+) -> tuple[ContactSet, ContactMemory]:
+    """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
+    closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+    touches = s.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, closed)
+    deep = touches.contacts.gap < -s.deep(touches.contacts) * FAST / DEEP
+    if not deep.any():
+        return contacts, memory
+    first = take(touches.contacts, deep)
+    codes = s.detector.codes
+    others = take(contacts, ~np.isin(codes(contacts), codes(first)))
+    return _merged(others, first, s.detector), touches.memory
+
+
+def touched(s: System, begin: Instant, middle: Placement, end: Placement, memory: ContactMemory, h: float) -> float:
+    """Time until a pair that is open where a move begins touches on its way, h if none does, s."""
+    closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+    poses, before = [Poses(*place[:2]) for place in (begin.placement, middle, end)], (1.0 - s.theta) * h
+    first = s.touches(poses[0], poses[1], memory, closed).fraction
+    if first.size:
+        return before * float(first.min())
+    second = s.touches(poses[1], poses[2], memory, closed).fraction
+    return before + s.theta * h * float(second.min(initial=1.0))
+
+
+def shown(
+    s: System, met: Encounter, r: Array, found: ContactSet, memory: ContactMemory, places: tuple[Placement, Placement],
+    fast: bool, kept: Index,
+) -> tuple[ContactSet, ContactMemory, Index]:  # fmt: skip
+    """Contacts that the motion of a move shows, of those met with impulses r and those missed, and what to keep.
+
+    What ends deep with features that were not met is met with those, where they were in the middle: the projection of
+    positions would lift it without taking its speed.
+
+    Parameters
+    ----------
+    s : System
+    met : Encounter
+    r : ndarray, shape (3 rows,)
+    found : ContactSet
+        Where the motion ends.
+    memory : ContactMemory
+    places : two Placements
+        Where the impulses act, and where the motion ends.
+    fast : bool
+        Whether anything is so fast that it might pass through unseen.
+    kept : ndarray of int
+        Keys of contacts that were missed before: they stay.
+    """
+    real = ~_ghosts(s, met, r, found) | np.isin(met.contacts.key, kept)
+    contacts = take(met.contacts, real)
+    if not fast and _law.least(found.gap) >= -s.slow:
+        return contacts, memory, kept
+    middle, end = (Poses(*place[:2]) for place in places)
+    late = take(found, (found.gap < -s.deep(found)) & ~np.isin(found.key, met.contacts.key))
+    if fast:
+        (passed, _, memory), codes = s.touches(middle, end, memory, met.contacts), s.detector.codes
+        late = _merged(take(late, ~np.isin(codes(late), codes(passed))), passed, s.detector)
+    if not late.gap.size:
+        return contacts, memory, kept
+    late = carry(late, end, middle)
+    return _merged(contacts, late, s.detector), memory, np.concatenate((kept, late.key))
+
+
+def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
+    """Contacts that have an impulse but are open where the motion ends: bodies pass there."""
+    nc = met.frame.shape[0]
+    out: Bools = (r[0 : 3 * nc : 3] > 0.0) & (met.end_gap[:nc] > s.deep(met.contacts))
+    if out.any():
+        real = found.key[found.gap <= s.deep(found)]
+        out &= ~np.isin(met.contacts.key, real)
+    return out
+
+
+def _merged(one: ContactSet, other: ContactSet, detector: Detector) -> ContactSet:
+    """Contacts of both, sorted by their pairs."""
+    both = ContactSet._make(np.concatenate(columns) for columns in zip(one, other, strict=True))
+    order = np.argsort(detector.codes(both), kind="stable")
+    return ContactSet._make(column[order] for column in both)

@@ -1,0 +1,586 @@
+"""The Moreau–Jean time-stepper: moves between located impacts, their record, and the loop around it.
+
+A step makes a dozen immutable values. They are named tuples, where the rest of the package has frozen dataclasses,
+which take three times as long to make: in a small scene that is a fifth of the step.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses
+from nsdyn.collision.detector import Detector
+from nsdyn.dynamics.dynamics import Dynamics, Position
+from nsdyn.problem import fclib, gauss
+from nsdyn.problem.fc3d import FC3D, Array, Index, NotConverged, Solution, Status
+from nsdyn.recording.recorder import Recorder
+from nsdyn.recording.trajectory import Trajectory
+from nsdyn.scene.scene import Geom, Scene
+from nsdyn.solvers import Auto, Solver, as_solver
+from nsdyn.stepping import impacts
+from nsdyn.stepping.balance import balance
+from nsdyn.stepping.collisions import collide
+from nsdyn.stepping.encounter import Warm
+from nsdyn.stepping.energy import Ledger, Works
+from nsdyn.stepping.instant import Impulses, Instant, Looked, System, take
+from nsdyn.stepping.move import Trial, finish, trial
+from nsdyn.stepping.projection import place
+from nsdyn.stepping.sight import Unmet, others
+from nsdyn.tools.naming import choice
+
+__all__ = ["State", "Step", "Stepper", "simulate"]
+
+Callback = Callable[[float, Array, Array], Mapping[str, Any]]
+
+CLOSED = 1e-9
+"""Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
+that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
+body at rest in every step."""
+
+DEEPEST = 0.01
+"""Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
+
+CUTS, HITS, LOCATED = 8, 16, 50
+"""Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
+effort is bounded; beyond, impacts are caught within the step."""
+
+WORST = 1e-3
+"""Error above which an answer is none."""
+
+NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
+
+
+class State(NamedTuple):
+    """Everything a run needs to go on bit for bit.
+
+    Attributes
+    ----------
+    origin, dt, count : float, float, int
+        t = origin + count dt.
+    instant : Instant
+        Position, velocity, contacts and warm start.
+    rate : ndarray, shape (n,)
+        Last free acceleration, m/s² and rad/s².
+    energies : (float, float)
+        Kinetic and potential, J.
+    owed : ndarray, shape (nf,)
+        Energy that free bodies gained by numerics, which was taken and not given back, J: see `nsdyn.stepping.balance`.
+    opening : gauss.Opening, optional
+        Direction that the last certificate rests on.
+    """
+
+    origin: float
+    dt: float
+    count: int  # type: ignore[assignment]  # tuple.count is of no use here
+    instant: Instant
+    rate: Array
+    energies: tuple[float, float]
+    owed: Array
+    opening: gauss.Opening | None = None
+
+    @property
+    def t(self) -> float:
+        """Time in s."""
+        return self.origin + self.count * self.dt
+
+    @property
+    def next_t(self) -> float:
+        """Time at the end of the next step in s."""
+        return self.origin + (self.count + 1) * self.dt
+
+
+class Step(NamedTuple):
+    """What one step did.
+
+    Attributes
+    ----------
+    t, q, v : float, ndarray, ndarray
+        At the end of the step; q and v in Pinocchio's layout.
+    frames_x, frames_quat : ndarray of shapes (frames, 3) and (frames, 4), or None
+        Poses of all moving frames when the scene has articulations.
+    contacts : ContactSet
+        Where the impulses acted, those of impacts first.
+    gap : ndarray, shape (nc,)
+        Of the shapes at the end of the step, m; negative inside.
+    frame : ndarray, shape (nc, 3, 3)
+        Contact frames, rows (n, t1, t2), world axes.
+    u, r : ndarray, shape (nc, 3)
+        Relative velocity at the end of the step [m/s], or after the impact, and impulse on body 2 [N·s], normal first.
+    contact_status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    work_normal, work_friction : ndarray, shape (nc,)
+        J.
+    joint_impulse : ndarray, shape (n,)
+        Of joint limits and dry joint friction on each coordinate, N m s or N s.
+    created : float
+        Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
+        chains, and Poisson's with several restitutions (`impacts`).
+    ledger : Ledger
+        Energies at the end and works of the step, J.
+    gauss : Certificate
+        Of the last problem.
+    problem : FC3D
+    solution : Solution
+        Of the last problem solved, or of the worst where any missed its tolerance; its status is OVERLAP where shapes
+        are left in each other by more than what counts as closed.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    frames_x: Array | None
+    frames_quat: Array | None
+    contacts: ContactSet
+    gap: Array
+    frame: Array
+    u: Array
+    r: Array
+    contact_status: NDArray[np.int8]
+    work_normal: Array
+    work_friction: Array
+    joint_impulse: Array
+    created: float
+    ledger: Ledger
+    gauss: gauss.Certificate
+    problem: FC3D
+    solution: Solution
+
+    @property
+    def tangent(self) -> Array:
+        """First tangent t1 of every contact, shape (nc, 3); t2 = n × t1."""
+        return self.frame[:, 1]
+
+    @property
+    def energy(self) -> dict[str, float]:
+        """The terms of the ledger by their names, J."""
+        return self.ledger._asdict()
+
+
+class Start(NamedTuple):
+    """The initial state as a recording shows it: a `Step` without what steps do."""
+
+    t: float
+    q: Array
+    v: Array
+    frames_x: Array | None
+    frames_quat: Array | None
+    energy: dict[str, float]
+
+
+class Stepper:
+    """Moreau–Jean time-stepping of a scene.
+
+    With the free flow Φ, which bends nothing and turns bodies without torque, and h = dt:
+
+        q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
+        K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K,        u the relative velocity at the end of the step.
+
+    All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
+    second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
+    impacts with restitution, which act in no time, until they are too many to tell apart. No shapes overlap at its end:
+    what a step leaves is removed by a projection of the positions. No island of free bodies gains energy but by the
+    works of external forces: what it gained is taken by rolling resistance, which keeps every momentum.
+
+    Parameters
+    ----------
+    scene : Scene
+    dt : float
+        Step h, s.
+    theta : float
+        In [½, 1]: 1 - θ is the fraction of a step before its impulses. More than ½ is first order, and damps joint
+        springs and stiff trees.
+    solver : str or Solver
+        A name of `nsdyn.solvers.SOLVERS`, then at a tolerance of 1e-8, or a solver object. Default and "auto":
+        ``Auto(tol=1e-8, loose=1e-4)``.
+    controller : callable, optional
+        ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}; called with the time and
+        configuration of the impulses and the velocity at the beginning, Pinocchio's layout.
+    external_force : callable, optional
+        ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
+        (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's
+        frame. Nothing persists to the next step.
+    on_fail : {"warn", "raise", "ignore"}
+        What to do when the solver misses its tolerance. The status is always recorded. "warn" goes on with the best
+        answer and warns once, but raises where that is none: an error above 1e-3, or no velocity that opens every
+        contact, which a solution needs.
+    max_points : int
+        Most contact points per pair of shapes.
+    dump_on_fail : path, optional
+        Folder for the problems of failing steps, FCLIB global files named by the step.
+    impact : {"newton", "poisson", "fremond"}
+        Law of contacts with restitution: see `nsdyn.stepping.impacts`.
+
+    Raises
+    ------
+    ValueError
+        For arguments out of range, and for bodies that overlap deeply at the start, naming them and the depth.
+
+    References
+    ----------
+    J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, CISM 302, 1988. M. Jean, The
+    non-smooth contact dynamics method, CMAME 177, 1999. V. Acary, Projected event-capturing time-stepping schemes for
+    nonsmooth mechanical systems with unilateral contact and Coulomb's friction, CMAME 256, 2013.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> stepper = nd.Stepper(nd.scenes.load("slide")(), dt=0.01)
+    >>> step = stepper.step()
+    >>> step.contact_status.tolist(), round(float(step.v[0]), 5)  # four corners slip: 2 - 0.5 · 9.81 · 0.01 = 1.95095
+    ([2, 2, 2, 2], 1.95095)
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        dt: float = 1e-3,
+        theta: float = 0.5,
+        solver: str | Solver | None = None,
+        controller: Callback | None = None,
+        external_force: Callback | None = None,
+        on_fail: str = "warn",
+        max_points: int = 8,
+        dump_on_fail: str | Path | None = None,
+        impact: str = "newton",
+    ) -> None:
+        if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
+            raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
+        if not 0.5 <= theta <= 1.0:
+            raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
+        if not isinstance(scene, Scene):
+            raise ValueError(
+                f"scene must be a nsdyn.Scene, got {scene!r}; nsdyn.scenes.load(name)() makes a named one"
+            )
+        choice(on_fail, ("warn", "raise", "ignore"), "on_fail")
+        for what, given in (("controller", controller), ("external_force", external_force)):
+            if given is not None and not callable(given):
+                raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
+        choice(impact, impacts.LAWS, "impact")
+        self.dump_on_fail = None if dump_on_fail is None else Path(dump_on_fail)
+        if self.dump_on_fail is not None and self.dump_on_fail.is_file():
+            raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
+        self.scene, self.dt, self.theta = scene, float(dt), float(theta)
+        solver = Auto() if solver in (None, "auto") else as_solver(solver)
+        self.controller, self.external_force, self.on_fail = controller, external_force, on_fail
+        self.dynamics, geoms = Dynamics(scene), scene.geoms()
+        self.detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms), max_points)
+        # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
+        closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
+        # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
+        self.closed = max(closed, solver.tol * self.dt)
+        inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
+        rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
+        elastic = any(e > 0.0 for e in rebounds) or bool(self.dynamics.joints.restitution.any())
+        self.system = System(
+            self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
+            float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact, elastic,
+        )  # fmt: skip
+        if impact == "poisson" and len(several := scene.restitutions()) > 1:
+            warnings.warn(
+                f"Poisson's law keeps energy from growing only where all contacts have one restitution, got {several}",
+                stacklevel=2,
+            )
+        self._failures = 0
+        self._state = State(0.0, self.dt, 0, *self._start(geoms), np.zeros(self.dynamics.free))
+
+    def _start(self, geoms: list[Geom]) -> tuple[Instant, Array, tuple[float, float]]:
+        """The initial instant, whose bodies do not overlap deeply, the free acceleration there, energies."""
+        d = self.dynamics
+        position, v = d.start()
+        placed = place(d, self.detector, position, d.place(position), ContactMemory.empty())
+        _check_overlap(geoms, placed.contacts)
+        none = np.empty((0, 3))
+        warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), self.dt, None)
+        twists = d.twists(placed.placement, v)
+        placement, contacts = placed.placement, placed.contacts
+        looked = Looked(placement.x, placement.R, np.zeros(d.frames))
+        instant = Instant(position, v, placement, contacts, placed.limits, placed.memory, looked, warm, twists)
+        return instant, np.zeros(d.n), d.energies(position, v)
+
+    # -- state -------------------------------------------------------------------------------------------------
+
+    @property
+    def t(self) -> float:
+        """Time in s."""
+        return self._state.t
+
+    @property
+    def solver(self) -> Solver:
+        """Of the contact problems."""
+        return self.system.solver
+
+    def get_state(self) -> State:
+        """State after the last step; with `set_state` a run goes on bit for bit, warm start included."""
+        return self._state
+
+    def set_state(self, state: State) -> None:
+        """Go on from a state of a stepper of the same scene; ValueError if it does not fit."""
+        if not isinstance(state, State):
+            raise ValueError(f"state must come from get_state, got {type(state).__name__}")
+        v, x = state.instant.v, state.instant.position.x
+        if v.shape != (self.dynamics.n,) or x.shape != (self.dynamics.free, 3):
+            raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {v.shape}")
+        if state.dt != self.dt:
+            state = state._replace(origin=state.t, dt=self.dt, count=0)
+        self._state = state
+
+    def start(self) -> Start:
+        """The present state as row 0 of a recording."""
+        s, d = self._state.instant, self.dynamics
+        kinetic, potential = self._state.energies
+        q, v = d.pinocchio_state(s.position, s.v)
+        x, quaternion = d.poses(s.position, s.placement)
+        return Start(self.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
+
+    # -- one step ----------------------------------------------------------------------------------------------
+
+    def step(self) -> Step:
+        """Advance by dt and return what happened; on `NotConverged` the state is left as it was."""
+        s, now, rate, left = self._state, self._state.instant, self._state.rate, self.dt
+        done: list[Impulses] = []
+        solved: list[tuple[FC3D, Solution]] = []
+        works: list[Works] = []
+        clear, external = True, np.zeros(self.dynamics.free)
+        for cut in range(2 * CUTS):
+            t = s.next_t - left
+            if (struck := collide(self.system, now, t, left, rate)) is not None:
+                now, impulses, more, pair = struck
+                done, solved, works = [*done, impulses], [*solved, pair], [*works, more]
+            length, tried = self._until_impact(now, t, left) if cut < CUTS else (left, self._try(now, t, left, None))
+            m = finish(self.system, now, tried)
+            now, rate, left, clear = m.end, m.rate, left - length, m.clear
+            done, solved, works = [*done, m.impulses], [*solved, (m.problem, m.solution)], works + m.works
+            external = external + m.external
+            if left <= 1e-12 * self.dt:
+                break
+        now, gained, owed = balance(self.system, s.instant, now, done, external, s.owed)
+        if gained:
+            works.append(Works(projection=gained))
+        for problem, solution in solved:
+            if not solution.accepted:
+                self._fail(problem, solution)
+        certificate, opening = self._certify(solved, s.opening)
+        energies = self.dynamics.energies(now.position, now.v)
+        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, owed, opening)
+        ledger = Ledger.of(s.energies, energies, Works.total(works))
+        problem, solution = _worst(solved)
+        if solution.accepted and not clear:
+            solution = solution._replace(status=Status.OVERLAP)
+        return self._record(done, ledger, certificate, problem, solution)
+
+    def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Trial]:
+        """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
+        s = self.system
+        if begin.contacts.gap.size > LOCATED:
+            return h, self._try(begin, t, h, None)
+        m = self._try(begin, t, h, NONE)
+        if m.touched < h:
+            # Not much farther, so that what is hit is seen from the side where it is.
+            far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
+            within = m.touched + 0.05 * h * s.smallest / float(far.max())
+            if within < h:
+                return self._until_impact(begin, t, within)
+        if m.unmet is None:
+            return h, m
+        hit = m.unmet.gap < -m.unmet.limit
+        if not hit.any():
+            return h, m
+        if hit.sum() > HITS:
+            return h, self._try(begin, t, h, None)
+        barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
+        far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
+        found, _ = self.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
+        held = self.dynamics.joints.limits[begin.limits <= self.closed]
+        before = others(s, found, take(begin.contacts, begin.contacts.gap <= self.closed), begin.limits, held)
+        wide, moves = float(far.max(initial=self.closed)), {h: m}
+
+        def least(left: Unmet | None) -> float:
+            """Least gap of what is hit; 0 where the difference does not matter."""
+            gaps = NOTHING if left is None else left.gap[np.isin(left.code, barred)]
+            gap = float(gaps.min()) if gaps.size else wide
+            return 0.0 if abs(gap) <= 1e-3 * self.closed else gap
+
+        def gap(time: float) -> float:
+            if time == 0.0:
+                return max(least(before), self.closed)
+            if time not in moves:
+                moves[time] = self._try(begin, t, time, barred)
+            return least(moves[time].unmet)
+
+        brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
+        # Where another feature is the first to touch the gap jumps, and has no root.
+        length = min(moves, key=lambda time: abs(gap(time)))
+        if abs(gap(length)) > limit:
+            return h, self._try(begin, t, h, None)
+        return length, moves[length]
+
+    def _try(self, begin: Instant, t: float, h: float, barred: Index | None) -> Trial:
+        """A move of h seconds, with the user's callbacks."""
+
+        def callbacks(middle: Position, v: Array) -> tuple[Any, Any]:
+            if self.external_force is None and self.controller is None:
+                return None, None
+            at = t + (1.0 - self.theta) * h, *self.dynamics.pinocchio_state(middle, v)
+            return (
+                self.external_force(*at) if self.external_force else None,
+                self.controller(*at) if self.controller else None,
+            )
+
+        return trial(self.system, begin, t, h, callbacks, barred)
+
+    def _certify(
+        self, solved: list[tuple[FC3D, Solution]], opening: gauss.Opening | None
+    ) -> tuple[gauss.Certificate, gauss.Opening | None]:
+        """Certificate of all problems of a step: sum of the gaps, largest shift and bound; direction of the last."""
+        gap = shift = bound = 0.0
+        for problem, solution in solved:
+            c, opening = gauss.certify(problem, solution.r, solution.u, opening)
+            gap, shift, bound = gap + c.gap, max(shift, c.shift), max(bound, c.bound)
+        return gauss.Certificate(gap, shift, bound), opening
+
+    def _record(
+        self, done: list[Impulses], ledger: Ledger, certificate: gauss.Certificate, problem: FC3D, solution: Solution
+    ) -> Step:
+        """What the moves and impacts of a step did."""
+        d, end = self.dynamics, self._state.instant
+        acted = done[0] if len(done) == 1 else _joined(done)
+        q, v = d.pinocchio_state(end.position, end.v)
+        x, quaternion = d.poses(end.position, end.placement)
+        gap = self.detector.gaps(acted.contacts, end.contacts, Poses(*end.placement[:2]))
+        return Step(
+            self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
+            acted.normal, acted.friction, acted.joints, acted.created, ledger, certificate, problem, solution,
+        )  # fmt: skip
+
+    def _fail(self, problem: FC3D, solution: Solution) -> None:
+        message = (
+            f"step from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
+            f"{solution.residual:.2e} m/s, tolerance {self.solver.tol:.1e} ({solution.status.message})"
+        )
+        if self.dump_on_fail is not None:
+            self.dump_on_fail.mkdir(parents=True, exist_ok=True)
+            path = self.dump_on_fail / f"step-{self._state.count + 1:06d}.hdf5"
+            fclib.write(path, problem, guesses=[solution.r], description=message, overwrite=True)
+            message += f"; its problem is in {path}"
+        none = solution.status is Status.NO_SLATER_POINT or not solution.error <= WORST
+        if self.on_fail == "raise" or (self.on_fail == "warn" and none):
+            raise NotConverged(message, problem, solution)
+        if self.on_fail == "warn" and not self._failures:
+            warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
+        self._failures += 1
+
+
+def _worst(solved: list[tuple[FC3D, Solution]]) -> tuple[FC3D, Solution]:
+    """The last problem of a step and its solution, or the one of largest error where any missed its tolerance."""
+    missed = [pair for pair in solved if not pair[1].converged]
+    return max(missed, key=lambda pair: pair[1].error) if missed else solved[-1]
+
+
+def _joined(done: list[Impulses]) -> Impulses:
+    """All that acted in a step, one after the other."""
+    contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
+    frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
+    joints = np.sum([a.joints for a in done], axis=0)
+    return Impulses(contacts, frame, u, r, status, normal, friction, joints, sum(a.created for a in done))
+
+
+def _arms(geoms: list[Geom], frames: int) -> Array:
+    """How far shapes reach from the origins of the moving frames, m."""
+    out = np.zeros(frames)
+    for g in geoms:
+        if g.frame >= 0:
+            out[g.frame] = max(out[g.frame], float(np.linalg.norm(g.placement_t)) + g.shape.bounding_radius)
+    return out
+
+
+def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:
+    """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
+    if not contacts.gap.size:
+        return
+    k = int(contacts.gap.argmin())
+    a, b = geoms[contacts.geom1[k]], geoms[contacts.geom2[k]]
+    depth = -float(contacts.gap[k])
+    size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
+    where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
+    if depth > DEEPEST * size:
+        remedy = f"; self_collisions='apart' of {a.body!r}, or an SRDF file, keeps such links from touching"
+        remedy = remedy if a.body == b.body else ""
+        raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m){remedy}")
+    if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
+        warnings.warn(f"{where}; the first step moves them apart", stacklevel=5)
+
+
+def simulate(
+    scene: Scene,
+    duration: float,
+    dt: float = 1e-3,
+    theta: float = 0.5,
+    solver: str | Solver | None = None,
+    controller: Callback | None = None,
+    external_force: Callback | None = None,
+    on_fail: str = "warn",
+    record: str | Path | None = None,
+    progress: bool = False,
+    max_points: int = 8,
+    dump_on_fail: str | Path | None = None,
+    impact: str = "newton",
+) -> Trajectory:
+    """Simulate a scene and return its trajectory.
+
+    Parameters
+    ----------
+    scene : Scene
+    duration : float
+        s; rounded up to whole steps.
+    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact
+        As in `Stepper`.
+    record : path, optional
+        HDF5 file written while the simulation runs; a killed run keeps its steps.
+    progress : bool
+        Show a progress bar on stderr when it is a terminal.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    ValueError
+        For bad arguments, before anything is written.
+    NotConverged
+        As `on_fail` has it; the steps before are in `record`.
+
+    Examples
+    --------
+    A box slides 2²/(2 · 0.5 · 9.81) m = 0.4077 m and stops; friction has then taken its 2 J:
+
+    >>> import nsdyn as nd
+    >>> scene = nd.Scene()
+    >>> scene.add_halfspace("ground", material=nd.Material(mu=0.5))
+    >>> scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1), linear_velocity=(2, 0, 0),
+    ...               material=nd.Material(mu=0.5))
+    >>> trajectory = nd.simulate(scene, 0.5, dt=1e-3)
+    >>> round(float(trajectory.body("box").position[-1, 0]), 4), round(float(trajectory.energy.friction.sum()), 6)
+    (0.4077, -2.0)
+    """
+    from tqdm import tqdm  # costs 50 ms that a library user may not need
+
+    if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
+        raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
+    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact)
+    steps = max(1, math.ceil(duration / stepper.dt - 1e-9))
+    meta = {"dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver)}
+    meta["external_force"] = external_force is not None
+    with Recorder(record, meta, scene.describe(), stepper.start()) as recorder:
+        # disable=None: tqdm draws only on a terminal
+        for _ in tqdm(range(steps), unit="step", disable=None if progress else True):
+            recorder.append(stepper.step())
+        return recorder.trajectory()

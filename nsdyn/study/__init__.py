@@ -1,0 +1,1 @@
+"""Studies: sweeps over parameters, speed against error, profiles of solvers, and the peers."""

@@ -1,0 +1,356 @@
+"""Performance profiles of solvers over a folder of FCLIB problems, ours and peers, all under one judge.
+
+Every solver runs in a process of its own with one thread and a hard limit on the time of each call, so that one that
+hangs or crashes loses only the problem at hand. A problem counts as solved if `FC3D.error` of the returned impulse is
+within the tolerance; what a solver claims is not asked. Timed is the solver's call on a problem built afresh, after one
+call to compile, best of three (one if it takes more than a second).
+
+References
+----------
+E. Dolan, J. Moré, Benchmarking optimization software with performance profiles, Mathematical Programming 91, 2002.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsdyn.problem import fclib
+from nsdyn.problem.fc3d import FC3D, Array
+from nsdyn.solvers import SOLVERS, by_name
+from nsdyn.tools.files import writing
+from nsdyn.tools.naming import choice
+from nsdyn.tools.workers import Worker
+
+__all__ = ["PEERS", "Profile", "Run", "measure", "write_csv"]
+
+FACTORS = (1.0, 2.0, 5.0, 47.0)
+"""Ratios to the best time at which a table shows the profile."""
+
+_SCRIPTS = Path(__file__).with_name("_peers")
+_COMPILING = 120.0  # s that a solver of ours may spend on compilation in all its first calls
+_DENSE = 100  # contacts up to which a dense W is tried too, where a peer takes both
+
+
+@dataclass(frozen=True)
+class Run:
+    """One solver on one problem.
+
+    Attributes
+    ----------
+    problem : str
+    contacts : int
+    solver : str
+    solved : bool
+        Whether `error` is within the tolerance.
+    seconds : float
+        Of the solve, inf if there is none in the time limit.
+    iterations : int
+        In the unit of the solver.
+    error, residual : float
+        `FC3D.error` [-] and `FC3D.residual` [m/s] of the impulse.
+    note : str
+        Why there is no answer, or how a peer was called.
+    """
+
+    problem: str
+    contacts: int
+    solver: str
+    solved: bool
+    seconds: float
+    iterations: int
+    error: float
+    residual: float
+    note: str
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Runs of several solvers on the same problems.
+
+    Attributes
+    ----------
+    tol : float
+        On `FC3D.error`.
+    limit : float
+        s per solve.
+    runs : tuple of Run
+        Every solver on every problem.
+    """
+
+    tol: float
+    limit: float
+    runs: tuple[Run, ...]
+
+    @property
+    def problems(self) -> list[str]:
+        """Names of the problems, the rows of `times`."""
+        return list(dict.fromkeys(run.problem for run in self.runs))
+
+    @property
+    def solvers(self) -> list[str]:
+        """Names of the solvers, the columns of `times`."""
+        return list(dict.fromkeys(run.solver for run in self.runs))
+
+    @cached_property
+    def times(self) -> Array:
+        """Seconds, shape (problems, solvers); inf where not solved."""
+        seconds = {(run.problem, run.solver): run.seconds for run in self.runs if run.solved}
+        return np.array([[seconds.get((p, s), math.inf) for s in self.solvers] for p in self.problems])
+
+    @cached_property
+    def ratios(self) -> Array:
+        """Times over the best of each problem, shape (problems, solvers); inf where not solved."""
+        out = np.full(self.times.shape, math.inf)
+        np.divide(self.times, self.times.min(axis=1, keepdims=True), out=out, where=np.isfinite(self.times))
+        return out
+
+    def rho(self, factor: float) -> Array:
+        """Fraction of all problems that each solver solves within `factor` times the best time, shape (solvers,)."""
+        out: Array = (self.ratios <= factor).mean(axis=0)
+        return out
+
+    def summary(self) -> list[dict[str, Any]]:
+        """Figures of each solver.
+
+        Problems solved, ρ at `FACTORS`, the geometric mean of the ratios where it solves, and the same against the best
+        of each peer's solvers together with the largest, over the problems that both solve.
+        """
+        rho = [self.rho(factor) for factor in FACTORS]
+        out = []
+        for k, name in enumerate(self.solvers):
+            figures: dict[str, Any] = {
+                "solver": name,
+                "solved": int(np.isfinite(self.times[:, k]).sum()),
+                "problems": len(self.problems),
+                "rho": {f"{factor:g}": float(values[k]) for factor, values in zip(FACTORS, rho, strict=True)},
+                "mean_ratio": _geometric_mean(self.ratios[:, k]),
+            }
+            for peer in PEERS:
+                columns = [j for j, other in enumerate(self.solvers) if other.startswith(peer)]
+                if columns and not name.startswith(tuple(PEERS)):
+                    best = self.times[:, columns].min(axis=1)
+                    both = np.isfinite(self.times[:, k]) & np.isfinite(best)
+                    ratios = self.times[both, k] / best[both]
+                    figures[f"against_{peer}"] = {
+                        "problems": ratios.size,
+                        "mean_ratio": _geometric_mean(ratios),
+                        "largest_ratio": float(ratios.max(initial=0.0)),
+                    }
+            out.append(figures)
+        return out
+
+    def table(self) -> str:
+        """The summary as text."""
+        width = max(map(len, self.solvers))
+        columns = "".join(f"{f'ρ({factor:g})':>8}" for factor in FACTORS)
+        lines = [f"{'solver':{width}}  solved{columns}  mean ratio"]
+        notes = []
+        for row in self.summary():
+            values = "".join(f"{value:8.2f}" for value in row["rho"].values())
+            lines.append(
+                f"{row['solver']:{width}} {row['solved']:3}/{row['problems']:<3}{values}  {row['mean_ratio']:10.3g}"
+            )
+            for peer in PEERS:
+                if against := row.get(f"against_{peer}"):
+                    notes.append(
+                        f"{row['solver']} against the best of {peer} on {against['problems']} problems: time ratio "
+                        f"{against['mean_ratio']:.3g} in the geometric mean, {against['largest_ratio']:.3g} at most"
+                    )
+        return "\n".join(lines + notes)
+
+    def plot(self, axes: Any, legend: bool = True) -> Any:
+        """Draw ρ(τ) of every solver on matplotlib axes and return them."""
+        end = 1.1 * float(self.ratios[np.isfinite(self.ratios)].max(initial=10.0))
+        for k, name in enumerate(self.solvers):
+            x = np.sort(self.ratios[:, k])
+            x = x[np.isfinite(x)]
+            y = np.arange(x.size + 1) / len(self.problems)
+            look = {"ls": ("-", "--", ":", "-.")[k // 10 % 4], "lw": 1.0 if name.startswith(tuple(PEERS)) else 2.0}
+            axes.step(np.r_[1.0, x, end], np.r_[y, y[-1]], where="post", label=name, **look)
+        axes.set(xscale="log", xlim=(1.0, end), ylim=(0.0, 1.02), title=f"tol {self.tol:g}")
+        axes.set(xlabel="τ: time over the best time", ylabel="ρ(τ): fraction of the problems")
+        if legend:
+            axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        return axes
+
+
+def write_csv(path: str | Path, profiles: Sequence[Profile]) -> None:
+    """All runs of some profiles, one a line with its tolerance first; seconds are empty where there is no answer."""
+    with writing(path) as part, open(part, "w", newline="") as file:
+        sink = csv.writer(file)
+        sink.writerow(["tol", *(field.name for field in fields(Run))])
+        for profile in profiles:
+            for run in profile.runs:
+                values = (x if not isinstance(x, float) or math.isfinite(x) else "" for x in astuple(run))
+                sink.writerow([profile.tol, *values])
+
+
+def _geometric_mean(x: Array) -> float:
+    """Geometric mean of the finite entries, nan if there are none."""
+    x = x[np.isfinite(x)]
+    return math.exp(float(np.log(x).mean())) if x.size else math.nan
+
+
+@dataclass(frozen=True)
+class _Player:
+    """A solver and how to ask it.
+
+    Attributes
+    ----------
+    label : str
+        Its name in the profile.
+    solver : str
+        Its name in the script.
+    script : tuple of str
+        Python and script.
+    own : bool
+        Ours read FCLIB files, peers get W, q and mu.
+    tightening : tuple of float
+        Factors of the tolerance tried until the judge is satisfied: peers measure their errors differently.
+    dense : bool
+        Whether it takes W in dense storage too.
+    """
+
+    label: str
+    solver: str
+    script: tuple[str, str]
+    own: bool = False
+    tightening: tuple[float, ...] = (1.0, 0.1, 0.01)
+    dense: bool = False
+
+    def play(self, worker: Worker, file: Path, problem: FC3D, tol: float, limit: float, scratch: Path) -> Run:
+        """Run of the solver on one problem: the fastest that the judge accepts, else the closest."""
+        runs = []
+        for storage in ("", "/dense") if self.dense and problem.nc <= _DENSE else ("",):
+            for factor in self.tightening:
+                request = {
+                    "problem": str(file.absolute() if self.own else _as_arrays(file, problem, scratch)),
+                    "solver": self.solver + storage,
+                    "tol": factor * tol,
+                    "answer": str(scratch / "answer.npy"),
+                }
+                reply = worker.ask(request, limit)
+                runs.append(self._judged(file, problem, tol, reply, request))
+                if runs[-1].solved or "failure" in reply:
+                    break
+            if "failure" in reply:
+                break
+        return min(runs, key=lambda run: (not run.solved, run.seconds if run.solved else run.error))
+
+    def _judged(self, file: Path, problem: FC3D, tol: float, reply: dict[str, Any], request: dict[str, Any]) -> Run:
+        who = file.stem, problem.nc, self.label
+        if "failure" in reply:
+            return Run(*who, False, math.inf, 0, math.inf, math.inf, reply["failure"])
+        r = np.load(request["answer"])
+        error, residual = (x if math.isfinite(x) else math.inf for x in (problem.error(r), problem.residual(r)))
+        note = "" if self.own else f"{request['solver']} at {request['tol']:g}"
+        return Run(*who, error <= tol, reply["seconds"], reply["iterations"], error, residual, note)
+
+
+def _as_arrays(file: Path, problem: FC3D, scratch: Path) -> Path:
+    """File of W in 3 x 3 blocks, q and mu, with a block on all of W's diagonal."""
+    path = scratch / f"{file.stem}.npz"
+    if not path.exists():
+        W = problem.W
+        np.savez(path, data=W.data, indices=W.indices, indptr=W.indptr, q=problem.q, mu=problem.mu)
+    return path
+
+
+def _own(name: str, tol: float) -> _Player:
+    by_name(name, tol)  # refuses what is not a solver or a tolerance
+    return _Player(name, name, (sys.executable, str(_SCRIPTS / "nsdyn_worker.py")), own=True, tightening=(1.0,))
+
+
+def _siconos() -> list[_Player]:
+    script = "/usr/bin/python3", str(_SCRIPTS / "siconos_worker.py")  # Debian's packages serve Debian's Python only
+    try:
+        done = subprocess.run([*script, "--list"], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        raise ValueError("peer siconos needs Debian's package: apt-get install python3-siconos python3-scipy") from None
+    return [_Player(f"siconos {name}", name, script, dense=True) for name in json.loads(done.stdout)]
+
+
+def _pinocchio() -> list[_Player]:
+    script = sys.executable, str(_SCRIPTS / "pinocchio_worker.py")
+    names = "ADMM-LINEAR", "ADMM-SPECTRAL", "ADMM-OSQP", "PGS"
+    # Its tolerances bound velocities and energies of any size, the judge's error is relative: they may be far apart.
+    return [_Player(f"pinocchio {name}", name, script, tightening=(1.0, 0.1, 0.01, 1e-4, 1e-6)) for name in names]
+
+
+PEERS: dict[str, Callable[[], list[_Player]]] = {"siconos": _siconos, "pinocchio": _pinocchio}
+"""Peers by name: what gives their solvers, or ValueError saying what to install."""
+
+
+def measure(
+    folder: str | Path,
+    solvers: Sequence[str] = ("auto",),
+    tol: float = 1e-8,
+    limit: float = 10.0,
+    peers: Sequence[str] = (),
+    min_contacts: int = 0,
+    progress: bool = False,
+) -> Profile:
+    """Run solvers on all FCLIB problems (``*.hdf5``) of a folder.
+
+    Parameters
+    ----------
+    folder : path
+    solvers : sequence of str
+        Names of `nsdyn.solvers.SOLVERS`, or "all" for every one of them.
+    tol : float
+        On `FC3D.error`. A peer whose answer misses it is asked again for a tenth and a hundredth of it.
+    limit : float
+        s per solve.
+    peers : sequence of str
+        Names of `PEERS`; all solvers of each are run.
+    min_contacts : int
+        Smaller problems are left out.
+    progress : bool
+        Show a progress bar on stderr when it is a terminal.
+
+    Raises
+    ------
+    ValueError
+        For a folder without such problems, a file that cannot be read, unknown names, a limit or tolerance that is not
+        positive, or a peer that is not installed.
+    """
+    from tqdm import tqdm
+
+    files = sorted(Path(folder).glob("*.hdf5"))
+    if not files:
+        raise ValueError(f"no *.hdf5 files in {folder}")
+    if not (math.isfinite(limit) and limit > 0.0):
+        raise ValueError(f"limit must be a positive number of seconds, got {limit}")
+    names = [name for given in solvers for name in (SOLVERS if given == "all" else (given,))]
+    players = [_own(name, tol) for name in dict.fromkeys(names)]
+    for peer in peers:
+        players += PEERS[choice(peer, PEERS, "peer")]()
+    problems = [(file, problem) for file in files if (problem := fclib.read(file)).nc >= min_contacts]
+    if not problems:
+        raise ValueError(f"no problem in {folder} has {min_contacts} contacts")
+    runs = []
+    with (
+        tempfile.TemporaryDirectory(prefix="nsdyn-") as scratch,
+        tqdm(total=len(problems) * len(players), unit="solve", disable=None if progress else True) as bar,
+    ):
+        for player in players:
+            worker = Worker(list(player.script), _COMPILING if player.own else 0.0)
+            try:
+                for file, problem in problems:
+                    runs.append(player.play(worker, file, problem, tol, limit, Path(scratch)))
+                    bar.update()
+            finally:
+                worker.close()
+    return Profile(tol, limit, tuple(runs))
