@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nsdyn import solvers
     from nsdyn.problem import fclib
-    from nsdyn.problem.fc3d import FC3D, NotConverged, Solution, Status
+    from nsdyn.problem.fc3d import FC3D
+    from nsdyn.problem.solution import NotConverged, Solution, Status
     from nsdyn.recording.audit import Audit, check
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.scene import named as scenes
     from nsdyn.scene.control import PD
-    from nsdyn.scene.scene import Material, Scene
+    from nsdyn.scene.materials import Material
+    from nsdyn.scene.scene import Scene
     from nsdyn.solvers import solve
     from nsdyn.stepping.stepper import State, Step, Stepper, simulate
     from nsdyn.study.sweep import sweep
@@ -43,11 +45,13 @@ __all__ = [
 ]
 
 _HOME = {
-    "problem.fc3d": ("FC3D", "NotConverged", "Solution", "Status"),
+    "problem.fc3d": ("FC3D",),
+    "problem.solution": ("NotConverged", "Solution", "Status"),
     "recording.audit": ("Audit", "check"),
     "recording.trajectory": ("Trajectory",),
     "scene.control": ("PD",),
-    "scene.scene": ("Material", "Scene"),
+    "scene.materials": ("Material",),
+    "scene.scene": ("Scene",),
     "solvers": ("solve",),
     "stepping.stepper": ("State", "Step", "Stepper", "simulate"),
     "study.sweep": ("sweep",),

@@ -5,7 +5,7 @@ import pytest
 from test_auto import given, kicked_stack
 
 import nsdyn as nd
-from nsdyn.problem.fc3d import Blocks
+from nsdyn.problem.blocks import Blocks
 
 
 def squeezed_box(speed=-1.0, mu=0.5):

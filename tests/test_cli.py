@@ -14,7 +14,8 @@ from test_problem import corner_box
 
 import nsdyn as nd
 from nsdyn import cli
-from nsdyn.recording import audit, viewer
+from nsdyn.recording import viewer
+from nsdyn.recording.audit import TOLERANCES
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import settings
 
@@ -159,7 +160,7 @@ def test_run_gives_its_figures_as_json(run, tmp_path):
 def test_run_is_audited(run, tmp_path, monkeypatch):
     code, out, _ = run("run", "slide", *SHORT, "--check")
     assert code == 0 and out.splitlines()[-1] == "slide: passed"
-    monkeypatch.setitem(audit.TOLERANCES, "overlap", -1.0)
+    monkeypatch.setitem(TOLERANCES, "overlap", -1.0)
     code, out, _ = run("run", "slide", *SHORT, "--check", "--json")
     audit = json.loads(out)["audit"]
     assert code == 1 and not audit["passed"] and not audit["findings"]["overlap"]["passed"]

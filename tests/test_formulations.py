@@ -9,7 +9,7 @@ from test_solvers import CASES
 import nsdyn as nd
 from nsdyn.problem import cones
 from nsdyn.problem import formulations as fm
-from nsdyn.problem.fc3d import Blocks
+from nsdyn.problem.blocks import Blocks
 
 FILES = Path(__file__).resolve().parents[2] / "shared" / "fc3d"
 RESIDUALS = [

@@ -5,7 +5,7 @@ import pytest
 
 import nsdyn as nd
 from nsdyn._kernels.problem import sparse as _matrix
-from nsdyn.problem.fc3d import Status
+from nsdyn.problem.solution import Status
 from nsdyn.solvers import momentum
 
 

@@ -6,7 +6,7 @@ import scipy.sparse as sp
 
 import nsdyn as nd
 from nsdyn.problem import gauss
-from nsdyn.problem.fc3d import Blocks
+from nsdyn.problem.blocks import Blocks
 
 BOX = 4  # contacts of the four-corner box below
 

@@ -3,6 +3,7 @@
     python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [FOLDER ...]
 
 Processor time. For every folder of FCLIB files: problems solved, the geometric mean, the mean and the longest solve
+
 from nothing, by their factors if the file has them and by W alone. For the wall: the mean and longest time of a step
 with the solver, at defaults, and how many solves ended within the loose tolerance only or failed.
 """
@@ -14,7 +15,7 @@ from collections import Counter
 from pathlib import Path
 
 import nsdyn as nd
-from nsdyn.problem.fc3d import Array
+from nsdyn.tools.arrays import Array
 
 
 class Timed:

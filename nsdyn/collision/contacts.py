@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsdyn._kernels.collision import advancement
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["ContactMemory", "ContactSet", "Poses", "Touches", "carry"]
 

@@ -13,7 +13,6 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from nsdyn._kernels.collision import advancement, broadphase, keys, manifold
 from nsdyn._kernels.collision.geometry import Geometry
@@ -21,9 +20,7 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches, 
 from nsdyn.collision.distances import SHRINK, Batch, core, distance_request, empty_model, split
 from nsdyn.scene.scene import Geom
 from nsdyn.scene.shapes import CAPSULE, HALFSPACE, SPHERE
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["Detector"]
 

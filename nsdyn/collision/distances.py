@@ -13,13 +13,10 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from nsdyn.scene import shapes
 from nsdyn.scene.shapes import Shape
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["SHRINK", "Batch", "core", "empty_model", "distance_request", "pose_views", "split"]
 

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics import trees as _trees
@@ -21,11 +20,9 @@ from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.joints import JointLaws, JointRows, Rows
 from nsdyn.dynamics.surfaces import Surfaces
 from nsdyn.dynamics.trees import FreeMotion, Halfway, Links, Tree, TreeEnd
-from nsdyn.problem.fc3d import Blocks
+from nsdyn.problem.blocks import Blocks
 from nsdyn.scene.scene import Scene
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Dynamics", "Forces", "Middle", "Placement", "Position"]
 

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.dynamics.trees import Tree
-from nsdyn.problem.fc3d import Blocks
+from nsdyn.problem.blocks import Blocks
 from nsdyn.scene.articulations import Articulation
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["JointLaws", "JointRows", "Rows"]
 

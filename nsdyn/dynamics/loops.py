@@ -9,9 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from nsdyn.scene.articulations import Loop
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Closures", "admissible", "supports"]
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.scene.scene import Scene
-
-Array = NDArray[np.float64]
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Surfaces"]
 

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
@@ -14,10 +13,8 @@ from nsdyn.dynamics.loops import Closures, admissible, supports
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.control import PD
 from nsdyn.scene.prescribed import Motion
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import meant
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 __all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "Tree", "TreeEnd", "TreeLoads", "TreeWorks"]
 

@@ -7,9 +7,8 @@ K* = {x_N ≥ μ ‖x_T‖}. These are the definitions; `nsdyn._kernels.problem.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from nsdyn.tools.arrays import Array
 
 __all__ = ["project", "project_dual", "projection_jacobian", "saxce"]
 

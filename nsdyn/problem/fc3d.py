@@ -7,145 +7,19 @@ in m/s, r in N·s. The judge is not the player: every solver's answer is measure
 from __future__ import annotations
 
 import math
-from enum import IntEnum
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import pgs as _pgs
+from nsdyn.problem.blocks import Blocks
+from nsdyn.tools.arrays import Array, Index
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-
-__all__ = ["FC3D", "Blocks", "NotConverged", "Solution", "Status"]
-
-
-class Status(IntEnum):
-    """How a solve ended; `message` says it in words."""
-
-    CONVERGED = 0
-    MAX_ITERATIONS = 1
-    STALLED = 2
-    NOT_FINITE = 3
-    NO_SLATER_POINT = 4
-    OVERLAP = 5
-    LOOSE = 6
-
-    @property
-    def message(self) -> str:
-        """One sentence for a person, with the remedy."""
-        return {
-            Status.CONVERGED: "converged",
-            Status.MAX_ITERATIONS: "the iteration limit was reached; allow more or use solver='auto'",
-            Status.STALLED: "the residual no longer falls; loosen tol or use another solver",
-            Status.NOT_FINITE: "the iterates are not finite; check W, q and mu",
-            Status.NO_SLATER_POINT: "no velocity opens every contact, so that a solution need not exist; "
-            "look for walls or prescribed motions that contradict each other",
-            Status.OVERLAP: "converged, but no position without overlap was found where the step ends; look for bodies "
-            "that are squeezed",
-            Status.LOOSE: "within the loose tolerance, where the other costs too much; accepted",
-        }[self]
-
-
-class Blocks(NamedTuple):
-    """Factors of W = Hᵀ M⁻¹ H in blocks of coordinates.
-
-    Attributes
-    ----------
-    offset : ndarray of int, shape (nb + 1,)
-        First coordinate of each block: 6 per free body, nv per articulated tree.
-    block : ndarray of int, shape (nc, 2)
-        The blocks contact c touches, -1 for none.
-    start : ndarray of int, shape (nc, 2)
-        Where the 3 x n rows of Hᵀ for that block begin in `h`.
-    h : ndarray
-        Rows of Hᵀ, one row after the other, u = Hᵀ v [m/s].
-    m_start : ndarray of int, shape (nb,)
-        Where the n x n block of M (and of M⁻¹) begins in `m` (and `minv`).
-    m, minv : ndarray
-        Blocks of M [kg, kg m²] and of M⁻¹, row by row.
-    """
-
-    offset: Index
-    block: Index
-    start: Index
-    h: Array
-    m_start: Index
-    m: Array
-    minv: Array
-
-    @property
-    def n(self) -> int:
-        """Number of coordinates."""
-        return int(self.offset[-1])
-
-    @property
-    def nc(self) -> int:
-        """Number of contacts."""
-        return len(self.block)
-
-    def relative_velocity(self, v: Array) -> Array:
-        """u = Hᵀ v, shape (3 nc,)."""
-        u = np.empty(3 * self.nc)
-        _blocks.relative_velocity(self.offset, self.block, self.start, self.h, v, u)
-        return u
-
-    def momentum(self, r: Array) -> Array:
-        """H r, shape (n,)."""
-        p = np.empty(self.n)
-        _blocks.momentum(self.offset, self.block, self.start, self.h, r, p)
-        return p
-
-    def velocity_change(self, r: Array) -> Array:
-        """M⁻¹ H r, shape (n,)."""
-        dv = np.empty(self.n)
-        _blocks.velocity_change(self.offset, self.block, self.start, self.h, self.m_start, self.minv, r, dv)
-        return dv
-
-    def delassus(self) -> sp.bsr_array:
-        """W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
-        indptr, indices, data = _blocks.delassus(self.offset, self.block, self.start, self.h, self.m_start, self.minv)
-        return sp.bsr_array((data, indices, indptr), shape=(3 * self.nc, 3 * self.nc))
-
-    def jacobian(self) -> sp.csr_array:
-        """Hᵀ, shape (3 nc, n), u = Hᵀ v."""
-        c, side = np.nonzero(self.block >= 0)
-        k, start = self.block[c, side], self.start[c, side]
-        n = np.diff(self.offset)[k]
-        pair = np.repeat(np.arange(k.size), 3 * n)
-        inside = np.arange(pair.size) - np.repeat(3 * (np.cumsum(n) - n), 3 * n)
-        row, column = np.divmod(inside, n[pair])
-        places = 3 * c[pair] + row, self.offset[k][pair] + column
-        return sp.csr_array((self.h[start[pair] + inside], places), shape=(3 * self.nc, self.n))
-
-    def dense(self) -> tuple[Array, Array]:
-        """(M, H) as dense arrays of shapes (n, n) and (n, 3 nc), for checks on small problems."""
-        M = np.zeros((self.n, self.n))
-        for k, o in enumerate(self.offset[:-1]):
-            n = self.offset[k + 1] - o
-            M[o : o + n, o : o + n] = self.m[self.m_start[k] : self.m_start[k] + n * n].reshape(n, n)
-        return M, self.jacobian().toarray().T
-
-    @staticmethod
-    def from_delassus(W: Any) -> Blocks:
-        """Factors M = I and H = V Λ^½ of the symmetric part of a given W, one block of rank(W) coordinates.
-
-        Eigenvalues below 1e-14 of the largest are round-off of a rank-deficient W and are left out.
-        """
-        A = W.toarray() if sp.issparse(W) else np.asarray(W)
-        eigenvalues, V = np.linalg.eigh(0.5 * (A + A.T))
-        keep = eigenvalues > 1e-14 * eigenvalues[-1]
-        h = V[:, keep] * np.sqrt(eigenvalues[keep])
-        nc, n = A.shape[0] // 3, h.shape[1]
-        eye = np.eye(n).ravel()
-        block = np.column_stack((np.zeros(nc, np.int64), np.full(nc, -1, np.int64)))
-        start = np.column_stack((3 * n * np.arange(nc), np.zeros(nc, np.int64)))
-        return Blocks(np.array([0, n]), block, start, np.ascontiguousarray(h).ravel(), np.array([0]), eye, eye)
+__all__ = ["FC3D"]
 
 
 def _as_blocks3(W: Any, name: str) -> tuple[Index, Index, Array]:
@@ -345,70 +219,3 @@ def _csr(W: sp.bsr_array) -> tuple[Index, Index, Array]:
     """(indptr, indices, data) of a BSR array with 64-bit indices, as the kernels take them."""
     data = np.ascontiguousarray(W.data).reshape(-1, 3, 3)
     return W.indptr.astype(np.int64, copy=False), W.indices.astype(np.int64, copy=False), data
-
-
-class Solution(NamedTuple):
-    """What a solver returns, measured by the problem itself.
-
-    Attributes
-    ----------
-    r : ndarray, shape (3 nc,)
-        Impulses, N·s; not unique when contacts are redundant.
-    u : ndarray, shape (3 nc,)
-        u = W r + q, m/s.
-    status : Status
-    error : float
-        `FC3D.error` of r.
-    residual : float
-        `FC3D.residual` of r, m/s.
-    iterations : int
-        Sweeps, factorisations or iterations, in the unit of the solver.
-    time : float
-        Wall time of the solve, s.
-    """
-
-    r: Array
-    u: Array
-    status: Status
-    error: float
-    residual: float
-    iterations: int
-    time: float
-
-    @property
-    def converged(self) -> bool:
-        """Whether both measures met the tolerance."""
-        return self.status is Status.CONVERGED
-
-    @property
-    def accepted(self) -> bool:
-        """Whether a simulation goes on with it: converged, or within a loose tolerance where that was given."""
-        return self.status in (Status.CONVERGED, Status.LOOSE)
-
-    @staticmethod
-    def judge(
-        problem: FC3D, r: Array, tol: float, iterations: int, time: float, otherwise: Status = Status.STALLED
-    ) -> Solution:
-        """Solution of impulse r; converged only if the problem's own measures say so."""
-        _, error, residual, u = problem.solved(r, tol)
-        return Solution.measured(r, u, error, residual, tol, iterations, time, otherwise)
-
-    @staticmethod
-    def measured(
-        r: Array, u: Array, error: float, residual: float, tol: float, iterations: int, time: float, otherwise: Status
-    ) -> Solution:
-        """Solution of an impulse with the velocity and the measures that its problem gives it."""
-        if error <= tol and residual <= tol:
-            status = Status.CONVERGED
-        else:
-            status = otherwise if math.isfinite(error) and math.isfinite(residual) else Status.NOT_FINITE
-        return Solution(r, u, status, error, residual, iterations, time)
-
-
-class NotConverged(RuntimeError):
-    """A solve missed its tolerance; carries the `problem` and its best `solution`."""
-
-    def __init__(self, message: str, problem: FC3D, solution: Solution) -> None:
-        super().__init__(message)
-        self.problem = problem
-        self.solution = solution

@@ -30,8 +30,11 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from nsdyn.problem.fc3d import FC3D, Array, Blocks, Solution
+from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.tools import files
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
 

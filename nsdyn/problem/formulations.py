@@ -20,7 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from nsdyn.problem import cones
-from nsdyn.problem.fc3d import FC3D, Array
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.tools.arrays import Array
 
 __all__ = [
     "ELEMENTS",

@@ -32,9 +32,10 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn._kernels.problem import gauss as _kernels
-from nsdyn.problem.fc3d import FC3D, Array
-from nsdyn.solvers.interior import Local
-from nsdyn.solvers.newton import contact_graph
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.linear import contact_graph
+from nsdyn.problem.operators import Local
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Certificate", "Opening", "certify"]
 

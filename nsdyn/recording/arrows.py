@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from nsdyn.recording.trajectory import Trajectory
+from nsdyn.tools.arrays import Array, Index
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
 
 __all__ = ["Forces", "between"]
 

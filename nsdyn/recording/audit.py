@@ -22,10 +22,8 @@ from numpy.typing import NDArray
 
 from nsdyn.recording.overlap import Solid, separation
 from nsdyn.recording.trajectory import Trajectory, rotate
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 __all__ = ["TOLERANCES", "Audit", "Finding", "check", "deepest"]
 

@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import nsdyn
 from nsdyn.recording import file as recording
 from nsdyn.recording.file import CONTACT, ENERGIES, FORMAT_VERSION, GAUSS, SOLVER, WORKS, Columns
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import files
-
-Array = NDArray[np.float64]
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Recorder"]
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording.file import CONTACT_STATES
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-Array = NDArray[np.float64]
 
 __all__ = ["JointMotion", "Pair", "contact_table", "force", "joint", "pair"]
 

@@ -14,9 +14,8 @@ from nsdyn.recording import file as recording
 from nsdyn.recording import tables
 from nsdyn.recording.file import CONTACT, CONTACT_STATES, ENERGIES, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 from nsdyn.tools import files
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import meant
-
-Array = NDArray[np.float64]
 
 __all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "SolverLog", "Trajectory"]
 
@@ -107,7 +106,7 @@ class SolverLog:
     @property
     def status_names(self) -> list[str]:
         """Names of the status of each step."""
-        from nsdyn.problem.fc3d import Status
+        from nsdyn.problem.solution import Status
 
         return [Status(int(s)).name for s in self.status]
 

@@ -23,16 +23,19 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import umsgpack
 from numpy.typing import ArrayLike, NDArray
 
 from nsdyn.recording import arrows
-from nsdyn.recording.trajectory import Array, Trajectory
 from nsdyn.tools import files
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
 
 __all__ = ["chromium", "html", "screenshot", "write_html"]
 

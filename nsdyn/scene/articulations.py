@@ -15,15 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks, exclusions
 from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
-
-Array = NDArray[np.float64]
 
 __all__ = ["Articulation", "Description", "Link", "Loop", "assemble", "close_loop", "describe_model"]
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from nsdyn.tools.arrays import Array
 
 __all__ = ["folders", "inertia", "mass", "number", "path", "quaternion", "rotation", "vector"]
 

@@ -11,14 +11,13 @@ from xml.etree import ElementTree
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from nsdyn.scene.shapes import HALFSPACE
+from nsdyn.tools.arrays import Array
 
 if TYPE_CHECKING:
     from nsdyn.scene.articulations import Link, Loop
 
-Array = NDArray[np.float64]
 
 __all__ = ["FREE", "disabled_pairs", "joined", "neighbours", "overlapping"]
 

@@ -6,11 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsdyn.scene import checks
-
-Array = NDArray[np.float64]
+from nsdyn.tools.arrays import Array
 
 __all__ = ["COMBINATION_RULES", "Material"]
 

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from nsdyn.tools.arrays import Array
+
 Velocity = ArrayLike | Callable[[float], ArrayLike]
 
 __all__ = ["Motion", "Velocity"]

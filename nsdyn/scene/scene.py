@@ -14,17 +14,15 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nsdyn.scene import articulations, checks, robot_files, shapes
 from nsdyn.scene.articulations import Articulation, Description
 from nsdyn.scene.materials import COMBINATION_RULES, Material
 from nsdyn.scene.prescribed import Motion, Velocity
 from nsdyn.scene.shapes import Shape
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice, meant
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 __all__ = ["COMBINATION_RULES", "Articulation", "Body", "Geom", "Material", "Scene"]
 

@@ -15,12 +15,10 @@ from typing import Any
 
 import coal
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nsdyn.tools import noise
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from nsdyn.tools.arrays import Array, Index
 
 __all__ = [
     "CAPSULE", "CYLINDER", "ELLIPSOID", "HALFSPACE", "POLYTOPE", "SPHERE", "Shape", "box", "capsule", "convex",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from nsdyn.problem.fc3d import FC3D, Array, Solution
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import Auto
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Interior
@@ -21,6 +22,7 @@ from nsdyn.solvers.reference.panagiotopoulos import Panagiotopoulos
 from nsdyn.solvers.reference.proximal import Proximal
 from nsdyn.solvers.reference.tresca import Tresca
 from nsdyn.solvers.reference.uzawa import Uzawa
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 __all__ = [

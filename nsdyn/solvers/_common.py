@@ -11,7 +11,9 @@ import scipy.linalg
 import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh, splu
 
-from nsdyn.problem.fc3d import FC3D, Array, Solution, Status, _csr
+from nsdyn.problem.fc3d import FC3D, _csr
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.tools.arrays import Array
 
 SPARSE = 300, 0.1
 """Matrices with more rows than the first and a lower density than the second are factorised sparsely."""

@@ -12,12 +12,15 @@ from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import local as _local
 from nsdyn._kernels.solvers import newton as _newton
 from nsdyn._kernels.solvers import warm as _warm
-from nsdyn.problem.fc3d import FC3D, Array, Blocks, Solution, Status
+from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import interior
 from nsdyn.solvers.means import ByFactors, ByMatrix, Means, Momentum
 from nsdyn.solvers.newton import DENSE, island, rows
 from nsdyn.solvers.smoothing import smoothing
+from nsdyn.tools.arrays import Array
 
 POLISH, FLOOR = 1e-5, 1e-14
 """Islands are solved to this fraction of the tolerance where Newton reaches it, but not below the round-off of FLOOR

@@ -8,9 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nsdyn.problem.fc3d import FC3D, Array, Solution, Status
+from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.formulations import ELEMENTS, _diagonal
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers._common import Equilibrated, Run, factor, is_sparse
+from nsdyn.tools.arrays import Array
 
 Function = Literal["alart-curnier", "fischer-burmeister", "jean-moreau", "natural"]
 Search = Literal["goldstein-price", "armijo", "none"]

@@ -3,67 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import interior as _kernels
 from nsdyn._kernels.solvers import local as _local
 from nsdyn._kernels.solvers import newton as _newton
-from nsdyn.problem.fc3d import FC3D, Array, Blocks, Solution, Status
-from nsdyn.solvers.newton import contact_graph, each_island, rows, solve_blocks
+from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.operators import Local, Operator, Velocity
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.solvers.newton import each_island, rows, solve_blocks
+from nsdyn.tools.arrays import Array
 
-
-class Operator(Protocol):
-    """W as the method needs it: products, and W (I + A W)⁻¹ for block-diagonal A."""
-
-    def product(self, r: Array) -> Array:
-        """W r."""
-
-    def factor(self, A: Array) -> Callable[[Array], Array]:
-        """Function g ↦ W (I + A W)⁻¹ g for blocks A (nc, 3, 3); RuntimeError when that is singular."""
-
-
-class Velocity:
-    """W = Hᵀ M⁻¹ H by its factors: W (I + A W)⁻¹ = Hᵀ (M + Σ H_c A_c H_cᵀ)⁻¹ H."""
-
-    def __init__(self, blocks: Blocks) -> None:
-        self.blocks, self.graph = blocks, contact_graph(blocks)
-
-    def product(self, r: Array) -> Array:
-        """W r."""
-        return self.blocks.relative_velocity(self.blocks.velocity_change(r))
-
-    def factor(self, A: Array) -> Callable[[Array], Array]:
-        """Function g ↦ W (I + A W)⁻¹ g."""
-        solve = self.graph.lu(self.blocks, A)
-        return lambda g: self.blocks.relative_velocity(solve(self.blocks.momentum(g)))
-
-
-class Local:
-    """A given sparse W, which need not be symmetric."""
-
-    def __init__(self, W: sp.bsr_array) -> None:
-        self.W = W
-        self.row = np.repeat(np.arange(W.shape[0] // 3), np.diff(W.indptr))
-        self.diagonal = np.flatnonzero(self.row == W.indices)
-
-    def product(self, r: Array) -> Array:
-        """W r."""
-        return np.asarray(self.W @ r)
-
-    def factor(self, A: Array) -> Callable[[Array], Array]:
-        """Function g ↦ W (I + A W)⁻¹ g."""
-        data = A[self.row] @ self.W.data
-        data[self.diagonal] += np.eye(3)
-        S = sp.bsr_array((data, self.W.indices, self.W.indptr), shape=self.W.shape)
-        lu = splu(sp.csc_matrix(S), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
-        return lambda g: self.product(lu.solve(g))
+__all__ = ["Interior", "interior", "newton", "solve_by_factors", "solve_by_matrix"]
 
 
 def interior(

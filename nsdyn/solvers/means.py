@@ -10,10 +10,13 @@ import scipy.sparse as sp
 
 from nsdyn._kernels.problem import sparse as _matrix
 from nsdyn._kernels.solvers import pgs as _pgs
-from nsdyn.problem.fc3d import FC3D, Array, Blocks, Index
-from nsdyn.solvers.interior import Local, Operator, Velocity, newton
+from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.operators import Local, Operator, Velocity
+from nsdyn.solvers.interior import newton
 from nsdyn.solvers.momentum import MatrixSweeps, Sweeps
 from nsdyn.solvers.newton import solve_blocks
+from nsdyn.tools.arrays import Array, Index
 
 COORDINATE, MULTIPLICATION, BLOCK = 2.5e-6, 0.9e-10, 8e-7
 """Seconds that a factorisation takes per coordinate and per multiplication of `elimination_work`, or per block of a

@@ -10,7 +10,10 @@ import numpy as np
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import momentum as _kernels
 from nsdyn._kernels.solvers import pgs as _pgs
-from nsdyn.problem.fc3d import FC3D, Array, Blocks, Index, Solution, Status
+from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.tools.arrays import Array, Index
 
 CHECK = 10
 """Sweeps between two measurements."""

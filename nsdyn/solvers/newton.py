@@ -3,75 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from threading import get_ident
 from typing import Any
 
 import numpy as np
-import qdldl
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn._kernels.problem import sparse as _matrix
 from nsdyn._kernels.solvers import newton as _kernels
-from nsdyn.problem.fc3d import FC3D, Array, Blocks, Index, Solution, Status
+from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.linear import contact_graph
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["Newton", "each_island", "island", "rows", "solve_blocks"]
 
 DENSE = 120
 """Islands up to this many coordinates are factorised densely: below it LAPACK in the kernel beats a sparse call."""
-
-
-class Factor:
-    """Sparse factorisations of K on one contact graph: Cholesky-like where K is symmetric, LU elsewhere."""
-
-    def __init__(self, offset: Index, block: Index) -> None:
-        self.indptr, self.indices, self.slot, self.diagonal = _matrix.pattern(offset, block)
-        n = int(offset[-1])
-        self.K = sp.csc_matrix((np.empty(self.indices.size), self.indices, self.indptr), shape=(n, n))
-        column = np.repeat(np.arange(n), np.diff(self.indptr))
-        self.upper = np.flatnonzero(self.indices <= column)
-        end = np.searchsorted(self.upper, self.indptr)
-        self.U = sp.csc_matrix((np.empty(self.upper.size), self.indices[self.upper], end), shape=(n, n))
-        self.ldl: Any = None
-
-    def _assemble(self, blocks: Blocks, A: Array) -> None:
-        _matrix.assemble_sparse(
-            blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, A,
-            self.indptr, self.slot, self.diagonal, self.K.data,
-        )  # fmt: skip
-
-    def lu(self, blocks: Blocks, A: Array) -> Callable[[Array], Array]:
-        """Function b ↦ K⁻¹ b for K = M + Σ H_c A_c H_cᵀ; RuntimeError when K is singular."""
-        self._assemble(blocks, A)
-        lu = splu(self.K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        return lambda b: np.asarray(lu.solve(b))
-
-    def solve(self, blocks: Blocks, A: Array, b: Array) -> Array:
-        """K⁻¹ b, by LDLᵀ where K is symmetric."""
-        if not _matrix.symmetric(A):
-            return self.lu(blocks, A)(b)
-        self._assemble(blocks, A)
-        # QDLDL wants the upper triangle; to have it cut out by SciPy costs as much as the factorisation.
-        np.take(self.K.data, self.upper, out=self.U.data)
-        if self.ldl is None:
-            self.ldl = qdldl.Solver(self.U, upper=True)
-        else:
-            self.ldl.update(self.U, upper=True)
-        out: Array = self.ldl.solve(b)
-        return out
-
-
-@lru_cache(maxsize=16)
-def _factor(thread: int, offset: bytes, block: bytes) -> Factor:
-    """One `Factor` per contact graph, so that the symbolic part lives as long as the graph, for each thread its own."""
-    return Factor(np.frombuffer(offset, np.int64), np.frombuffer(block, np.int64).reshape(-1, 2))
-
-
-def contact_graph(blocks: Blocks) -> Factor:
-    """The factorisations on the contact graph of some blocks."""
-    return _factor(get_ident(), blocks.offset.tobytes(), blocks.block.tobytes())
 
 
 def _sparse(

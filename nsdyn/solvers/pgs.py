@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsdyn._kernels.solvers import pgs as _kernels
-from nsdyn.problem.fc3d import FC3D, Array, Solution, Status
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.tools.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import numpy as np
 
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import smoothing as _kernels
-from nsdyn.problem.fc3d import Array
-from nsdyn.solvers.interior import Operator
+from nsdyn.problem.operators import Operator
+from nsdyn.tools.arrays import Array
 
 STRETCH = 10.0
 """κ λ_max(W_cc) of the normal map z = r - κ u."""

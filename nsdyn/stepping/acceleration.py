@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Forces, Position
-from nsdyn.problem.fc3d import Array
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.stepper import State
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Acceleration", "Existence", "LeastConstraint", "accelerations", "least_constraint"]
 

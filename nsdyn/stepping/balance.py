@@ -14,8 +14,8 @@ import numpy as np
 
 from nsdyn._kernels.stepping import balance as _balance
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.problem.fc3d import Array
 from nsdyn.stepping.instant import Impulses, Instant, System
+from nsdyn.tools.arrays import Array
 
 __all__ = ["balance"]
 

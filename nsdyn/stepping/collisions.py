@@ -7,11 +7,13 @@ import numpy as np
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.dynamics.dynamics import Middle
 from nsdyn.dynamics.joints import JointRows
-from nsdyn.problem.fc3d import FC3D, Array, Solution
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter, meet
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact, strike
-from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Bools, Impulses, Instant, System, account, take
+from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Impulses, Instant, System, account, take
+from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["caught_impacts", "collide"]
 

@@ -23,8 +23,10 @@ from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Dynamics, Forces, Middle, Placement
 from nsdyn.dynamics.joints import JointRows, Rows
-from nsdyn.problem.fc3d import FC3D, Array, Index, Solution
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Solver
+from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["SOLVES", "Basis", "Encounter", "Warm", "foresee", "meet", "solve"]
 
@@ -33,8 +35,6 @@ SOLVES = 3
 that stop, whose slip would else be turned round."""
 
 NOTHING = np.empty(0)
-
-Bools = NDArray[np.bool_]
 
 
 class Basis(NamedTuple):

@@ -26,10 +26,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn.problem.fc3d import FC3D, Array, Blocks, Solution
+from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["LAWS", "Impact", "strike"]
 
@@ -38,7 +40,6 @@ LAWS = ("newton", "poisson", "fremond")
 ROUNDS = 60
 """Most rounds of impacts in no time; what then still approaches is caught without restitution by the step."""
 
-Bools = NDArray[np.bool_]
 Solve = Callable[[FC3D, Array | None], Solution]
 
 

@@ -12,11 +12,12 @@ from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Forces, Placement, Position
-from nsdyn.problem.fc3d import FC3D, Array
+from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import Solver
 from nsdyn.stepping.encounter import Basis, Encounter, Warm
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
+from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "Looked", "System", "account", "take"]
 
@@ -35,8 +36,6 @@ JOINT = 0.1
 
 STILL = 0.5
 """Fraction of what counts as closed by which frames may have moved while the contacts that were found stay those."""
-
-Bools = NDArray[np.bool_]
 
 
 class Looked(NamedTuple):

@@ -12,14 +12,16 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.dynamics.dynamics import Forces, Middle, Position
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.trees import TreeEnd
-from nsdyn.problem.fc3d import FC3D, Array, Index, Solution
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, meet, solve
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
-from nsdyn.stepping.instant import FAST, Bools, Impulses, Instant, Looked, System, account
+from nsdyn.stepping.instant import FAST, Impulses, Instant, Looked, System, account
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
+from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Move", "Trial", "finish", "trial"]
 

@@ -11,8 +11,11 @@ from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Forces, Placement, Position
-from nsdyn.problem.fc3d import FC3D, Array, Blocks, Solution
+from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Auto
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Placed", "place", "project"]
 

@@ -17,9 +17,9 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Placement
 from nsdyn.dynamics.joints import JointRows
-from nsdyn.problem.fc3d import Array, Index
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.instant import DEEP, FAST, JOINT, Bools, Instant, System, take
+from nsdyn.stepping.instant import DEEP, FAST, JOINT, Instant, System, take
+from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "reached", "shown", "touched"]
 

@@ -20,7 +20,8 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Position
 from nsdyn.problem import fclib, gauss
-from nsdyn.problem.fc3d import FC3D, Array, Index, NotConverged, Solution, Status
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import NotConverged, Solution, Status
 from nsdyn.recording.recorder import Recorder
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene.scene import Geom, Scene
@@ -34,6 +35,7 @@ from nsdyn.stepping.instant import Impulses, Instant, Looked, System, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.projection import place
 from nsdyn.stepping.sight import Unmet, others
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
 
 __all__ = ["State", "Step", "Stepper", "simulate"]
@@ -256,9 +258,7 @@ class Stepper:
         if not 0.5 <= theta <= 1.0:
             raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
         if not isinstance(scene, Scene):
-            raise ValueError(
-                f"scene must be a nsdyn.Scene, got {scene!r}; nsdyn.scenes.load(name)() makes a named one"
-            )
+            raise ValueError(f"scene must be a nsdyn.Scene, got {scene!r}; nsdyn.scenes.load(name)() makes a named one")
         choice(on_fail, ("warn", "raise", "ignore"), "on_fail")
         for what, given in (("controller", controller), ("external_force", external_force)):
             if given is not None and not callable(given):

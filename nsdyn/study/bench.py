@@ -25,11 +25,11 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn.problem.fc3d import Array
 from nsdyn.recording.audit import deepest
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.tools import files
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 from nsdyn.tools.workers import Worker
 

@@ -27,8 +27,9 @@ from typing import Any
 import numpy as np
 
 from nsdyn.problem import fclib
-from nsdyn.problem.fc3d import FC3D, Array
+from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import SOLVERS, by_name
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import writing
 from nsdyn.tools.naming import choice
 from nsdyn.tools.workers import Worker

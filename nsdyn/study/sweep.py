@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn.problem.fc3d import NotConverged
+from nsdyn.problem.solution import NotConverged
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsdyn.scene.robot_files.xml import Array
+from nsdyn.tools.arrays import Array
 
 __all__ = ["check_mass", "flaw"]
 

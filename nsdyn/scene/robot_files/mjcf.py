@@ -24,8 +24,9 @@ from nsdyn.scene.articulations import Description, Loop, describe_model
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.model import links_of
-from nsdyn.scene.robot_files.xml import Array, Notes, numbers, parse
+from nsdyn.scene.robot_files.xml import Notes, numbers, parse
 from nsdyn.tools import noise
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 __all__ = ["read_mjcf"]

@@ -21,8 +21,9 @@ from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, Loop, describe_model
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.xml import Array, Notes, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Notes, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
+from nsdyn.tools.arrays import Array
 
 __all__ = ["read_sdf"]
 

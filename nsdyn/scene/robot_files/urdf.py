@@ -14,9 +14,10 @@ import pinocchio as pin
 from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, describe_model
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.xml import XACRO, Array, Notes, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import XACRO, Notes, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools import noise
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 __all__ = ["read_urdf"]

@@ -11,9 +11,8 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Notes", "mesh_file", "numbers", "parse"]
 

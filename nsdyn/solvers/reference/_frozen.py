@@ -7,8 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from nsdyn._kernels.problem import reference as _kernels
-from nsdyn.problem.fc3d import FC3D, Array, Solution
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers._common import Anderson, Equilibrated, Run
+from nsdyn.tools.arrays import Array
 
 State = Callable[[Equilibrated, Array], Array]
 """(problem, x) → what is frozen."""

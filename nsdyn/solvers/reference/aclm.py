@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from nsdyn._kernels.problem import reference as _kernels
-from nsdyn.problem.fc3d import FC3D, Array, Solution
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers._common import Equilibrated
 from nsdyn.solvers.reference._frozen import descend, freeze, shifted, slip_shift
+from nsdyn.tools.arrays import Array
 
 SWEEPS = 2000
 """Sweeps granted to one convex problem."""

@@ -10,9 +10,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from nsdyn._kernels.problem import reference as _kernels
-from nsdyn.problem.fc3d import FC3D, Array, Solution, Status
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers._common import Equilibrated, Run, factor
 from nsdyn.solvers.impulse_newton import matrix
+from nsdyn.tools.arrays import Array
 
 PROXIMAL = 1e-6
 """Proximal term η added to W of unit blocks: redundant contacts need it."""

@@ -7,9 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from nsdyn.problem.fc3d import FC3D, Array, Solution, Status
+from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.formulations import ELEMENTS, xuewen_soh_wanji
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers._common import Equilibrated, Run
+from nsdyn.tools.arrays import Array
 
 Merit = Literal["alart-curnier", "fischer-burmeister", "jean-moreau", "natural", "xuewen-soh-wanji"]
 

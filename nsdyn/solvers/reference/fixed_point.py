@@ -8,8 +8,10 @@ from typing import Literal
 import numpy as np
 
 from nsdyn._kernels.problem import reference as _kernels
-from nsdyn.problem.fc3d import FC3D, Array, Solution
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers._common import Equilibrated, Run
+from nsdyn.tools.arrays import Array
 
 Rule = Literal["khobotov", "solodov-tseng"]
 

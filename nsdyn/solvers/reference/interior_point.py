@@ -9,10 +9,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from nsdyn._kernels.problem import reference as _kernels
-from nsdyn.problem.fc3d import FC3D, Array, Solution
+from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.formulations import _arrow, _diagonal
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers._common import Equilibrated, factor, is_sparse
 from nsdyn.solvers.reference._frozen import freeze, shifted, slip_shift
+from nsdyn.tools.arrays import Array
 
 FACTORISATIONS = 60
 """Granted to one convex problem."""

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from nsdyn.problem.fc3d import FC3D, Array, Solution, Status
+from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.formulations import ELEMENTS
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers._common import Equilibrated, Run
 from nsdyn.solvers.impulse_newton import Function, Search, matrix, newton
+from nsdyn.tools.arrays import Array
 
 
 @dataclass(frozen=True)

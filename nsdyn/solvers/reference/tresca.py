@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsdyn._kernels.problem import reference as _kernels
-from nsdyn.problem.fc3d import FC3D, Array, Solution
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers._common import Equilibrated
 from nsdyn.solvers.reference._frozen import descend, freeze, normal_impulse
+from nsdyn.tools.arrays import Array
 
 SWEEPS = 2000
 """Sweeps granted to one convex problem."""

@@ -9,9 +9,11 @@ import numpy as np
 
 from nsdyn._kernels.problem import reference as _kernels
 from nsdyn._kernels.solvers import pgs as _pgs
-from nsdyn.problem.fc3d import FC3D, Array, Index, Solution
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers._common import Equilibrated
 from nsdyn.solvers.reference._frozen import freeze, normal_impulse
+from nsdyn.tools.arrays import Array, Index
 
 
 def uzawa_iterates(csr: tuple[Index, Index, Array], q: Array, radius: Array, rho: float, r: Array) -> Iterator[Array]:

@@ -11,7 +11,7 @@ import numpy as np
 from stepping import serve  # type: ignore[import-not-found]  # beside this script
 
 import nsdyn as nd
-from nsdyn.problem.fc3d import Array
+from nsdyn.tools.arrays import Array
 
 TOLERANCES = "1e-4", "1e-8"
 WARMING = 10.0  # s spent at most before a scene is timed

@@ -1,0 +1,109 @@
+"""Factors of the Delassus operator: masses and rows of the contact Jacobian, block by block."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["Blocks"]
+
+
+class Blocks(NamedTuple):
+    """Factors of W = Hᵀ M⁻¹ H in blocks of coordinates.
+
+    Attributes
+    ----------
+    offset : ndarray of int, shape (nb + 1,)
+        First coordinate of each block: 6 per free body, nv per articulated tree.
+    block : ndarray of int, shape (nc, 2)
+        The blocks contact c touches, -1 for none.
+    start : ndarray of int, shape (nc, 2)
+        Where the 3 x n rows of Hᵀ for that block begin in `h`.
+    h : ndarray
+        Rows of Hᵀ, one row after the other, u = Hᵀ v [m/s].
+    m_start : ndarray of int, shape (nb,)
+        Where the n x n block of M (and of M⁻¹) begins in `m` (and `minv`).
+    m, minv : ndarray
+        Blocks of M [kg, kg m²] and of M⁻¹, row by row.
+    """
+
+    offset: Index
+    block: Index
+    start: Index
+    h: Array
+    m_start: Index
+    m: Array
+    minv: Array
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return int(self.offset[-1])
+
+    @property
+    def nc(self) -> int:
+        """Number of contacts."""
+        return len(self.block)
+
+    def relative_velocity(self, v: Array) -> Array:
+        """u = Hᵀ v, shape (3 nc,)."""
+        u = np.empty(3 * self.nc)
+        _blocks.relative_velocity(self.offset, self.block, self.start, self.h, v, u)
+        return u
+
+    def momentum(self, r: Array) -> Array:
+        """H r, shape (n,)."""
+        p = np.empty(self.n)
+        _blocks.momentum(self.offset, self.block, self.start, self.h, r, p)
+        return p
+
+    def velocity_change(self, r: Array) -> Array:
+        """M⁻¹ H r, shape (n,)."""
+        dv = np.empty(self.n)
+        _blocks.velocity_change(self.offset, self.block, self.start, self.h, self.m_start, self.minv, r, dv)
+        return dv
+
+    def delassus(self) -> sp.bsr_array:
+        """W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
+        indptr, indices, data = _blocks.delassus(self.offset, self.block, self.start, self.h, self.m_start, self.minv)
+        return sp.bsr_array((data, indices, indptr), shape=(3 * self.nc, 3 * self.nc))
+
+    def jacobian(self) -> sp.csr_array:
+        """Hᵀ, shape (3 nc, n), u = Hᵀ v."""
+        c, side = np.nonzero(self.block >= 0)
+        k, start = self.block[c, side], self.start[c, side]
+        n = np.diff(self.offset)[k]
+        pair = np.repeat(np.arange(k.size), 3 * n)
+        inside = np.arange(pair.size) - np.repeat(3 * (np.cumsum(n) - n), 3 * n)
+        row, column = np.divmod(inside, n[pair])
+        places = 3 * c[pair] + row, self.offset[k][pair] + column
+        return sp.csr_array((self.h[start[pair] + inside], places), shape=(3 * self.nc, self.n))
+
+    def dense(self) -> tuple[Array, Array]:
+        """(M, H) as dense arrays of shapes (n, n) and (n, 3 nc), for checks on small problems."""
+        M = np.zeros((self.n, self.n))
+        for k, o in enumerate(self.offset[:-1]):
+            n = self.offset[k + 1] - o
+            M[o : o + n, o : o + n] = self.m[self.m_start[k] : self.m_start[k] + n * n].reshape(n, n)
+        return M, self.jacobian().toarray().T
+
+    @staticmethod
+    def from_delassus(W: Any) -> Blocks:
+        """Factors M = I and H = V Λ^½ of the symmetric part of a given W, one block of rank(W) coordinates.
+
+        Eigenvalues below 1e-14 of the largest are round-off of a rank-deficient W and are left out.
+        """
+        A = W.toarray() if sp.issparse(W) else np.asarray(W)
+        eigenvalues, V = np.linalg.eigh(0.5 * (A + A.T))
+        keep = eigenvalues > 1e-14 * eigenvalues[-1]
+        h = V[:, keep] * np.sqrt(eigenvalues[keep])
+        nc, n = A.shape[0] // 3, h.shape[1]
+        eye = np.eye(n).ravel()
+        block = np.column_stack((np.zeros(nc, np.int64), np.full(nc, -1, np.int64)))
+        start = np.column_stack((3 * n * np.arange(nc), np.zeros(nc, np.int64)))
+        return Blocks(np.array([0, n]), block, start, np.ascontiguousarray(h).ravel(), np.array([0]), eye, eye)

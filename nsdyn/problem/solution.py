@@ -1,0 +1,106 @@
+"""What a solver returns, and how a solve ends."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import NamedTuple
+
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.tools.arrays import Array
+
+__all__ = ["NotConverged", "Solution", "Status"]
+
+
+class Status(IntEnum):
+    """How a solve ended; `message` says it in words."""
+
+    CONVERGED = 0
+    MAX_ITERATIONS = 1
+    STALLED = 2
+    NOT_FINITE = 3
+    NO_SLATER_POINT = 4
+    OVERLAP = 5
+    LOOSE = 6
+
+    @property
+    def message(self) -> str:
+        """One sentence for a person, with the remedy."""
+        return {
+            Status.CONVERGED: "converged",
+            Status.MAX_ITERATIONS: "the iteration limit was reached; allow more or use solver='auto'",
+            Status.STALLED: "the residual no longer falls; loosen tol or use another solver",
+            Status.NOT_FINITE: "the iterates are not finite; check W, q and mu",
+            Status.NO_SLATER_POINT: "no velocity opens every contact, so that a solution need not exist; "
+            "look for walls or prescribed motions that contradict each other",
+            Status.OVERLAP: "converged, but no position without overlap was found where the step ends; look for bodies "
+            "that are squeezed",
+            Status.LOOSE: "within the loose tolerance, where the other costs too much; accepted",
+        }[self]
+
+
+class Solution(NamedTuple):
+    """What a solver returns, measured by the problem itself.
+
+    Attributes
+    ----------
+    r : ndarray, shape (3 nc,)
+        Impulses, N·s; not unique when contacts are redundant.
+    u : ndarray, shape (3 nc,)
+        u = W r + q, m/s.
+    status : Status
+    error : float
+        `FC3D.error` of r.
+    residual : float
+        `FC3D.residual` of r, m/s.
+    iterations : int
+        Sweeps, factorisations or iterations, in the unit of the solver.
+    time : float
+        Wall time of the solve, s.
+    """
+
+    r: Array
+    u: Array
+    status: Status
+    error: float
+    residual: float
+    iterations: int
+    time: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether both measures met the tolerance."""
+        return self.status is Status.CONVERGED
+
+    @property
+    def accepted(self) -> bool:
+        """Whether a simulation goes on with it: converged, or within a loose tolerance where that was given."""
+        return self.status in (Status.CONVERGED, Status.LOOSE)
+
+    @staticmethod
+    def judge(
+        problem: FC3D, r: Array, tol: float, iterations: int, time: float, otherwise: Status = Status.STALLED
+    ) -> Solution:
+        """Solution of impulse r; converged only if the problem's own measures say so."""
+        _, error, residual, u = problem.solved(r, tol)
+        return Solution.measured(r, u, error, residual, tol, iterations, time, otherwise)
+
+    @staticmethod
+    def measured(
+        r: Array, u: Array, error: float, residual: float, tol: float, iterations: int, time: float, otherwise: Status
+    ) -> Solution:
+        """Solution of an impulse with the velocity and the measures that its problem gives it."""
+        if error <= tol and residual <= tol:
+            status = Status.CONVERGED
+        else:
+            status = otherwise if math.isfinite(error) and math.isfinite(residual) else Status.NOT_FINITE
+        return Solution(r, u, status, error, residual, iterations, time)
+
+
+class NotConverged(RuntimeError):
+    """A solve missed its tolerance; carries the `problem` and its best `solution`."""
+
+    def __init__(self, message: str, problem: FC3D, solution: Solution) -> None:
+        super().__init__(message)
+        self.problem = problem
+        self.solution = solution
