@@ -10,14 +10,24 @@ import logging
 import os
 import warnings
 from collections.abc import Callable
+from functools import partial
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 
 from nsdyn import solvers
 from nsdyn._kernels.compiled import Kernel, Notes
 from nsdyn._kernels.problem import cones
+from nsdyn.collision.contacts import ContactMemory, Poses, carry
+from nsdyn.collision.detector import Detector
+from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
+from nsdyn.scene import checks
 from nsdyn.scene import named as scenes
+from nsdyn.scene.scene import Scene
+from nsdyn.solvers.interior import interior
+from nsdyn.solvers.means import ByFactors, ByMatrix
+from nsdyn.solvers.smoothing import smoothing
 from nsdyn.stepping.stepper import Stepper
 
 __all__ = ["EXAMPLES", "noted", "work"]
@@ -43,6 +53,55 @@ def _step() -> None:
     _steps("stack", 1)
 
 
+def _shapes() -> None:
+    """Contacts of every kind of shapes, upright and tilted, at rest and on their way."""
+    scene, random = Scene(), np.random.default_rng(0)
+    kinds: list[Callable[..., None]] = [
+        partial(scene.add_box, size=(0.2, 0.24, 0.28)), partial(scene.add_sphere, radius=0.12),
+        partial(scene.add_cylinder, radius=0.1, length=0.2), partial(scene.add_capsule, radius=0.08, length=0.2),
+        partial(scene.add_ellipsoid, radii=(0.1, 0.12, 0.14)),
+        partial(scene.add_convex, vertices=0.1 * random.normal(size=(24, 3))),
+    ]  # fmt: skip
+    for k, (tilted, pair) in enumerate(product((False, True), combinations_with_replacement(kinds, 2))):
+        for above, add in enumerate(pair):
+            quaternion = random.normal(size=4) if tilted else np.array([0.0, 0.0, 0.0, 1.0])
+            pose = {"position": (k, 0.02 * above, 0.45 * above), "quaternion": quaternion / np.linalg.norm(quaternion)}
+            add(name=f"{k}-{above}", mass=1.0, **pose)
+    geoms = scene.geoms()
+    detector = Detector(geoms, scene.pair_material(geoms), max_points=4)
+    x = np.array([body.position for body in scene.free_bodies])
+    R = np.array([checks.rotation(body.quaternion) for body in scene.free_bodies])
+    near = x - np.outer(np.arange(len(x)) % 2, (0.0, 0.0, 0.25))
+    none = ContactMemory.empty()
+    _, memory = detector.find(near, R, np.full(len(x), 0.1), none)
+    touches = detector.touches(Poses(x, R), Poses(near, R), memory)
+    detector.gaps(touches.contacts, detector.find(near, R, np.zeros(len(x)), none)[0], Poses(near, R))
+    carry(touches.contacts, Poses(near, R), Poses(x, R))
+
+
+def _problems() -> None:
+    """All solvers, and all means of `auto`, whatever it needs of them."""
+    matrix = FC3D(np.eye(6) + 0.1, np.array([-1.0, 2.0, 0.0, -1.0, 0.1, 0.0]), np.full(2, 0.5))
+    for solver in solvers.SOLVERS:
+        solvers.by_name(solver, 1e-8)(matrix)
+    factors = Stepper(scenes.load("stack")(height=2), 5e-3).step().problem
+    assert factors.blocks is not None
+    given = factors.q, factors.mu, factors.scales, factors.q_norm
+    for means in (ByFactors(factors.blocks, *given), ByMatrix(factors.csr, *given)):
+        r = np.zeros_like(factors.q)
+        means.accelerated(r, 1e-8, 4, 4)
+        means.momentum(r).run(1e-8, 4, 4)
+        for method in (interior, smoothing):
+            method(means.operator, factors.q, factors.mu, factors.scales, r, 1e-8, factors.q_norm, 3)
+        means.newton(r, 0.0, 10.0, 3)
+    smooth = ByFactors(factors.blocks, factors.q, 0.0 * factors.mu, factors.scales, factors.q_norm)
+    smooth.momentum(np.zeros_like(r)).run(1e-8, 4, 4)
+    # Where sweeps do not suffice.
+    heavy = Stepper(scenes.load("heavy_on_light")(ratio=1e4), 5e-3).step().problem
+    solvers.by_name("auto")(FC3D(heavy.W, heavy.q, heavy.mu))
+    gauss.certify(factors, 0.9 * r, factors.q, gauss.Opening(np.zeros(factors.blocks.n), factors.nc, 1.0))
+
+
 def _all() -> None:
     """What anything calls."""
     _step()
@@ -50,9 +109,14 @@ def _all() -> None:
         _steps(name, 3)
     for impact in ("poisson", "fremond"):
         _steps("woodpecker", 1, impact)
-    problem = FC3D(np.eye(6) + 0.1, np.array([-1.0, 2.0, 0.0, -1.0, 0.1, 0.0]), np.full(2, 0.5))
-    for solver in solvers.SOLVERS:
-        solvers.by_name(solver, 1e-8)(problem)
+    Stepper(scenes.load("bounce")(), 2.0, on_fail="ignore").step()  # more bounces than are located
+    belt = Scene()
+    belt.add_box("belt", (1.0, 1.0, 0.1), position=(0, 0, -0.05), fixed=True)
+    belt.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))
+    belt.set_motion("belt", surface_velocity=(1.0, 0.0, 0.0))
+    Stepper(belt, 5e-3).step()
+    _shapes()
+    _problems()
 
 
 def _contact() -> None:

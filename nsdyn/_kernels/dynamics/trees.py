@@ -181,42 +181,6 @@ def link_rows(frame1, frame2, point, frame, first, support, J, start, h):
 
 
 @kernel
-def carry_gaps(frame1, frame2, geom1, geom2, gap, point, normal, tree, round_, x0, R0, x1, quaternion, out):
-    """Gaps where frames have moved from (x0, R0) to (x1, quaternion), of contacts of a link with the world, into out.
-
-    A contact goes with its link as a point, that of a sphere or a capsule of radius round_[geom] with its axis; the
-    normal stays. Links are the frames in `tree` (frames,); other contacts keep what is in `out`.
-    """
-    a = np.empty(3)
-    for c in range(gap.size):
-        if frame1[c] < 0 and frame2[c] >= 0:
-            f, sign, radius = frame2[c], 1.0, round_[geom2[c]]
-        elif frame2[c] < 0 and frame1[c] >= 0:
-            f, sign, radius = frame1[c], -1.0, round_[geom1[c]]
-        else:
-            continue
-        if not tree[f]:
-            continue
-        for i in range(3):
-            a[i] = point[c, i] + sign * radius * normal[c, i] - x0[f, i]
-        # Where the arm a is after the turn Q R0ᵀ: a = R0 b, then b + 2 w (v x b) + 2 v x (v x b).
-        b0 = R0[f, 0, 0] * a[0] + R0[f, 1, 0] * a[1] + R0[f, 2, 0] * a[2]
-        b1 = R0[f, 0, 1] * a[0] + R0[f, 1, 1] * a[1] + R0[f, 2, 1] * a[2]
-        b2 = R0[f, 0, 2] * a[0] + R0[f, 1, 2] * a[1] + R0[f, 2, 2] * a[2]
-        v0, v1, v2, w = quaternion[f, 0], quaternion[f, 1], quaternion[f, 2], quaternion[f, 3]
-        t0, t1, t2 = 2.0 * (v1 * b2 - v2 * b1), 2.0 * (v2 * b0 - v0 * b2), 2.0 * (v0 * b1 - v1 * b0)
-        b0, b1, b2 = (
-            b0 + w * t0 + v1 * t2 - v2 * t1,
-            b1 + w * t1 + v2 * t0 - v0 * t2,
-            b2 + w * t2 + v0 * t1 - v1 * t0,
-        )
-        moved = normal[c, 0] * (x1[f, 0] + b0 - x0[f, 0] - a[0])
-        moved += normal[c, 1] * (x1[f, 1] + b1 - x0[f, 1] - a[1])
-        moved += normal[c, 2] * (x1[f, 2] + b2 - x0[f, 2] - a[2])
-        out[c] = gap[c] + sign * moved
-
-
-@kernel
 def link_twists(x, support, J, v, linear, angular):
     """Velocities of the origins x (k, 3) of some frames, and of their rotations, world axes, into (k, 3) each."""
     for f in range(support.shape[0]):
@@ -278,21 +242,6 @@ def append_rows(slots, coordinate, tree, sign, offset, block, start, h):
         else:
             new_h[at] = sign[slots[i]]
     return new_block, new_start, new_h
-
-
-@kernel
-def joint_impact_law(u, u_free, gap, restitution, h_theta, closed, w):
-    """Normal offset w_N of joint rows as `motion.impact_law` has it, into w (nj,).
-
-    Rest is an approach slower than what the free motion gains in two steps; u and u_free are (3 nj,).
-    """
-    for k in range(gap.size):
-        approach = u[3 * k]
-        resting = 2.0 * abs(u_free[3 * k] - approach)
-        if restitution[k] > 0.0 and approach < -resting and gap[k] + h_theta * approach <= 0.0:
-            w[k] = restitution[k] * approach
-        else:
-            w[k] = gap[k] / h_theta if gap[k] > closed else 0.0
 
 
 @kernel

@@ -76,13 +76,6 @@ def natural_residual(W_diagonal, u, r, mu):
 
 
 @kernel
-def natural_residuals(W_diagonal, u, r, mu, out):
-    """The residual of every contact, with rho = 1 / W_diagonal[c], in m/s, into out (nc,)."""
-    for c in range(mu.size):
-        out[c] = _residual(W_diagonal[c], u, r, mu[c], 3 * c)
-
-
-@kernel
 def natural_error(u, r, mu):
     """|r - P_K(r - u_hat)|_2 over all contacts (rho = 1): the numerator of the literature's error."""
     total = 0.0

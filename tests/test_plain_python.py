@@ -1,0 +1,71 @@
+"""Every kernel runs as plain Python, too, and gives the same numbers there; `nsdyn doctor --compile` knows them all."""
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import nsdyn
+
+ROOT = Path(nsdyn.__file__).parent
+SCRIPT = """
+import json, sys, warnings
+warnings.simplefilter("ignore")
+seen = set()
+
+def note(frame, event, argument):
+    if event == "call" and "_kernels" in frame.f_code.co_filename:
+        seen.add(frame.f_code.co_name)
+
+import numpy as np
+import nsdyn as nd
+from nsdyn import compilation
+
+if sys.argv[1:]:
+    sys.setprofile(note)
+    compilation.EXAMPLES["all"]()
+values = {}
+for name in ("slide", "pile", "arm_pushes_box", "cards", "euler_disk", "bounce", "slider_crank"):
+    setup = nd.scenes.setup(name)
+    stepper = nd.Stepper(setup.scene, **setup.options(on_fail="ignore"))
+    for _ in range(3):
+        step = stepper.step()
+    values[name] = np.concatenate((step.q, step.v)).tolist()
+problem = nd.Stepper(nd.scenes.load("stack")(height=9), 5e-3).step().problem
+alone = nd.FC3D(problem.W, problem.q, problem.mu)
+small = nd.FC3D(np.eye(6) + 0.1, np.array([-1.0, 2.0, 0.0, -1.0, 0.1, 0.0]), np.full(2, 0.5))
+for name in nd.solvers.SOLVERS:
+    values[name] = nd.solve(small, name, 1e-6).u.tolist()
+values["alone"] = nd.solve(alone, "auto", 1e-4, 1e-3 * np.ones_like(alone.q)).u.tolist()
+print(json.dumps([values, sorted(seen)]))
+"""
+
+
+def run(*arguments: str, **environment: str) -> tuple[dict[str, list[float]], list[str]]:
+    """Results of the script in a process of its own, and the kernels that it called."""
+    variables = os.environ | {"PYTHONPATH": str(ROOT.parent)} | environment
+    command = [sys.executable, "-c", SCRIPT, *arguments]
+    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True, env=variables).stdout)
+
+
+def kernels() -> set[str]:
+    """Names of all kernels."""
+    return {
+        node.name
+        for path in (ROOT / "_kernels").rglob("*.py")
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.FunctionDef) and any("kernel" in ast.unparse(d) for d in node.decorator_list)
+    }
+
+
+def test_plain_python_gives_the_same_numbers():
+    plain, called = run("all", NUMBA_DISABLE_JIT="1")
+    compiled, _ = run()
+    assert kernels() - set(called) == set()
+    for name, values in compiled.items():
+        # Compiled code may contract and reorder additions: some roundings of numbers of the order of one.
+        np.testing.assert_allclose(plain[name], values, rtol=0, atol=1e-11, err_msg=name)
