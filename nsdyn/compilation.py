@@ -22,7 +22,7 @@ from nsdyn.collision.contacts import ContactMemory, Poses, carry
 from nsdyn.collision.detector import Detector
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.scene import checks
+from nsdyn.scene import checks, pairs
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers.interior import interior
@@ -68,7 +68,7 @@ def _shapes() -> None:
             pose = {"position": (k, 0.02 * above, 0.45 * above), "quaternion": quaternion / np.linalg.norm(quaternion)}
             add(name=f"{k}-{above}", mass=1.0, **pose)
     geoms = scene.geoms()
-    detector = Detector(geoms, scene.pair_material(geoms), max_points=4)
+    detector = Detector(geoms, pairs.pair_material(scene, geoms), max_points=4)
     x = np.array([body.position for body in scene.free_bodies])
     R = np.array([checks.rotation(body.quaternion) for body in scene.free_bodies])
     near = x - np.outer(np.arange(len(x)) % 2, (0.0, 0.0, 0.25))

@@ -7,7 +7,7 @@ from conftest import INERTIAL
 from scipy.linalg import null_space
 
 import nsdyn as nd
-from nsdyn.scene import shapes
+from nsdyn.scene import pairs, shapes
 
 
 def loaded(robot, **keywords):
@@ -21,12 +21,12 @@ def loaded(robot, **keywords):
 def test_neighbours_are_not_tested(robot):
     scene, a = loaded(robot)
     names = [link.name for link in a.links]
-    pairs = {frozenset((names[i], names[j])) for i, j in a.excluded}
-    assert frozenset(("base_0", "a_0")) in pairs and frozenset(("c_0", "tip_0")) in pairs
-    assert frozenset(("base_0", "b_0")) not in pairs and frozenset(("a_0", "c_0")) not in pairs
+    expected = {frozenset((names[i], names[j])) for i, j in a.excluded}
+    assert frozenset(("base_0", "a_0")) in expected and frozenset(("c_0", "tip_0")) in expected
+    assert frozenset(("base_0", "b_0")) not in expected and frozenset(("a_0", "c_0")) not in expected
     scene.add_sphere("ball", 0.1, 1.0, position=(5, 0, 0))
     geoms = scene.geoms()
-    assert {frozenset((geoms[i].name[2:], geoms[j].name[2:])) for i, j in scene.excluded(geoms)} == pairs
+    assert {frozenset((geoms[i].name[2:], geoms[j].name[2:])) for i, j in pairs.excluded(scene, geoms)} == expected
 
 
 def test_no_self_collisions(robot):
@@ -386,7 +386,10 @@ def test_pairs_of_links_beat_pairs_of_robots(hand):
     geoms = hand.geoms()
     names = [g.name for g in geoms]
     foot, base, plate = (np.array([names.index(n)]) for n in ("r/foot_0", "r/base_0", "plate"))
-    assert hand.pair_material(geoms)(foot, plate)[0] == 0.9 and hand.pair_material(geoms)(plate, base)[0] == 0.1
+    assert (
+        pairs.pair_material(hand, geoms)(foot, plate)[0] == 0.9
+        and pairs.pair_material(hand, geoms)(plate, base)[0] == 0.1
+    )
     assert set(nd.simulate(hand, 0.01).contacts(-1).mu) == {0.9}
     with pytest.raises(ValueError, match=r"unknown body 'r/food'; .*; did you mean 'r/foot'\?"):
         hand.set_pair("r/food", "plate", mu=0.1)

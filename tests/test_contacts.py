@@ -9,7 +9,8 @@ from nsdyn.collision import distances
 from nsdyn.collision.contacts import ContactMemory
 from nsdyn.collision.detector import MARGIN, SKIN, Detector
 from nsdyn.scene import shapes
-from nsdyn.scene.scene import Geom, Material
+from nsdyn.scene.bodies import Geom
+from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import HALFSPACE
 
 HEXAGON = np.array([[np.cos(a), np.sin(a), z] for a in np.arange(6) * np.pi / 3 for z in (-0.6, 0.6)]) * 0.5

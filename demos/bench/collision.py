@@ -23,6 +23,7 @@ import nsdyn as nd
 from nsdyn.collision.contacts import ContactMemory
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.scene.pairs import pair_material
 
 ALL_PAIRS = 200
 """Boxes up to which all pairs are tried: they take memory and time with the square of their number."""
@@ -93,7 +94,7 @@ def main() -> None:
     scene = towers(boxes)
     dynamics, geoms = Dynamics(scene), scene.geoms()
     x, R, _ = dynamics.place(dynamics.start()[0])
-    detector = Detector(geoms, scene.pair_material(geoms))
+    detector = Detector(geoms, pair_material(scene, geoms))
     still = np.zeros(dynamics.frames)
     contacts, memory = detector.find(x, R, still, ContactMemory.empty())
     pairs = sorted(set(zip(contacts.geom1.tolist(), contacts.geom2.tolist(), strict=True)))

@@ -26,6 +26,7 @@ from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
 from nsdyn.recording import overlap as independent
+from nsdyn.scene import pairs
 
 INFORM = math.inf
 """Bar of a figure that is only told."""
@@ -94,7 +95,7 @@ def overlap(scene: nd.Scene, trajectory: nd.Trajectory) -> float:
     x = placed[..., :3, 3]
     reach = np.array([g.shape.bounding_radius for g in geoms])
     extent = np.array([2.0 * g.shape.inscribed_radius for g in geoms])
-    apart, deepest = scene.excluded(geoms), 0.0
+    apart, deepest = pairs.excluded(scene, geoms), 0.0
     for i, j in itertools.combinations(range(len(geoms)), 2):
         if (i, j) in apart or (geoms[i].frame < 0 and geoms[j].frame < 0):
             continue

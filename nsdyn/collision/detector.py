@@ -18,7 +18,7 @@ from nsdyn._kernels.collision import advancement, broadphase, keys, manifold
 from nsdyn._kernels.collision.geometry import Geometry
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches, carry
 from nsdyn.collision.distances import SHRINK, Batch, core, distance_request, empty_model, split
-from nsdyn.scene.scene import Geom
+from nsdyn.scene.bodies import Geom
 from nsdyn.scene.shapes import CAPSULE, HALFSPACE, SPHERE
 from nsdyn.tools.arrays import Array, Index
 

@@ -6,97 +6,25 @@ A scene only collects and checks; nothing is simulated here. SI units, world fra
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from nsdyn.scene import articulations, checks, robot_files, shapes
+from nsdyn.scene import articulations, checks, description, robot_files, shapes
 from nsdyn.scene.articulations import Articulation, Description
+from nsdyn.scene.bodies import Body, BodyOptions, Geom, make_body
 from nsdyn.scene.materials import COMBINATION_RULES, Material
 from nsdyn.scene.prescribed import Motion, Velocity
 from nsdyn.scene.shapes import Shape
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice, meant
 
-__all__ = ["COMBINATION_RULES", "Articulation", "Body", "Geom", "Material", "Scene"]
-
-
-@dataclass(frozen=True, eq=False)
-class Body:
-    """A rigid body with one shape; `mass` 0 marks a fixed one.
-
-    Attributes
-    ----------
-    name : str
-    shape : Shape
-    mass : float
-        kg.
-    inertia : ndarray, shape (3, 3)
-        About the centre of mass in body axes, kg m².
-    position, linear_velocity, angular_velocity : ndarray, shape (3,)
-        Of the centre of mass, world frame; m, m/s, rad/s.
-    quaternion : ndarray, shape (4,)
-        xyzw, body to world.
-    material : Material
-    colour : tuple of 4 floats, optional
-        RGBA in [0, 1] for the viewer.
-    com : ndarray, shape (3,)
-        Centre of mass in the frame of the shape, m.
-    """
-
-    name: str
-    shape: Shape
-    mass: float
-    inertia: Array
-    position: Array
-    quaternion: Array
-    linear_velocity: Array
-    angular_velocity: Array
-    material: Material
-    colour: tuple[float, float, float, float] | None
-    com: Array
-
-    @property
-    def fixed(self) -> bool:
-        """Whether the body never moves."""
-        return self.mass == 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Geom:
-    """One collision shape: where it hangs and what it is made of.
-
-    Attributes
-    ----------
-    name : str
-    body : str
-        Name of the body or articulation.
-    shape : Shape
-    frame : int
-        Moving frame it hangs on: free bodies first, then links; -1 for the world.
-    placement_R, placement_t : ndarray, shapes (3, 3), (3,)
-        Its pose in that frame.
-    material : Material
-    colour : tuple of 4 floats, optional
-    link : str
-        "articulation/body"; of a body that is its own link its name.
-    """
-
-    name: str
-    body: str
-    shape: Shape
-    frame: int
-    placement_R: Array
-    placement_t: Array
-    material: Material
-    colour: tuple[float, float, float, float] | None = None
-    link: str = ""
+__all__ = ["Scene"]
 
 
 @dataclass(eq=False)
@@ -154,36 +82,40 @@ class Scene:
     ) -> None:
         """Add the fixed solid {x : normal·x ≤ offset}; `normal` points out of it, `offset` is in m along it."""
         shape = shapes.halfspace(normal, offset)
-        keywords = self._keywords({"material": material, "fixed": True, "colour": colour})
-        self._add(name, shape, None, **keywords)
+        self._add(name, shape, None, {"material": material, "fixed": True, "colour": colour})
 
-    def add_box(self, name: str, size: ArrayLike, mass: float | None = None, **keywords: Any) -> None:
+    def add_box(self, name: str, size: ArrayLike, mass: float | None = None, **keywords: Unpack[BodyOptions]) -> None:
         """Add a box with full edge lengths `size` [m]; see `add_convex` for the other keywords."""
-        self._add(name, shapes.box(size), mass, **self._keywords(keywords))
+        self._add(name, shapes.box(size), mass, keywords)
 
-    def add_sphere(self, name: str, radius: float, mass: float | None = None, **keywords: Any) -> None:
+    def add_sphere(self, name: str, radius: float, mass: float | None = None, **keywords: Unpack[BodyOptions]) -> None:
         """Add a sphere of `radius` [m]; see `add_convex` for the other keywords."""
-        self._add(name, shapes.sphere(radius), mass, **self._keywords(keywords))
+        self._add(name, shapes.sphere(radius), mass, keywords)
 
-    def add_capsule(self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Any) -> None:
+    def add_capsule(
+        self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Unpack[BodyOptions]
+    ) -> None:
         """Add a capsule along its z axis, `length` [m] between the centres of its two half-spheres."""
-        self._add(name, shapes.capsule(radius, length), mass, **self._keywords(keywords))
+        self._add(name, shapes.capsule(radius, length), mass, keywords)
 
-    def add_cylinder(self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Any) -> None:
+    def add_cylinder(
+        self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Unpack[BodyOptions]
+    ) -> None:
         """Add a cylinder along its z axis of full height `length` [m]."""
-        self._add(name, shapes.cylinder(radius, length), mass, **self._keywords(keywords))
+        self._add(name, shapes.cylinder(radius, length), mass, keywords)
 
-    def add_ellipsoid(self, name: str, radii: ArrayLike, mass: float | None = None, **keywords: Any) -> None:
+    def add_ellipsoid(
+        self, name: str, radii: ArrayLike, mass: float | None = None, **keywords: Unpack[BodyOptions]
+    ) -> None:
         """Add an ellipsoid with semi-axes `radii` [m]."""
-        self._add(name, shapes.ellipsoid(radii), mass, **self._keywords(keywords))
+        self._add(name, shapes.ellipsoid(radii), mass, keywords)
 
     def add_convex(
         self,
         name: str,
         vertices: ArrayLike,
         mass: float | None = None,
-        position: ArrayLike | None = None,
-        **keywords: Any,
+        **keywords: Unpack[BodyOptions],
     ) -> None:
         """Add the convex hull of points.
 
@@ -210,113 +142,39 @@ class Scene:
             Centre of mass from the centroid of the shape, body axes, m; 0 by default. One elsewhere needs `inertia`.
         """
         shape, centroid = shapes.convex(vertices)
-        self._add_hull(name, shape, centroid, mass, position, keywords)
+        self._add_hull(name, shape, centroid, mass, keywords)
 
     def add_mesh(
         self,
         name: str,
         path: str | Path,
         mass: float | None = None,
-        position: ArrayLike | None = None,
         scale: float = 1.0,
-        **keywords: Any,
+        **keywords: Unpack[BodyOptions],
     ) -> None:
         """Add the convex hull of a mesh file, with a warning when the hull has over 1.02 times its volume.
 
         Keywords as in `add_convex`; `scale` multiplies the file's lengths.
         """
         shape, centroid = shapes.mesh(path, scale)
-        self._add_hull(name, shape, centroid, mass, position, keywords)
+        self._add_hull(name, shape, centroid, mass, keywords)
 
-    def _add_hull(
-        self,
-        name: str,
-        shape: Shape,
-        centroid: Array,
-        mass: float | None,
-        position: Any,
-        keywords: dict[str, Any],
-    ) -> None:
-        quaternion = checks.quaternion(keywords.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
-        com = checks.vector(keywords.get("com", (0, 0, 0)), 3, f"com of {name!r}")
-        keywords["position"] = checks.rotation(quaternion) @ (centroid + com) if position is None else position
-        self._add(name, shape, mass, **self._keywords(keywords))
+    def _add_hull(self, name: str, shape: Shape, centroid: Array, mass: float | None, keywords: BodyOptions) -> None:
+        if keywords.get("position") is None:
+            quaternion = checks.quaternion(keywords.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
+            com = checks.vector(keywords.get("com", (0, 0, 0)), 3, f"com of {name!r}")
+            keywords["position"] = checks.rotation(quaternion) @ (centroid + com)
+        self._add(name, shape, mass, keywords)
 
-    @staticmethod
-    def _keywords(given: dict[str, Any]) -> dict[str, Any]:
-        known: dict[str, Any] = {
-            "position": (0, 0, 0), "quaternion": (0, 0, 0, 1), "linear_velocity": (0, 0, 0),
-            "angular_velocity": (0, 0, 0), "material": None, "fixed": False, "colour": None, "inertia": None,
-            "com": (0, 0, 0),
-        }  # fmt: skip
-        unknown = sorted(set(given) - set(known))
-        if unknown:
-            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}{meant(unknown[0], known)}")
-        return known | given
-
-    def _add(
-        self,
-        name: str,
-        shape: Shape,
-        mass: float | None,
-        position: ArrayLike,
-        quaternion: ArrayLike,
-        linear_velocity: ArrayLike,
-        angular_velocity: ArrayLike,
-        material: Material | None,
-        fixed: bool,
-        colour: ArrayLike | None,
-        inertia: ArrayLike | None,
-        com: ArrayLike,
-    ) -> None:
+    def _add(self, name: str, shape: Shape, mass: float | None, options: BodyOptions) -> None:
         self._check_name(name)
-        centre = checks.vector(com, 3, f"com of {name!r}")
-        v = checks.vector(linear_velocity, 3, f"linear_velocity of {name!r}")
-        w = checks.vector(angular_velocity, 3, f"angular_velocity of {name!r}")
-        if fixed:
-            if v.any() or w.any():
-                raise ValueError(f"{name!r} is fixed, so its velocity must be zero, got {v.tolist()}, {w.tolist()}")
-            if mass is not None:
-                checks.mass(mass, f"mass of {name!r}")
-            if centre.any():
-                raise ValueError(f"{name!r} is fixed, so its com has no meaning, got {centre.tolist()}")
-            m, J = 0.0, np.zeros((3, 3))
-        else:
-            if mass is None:
-                raise ValueError(f"mass of {name!r} is needed, unless fixed=True")
-            m = checks.mass(mass, f"mass of {name!r}")
-            if inertia is None and centre.any():
-                raise ValueError(
-                    f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous"
-                )
-            J = checks.inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
-        self.bodies[name] = Body(
-            name, shape, m, J, checks.vector(position, 3, f"position of {name!r}"),
-            checks.quaternion(quaternion, f"quaternion of {name!r}"), v, w, self._material(material, name),
-            self._colour(colour, name), centre,
-        )  # fmt: skip
+        self.bodies[name] = make_body(name, shape, mass, options)
 
     def _check_name(self, name: str) -> None:
         if not isinstance(name, str) or not name or "/" in name:
             raise ValueError(f"name must be a non-empty string without '/', got {name!r}")
         if name in self.bodies or name in self.articulations:
             raise ValueError(f"name must be unique in the scene, {name!r} is taken")
-
-    @staticmethod
-    def _material(material: Material | None, name: str) -> Material:
-        if material is not None and not isinstance(material, Material):
-            raise ValueError(f"material of {name!r} must be a nsdyn.Material, got {material!r}")
-        return material or Material()
-
-    @staticmethod
-    def _colour(colour: ArrayLike | None, name: str) -> tuple[float, float, float, float] | None:
-        if colour is None:
-            return None
-        rgba = np.array(colour, dtype=float)
-        if rgba.shape not in ((3,), (4,)) or not ((rgba >= 0) & (rgba <= 1)).all():
-            raise ValueError(f"colour of {name!r} must be 3 or 4 numbers in [0, 1], got {colour!r}")
-        r, g, b, *a = rgba.tolist()
-        return (r, g, b, a[0] if a else 1.0)
 
     # -- articulations -----------------------------------------------------------------------------------------
 
@@ -521,49 +379,6 @@ class Scene:
         Material(0.0 if mu is None else mu, 0.0 if restitution is None else restitution)
         self.pairs[frozenset((a, b))] = (mu, restitution)
 
-    def restitutions(self) -> list[float]:
-        """The restitutions that its contacts may have, ascending."""
-        geoms = self.geoms()
-        kinds: dict[tuple[float, bool], list[int]] = {}
-        for k, g in enumerate(geoms):
-            kinds.setdefault((g.material.restitution, g.frame < 0), []).append(k)
-        # Two of each kind stand for all; what is fixed does not touch what is fixed.
-        some = [k for members in kinds.values() for k in members[:2]]
-        pairs = [(i, j) for i in some for j in some if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)]
-        combined = self.pair_material(geoms)(*np.array(pairs, dtype=np.int64).reshape(-1, 2).T)[1]
-        return sorted({*combined.tolist(), *(e for _, e in self.pairs.values() if e is not None)})
-
-    def pair_material(self, geoms: Sequence[Geom]) -> Callable[[Index, Index], tuple[Array, Array]]:
-        """Function of two index arrays into `geoms` that returns (mu, restitution) of each pair."""
-        mu = np.array([g.material.mu for g in geoms])
-        e = np.array([g.material.restitution for g in geoms])
-        names = sorted({g.link for g in geoms})
-        rank = {name: k for k, name in enumerate(names)}
-        owner = np.array([rank[g.link] for g in geoms], dtype=np.int64)
-        members: dict[str, set[int]] = {}
-        for g in geoms:
-            for name in (g.body, g.link):
-                members.setdefault(name, set()).add(rank[g.link])
-        special = {}
-        for pair, values in sorted(self.pairs.items(), key=lambda item: sum("/" in name for name in item[0])):
-            a, *b = pair
-            for i, j in product(members.get(a, ()), members.get(b[0] if b else a, ())):
-                special[min(i, j) * len(names) + max(i, j)] = values
-        codes = np.array(sorted(special), dtype=np.int64)
-
-        def combine(i: Index, j: Index) -> tuple[Array, Array]:
-            pair_mu = np.asarray(COMBINATION_RULES[self.friction_rule](mu[i], mu[j]), dtype=float)
-            pair_e = np.asarray(COMBINATION_RULES[self.restitution_rule](e[i], e[j]), dtype=float)
-            if codes.size:
-                code = np.minimum(owner[i], owner[j]) * len(names) + np.maximum(owner[i], owner[j])
-                for k in np.flatnonzero(np.isin(code, codes)):
-                    own_mu, own_e = special[int(code[k])]
-                    pair_mu[k] = pair_mu[k] if own_mu is None else own_mu
-                    pair_e[k] = pair_e[k] if own_e is None else own_e
-            return pair_mu, pair_e
-
-        return combine
-
     # -- what the stepper needs --------------------------------------------------------------------------------
 
     @property
@@ -603,79 +418,6 @@ class Scene:
                 out.append(Geom(f"{a.name}/{name}", a.name, shape, frame, R, t, material, None, link))
         return out
 
-    def excluded(self, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
-        """Pairs of geoms never tested: those that articulations exclude among their links, and held ones."""
-        out = set()
-        held = self._held_frames()
-        stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or g.frame in held] if held else []
-        out |= {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}
-        for name, a in self.articulations.items():
-            own = [k for k, g in enumerate(geoms) if g.body == name]
-            out |= {(own[i], own[j]) for i, j in a.excluded}
-        return out
-
-    def _held_frames(self) -> set[int]:
-        """Frames that nothing but prescribed motion moves: driven bodies, and links that hang on driven joints only."""
-        links, first = self.link_frames(), len(self.free_bodies)
-        held = set(range(first + len(links), first + len(links) + len(self.driven_bodies)))
-        for k, (name, joint) in enumerate(links, start=first):
-            model = self.articulations[name].model
-            if all(f"{name}/{model.names[j]}" in self.motions for j in model.supports[joint] if j):
-                held.add(k)
-        return held
-
-    def _describe_links(self) -> list[dict[str, Any]]:
-        """Bodies of articulations that a recording shows: name, moving frame (-1 for the world), pose in it."""
-        first, frames = len(self.free_bodies), self.link_frames()
-        frame_of = {key: first + k for k, key in enumerate(frames)} | {(name, 0): -1 for name in self.articulations}
-        return [
-            {"name": f"{a.name}/{f.name}", "frame": frame_of[key], "placement": f.placement.homogeneous.tolist()}
-            for a in self.articulations.values()
-            for f in a.model.frames
-            if f.type == pin.FrameType.BODY and (key := (a.name, int(f.parentJoint))) in frame_of
-        ]
-
     def describe(self) -> dict[str, Any]:
-        """Everything needed to replay a recording, as nested lists (see `nsdyn.recording.trajectory`)."""
-        geoms = []
-        for g in self.geoms():
-            placement = np.eye(4)
-            placement[:3, :3], placement[:3, 3] = g.placement_R, g.placement_t
-            geoms.append(
-                {
-                    "name": g.name,
-                    "body": g.body,
-                    "link": g.link,
-                    "frame": g.frame,
-                    "placement": placement.tolist(),
-                    "mu": g.material.mu,
-                    "restitution": g.material.restitution,
-                    "colour": None if g.colour is None else list(g.colour),
-                    **g.shape.describe(),
-                }
-            )
-        return {
-            "name": self.name,
-            "gravity": self.gravity.tolist(),
-            "friction_rule": self.friction_rule,
-            "restitution_rule": self.restitution_rule,
-            "geoms": geoms,
-            "excluded": sorted([min(pair), max(pair)] for pair in self.excluded(self.geoms())),
-            "frames": [b.name for b in self.free_bodies]
-            + [f"{a}/{self.articulations[a].model.names[j]}" for a, j in self.link_frames()]
-            + [b.name for b in self.driven_bodies],
-            "links": self._describe_links(),
-            "free": len(self.free_bodies),
-            "masses": [b.mass for b in self.free_bodies],
-            "inertias": [b.inertia.tolist() for b in self.free_bodies],
-            "articulations": [
-                {
-                    "name": a.name,
-                    "nq": a.model.nq,
-                    "nv": a.model.nv,
-                    "joints": list(a.model.names)[1:],
-                    "sizes": [[joint.nq, joint.nv] for joint in list(a.model.joints)[1:]],
-                }
-                for a in self.articulations.values()
-            ],
-        }
+        """Everything needed to replay a recording, as nested lists (see `nsdyn.recording.file`)."""
+        return description.describe(self)

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Forces, Position
+from nsdyn.scene import pairs
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.stepper import State
 from nsdyn.tools.arrays import Array
@@ -236,7 +237,7 @@ def least_constraint(
     if d.surfaces.count or any(tree.constrained for tree in d.trees):
         raise ValueError("scene must have no closed loops or prescribed motions")
     geoms = scene.geoms()
-    detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms))
+    detector = Detector(geoms, pairs.pair_material(scene, geoms), pairs.excluded(scene, geoms))
     position, v = d.start() if state is None else (state.instant.position, state.instant.v)
     t = 0.0 if state is None else state.t
     twists = d.surfaces.twists(t)

@@ -24,7 +24,9 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
 from nsdyn.recording.recorder import Recorder
 from nsdyn.recording.trajectory import Trajectory
-from nsdyn.scene.scene import Geom, Scene
+from nsdyn.scene import pairs
+from nsdyn.scene.bodies import Geom
+from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping import impacts
 from nsdyn.stepping.balance import balance
@@ -271,7 +273,7 @@ class Stepper:
         solver = Auto() if solver in (None, "auto") else as_solver(solver)
         self.controller, self.external_force, self.on_fail = controller, external_force, on_fail
         self.dynamics, geoms = Dynamics(scene), scene.geoms()
-        self.detector = Detector(geoms, scene.pair_material(geoms), scene.excluded(geoms), max_points)
+        self.detector = Detector(geoms, pairs.pair_material(scene, geoms), pairs.excluded(scene, geoms), max_points)
         # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
         closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
@@ -283,7 +285,7 @@ class Stepper:
             self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
             float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact, elastic,
         )  # fmt: skip
-        if impact == "poisson" and len(several := scene.restitutions()) > 1:
+        if impact == "poisson" and len(several := pairs.restitutions(scene)) > 1:
             warnings.warn(
                 f"Poisson's law keeps energy from growing only where all contacts have one restitution, got {several}",
                 stacklevel=2,

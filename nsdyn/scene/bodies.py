@@ -1,0 +1,157 @@
+"""Rigid bodies, what may be said of one, and the collision shapes of bodies and links."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nsdyn.scene import checks
+from nsdyn.scene.materials import Material
+from nsdyn.scene.shapes import Shape
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import meant
+
+__all__ = ["Body", "BodyOptions", "Geom", "make_body"]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body with one shape; `mass` 0 marks a fixed one.
+
+    Attributes
+    ----------
+    name : str
+    shape : Shape
+    mass : float
+        kg.
+    inertia : ndarray, shape (3, 3)
+        About the centre of mass in body axes, kg m².
+    position, linear_velocity, angular_velocity : ndarray, shape (3,)
+        Of the centre of mass, world frame; m, m/s, rad/s.
+    quaternion : ndarray, shape (4,)
+        xyzw, body to world.
+    material : Material
+    colour : tuple of 4 floats, optional
+        RGBA in [0, 1] for the viewer.
+    com : ndarray, shape (3,)
+        Centre of mass in the frame of the shape, m.
+    """
+
+    name: str
+    shape: Shape
+    mass: float
+    inertia: Array
+    position: Array
+    quaternion: Array
+    linear_velocity: Array
+    angular_velocity: Array
+    material: Material
+    colour: tuple[float, float, float, float] | None
+    com: Array
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the body never moves."""
+        return self.mass == 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Geom:
+    """One collision shape: where it hangs and what it is made of.
+
+    Attributes
+    ----------
+    name : str
+    body : str
+        Name of the body or articulation.
+    shape : Shape
+    frame : int
+        Moving frame it hangs on: free bodies first, then links; -1 for the world.
+    placement_R, placement_t : ndarray, shapes (3, 3), (3,)
+        Its pose in that frame.
+    material : Material
+    colour : tuple of 4 floats, optional
+    link : str
+        "articulation/body"; of a body that is its own link its name.
+    """
+
+    name: str
+    body: str
+    shape: Shape
+    frame: int
+    placement_R: Array
+    placement_t: Array
+    material: Material
+    colour: tuple[float, float, float, float] | None = None
+    link: str = ""
+
+
+class BodyOptions(TypedDict, total=False):
+    """Keywords of ``Scene.add_box`` and its like; see `Scene.add_convex`."""
+
+    position: ArrayLike | None
+    quaternion: ArrayLike
+    linear_velocity: ArrayLike
+    angular_velocity: ArrayLike
+    material: Material | None
+    fixed: bool
+    colour: ArrayLike | None
+    inertia: ArrayLike | None
+    com: ArrayLike
+
+
+DEFAULTS: dict[str, Any] = {
+    "position": (0, 0, 0), "quaternion": (0, 0, 0, 1), "linear_velocity": (0, 0, 0), "angular_velocity": (0, 0, 0),
+    "material": None, "fixed": False, "colour": None, "inertia": None, "com": (0, 0, 0),
+}  # fmt: skip
+
+
+def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions) -> Body:
+    """A body, with defaults for what is not given; ValueError naming the argument, what was expected and what came."""
+    unknown = sorted(set(options) - set(DEFAULTS))
+    if unknown:
+        raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(DEFAULTS)}{meant(unknown[0], DEFAULTS)}")
+    given: dict[str, Any] = {**DEFAULTS, **options}
+    centre = checks.vector(given["com"], 3, f"com of {name!r}")
+    v = checks.vector(given["linear_velocity"], 3, f"linear_velocity of {name!r}")
+    w = checks.vector(given["angular_velocity"], 3, f"angular_velocity of {name!r}")
+    if given["fixed"]:
+        if v.any() or w.any():
+            raise ValueError(f"{name!r} is fixed, so its velocity must be zero, got {v.tolist()}, {w.tolist()}")
+        if mass is not None:
+            checks.mass(mass, f"mass of {name!r}")
+        if centre.any():
+            raise ValueError(f"{name!r} is fixed, so its com has no meaning, got {centre.tolist()}")
+        m, J = 0.0, np.zeros((3, 3))
+    else:
+        if mass is None:
+            raise ValueError(f"mass of {name!r} is needed, unless fixed=True")
+        m = checks.mass(mass, f"mass of {name!r}")
+        inertia = given["inertia"]
+        if inertia is None and centre.any():
+            raise ValueError(f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous")
+        J = checks.inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
+    return Body(
+        name, shape, m, J, checks.vector(given["position"], 3, f"position of {name!r}"),
+        checks.quaternion(given["quaternion"], f"quaternion of {name!r}"), v, w, _material(given["material"], name),
+        _colour(given["colour"], name), centre,
+    )  # fmt: skip
+
+
+def _material(material: Material | None, name: str) -> Material:
+    if material is not None and not isinstance(material, Material):
+        raise ValueError(f"material of {name!r} must be a nsdyn.Material, got {material!r}")
+    return material or Material()
+
+
+def _colour(colour: ArrayLike | None, name: str) -> tuple[float, float, float, float] | None:
+    if colour is None:
+        return None
+    rgba = np.array(colour, dtype=float)
+    if rgba.shape not in ((3,), (4,)) or not ((rgba >= 0) & (rgba <= 1)).all():
+        raise ValueError(f"colour of {name!r} must be 3 or 4 numbers in [0, 1], got {colour!r}")
+    r, g, b, *a = rgba.tolist()
+    return (r, g, b, a[0] if a else 1.0)

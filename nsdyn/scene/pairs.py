@@ -1,0 +1,86 @@
+"""Pairs of shapes: which never touch, and the coefficients of those that may."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nsdyn.scene.bodies import Geom
+from nsdyn.scene.materials import COMBINATION_RULES
+from nsdyn.tools.arrays import Array, Index
+
+if TYPE_CHECKING:
+    from nsdyn.scene.scene import Scene
+
+__all__ = ["excluded", "pair_material", "restitutions"]
+
+
+def restitutions(scene: Scene) -> list[float]:
+    """The restitutions that its contacts may have, ascending."""
+    geoms = scene.geoms()
+    kinds: dict[tuple[float, bool], list[int]] = {}
+    for k, g in enumerate(geoms):
+        kinds.setdefault((g.material.restitution, g.frame < 0), []).append(k)
+    # Two of each kind stand for all; what is fixed does not touch what is fixed.
+    some = [k for members in kinds.values() for k in members[:2]]
+    pairs = [(i, j) for i in some for j in some if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)]
+    combined = pair_material(scene, geoms)(*np.array(pairs, dtype=np.int64).reshape(-1, 2).T)[1]
+    return sorted({*combined.tolist(), *(e for _, e in scene.pairs.values() if e is not None)})
+
+
+def pair_material(scene: Scene, geoms: Sequence[Geom]) -> Callable[[Index, Index], tuple[Array, Array]]:
+    """Function of two index arrays into `geoms` that returns (mu, restitution) of each pair."""
+    mu = np.array([g.material.mu for g in geoms])
+    e = np.array([g.material.restitution for g in geoms])
+    names = sorted({g.link for g in geoms})
+    rank = {name: k for k, name in enumerate(names)}
+    owner = np.array([rank[g.link] for g in geoms], dtype=np.int64)
+    members: dict[str, set[int]] = {}
+    for g in geoms:
+        for name in (g.body, g.link):
+            members.setdefault(name, set()).add(rank[g.link])
+    special = {}
+    for pair, values in sorted(scene.pairs.items(), key=lambda item: sum("/" in name for name in item[0])):
+        a, *b = pair
+        for i, j in product(members.get(a, ()), members.get(b[0] if b else a, ())):
+            special[min(i, j) * len(names) + max(i, j)] = values
+    codes = np.array(sorted(special), dtype=np.int64)
+
+    def combine(i: Index, j: Index) -> tuple[Array, Array]:
+        pair_mu = np.asarray(COMBINATION_RULES[scene.friction_rule](mu[i], mu[j]), dtype=float)
+        pair_e = np.asarray(COMBINATION_RULES[scene.restitution_rule](e[i], e[j]), dtype=float)
+        if codes.size:
+            code = np.minimum(owner[i], owner[j]) * len(names) + np.maximum(owner[i], owner[j])
+            for k in np.flatnonzero(np.isin(code, codes)):
+                own_mu, own_e = special[int(code[k])]
+                pair_mu[k] = pair_mu[k] if own_mu is None else own_mu
+                pair_e[k] = pair_e[k] if own_e is None else own_e
+        return pair_mu, pair_e
+
+    return combine
+
+
+def excluded(scene: Scene, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
+    """Pairs of geoms never tested: those that articulations exclude among their links, and held ones."""
+    out = set()
+    held = _held_frames(scene)
+    stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or g.frame in held] if held else []
+    out |= {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}
+    for name, a in scene.articulations.items():
+        own = [k for k, g in enumerate(geoms) if g.body == name]
+        out |= {(own[i], own[j]) for i, j in a.excluded}
+    return out
+
+
+def _held_frames(scene: Scene) -> set[int]:
+    """Frames that nothing but prescribed motion moves: driven bodies, and links that hang on driven joints only."""
+    links, first = scene.link_frames(), len(scene.free_bodies)
+    held = set(range(first + len(links), first + len(links) + len(scene.driven_bodies)))
+    for k, (name, joint) in enumerate(links, start=first):
+        model = scene.articulations[name].model
+        if all(f"{name}/{model.names[j]}" in scene.motions for j in model.supports[joint] if j):
+            held.add(k)
+    return held
