@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from nsdyn.study import bench
-from nsdyn.study.bench import CASES, Bench, Run
+from nsdyn.study import bench, cases
+from nsdyn.study.bench import Bench, Run
+from nsdyn.study.cases import CASES
 
 
 def run(engine, variant, dt, error, seconds, case="slide"):
@@ -75,7 +76,7 @@ def poses(x):
 
 def test_answers():
     """Exact answers at times where they are known on paper, errors of what is off by a known distance."""
-    g = bench.G
+    g = cases.G
     slide, bounce, roll, slip = (CASES[name] for name in ("slide", "bounce", "roll", "slip"))
     stop = 2.0**2 / (2 * 0.5 * g)
     assert slide.measure(slide.scene, np.array([1.0]), poses([[stop, 0, 0.1]])) == pytest.approx(0.0, abs=1e-15)
@@ -96,7 +97,7 @@ def test_answers():
 
 def test_attitude_is_measured_as_an_angle():
     """A steady turn about a principal axis, exact and ahead by 0.01 rad."""
-    tumble = bench.Case("spin", "", "tumble", {"wx": 0.0, "wy": 0.0, "wz": 2.0}, 0.5, 4, CASES["tumble"].measure)
+    tumble = cases.Case("spin", "", "tumble", {"wx": 0.0, "wy": 0.0, "wz": 2.0}, 0.5, 4, CASES["tumble"].measure)
     t = np.array([0.5, 1.0, 1.5, 2.0])
     for ahead in (0.0, 0.01):
         half = t + ahead / 2
@@ -106,7 +107,7 @@ def test_attitude_is_measured_as_an_angle():
 
 
 def test_penetration():
-    pile = bench.Case("pair", "", "pile", {"boxes": 0, "spheres": 2}, 0.1, 1, CASES["pile"].measure)
+    pile = cases.Case("pair", "", "pile", {"boxes": 0, "spheres": 2}, 0.1, 1, CASES["pile"].measure)
     x = np.zeros((1, 2, 7))
     x[0, :, :3] = [[0, 0, 0.06], [0.099, 0, 0.06]]
     assert pile.measure(pile.scene, np.array([0.1]), x) == pytest.approx(1e-3)
@@ -131,7 +132,7 @@ def orders(runs):
 
 def test_ours_converges_at_its_order(monkeypatch):
     """Sixth order in free rotation, down to the 3e-13 of the reference; constant forces are exact."""
-    monkeypatch.setattr(bench, "STEPS", (0.05, 0.02, 0.01))
+    monkeypatch.setattr(cases, "STEPS", (0.05, 0.02, 0.01))
     found = bench.measure(["tumble", "slip"], limit=60.0)
     assert len(found.runs) == 2 * 3 * 2 and all(r.seconds > 0.0 for r in found.runs)
     coarse, *fine = (r.error for r in found.runs[:3])
@@ -145,7 +146,7 @@ def test_peers_get_the_same_scene(peer, monkeypatch):
     """A ball that slides and then rolls: the most accurate settings of each are within the error of first order."""
     if not bench.PEERS[peer].installed:
         pytest.skip(f"{peer} is not installed")
-    monkeypatch.setattr(bench, "STEPS", (5e-3,))
+    monkeypatch.setattr(cases, "STEPS", (5e-3,))
     found = bench.measure(["roll"], [peer], limit=60.0)
     assert found.engines == ["nsdyn", peer]
     errors = {r.variant: r.error for r in found.runs if r.engine == peer}
@@ -156,7 +157,7 @@ def test_peers_get_the_same_scene(peer, monkeypatch):
 
 @pytest.mark.skipif(not bench.PEERS["mujoco"].installed, reason="MuJoCo is not installed (extra `peers`)")
 def test_free_rotation_of_mujoco_is_of_fourth_order(monkeypatch):
-    monkeypatch.setattr(bench, "STEPS", (0.02, 0.01, 5e-3))
+    monkeypatch.setattr(cases, "STEPS", (0.02, 0.01, 5e-3))
     free = [r for r in bench.measure(["tumble"], ["mujoco"], limit=60.0).runs if r.variant == "rk4"]
     np.testing.assert_allclose(orders(free), 4.0, rtol=0, atol=0.2)  # 4.11 and 4.06 measured
 

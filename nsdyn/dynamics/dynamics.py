@@ -19,7 +19,8 @@ from nsdyn._kernels.dynamics.rotation import principal
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.joints import JointLaws, JointRows, Rows
 from nsdyn.dynamics.surfaces import Surfaces
-from nsdyn.dynamics.trees import FreeMotion, Halfway, Links, Tree, TreeEnd
+from nsdyn.dynamics.tree_values import FreeMotion, Halfway, Links, TreeEnd
+from nsdyn.dynamics.trees import Tree
 from nsdyn.problem.blocks import Blocks
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array

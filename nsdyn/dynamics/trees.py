@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -10,13 +10,14 @@ import pinocchio as pin
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.loops import Closures, admissible, supports
+from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.control import PD
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import meant
 
-__all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "Tree", "TreeEnd", "TreeLoads", "TreeWorks"]
+__all__ = ["Tree"]
 
 SETTLING = 5
 """Passes in which a control may also leave its limit, so that their number is bounded; two are usual."""
@@ -40,178 +41,6 @@ def _span(places: list[int]) -> Index | slice:
     if places and places[-1] - places[0] == len(places) - 1:
         return slice(places[0], places[-1] + 1)
     return np.array(places, dtype=np.int64)
-
-
-class Links(NamedTuple):
-    """The k joints of a tree that carry geometry, at one configuration; world axes.
-
-    Attributes
-    ----------
-    x : ndarray, shape (k, 3)
-        Origins of their frames, m.
-    R : ndarray, shape (k, 3, 3)
-        Their orientations.
-    J : ndarray, shape (6, nv)
-        Velocity field of every coordinate, linear at the world's origin, then angular; it moves the links that
-        `Tree.support` says.
-    """
-
-    x: Array
-    R: Array
-    J: Array
-
-
-class Flow(NamedTuple):
-    """A motion of a tree between contacts.
-
-    Attributes
-    ----------
-    q, v : ndarray, shapes (nq,), (nv,)
-        Configuration and velocity at its end.
-    mean : ndarray, shape (nv,)
-        Mean velocity.
-    work : float
-        Of driven joints, J.
-    """
-
-    q: Array
-    v: Array
-    mean: Array
-    work: float
-
-
-class Halfway(NamedTuple):
-    """Where the forces of a step act, after (1 - θ) h of motion without forces.
-
-    Attributes
-    ----------
-    begin, begin_v : ndarray, shapes (nq,), (nv,)
-        Configuration and velocity at the beginning of the step.
-    q, v : ndarray, shapes (nq,), (nv,)
-        Configuration, and velocity before the forces.
-    work : float
-        Of driven joints until then, J.
-    M : ndarray, shape (nv, nv)
-        Mass matrix.
-    links : Links
-    h, theta : float
-        Step, s, and θ.
-    """
-
-    begin: Array
-    begin_v: Array
-    q: Array
-    v: Array
-    work: float
-    M: Array
-    links: Links
-    h: float
-    theta: float
-
-
-class TreeLoads(NamedTuple):
-    """What acts on a tree during a step besides contacts, joint limits and joint friction.
-
-    Attributes
-    ----------
-    tau : ndarray, shape (nv,)
-        Joint forces given or of external wrenches, and the part of a PD control that the motion does not change.
-    kp, kd : ndarray, shape (nv,)
-        Gains of the PD control, 0 where there is none.
-    stretch : ndarray, shape (nv,)
-        Of the joint springs at the midpoint, q - rest, rad or m.
-    weight : ndarray, shape (nv,)
-        Gravity terms there.
-    implicit : bool
-        Whether there are damping, springs or a PD control, which act as the velocity after them says.
-    """
-
-    tau: Array
-    kp: Array
-    kd: Array
-    stretch: Array
-    weight: Array
-    implicit: bool
-
-
-class Constraints(NamedTuple):
-    """Loops and driven joints of a tree at the midpoint: v = P b + Z y are the velocities with B v = b.
-
-    Attributes
-    ----------
-    B, P, Z : ndarray, shapes (m, nv), (nv, m), (nv, ny)
-        Zᵀ M̃ Z = I.
-    """
-
-    B: Array
-    P: Array
-    Z: Array
-
-
-class FreeMotion(NamedTuple):
-    """What the forces of a step without contacts and joint rows do.
-
-    Attributes
-    ----------
-    v : ndarray, shape (nv,)
-        Velocity after them.
-    loads : TreeLoads
-    m, minv : ndarray, shape (nv, nv)
-        Effective mass matrix M̃ and its inverse, Z Zᵀ of a constrained tree.
-    constraints : Constraints or None
-    """
-
-    v: Array
-    loads: TreeLoads
-    m: Array
-    minv: Array
-    constraints: Constraints | None
-
-
-class TreeEnd(NamedTuple):
-    """Where a step ends.
-
-    Attributes
-    ----------
-    q, v : ndarray, shapes (nq,), (nv,)
-    mean : ndarray, shape (nv,)
-        Velocity on which the forces of the step worked.
-    work : float
-        Of driven joints after them, J.
-    """
-
-    q: Array
-    v: Array
-    mean: Array
-    work: float
-
-
-class TreeWorks(NamedTuple):
-    """Energies of a tree at the end of a step and works during it, J.
-
-    Attributes
-    ----------
-    kinetic, potential : float
-        At the end; of gravity, 0 at the world's origin, and of joint springs.
-    change : float
-        Of their sum in the step.
-    actuation, damping, constraint : float
-        Works of joint forces, of viscous damping, of loops and driven joints.
-    integration : float
-        Error of the motion: the rest of the change but for the work of the impulses, O(h⁵) of a free motion under
-        constant joint forces, O(h³) else.
-    projection : float
-        Of the position projection.
-    """
-
-    kinetic: float
-    potential: float
-    change: float
-    actuation: float
-    damping: float
-    constraint: float
-    integration: float
-    projection: float
 
 
 class Tree:

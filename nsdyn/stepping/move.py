@@ -11,7 +11,7 @@ from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.dynamics.dynamics import Forces, Middle, Position
 from nsdyn.dynamics.joints import JointRows
-from nsdyn.dynamics.trees import TreeEnd
+from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.collisions import caught_impacts

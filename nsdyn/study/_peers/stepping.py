@@ -1,6 +1,6 @@
 """The loop of a worker that steps scenes: requests on stdin, one JSON object a line; replies on what was stdout.
 
-Plain Python and NumPy, for any interpreter. A scene is what `nsdyn.study.bench.describe` makes of it.
+Plain Python and NumPy, for any interpreter. A scene is what `nsdyn.study.cases.describe` makes of it.
 """
 
 from __future__ import annotations
