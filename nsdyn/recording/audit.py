@@ -14,18 +14,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording.overlap import Solid, separation
+from nsdyn.recording.poses import MIDDLE, Poses, turned
 from nsdyn.recording.trajectory import Trajectory, rotate
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
 
-__all__ = ["TOLERANCES", "Audit", "Finding", "check", "deepest"]
+__all__ = ["Audit", "Finding", "TOLERANCES", "check", "deepest"]
 
 TOLERANCES = {
     "overlap": 1e-7,
@@ -57,9 +57,6 @@ _MEANING = {
     "works": "work of contacts as the ledger has it - sum of those of the contacts / energy at play",
     "balance": "change of energy - sum of the works of the ledger / energy at play",
 }
-
-MIDDLE = 2
-"""Which of the moments at which contacts are looked at is the middle of their step."""
 
 STATES = 200_000
 """Most poses of shapes that are looked at together."""
@@ -181,7 +178,7 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     if unknown:
         choice(unknown[0], TOLERANCES, "tolerance")
     tol = TOLERANCES | tolerances
-    poses = _Poses(trajectory)
+    poses = Poses(trajectory)
     findings = [*_overlaps(poses), *_contacts(poses), *_momenta(poses), *_energies(poses)]
     return Audit(tuple(finding(tol[name]) for name, finding in findings), str(trajectory.meta["scene_name"]))
 
@@ -189,7 +186,7 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
 def deepest(scene: Mapping[str, Any], q: Array) -> float:
     """Largest true overlap in m in poses q (n, 7 bodies) of a scene of free bodies that `Scene.describe` described."""
     columns = {"t": np.zeros(len(q)), "q": q, "v": np.zeros((len(q), 6 * scene["free"]))}
-    ((_, finding),) = _overlaps(_Poses(Trajectory({}, dict(scene), columns)), by_size=False)
+    ((_, finding),) = _overlaps(Poses(Trajectory({}, dict(scene), columns)), by_size=False)
     return finding(0.0).amount
 
 
@@ -210,98 +207,7 @@ def _unknown(name: str, unit: str, reason: str) -> _Found:
     return name, lambda tol: Finding(name, _MEANING[name], np.nan, tol, np.nan, unit, -1, (), 0, reason)
 
 
-# -- where shapes are --------------------------------------------------------------------------------------------------
-
-
-def _matrix(quaternion: Array) -> Array:
-    """Rotation matrices of unit quaternions (..., 4) xyzw, shape (..., 3, 3)."""
-    return np.stack([rotate(quaternion, axis) for axis in np.eye(3)], axis=-1)
-
-
-def _turned(quaternion: Array, angle: Array) -> Array:
-    """Quaternions (..., 4) turned by rotation vectors (..., 3) in their own axes."""
-    size = np.linalg.norm(angle, axis=-1, keepdims=True)
-    axis, w = 0.5 * np.sinc(0.5 * size / np.pi) * angle, np.cos(0.5 * size)
-    v, s = quaternion[..., :3], quaternion[..., 3:]
-    return np.concatenate([s * axis + w * v + np.cross(v, axis), s * w - (v * axis).sum(-1, keepdims=True)], axis=-1)
-
-
-class _Poses:
-    """Shapes of a recording and where they are in every state."""
-
-    def __init__(self, trajectory: Trajectory) -> None:
-        self.trajectory, self.scene = trajectory, trajectory.scene
-        t, n = trajectory, trajectory.steps
-        self.free: int = self.scene["free"]
-        self.x, self.quaternion = (
-            t.q[:, : 7 * self.free].reshape(n + 1, -1, 7)[..., :3],
-            t.q[:, : 7 * self.free].reshape(n + 1, -1, 7)[..., 3:],
-        )
-        if "frames/x" in t.columns:
-            self.x, self.quaternion = t.columns["frames/x"], t.columns["frames/quat"]
-        self.v = t.v[:, : 6 * self.free].reshape(n + 1, -1, 6)
-        geoms = self.scene["geoms"]
-        self.names = [geom["name"] for geom in geoms]
-        self.frame = np.array([geom["frame"] for geom in geoms], dtype=np.int64)
-        self.placement = np.array([geom["placement"] for geom in geoms], dtype=float).reshape(-1, 4, 4)
-        kinds: dict[str, int] = {}
-        self.solids: list[Solid] = []
-        self.kind = np.empty(len(geoms), np.int64)
-        for k, geom in enumerate(geoms):
-            key = repr([geom[name] for name in ("shape", "size", "offset", "vertices") if name in geom])
-            if key not in kinds:
-                kinds[key] = len(kinds)
-                self.solids.append(Solid.described(geom))
-            self.kind[k] = kinds[key]
-        extents = np.array([solid.extent for solid in self.solids])
-        self.extent = extents[self.kind] if len(geoms) else np.empty(0)
-
-    @cached_property
-    def middle(self) -> tuple[Array, Array]:
-        """Positions (n, frames, 3) and quaternions of frames in the middle of every step.
-
-        Free bodies move to it as they began; others are taken halfway.
-        """
-        x, q = 0.5 * (self.x[:-1] + self.x[1:]), self.quaternion[1:]
-        before = self.quaternion[:-1]
-        q = before + np.where((before * q).sum(-1, keepdims=True) < 0.0, -q, q)
-        q /= np.linalg.norm(q, axis=-1, keepdims=True)
-        half = (1.0 - float(self.trajectory.meta["theta"])) * self.trajectory.dt
-        twist = self.v[:-1]
-        x[:, : self.free] = self.x[:-1, : self.free] + half * rotate(before[:, : self.free], twist[..., :3])
-        q[:, : self.free] = _turned(before[:, : self.free], half * twist[..., 3:])
-        return x, q
-
-    def of(self, geom: Index, row: Index, middle: bool = False) -> tuple[Array, Array]:
-        """World poses (R, x) of shapes, one by one, in a row of the states, or of the middles of steps."""
-        x, quaternion = self.middle if middle else (self.x, self.quaternion)
-        frame = self.frame[geom]
-        R: Array = self.placement[geom, :3, :3]
-        t: Array = self.placement[geom, :3, 3]
-        moving = frame >= 0
-        if moving.any():
-            turn, at = quaternion[row[moving], frame[moving]], x[row[moving], frame[moving]]
-            R, t = R.copy(), t.copy()
-            R[moving], t[moving] = _matrix(turn) @ R[moving], at + rotate(turn, t[moving])
-        return R, t
-
-    def by_kind(self, first: Index, second: Index) -> Iterator[tuple[Solid, Solid, Index]]:
-        """Pairs of shapes, those of two solids together: the solids and the indices."""
-        code = self.kind[first] * len(self.solids) + self.kind[second]
-        order = np.argsort(code, kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
-            if rows.size:
-                yield self.solids[self.kind[first[rows[0]]]], self.solids[self.kind[second[rows[0]]]], rows
-
-    def size(self, first: Index, second: Index) -> Array:
-        """Smallest extent of the smaller shape of pairs, m."""
-        return np.minimum(self.extent[first], self.extent[second])
-
-
-# -- overlaps ----------------------------------------------------------------------------------------------------------
-
-
-def _overlaps(poses: _Poses, by_size: bool = True) -> Iterator[_Found]:
+def _overlaps(poses: Poses, by_size: bool = True) -> Iterator[_Found]:
     """True overlaps in all states, the worst by size or in m."""
     count, states = len(poses.names), poses.trajectory.steps + 1
     pairs = _tested(poses)
@@ -324,7 +230,7 @@ def _overlaps(poses: _Poses, by_size: bool = True) -> Iterator[_Found]:
     yield _worst("overlap", figure, depth, "m", state, names)
 
 
-def _tested(poses: _Poses) -> NDArray[np.bool_]:
+def _tested(poses: Poses) -> NDArray[np.bool_]:
     """Pairs of shapes that must not overlap, each once, shape (shapes, shapes)."""
     frame, scene = poses.frame, poses.scene
     out = (frame[:, None] != frame) & ((frame[:, None] >= 0) | (frame >= 0))
@@ -338,7 +244,7 @@ def _tested(poses: _Poses) -> NDArray[np.bool_]:
     return np.triu(out, 1)
 
 
-def _close(poses: _Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, Index, Index]:
+def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, Index, Index]:
     """Pairs of shapes whose boxes along the world's axes meet: (first, second, state)."""
     count = len(poses.names)
     low, high = np.empty((2, count, rows.size, 3))
@@ -366,10 +272,7 @@ def _close(poses: _Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index,
     return tuple(np.concatenate([empty, *items]) for items in (first, second, state))  # type: ignore[return-value]
 
 
-# -- contacts ----------------------------------------------------------------------------------------------------------
-
-
-def _contacts(poses: _Poses) -> Iterator[_Found]:
+def _contacts(poses: Poses) -> Iterator[_Found]:
     """Where impulses act, in which cones they are, and what friction does."""
     t = poses.trajectory
     c = {name.removeprefix("contacts/"): values for name, values in t.columns.items() if name.startswith("contacts/")}
@@ -424,10 +327,7 @@ def _along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Ar
     return out
 
 
-# -- balances ----------------------------------------------------------------------------------------------------------
-
-
-def _momenta(poses: _Poses) -> Iterator[_Found]:
+def _momenta(poses: Poses) -> Iterator[_Found]:
     """Momentum and angular momentum of free bodies in every step."""
     t, free = poses.trajectory, poses.free
     yield _motion(poses)
@@ -470,13 +370,13 @@ def _momenta(poses: _Poses) -> Iterator[_Found]:
     yield _of_bodies(poses, "spin", left, reach + size + turning[:-1] + turning[1:], "N·m·s")
 
 
-def _motion(poses: _Poses) -> _Found:
+def _motion(poses: Poses) -> _Found:
     """How free bodies move with their velocities: of points of them, m."""
     t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
     x, q = poses.x[:, :free], poses.quaternion[:, :free]
     before, after = (1.0 - theta) * t.dt * poses.v[:-1], theta * t.dt * poses.v[1:]
     # Half a turn with either angular velocity, each in the axes of its own end.
-    there, back = _turned(q[:-1], before[..., 3:]), _turned(q[1:], -after[..., 3:])
+    there, back = turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:])
     angle = 2.0 * np.linalg.norm(there - np.where((there * back).sum(-1, keepdims=True) < 0.0, -back, back), axis=-1)
     left = np.diff(x, axis=0) - rotate(q[:-1], before[..., :3]) - rotate(q[1:], after[..., :3])
     reach, extent = np.zeros(free), np.full(free, np.inf)
@@ -491,7 +391,7 @@ def _motion(poses: _Poses) -> _Found:
     return _of_bodies(poses, "motion", amount, np.broadcast_to(extent, amount.shape), "m")
 
 
-def _of_bodies(poses: _Poses, name: str, amount: Array, scale: Array, unit: str) -> _Found:
+def _of_bodies(poses: Poses, name: str, amount: Array, scale: Array, unit: str) -> _Found:
     """The worst of free bodies and steps, from arrays (n, bodies)."""
     steps, bodies = np.indices(amount.shape)
     figure = (amount / np.maximum(scale, 1e-300)).ravel()
@@ -500,7 +400,7 @@ def _of_bodies(poses: _Poses, name: str, amount: Array, scale: Array, unit: str)
     )
 
 
-def _at_play(poses: _Poses) -> float:
+def _at_play(poses: Poses) -> float:
     """Energy at play, J; where next to nothing moves, what lifts the free bodies by their size."""
     t, scene = poses.trajectory, poses.scene
     lift = 0.0
@@ -509,7 +409,7 @@ def _at_play(poses: _Poses) -> float:
     return max(t.at_play, lift, 1e-9 * float(np.abs(t.energy.potential).max()), 1e-300)
 
 
-def _energies(poses: _Poses) -> Iterator[_Found]:
+def _energies(poses: Poses) -> Iterator[_Found]:
     """Energies anew, works of contacts summed anew, and the balance of every step."""
     t = poses.trajectory
     e, free = t.energy, poses.free
