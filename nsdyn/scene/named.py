@@ -1,4 +1,13 @@
-"""Named scenes: one Python file each in `models`, found from the source tree and after an installation alike."""
+"""Named scenes: one Python file each in `models`, found from the source tree and after an installation alike.
+
+To add one:
+
+1. ``models/NAME.py`` whose docstring says in one line what it shows: ``nsdyn scenes`` prints that;
+2. ``scene(...) -> Scene`` with numbers as defaults: they are what ``--set`` changes;
+3. `DURATION` and `DT`, s;
+4. if it is driven, ``controller(scene)`` or ``external_force(scene)`` that return functions of (t, q, v);
+5. a test of the law that it shows; `tests/test_stepper.py` runs every named scene and closes its ledger.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,16 @@
 
 A `Shape` carries what the three users need: Coal its geometry object, the contact kernels the exact features
 (vertices, faces, sizes), the dynamics the mass properties. Lengths in m, volumes in m³.
+
+To add one that is a polytope, return what `convex` makes of its corners. To add a curved one:
+
+1. a kind here and in `nsdyn._kernels.collision.geometry`, and a function that returns its `Shape`;
+2. what is outermost along a direction, and how it curves there, in `nsdyn._kernels.collision.support`; its faces and
+   straight edges, if it has any, in `faces` and `segments` beside it;
+3. ``add_...`` in `nsdyn.scene.scene`, the core that Coal sees in `nsdyn.collision.distances`, what is drawn in
+   `nsdyn.recording.viewer`;
+4. its distance from others, found another way, in `nsdyn.recording.overlap`, which vouches for it;
+5. its name in the lists of `tests/test_shapes.py`, `tests/test_manifold.py` and `tests/test_overlap.py`.
 """
 
 from __future__ import annotations

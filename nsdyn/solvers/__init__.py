@@ -1,4 +1,16 @@
-"""Solvers of the frictional contact problem: one protocol, one list, one file each."""
+"""Solvers of the frictional contact problem: one protocol, one list, one file each.
+
+To add one:
+
+1. a file here, or in `reference` for a method that is kept to compare: a frozen dataclass with `tol` and the options of
+   the method, whose docstring has its equations, its source, and where it fails;
+2. ``__call__(problem, r0=None)`` that returns ``Solution.judge(problem, r, tol, iterations, seconds)``: what the solver
+   believes is not asked, and what is not finite is told by the status;
+3. its name in `SOLVERS`, and the class in ``__all__``;
+4. `tests/test_solvers.py` and `tests/test_reference_solvers.py` run all of `SOLVERS`; what the method cannot solve is
+   named there;
+5. a line in the README, and ``nsdyn profile DIR --solver NAME --solver auto`` to see where it stands.
+"""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter, meet
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.impacts import Impact, strike
+from nsdyn.stepping.impacts import LAWS, Impact, strike
 from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Impulses, Instant, System, account, take
 from nsdyn.tools.arrays import Array, Bools
 
@@ -88,7 +88,7 @@ def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Arra
     """Impacts of the closed contacts and joint limits; dry friction of joints has no impulse in no time."""
     if met.rows.press.size:
         closed = closed & (met.rows.press[0::3] == 0.0)
-    return strike(s.impact, s.solver, met.rows.blocks, met.u, met.mu, met.restitution, closed, resting, slow)
+    return strike(LAWS[s.impact], s.solver, met.rows.blocks, met.u, met.mu, met.restitution, closed, resting, slow)
 
 
 def _hits(s: System, joints: JointRows, v: Array, h: float) -> bool:

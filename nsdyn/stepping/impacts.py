@@ -1,29 +1,22 @@
 """Laws of impact: what contacts that strike give back, in no time and at one configuration.
 
-With U⁻ and U⁺ before and after, U⁺ = U⁻ + W r, and per contact the restitution e:
+With U⁻ and U⁺ before and after, U⁺ = U⁻ + W r, and per contact the restitution e, which is 0 where the contact rests.
+On a single frictionless contact all laws agree. Impacts that others provoke follow in rounds, until nothing strikes.
 
-newton
-    U_N⁺ ≥ -e U_N⁻, friction opposes U_T⁺. The common law. With friction, or in chains of contacts, it may create
-    energy (T. R. Kane, D. A. Levinson, Dynamics: theory and applications, 1985); `Step.created` says how much. Contacts
-    that rest and have a restitution of their own follow in a round of their own, so that the balls of Newton's cradle
-    strike one after the other.
-poisson
-    Compression with e = 0 gives r_c; expansion gives back e r_c, and more where bodies would meet else: r = r_c + e r_c
-    + r', with K* ∋ U⁺ + μ‖U_T⁺‖ e_N ⟂ r' ∈ K. It never creates energy if all contacts have one e: the change is at
-    most -½ ‖r_e - e r_c‖²_W - ½ (1 - e²) ‖r_c‖²_W with r_e = e r_c + r'. (F. Pfeiffer, C. Glocker, Multibody dynamics
-    with unilateral contacts, 1996, chapter 8, with ε_T = ε_N.)
-fremond
-    U_N⁺ ≥ -e U_N⁻ where bodies approach, U_N⁺ ≥ -U_N⁻ where they part, friction opposes the mean ½ (U_T⁺ + U_T⁻), so
-    that no work is ever positive. Every closed contact takes part. Sticking turns U_T round, as a superball does.
-    (M. Frémond, Rigid bodies collisions, Physics Letters A 204, 1995.)
+To add a law:
 
-On a single frictionless contact all three agree. Impacts that others provoke follow in rounds, until nothing strikes.
+1. a class with the methods of `Law` and a docstring with its equations, its source, and when it creates energy;
+2. an entry in `LAWS`: its name is then an option of `nsdyn.Stepper`;
+3. its line in the docstring of `nsdyn.Stepper` and in the README;
+4. `tests/test_impacts.py` tries all of `LAWS` on single and multiple impacts: say there what it promises;
+5. `python demos/bench/truth.py impacts` tries to prove that promise wrong.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -33,14 +26,122 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["LAWS", "Impact", "strike"]
-
-LAWS = ("newton", "poisson", "fremond")
+__all__ = ["LAWS", "Impact", "Law", "strike"]
 
 ROUNDS = 60
 """Most rounds of impacts in no time; what then still approaches is caught without restitution by the step."""
 
 Solve = Callable[[FC3D, Array | None], Solution]
+
+
+class Round(NamedTuple):
+    """One impact in no time, of the contacts that take part.
+
+    Attributes
+    ----------
+    blocks : Blocks
+    before : ndarray, shape (3 rows,)
+        U⁻, m/s.
+    mu, e : ndarray, shape (rows,)
+    hit : ndarray of bool, shape (rows,)
+        Which approach.
+    solve : callable
+        Solves a contact problem.
+    """
+
+    blocks: Blocks
+    before: Array
+    mu: Array
+    e: Array
+    hit: Bools
+    solve: Callable[[FC3D], Solution]
+
+
+class Law(Protocol):
+    """What tells laws apart.
+
+    Attributes
+    ----------
+    one_restitution : bool
+        Whether energy is sure not to grow only where all contacts have one restitution.
+    """
+
+    one_restitution: bool
+
+    def takes_part(self, hit: Bools, restitution: Array) -> Bools:
+        """Which closed contacts of an island that is struck take part."""
+
+    def given(self, impact: Round) -> tuple[Array, Array]:
+        """Impulses r₀ that are given, and b: then r = r₀ + r' with K* ∋ y + μ‖y_T‖ e_N ⟂ r' ∈ K, y = W r' + b."""
+
+
+class Newton:
+    """U_N⁺ ≥ -e U_N⁻, friction opposes U_T⁺: the common law.
+
+    With friction, or in chains of contacts, it may create energy (T. R. Kane, D. A. Levinson, Dynamics: theory and
+    applications, 1985); `Step.created` says how much. Contacts that rest and have a restitution of their own follow in
+    a round of their own, so that the balls of Newton's cradle strike one after the other.
+    """
+
+    one_restitution = False
+
+    def takes_part(self, hit: Bools, restitution: Array) -> Bools:
+        """What approaches, and what cannot rebound."""
+        out: Bools = hit | (restitution == 0.0)
+        return out
+
+    def given(self, impact: Round) -> tuple[Array, Array]:
+        """No impulse; b_N = (1 + e) U_N⁻, b_T = U_T⁻."""
+        b = impact.before.copy()
+        b[0::3] += impact.e * impact.before[0::3]
+        return np.zeros_like(b), b
+
+
+class Poisson:
+    """Compression with e = 0 gives r_c; expansion e r_c, and more where bodies would meet else: r = r_c + e r_c + r'.
+
+    K* ∋ U⁺ + μ‖U_T⁺‖ e_N ⟂ r' ∈ K. It never creates energy if all contacts have one e: the change is at most
+    -½ ‖r_e - e r_c‖²_W - ½ (1 - e²) ‖r_c‖²_W with r_e = e r_c + r'. (F. Pfeiffer, C. Glocker, Multibody dynamics with
+    unilateral contacts, 1996, chapter 8, with ε_T = ε_N.)
+    """
+
+    one_restitution = True
+
+    def takes_part(self, hit: Bools, restitution: Array) -> Bools:
+        """Every closed contact."""
+        return np.ones_like(hit)
+
+    def given(self, impact: Round) -> tuple[Array, Array]:
+        """(1 + e) r_c, and U⁻ + W (1 + e) r_c."""
+        blocks, b = impact.blocks, impact.before
+        r = np.repeat(1.0 + impact.e, 3) * impact.solve(FC3D.from_blocks(blocks, b, impact.mu)).r
+        return r, b + blocks.relative_velocity(blocks.velocity_change(r))
+
+
+class Fremond:
+    """U_N⁺ ≥ -e U_N⁻ where bodies approach, U_N⁺ ≥ -U_N⁻ where they part, friction opposes ½ (U_T⁺ + U_T⁻).
+
+    No work is ever positive. Every closed contact takes part. Sticking turns U_T round, as a superball does.
+    (M. Frémond, Rigid bodies collisions, Physics Letters A 204, 1995.)
+    """
+
+    one_restitution = False
+
+    def takes_part(self, hit: Bools, restitution: Array) -> Bools:
+        """Every closed contact."""
+        return np.ones_like(hit)
+
+    def given(self, impact: Round) -> tuple[Array, Array]:
+        """No impulse; b_N = (1 + e) U_N⁻ where bodies approach, 2 U_N⁻ where they part, b_T = 2 U_T⁻."""
+        before = impact.before
+        b = 2.0 * before
+        rebound = before[0::3] + impact.e * before[0::3]
+        b[0::3] = np.where(impact.hit, rebound, rebound + np.maximum(before[0::3], 0.0))
+        return np.zeros_like(b), b
+
+
+LAWS: dict[str, Law] = {"newton": Newton(), "poisson": Poisson(), "fremond": Fremond()}
+"""By the names that users give."""
 
 
 class Impact(NamedTuple):
@@ -70,7 +171,7 @@ class Impact(NamedTuple):
 
 
 def strike(
-    law: str,
+    law: Law,
     solver: Solve,
     blocks: Blocks,
     u: Array,
@@ -84,8 +185,7 @@ def strike(
 
     Parameters
     ----------
-    law : str
-        One of `LAWS`.
+    law : Law
     solver : callable
     blocks : Blocks
         Factors of W.
@@ -110,7 +210,7 @@ def strike(
             break
         # An island without an impact is not concerned.
         concerned = closed & np.isin(label, label[hit])
-        part = concerned & (hit | (restitution == 0.0)) if law == "newton" else concerned
+        part = concerned & law.takes_part(hit, restitution)
         e = np.where(hit & (u[0::3] < -resting), restitution, 0.0)
         problem, r, solution = _round(law, solver, blocks, u, mu, e, hit, part)
         after = u + blocks.relative_velocity(blocks.velocity_change(r))
@@ -127,24 +227,14 @@ def strike(
 
 
 def _round(
-    law: str, solver: Solve, blocks: Blocks, u: Array, mu: Array, e: Array, hit: Bools, part: Bools
+    law: Law, solver: Solve, blocks: Blocks, u: Array, mu: Array, e: Array, hit: Bools, part: Bools
 ) -> tuple[FC3D, Array, Solution]:
     """(problem, impulses, solution) of one impact of all contacts that take part, e the restitution of this time."""
     rows, own = np.repeat(part, 3), blocks._replace(block=blocks.block[part], start=blocks.start[part])
-    before, mu, e, hit = u[rows], mu[part], e[part], hit[part]
-    r, b = np.zeros_like(u), before.copy()
-    if law == "poisson":
-        given = np.repeat(1.0 + e, 3) * _solve(solver, FC3D.from_blocks(own, b, mu)).r
-        b += own.relative_velocity(own.velocity_change(given))
-    else:
-        given = np.zeros_like(b)
-        b[0::3] += e * before[0::3]
-    if law == "fremond":
-        b[0::3] += np.where(hit, 0.0, np.maximum(before[0::3], 0.0))
-        b[1::3] += before[1::3]
-        b[2::3] += before[2::3]
-    problem = FC3D.from_blocks(own, b, mu)
-    solution = _solve(solver, problem)
+    solve = partial(_solve, solver)
+    given, b = law.given(Round(own, u[rows], mu[part], e[part], hit[part], solve))
+    problem, r = FC3D.from_blocks(own, b, mu[part]), np.zeros_like(u)
+    solution = solve(problem)
     r[rows] = given + solution.r
     return problem, r, solution
 

@@ -285,9 +285,10 @@ class Stepper:
             self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
             float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact, elastic,
         )  # fmt: skip
-        if impact == "poisson" and len(several := pairs.restitutions(scene)) > 1:
+        if impacts.LAWS[impact].one_restitution and len(several := pairs.restitutions(scene)) > 1:
             warnings.warn(
-                f"Poisson's law keeps energy from growing only where all contacts have one restitution, got {several}",
+                f"{impact.title()}'s law keeps energy from growing only where all contacts have one restitution, "
+                f"got {several}",
                 stacklevel=2,
             )
         self._failures = 0
