@@ -308,8 +308,8 @@ class Auto:
         q_norm, enough, nc = problem.q_norm, max(POLISH * self.tol, FLOOR), problem.nc
         u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
         found, left, count, error, residual = _warm.improve(
-            *blocks, problem.q, problem.mu, problem.scales, r, u, label, islands, enough, 0.9 * self.accept * self.tol,
-            q_norm, DENSE, *WARM,
+            blocks.arrays, problem.q, problem.mu, problem.scales, r, u, label, islands, enough,
+            0.9 * self.accept * self.tol, q_norm, DENSE, *WARM,
         )  # fmt: skip
         if not left:
             return self._measured(r, u, error, residual, count, start)
