@@ -136,7 +136,6 @@ class Tuning:
     impulse_cost: float = 1.3e-10
     """Seconds of one over the cube of its rows."""
 
-
     def sharp(self, tol: float) -> float:
         """The tolerance of the polish of a problem."""
         return max(self.polish * tol, self.floor)
