@@ -41,7 +41,7 @@ def copied(problem, times):
     """The same problem by its factors, with so many copies of every contact."""
     b = problem.blocks
     many = Blocks(
-        b.offset, np.tile(b.block, (times, 1)), np.tile(b.start, (times, 1)), b.h, b.m_start, b.m, b.minv
+        b.offset, np.tile(b.block, (times, 1)), np.tile(b.start, (times, 1)), b.H, b.m_start, b.m, b.minv
     )  # fmt: skip
     return nd.FC3D.from_blocks(many, np.tile(problem.q, times), np.tile(problem.mu, times))
 
@@ -49,7 +49,7 @@ def copied(problem, times):
 def scaled(problem, factor):
     """The same problem by its factors, with all masses times a factor."""
     b = problem.blocks
-    heavy = Blocks(b.offset, b.block, b.start, b.h, b.m_start, factor * b.m, b.minv / factor)
+    heavy = Blocks(b.offset, b.block, b.start, b.H, b.m_start, factor * b.m, b.minv / factor)
     return nd.FC3D.from_blocks(heavy, problem.q, problem.mu)
 
 

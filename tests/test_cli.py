@@ -314,9 +314,9 @@ def test_profile(run, problem, tmp_path):
 
 
 def test_bench(run, monkeypatch):
-    from nsdyn.study import bench
+    from nsdyn.study import cases
 
-    monkeypatch.setattr(bench, "STEPS", (0.5, 0.2))
+    monkeypatch.setattr(cases, "STEPS", (0.5, 0.2))
     code, out, _ = run("bench", "slip", "--csv", "b.csv", "--plot", "b.png")
     assert code == 0 and out.splitlines()[2].split()[:2] == ["slip", "nsdyn"]
     assert Path("b.csv").read_text().count("\n") == 1 + 2 * 2 and Path("b.png").stat().st_size > 5_000

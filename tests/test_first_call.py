@@ -47,7 +47,7 @@ def test_compiling_is_announced_once(tmp_path):
     first = python("-c", COMMAND, NSDYN_CACHE_DIR=str(tmp_path))
     assert first.stdout == "(2.0, 0.3, 0.4) 1\n"
     assert first.stderr.count("compiling the kernels, once on this machine") == 1
-    assert first.stderr.count("compiling cones") == 1
+    assert first.stderr.count("compiling problem.cones") == 1
     second = python("-c", COMMAND, NSDYN_CACHE_DIR=str(tmp_path))
     assert second.stdout == "(2.0, 0.3, 0.4) 0\n" and second.stderr == ""
 

@@ -102,7 +102,7 @@ def test_sweep_by_factors_is_the_sweep_by_matrix(rng):
     """Both forms of W, on the contacts of a real step; v = M⁻¹ H r is kept up to date."""
     problem = nd.Stepper(nd.scenes.load("pyramid")(base=3), dt=1e-2).step().problem
     blocks = problem.blocks
-    W = sweeps.factors(blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.minv)
+    W = sweeps.factors(blocks.arrays)
     np.testing.assert_allclose(W.diagonal, problem.W.toarray().reshape(blocks.nc, 3, blocks.nc, 3)[
         np.arange(blocks.nc), :, np.arange(blocks.nc)
     ], rtol=0, atol=1e-13)  # fmt: skip
@@ -126,12 +126,11 @@ def test_newton_matrix_dense_and_sparse(rng):
         rows = H[:, 3 * c : 3 * c + 3]
         expected += rows @ A[c] @ rows.T
     K = np.empty((blocks.n, blocks.n))
-    where = blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, A
-    kernels.assemble_dense(*where, K)
+    kernels.assemble_dense(blocks.arrays, A, K)
     np.testing.assert_allclose(K, expected, rtol=0, atol=1e-12)
     indptr, indices, slot, diagonal = matrix.pattern(blocks.offset, blocks.block)
     data = np.empty(indices.size)
-    matrix.assemble_sparse(*where, indptr, slot, diagonal, data)
+    matrix.assemble_sparse(blocks.arrays, A, indptr, slot, diagonal, data)
     import scipy.sparse as sp
 
     sparse = sp.csc_array((data, indices, indptr), shape=K.shape)

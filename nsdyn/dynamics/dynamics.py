@@ -397,11 +397,11 @@ class Dynamics:
         frame, block, start = np.empty((nc, 3, 3)), np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
         hang, where = (contacts.frame1, contacts.frame2), (contacts.point, frame)
         size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
-        h = np.zeros(size)
-        _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, h)
+        H = np.zeros(size)
+        _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, H)
         for t, links in zip(self.trees, place.links, strict=True):
-            _trees.link_rows(*hang, *where, t.frames.start, t.support, links.J, start, h)
-        full = Blocks(self.offset, block, start, h, self.m_start, forces.m, forces.minv)
+            _trees.link_rows(*hang, *where, t.frames.start, t.support, links.J, start, H)
+        full = Blocks(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
         bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
         if joints is None:
             return Rows(full, bases, *NOT_PRESSED), frame

@@ -129,8 +129,7 @@ class JointLaws:
     def append(self, rows: JointRows, full: Blocks) -> Blocks:
         """Contacts of `full` followed by the joint rows."""
         table = self.coordinate, self.block, self.sign
-        block, start, h = _trees.append_rows(rows.slot, *table, full.offset, full.block, full.start, full.h)
-        return Blocks(full.offset, block, start, h, full.m_start, full.m, full.minv)
+        return Blocks(*_trees.append_rows(rows.slot, *table, full.arrays))
 
 
 class Rows:
@@ -163,8 +162,7 @@ class Rows:
         z_start = np.cumsum([0, *(Z.size for Z in bases.values())])
         self._z = np.concatenate([np.empty(0), *(Z.ravel() for Z in bases.values())])
         keys = np.fromiter(bases, np.int64, len(bases))
-        factors = full.offset, full.block, full.start, full.h, full.m_start, full.m, full.minv
-        *reduced, self._where, self.press = _trees.reduce_rows(*factors, keys, z_start, self._z, pressed, press)
+        reduced, self._where, self.press = _trees.reduce_rows(full.arrays, keys, z_start, self._z, pressed, press)
         self.blocks = Blocks(*reduced)
 
     def velocity_change(self, r: Array) -> Array:

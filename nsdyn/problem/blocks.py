@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,17 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["Blocks"]
 
 
-class Blocks(NamedTuple):
+class _Arrays(NamedTuple):
+    offset: Index
+    block: Index
+    start: Index
+    H: Array
+    m_start: Index
+    m: Array
+    minv: Array
+
+
+class Blocks(_Arrays):
     """Factors of W = Hᵀ M⁻¹ H in blocks of coordinates.
 
     Attributes
@@ -23,8 +34,8 @@ class Blocks(NamedTuple):
     block : ndarray of int, shape (nc, 2)
         The blocks contact c touches, -1 for none.
     start : ndarray of int, shape (nc, 2)
-        Where the 3 x n rows of Hᵀ for that block begin in `h`.
-    h : ndarray
+        Where the 3 x n rows of Hᵀ for that block begin in `H`.
+    H : ndarray
         Rows of Hᵀ, one row after the other, u = Hᵀ v [m/s].
     m_start : ndarray of int, shape (nb,)
         Where the n x n block of M (and of M⁻¹) begins in `m` (and `minv`).
@@ -32,20 +43,17 @@ class Blocks(NamedTuple):
         Blocks of M [kg, kg m²] and of M⁻¹, row by row.
     """
 
-    offset: Index
-    block: Index
-    start: Index
-    h: Array
-    m_start: Index
-    m: Array
-    minv: Array
+    @cached_property
+    def arrays(self) -> tuple[Any, ...]:
+        """All of them in a plain tuple, as kernels take them: it saves 0.5 us a call over a named one."""
+        return tuple(self)
 
-    @property
+    @cached_property
     def n(self) -> int:
         """Number of coordinates."""
         return int(self.offset[-1])
 
-    @property
+    @cached_property
     def nc(self) -> int:
         """Number of contacts."""
         return len(self.block)
@@ -53,24 +61,24 @@ class Blocks(NamedTuple):
     def relative_velocity(self, v: Array) -> Array:
         """u = Hᵀ v, shape (3 nc,)."""
         u = np.empty(3 * self.nc)
-        _blocks.relative_velocity(self.offset, self.block, self.start, self.h, v, u)
+        _blocks.relative_velocity(self.arrays, v, u)
         return u
 
     def momentum(self, r: Array) -> Array:
         """H r, shape (n,)."""
         p = np.empty(self.n)
-        _blocks.momentum(self.offset, self.block, self.start, self.h, r, p)
+        _blocks.momentum(self.arrays, r, p)
         return p
 
     def velocity_change(self, r: Array) -> Array:
         """M⁻¹ H r, shape (n,)."""
         dv = np.empty(self.n)
-        _blocks.velocity_change(self.offset, self.block, self.start, self.h, self.m_start, self.minv, r, dv)
+        _blocks.velocity_change(self.arrays, r, dv)
         return dv
 
     def delassus(self) -> sp.bsr_array:
         """W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
-        indptr, indices, data = _blocks.delassus(self.offset, self.block, self.start, self.h, self.m_start, self.minv)
+        indptr, indices, data = _blocks.delassus(self.arrays)
         return sp.bsr_array((data, indices, indptr), shape=(3 * self.nc, 3 * self.nc))
 
     def jacobian(self) -> sp.csr_array:
@@ -82,7 +90,7 @@ class Blocks(NamedTuple):
         inside = np.arange(pair.size) - np.repeat(3 * (np.cumsum(n) - n), 3 * n)
         row, column = np.divmod(inside, n[pair])
         places = 3 * c[pair] + row, self.offset[k][pair] + column
-        return sp.csr_array((self.h[start[pair] + inside], places), shape=(3 * self.nc, self.n))
+        return sp.csr_array((self.H[start[pair] + inside], places), shape=(3 * self.nc, self.n))
 
     def dense(self) -> tuple[Array, Array]:
         """(M, H) as dense arrays of shapes (n, n) and (n, 3 nc), for checks on small problems."""
@@ -101,9 +109,9 @@ class Blocks(NamedTuple):
         A = W.toarray() if sp.issparse(W) else np.asarray(W)
         eigenvalues, V = np.linalg.eigh(0.5 * (A + A.T))
         keep = eigenvalues > 1e-14 * eigenvalues[-1]
-        h = V[:, keep] * np.sqrt(eigenvalues[keep])
-        nc, n = A.shape[0] // 3, h.shape[1]
+        H = V[:, keep] * np.sqrt(eigenvalues[keep])
+        nc, n = A.shape[0] // 3, H.shape[1]
         eye = np.eye(n).ravel()
         block = np.column_stack((np.zeros(nc, np.int64), np.full(nc, -1, np.int64)))
         start = np.column_stack((3 * n * np.arange(nc), np.zeros(nc, np.int64)))
-        return Blocks(np.array([0, n]), block, start, np.ascontiguousarray(h).ravel(), np.array([0]), eye, eye)
+        return Blocks(np.array([0, n]), block, start, np.ascontiguousarray(H).ravel(), np.array([0]), eye, eye)

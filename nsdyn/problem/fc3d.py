@@ -86,13 +86,12 @@ class FC3D:
         """Problem with W = Hᵀ M⁻¹ H given by its factors, and the `scales` if known; W is assembled when asked for."""
         problem = cls.__new__(cls)
         problem._set(q, mu)
-        offset, block, start, h, m_start, _, minv = problem.blocks = blocks
-        nc = len(problem.mu)
-        if len(block) != nc:
-            raise ValueError(f"blocks must have {nc} contacts like mu, got {len(block)}")
+        problem.blocks, nc = blocks, len(problem.mu)
+        if blocks.nc != nc:
+            raise ValueError(f"blocks must have {nc} contacts like mu, got {blocks.nc}")
         if scales is None:
             scales = np.empty(nc)
-            q_norm, good = _blocks.prepare(offset, block, start, h, m_start, minv, problem.q, problem.mu, scales)
+            q_norm, good = _blocks.prepare(blocks.arrays, problem.q, problem.mu, scales)
         else:
             q_norm, good = _blocks.size_of(problem.q, problem.mu)
         problem.scales = scales
@@ -208,9 +207,8 @@ class FC3D:
             u = self.velocity(r)
             top, residual = _cones.measures(self.scales, u, r, self.mu)
         else:
-            b, u = self.blocks, np.empty_like(self.q)
-            factors = b.offset, b.block, b.start, b.h, b.m_start, b.minv
-            top, residual = _blocks.judged(*factors, self.q, self.mu, self.scales, r, u)
+            u = np.empty_like(self.q)
+            top, residual = _blocks.judged(self.blocks.arrays, self.q, self.mu, self.scales, r, u)
         error = top / self.q_norm
         return error <= tol and residual <= tol, error, residual, u
 

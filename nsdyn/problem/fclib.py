@@ -275,8 +275,8 @@ def _blocks(M: Any, H: Any) -> Blocks | None:
     block, start = np.full((nc, 2), -1), np.zeros((nc, 2), np.int64)
     begin = np.concatenate(([0], np.cumsum(3 * size[touched])))
     block[contact, slot], start[contact, slot] = touched, begin[:-1]
-    h = np.zeros(begin[-1])
-    h[begin[pair] + H.col % 3 * size[label[H.row]] + inside[H.row]] = H.data
+    rows = np.zeros(begin[-1])
+    rows[begin[pair] + H.col % 3 * size[label[H.row]] + inside[H.row]] = H.data
     M = M.tocoo()
     m_start = np.concatenate(([0], np.cumsum(size**2)))
     m = np.zeros(m_start[-1])
@@ -290,7 +290,7 @@ def _blocks(M: Any, H: Any) -> Blocks | None:
             return None
         inverse = np.linalg.inv(part)
         minv[a:b] = (0.5 * (inverse + inverse.T)).ravel()
-    return Blocks(offset, block, start, h, m_start[:-1], m, minv)
+    return Blocks(offset, block, start, rows, m_start[:-1], m, minv)
 
 
 def _embedded(W: Any, q: Array) -> tuple[Any, Array]:
@@ -495,7 +495,7 @@ def _sparse(blocks: Blocks) -> tuple[Any, Any]:
     for c, slot in zip(*np.nonzero(blocks.block >= 0), strict=True):
         k, s = blocks.block[c, slot], blocks.start[c, slot]
         i, j = np.divmod(np.arange(3 * size[k]), size[k])
-        rows.append((blocks.offset[k] + j, 3 * c + i, blocks.h[s : s + 3 * size[k]]))
+        rows.append((blocks.offset[k] + j, 3 * c + i, blocks.H[s : s + 3 * size[k]]))
     return _assembled(mass, (blocks.n, blocks.n)), _assembled(rows, (blocks.n, 3 * blocks.nc))
 
 

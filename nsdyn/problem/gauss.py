@@ -158,8 +158,7 @@ def _along_direction(problem: FC3D, u: Array, r: Array, d: Array) -> tuple[float
     """(gap, |δ|_2, max δ, λ, Σ r·(û + λ Hᵀ d), ‖d‖²_M) along `Opening.d`."""
     b = problem.blocks
     if b is not None:
-        factors = b.offset, b.block, b.start, b.h, b.m_start, b.m
-        return _kernels.certificate_along(*factors, u, r, problem.mu, d)  # type: ignore[no-any-return]
+        return _kernels.certificate_along(b.arrays, u, r, problem.mu, d)  # type: ignore[no-any-return]
     o, square = _along(problem, d)
     return *_kernels.certificate(u, r, o, problem.mu), square
 
@@ -171,7 +170,7 @@ def _along(problem: FC3D, d: Array) -> tuple[Array, float]:
         o = problem.velocity(d) - problem.q
         return o, float(d @ o)
     if b is not None and d.size == b.n:
-        return o, float(_kernels.along_blocks(b.offset, b.block, b.start, b.h, b.m_start, b.m, d, o))
+        return o, float(_kernels.along_blocks(b.arrays, d, o))
     return o, 0.0
 
 
@@ -181,7 +180,7 @@ def _relaxed(problem: FC3D, d: Array) -> Array:
     if b is None or d.size != b.n:
         return NOTHING
     d = d.copy()
-    found = _kernels.relax(b.offset, b.block, b.start, b.h, b.m_start, b.minv, problem.mu, ENOUGH, SWEEPS, d)
+    found = _kernels.relax(b.arrays, problem.mu, ENOUGH, SWEEPS, d)
     return d if found else NOTHING
 
 

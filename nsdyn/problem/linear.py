@@ -37,10 +37,7 @@ class Factor:
         self.ldl: Any = None
 
     def _assemble(self, blocks: Blocks, A: Array) -> None:
-        _matrix.assemble_sparse(
-            blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, A,
-            self.indptr, self.slot, self.diagonal, self.K.data,
-        )  # fmt: skip
+        _matrix.assemble_sparse(blocks.arrays, A, self.indptr, self.slot, self.diagonal, self.K.data)
 
     def lu(self, blocks: Blocks, A: Array) -> Callable[[Array], Array]:
         """Function b ↦ K⁻¹ b for K = M + Σ H_c A_c H_cᵀ; RuntimeError when K is singular."""

@@ -20,63 +20,8 @@ from nsdyn.solvers.interior import interior
 from nsdyn.solvers.means import ByFactors, ByMatrix, Means, Momentum
 from nsdyn.solvers.newton import DENSE, island, rows
 from nsdyn.solvers.smoothing import smoothing
+from nsdyn.solvers.tuning import TUNING
 from nsdyn.tools.arrays import Array
-
-POLISH, FLOOR = 1e-5, 1e-14
-"""Islands are solved to this fraction of the tolerance where Newton reaches it, but not below the round-off of FLOOR
-m/s: what is left of a sticking contact's velocity is a creep that a long simulation adds up, and the impulses times
-what is left of all velocities is the gap that certifies the step."""
-
-LARGEST = 100
-"""Contacts up to which an island given by W alone is solved densely, all such islands in one kernel call."""
-
-HEAVY = 10.0
-"""A large island whose factorisation costs more sweeps than this begins with sweeps."""
-
-ABRUPT = 10.0, 100.0
-"""Misfit of a warm start, in loose tolerances, that tells a collision from rest and smooth motion unless Newton gains
-at once, and from which on a large island is not even asked, since that costs as much as 80 sweeps."""
-
-FREE, LONGEST = 2e-3, 5.0
-"""Seconds, by counts of operations, that every problem may take, and that none may exceed."""
-
-CALM, REST = (12, 100), 0.1
-"""Factorisations that an island may take but in a collision, in motion and at rest, and misfit of a warm start, in
-loose tolerances, that tells rest: what is left there lasts, and is worth them. A large island in motion has those of
-its warm start only: where they do not suffice more do not either."""
-
-WARM, PEEK = (1e2, 6), 2
-"""Penalty and Newton steps of a warm start, and those after which one that misses by far must have gained a tenth."""
-
-SWEEPS, PATIENCE = 400, 20
-"""Accelerated Gauss–Seidel sweeps of a cold start, which cost about as much as the interior point method, and the
-number from which on it is foreseen whether they suffice."""
-
-INTERIOR, SMOOTHING = (40, 200), (60, 60)
-"""Factorisations of the two cold starts, which converge within these where they do, and of Newton after each."""
-
-NEAR, FAR = 1e3, 10.0
-"""Penalty of Newton from what was found by factorisations, and by sweeps, on the wrong side of many kinks."""
-
-LOOSELY, LASTLY = (12, 4, 8), (64, 300, 4)
-"""In factorisations: what sweeps and Newton take in the first round to the loose tolerance, and the number of rounds;
-the same to the other, where Newton creeps along folds and is not interrupted soon. It takes twice as long each time."""
-
-LAST, CUBE = 60, 1.3e-10
-"""Newton steps in the impulses: where they converge they do so within these; and seconds of one over the cube of its
-rows."""
-
-AFTER = 2
-"""Round after which the interior point method is tried in between."""
-
-RESTART = 0.5
-"""Sweeps lose their momentum and go on from what Newton found only where that is so much better."""
-
-COARSE = 5e-5
-"""What sweeps may be asked for: beyond it they crawl, m/s."""
-
-FINISH = 3
-"""Newton steps of the polish."""
 
 
 class Search:
@@ -89,7 +34,7 @@ class Search:
     count : int
         Sweeps and factorisations.
     tol, loose, coarse : float
-        The island's shares of the tolerances and of `COARSE`.
+        The island's shares of the tolerances and of `Tuning.coarse`.
     large : bool
         Whether a factorisation is worth many sweeps.
     abrupt : bool
@@ -100,17 +45,19 @@ class Search:
 
     def __init__(self, means: Means, r: Array, share: float, auto: Auto, large: bool) -> None:
         self.means, self.r, self.large = means, r, large
-        tols = np.array([auto.tol, max(auto.tol, auto.loose), COARSE])
-        self.tol, self.loose, self.coarse = (0.9 * share * tols).tolist()
-        self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, LONGEST
+        tols = np.array([auto.tol, max(auto.tol, auto.loose), TUNING.coarse])
+        self.tol, self.loose, self.coarse = (TUNING.margin * share * tols).tolist()
+        self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, TUNING.longest
         self._sweeps: Momentum | None = None
         self._tried: list[Callable[..., tuple[int, float]]] = []
         p = means.problem
         _, error, residual, _ = p.solved(r, self.tol)
-        self.abrupt = bool(r.any()) and residual > ABRUPT[0] * self.loose
-        self._hopeless = large and self.abrupt and residual > ABRUPT[1] * self.loose
+        self.abrupt = bool(r.any()) and residual > TUNING.abrupt * self.loose
+        self._hopeless = large and self.abrupt and residual > TUNING.hopeless * self.loose
         self._effort = auto.effort
-        self._calm = CALM[1] if residual <= REST * self.loose else WARM[1] if large else CALM[0]
+        self._calm = TUNING.warm[1] if large else TUNING.calm
+        if residual <= TUNING.rest * self.loose:
+            self._calm = TUNING.calm_at_rest
         self._note(max(error * p.q_norm / means.q_norm, residual), 0, 0.0)
 
     def _note(self, best: float, count: int, seconds: float) -> None:
@@ -124,7 +71,7 @@ class Search:
         """Bound the effort by what has been spent, where that has reached `loose`."""
         calm = 0.0 if self.abrupt else max(self._calm * self.means.factorisation, self._effort * self.spent)
         if self.best <= self.loose:
-            self.limit = min(LONGEST, max(FREE, calm))
+            self.limit = min(TUNING.longest, max(TUNING.free, calm))
 
     def _over(self, tol: float) -> bool:
         """Whether a tolerance is met or the effort spent."""
@@ -137,7 +84,7 @@ class Search:
     def accelerated(self) -> None:
         """Accelerated Gauss–Seidel, as long as it is foreseen to suffice."""
         if not self._over(self.tol):
-            used, best = self.means.accelerated(self.r, self.tol, SWEEPS, PATIENCE)
+            used, best = self.means.accelerated(self.r, self.tol, TUNING.sweeps, TUNING.patience)
             self._note(best, used, used * self.means.accelerated_sweep)
 
     def newton(self, penalty: float, most: int, tol: float) -> None:
@@ -149,14 +96,14 @@ class Search:
 
     def warm(self) -> None:
         """Newton from a warm start; one that misses by far and gains nothing in a few steps is of a collision."""
-        start, sharp = self.best, max(POLISH * self.tol, FLOOR)
+        start, sharp = self.best, TUNING.sharp(self.tol)
         if self.abrupt:
-            self.newton(WARM[0], PEEK, sharp)
-            self.abrupt = self.best > 0.1 * start
+            self.newton(TUNING.warm[0], TUNING.peek, sharp)
+            self.abrupt = self.best > TUNING.gain * start
             if self.abrupt:
                 return
             self._bound()
-        self.newton(*WARM, sharp)
+        self.newton(*TUNING.warm, sharp)
 
     def cold(self, method: Callable[..., tuple[int, float]], most: tuple[int, int]) -> None:
         """A method from nothing and Newton from where it ends, kept where that is better than the best."""
@@ -168,7 +115,7 @@ class Search:
         p = m.problem
         used, best = method(m.operator, p.q, p.mu, p.scales, x, self.tol, m.q_norm, most[0])
         if best > self.tol:
-            more, best = m.newton(x, self.tol, NEAR, most[1])
+            more, best = m.newton(x, self.tol, TUNING.near, most[1])
             used += more
         if best < self.best:
             self.r[:] = x
@@ -178,7 +125,7 @@ class Search:
         """Sweeps with momentum that take as long as so many factorisations, from the best or on from the last."""
         if self._over(tol):
             return
-        if self._sweeps is None or self.best < RESTART * self._sweeps.best:
+        if self._sweeps is None or self.best < TUNING.restart * self._sweeps.best:
             self._x = self.r.copy()
             self._sweeps = self.means.momentum(self._x)
         cost, before = self.means.sweep, self._sweeps.count
@@ -191,24 +138,24 @@ class Search:
 
     def rounds(self, tol: float) -> None:
         """Sweeps and Newton in turn, the next time twice as long but for sweeps that are stuck."""
-        lengths = [LOOSELY[0], LOOSELY[1]]
-        for k in range(LOOSELY[2]):
+        lengths = [TUNING.first_sweep, TUNING.first_newton]
+        for k in range(TUNING.rounds):
             start = self.best
             self.sweep(lengths[0], tol)
-            stuck = self.best > 0.5 * start
-            self.newton(FAR, lengths[1], tol)
+            stuck = self.best > TUNING.stuck * start
+            self.newton(TUNING.far, lengths[1], tol)
             lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
-            if k == AFTER and self.best > tol:
-                self.cold(interior, INTERIOR)
-                self.cold(smoothing, SMOOTHING)
+            if k == TUNING.between and self.best > tol:
+                self.cold(interior, TUNING.interior)
+                self.cold(smoothing, TUNING.smoothing)
 
     def impulses(self) -> None:
         """Newton in the impulses, where it is affordable: it factorises W, whose size grows with the contacts."""
-        cost = CUBE * float(self.r.size) ** 3
-        if self._over(self.tol) or self.spent + LAST * cost > self.limit:
+        cost = TUNING.impulse_cost * float(self.r.size) ** 3
+        if self._over(self.tol) or self.spent + TUNING.impulse_steps * cost > self.limit:
             return
         p = self.means.problem
-        solution = ImpulseNewton(self.tol, LAST)(p, self.r)
+        solution = ImpulseNewton(self.tol, TUNING.impulse_steps)(p, self.r)
         best = max(solution.error * p.q_norm / self.means.q_norm, solution.residual)
         if best < self.best:
             self.r[:] = solution.r
@@ -222,19 +169,19 @@ class Search:
             self.rounds(self.loose)
         if not (self.large and self.abrupt):
             self.accelerated()
-            self.cold(interior, INTERIOR)
+            self.cold(interior, TUNING.interior)
         if self.large:
             self.rounds(max(self.tol, self.coarse))
-            self.sweep(LASTLY[0], self.tol)
-            self.newton(FAR, LASTLY[1], self.tol)
-        self.cold(smoothing, SMOOTHING)
-        for k in range(1, LASTLY[2]):
-            self.sweep(LASTLY[0], self.tol)
-            self.newton(FAR, LASTLY[1] << k, self.tol)
+            self.sweep(TUNING.last_sweep, self.tol)
+            self.newton(TUNING.far, TUNING.last_newton, self.tol)
+        self.cold(smoothing, TUNING.smoothing)
+        for k in range(1, TUNING.last_rounds):
+            self.sweep(TUNING.last_sweep, self.tol)
+            self.newton(TUNING.far, TUNING.last_newton << k, self.tol)
         self.impulses()
         if self.best <= self.tol and not (self.large and (self.abrupt or self.tol > self.coarse)):
-            # To the last digits, see POLISH.
-            self.count += self.means.newton(self.r, max(POLISH * self.tol, FLOOR), NEAR, FINISH)[0]
+            # To the last digits, see `Tuning.polish`.
+            self.count += self.means.newton(self.r, TUNING.sharp(self.tol), TUNING.near, TUNING.finish)[0]
 
 
 @dataclass(frozen=True)
@@ -262,7 +209,7 @@ class Auto:
         What is acceptable where `tol` costs too much; `tol` itself where that is looser, and then every problem gets
         all means.
     effort : float
-        Bound on all effort, as a multiple of that for `loose`; small problems may take `FREE` seconds in any case.
+        Bound on all effort, as a multiple of that for `loose`; small problems may take `Tuning.free` in any case.
     accept : float
         Fraction of the tolerance within which a warm start is the solution of an island.
     """
@@ -305,11 +252,11 @@ class Auto:
 
     def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, start: float) -> Solution:
         """Solve a problem with factors from r, in place of r, since the time `start`."""
-        q_norm, enough, nc = problem.q_norm, max(POLISH * self.tol, FLOOR), problem.nc
+        q_norm, enough, nc = problem.q_norm, TUNING.sharp(self.tol), problem.nc
         u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
         found, left, count, error, residual = _warm.improve(
-            *blocks, problem.q, problem.mu, problem.scales, r, u, label, islands, enough, 0.9 * self.accept * self.tol,
-            q_norm, DENSE, *WARM,
+            blocks.arrays, problem.q, problem.mu, problem.scales, r, u, label, islands, enough,
+            TUNING.margin * self.accept * self.tol, q_norm, DENSE, *TUNING.warm,
         )  # fmt: skip
         if not left:
             return self._measured(r, u, error, residual, count, start)
@@ -334,29 +281,29 @@ class Auto:
         q, mu, scales, q_norm = problem.q, problem.mu, problem.scales, problem.q_norm
         # Shares of the tolerance by contacts, as for factors; those of small islands are solved in one call, to one.
         sizes = np.bincount(label, minlength=found)
-        small = sizes <= LARGEST
+        small = sizes <= TUNING.dense
         if small.any():
             sizes = np.where(small, sizes[small].mean(), sizes)
-        share = np.sqrt(sizes / problem.nc)
+        share, tol = np.sqrt(sizes / problem.nc), TUNING.margin * self.tol
         count = int(
             _local.solve_small(
-                indptr, indices, data, q, mu, scales, r, 0.9 * self.tol * float(share[small].max(initial=0.0)), q_norm,
-                label, found, LARGEST, bool(r.any()), SWEEPS, PATIENCE,
+                indptr, indices, data, q, mu, scales, r, tol * float(share[small].max(initial=0.0)), q_norm, label,
+                found, TUNING.dense, bool(r.any()), TUNING.sweeps, TUNING.patience,
             )
         )  # fmt: skip
         measures = _newton.measures_of_islands(label, found, scales, q_norm, problem.velocity(r), r, mu)
-        for k in np.flatnonzero(~(measures <= 0.9 * self.tol * share)):
+        for k in np.flatnonzero(~(measures <= tol * share)):
             contacts = np.flatnonzero(label == k)
             i = rows(contacts, problem.nc)
             W = _local.extract(indptr, indices, data, contacts)
             x = r[i]
             means = ByMatrix(W, q[i], mu[contacts], scales[contacts], q_norm)
-            count += self._island(means, x, float(share[k]), contacts.size > LARGEST)
+            count += self._island(means, x, float(share[k]), contacts.size > TUNING.dense)
             r[i] = x
         return count
 
     def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
         """Solve one island in place of r, to its share of the tolerances; iterations used."""
-        search = Search(means, r, share, self, large and means.factorisation > HEAVY * means.sweep)
+        search = Search(means, r, share, self, large and means.factorisation > TUNING.heavy * means.sweep)
         search.run()
         return search.count

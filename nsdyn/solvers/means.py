@@ -97,9 +97,7 @@ class ByFactors:
 
     def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
         """Accelerated Gauss–Seidel."""
-        b = self.blocks
-        W = _pgs.factors(b.offset, b.block, b.start, b.h, b.m_start, b.minv)
-        return _accelerated(W, *self._given, r, tol, self.q_norm, most, patience)
+        return _accelerated(_pgs.factors(self.blocks.arrays), *self._given, r, tol, self.q_norm, most, patience)
 
     def momentum(self, r: Array) -> Momentum:
         """Sweeps with momentum from r, the best into r."""

@@ -35,35 +35,33 @@ def _sparse(
 ) -> tuple[int, float]:
     """The method of `_kernels.newton.dense` with sparse factorisations, in place of r."""
     n, nr = blocks.n, q.size
-    topology = blocks.offset, blocks.block, blocks.start, blocks.h
-    weights = *topology, blocks.m_start, blocks.minv
-    factor = contact_graph(blocks)
+    factors, graph = blocks.arrays, contact_graph(blocks)
     y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
     P, own_y, own_u, A = np.empty(nr), np.empty(n), np.empty(nr), np.empty((mu.size, 3, 3))
-    best = float(_kernels.measure_of(*weights, q, mu, scales, q_norm, r, y, u, work))
+    best = float(_kernels.measure_of(factors, q, mu, scales, q_norm, r, y, u, work))
     estimate, rho = r.copy(), penalty / scales
     count = inner = 0
     _kernels.projected(u, estimate, rho, mu, P)
     while best > tol and count < max_iter and penalty > 1e-3:
-        _kernels.defect(*topology, blocks.m_start, blocks.m, y, P, F, work)
+        _kernels.defect(factors, y, P, F, work)
         _kernels.stiffness(u, estimate, rho, mu, A)
-        y -= factor.solve(blocks, A, F)
+        y -= graph.solve(blocks, A, F)
         count, inner = count + 1, inner + 1
-        _blocks.relative_velocity(*topology, y, u)
+        _blocks.relative_velocity(factors, y, u)
         u += q
         _kernels.projected(u, estimate, rho, mu, P)
-        new = float(_kernels.measure_of(*weights, q, mu, scales, q_norm, P, own_y, own_u, work))
+        new = float(_kernels.measure_of(factors, q, mu, scales, q_norm, P, own_y, own_u, work))
         if new < best:
             best = new
             r[:] = P
-        if _kernels.settled(*topology, blocks.m_start, blocks.m, blocks.minv, scales, y, P, estimate, F, work):
+        if _kernels.settled(factors, scales, y, P, estimate, F, work):
             penalty = _kernels.grown(penalty, inner)
             estimate[:] = P
             inner = 0
         elif inner >= _kernels.PATIENCE:
             penalty *= 0.1
             inner = 0
-            _kernels.velocity_of(*weights, q, estimate, y, u, work)
+            _kernels.velocity_of(factors, q, estimate, y, u, work)
         else:
             continue
         rho = penalty / scales
@@ -75,10 +73,8 @@ def island(blocks: Blocks, label: Index, k: int) -> tuple[Any, Blocks]:
     """(contacts, blocks) of island k; contacts is a slice when it is all there is."""
     if not label.any() and np.unique(blocks.block[blocks.block >= 0]).size == blocks.offset.size - 1:
         return slice(None), blocks
-    contacts, *parts = _kernels.extract(
-        blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, blocks.minv, label, k
-    )
-    return contacts, Blocks(*parts)
+    contacts, part = _kernels.extract(blocks.arrays, label, k)
+    return contacts, Blocks(*part)
 
 
 def each_island(blocks: Blocks) -> list[tuple[Any, Blocks]]:
@@ -108,10 +104,7 @@ def solve_blocks(
 ) -> tuple[int, float]:
     """Newton on one connected problem, dense or sparse by its size, in place of r; (factorisations, measure)."""
     if blocks.n <= DENSE:
-        count, best = _kernels.dense(
-            blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.m, blocks.minv,
-            q, mu, scales, r, tol, q_norm, penalty, max_iter,
-        )  # fmt: skip
+        count, best = _kernels.dense(blocks.arrays, q, mu, scales, r, tol, q_norm, penalty, max_iter)
         return int(count), float(best)
     return _sparse(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter)
 

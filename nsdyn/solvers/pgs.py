@@ -50,11 +50,7 @@ class PGS:
         if problem.nc and not problem.solved(r, self.tol)[0]:
             q_norm = float(np.linalg.norm(problem.q)) or 1.0
             blocks = problem.blocks
-            W = (
-                _kernels.matrix(*problem.csr)
-                if blocks is None
-                else _kernels.factors(blocks.offset, blocks.block, blocks.start, blocks.h, blocks.m_start, blocks.minv)
-            )
+            W = _kernels.matrix(*problem.csr) if blocks is None else _kernels.factors(blocks.arrays)
             sweeps, _ = _kernels.accelerated(
                 W, problem.q, problem.mu, problem.scales, r, self.tol, q_norm,
                 self.max_iter, min(5, self.max_iter), min(self.memory, problem.nc + 1), self.patience,

@@ -184,15 +184,14 @@ def meet(
         (rows, frame), alike = dynamics.rows(contacts, there, forces, joints), None
     full, nc = rows.full, contacts.gap.size
     nr = full.nc
-    u_begin, u, u_free, turn, guess = np.empty((5, 3 * nr))
+    u_begin, u, u_free, turn, guess = out = np.empty((5, 3 * nr))
     end_gap = np.empty(nr)
     drags = dynamics.surfaces.drags(contacts, frame, middle.position.driven_x, nr, *surfaces)
     carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
     where = _law.meet(
-        full.offset, full.block, full.start, full.h, v_begin, middle.v, forces.v, carried, *drags, rows.press,
-        warm.key, warm.impulse, old.key, old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1,
-        contacts.frame2, contacts.point, frame, there.x, contacts.gap, h / warm.h, ahead, u_begin, u, u_free,
-        turn, guess, end_gap,
+        full.arrays, v_begin, middle.v, forces.v, carried, *drags, rows.press, warm.key, warm.impulse, old.key,
+        old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1, contacts.frame2, contacts.point,
+        frame, there.x, contacts.gap, h / warm.h, ahead, out, end_gap,
     )  # fmt: skip
     mu, restitution = contacts.mu, contacts.restitution
     if joints is not None:
@@ -246,7 +245,6 @@ def foresee(met: Encounter) -> Bools:
     """Which contacts slide through the step, by the friction foreseen."""
     full, slides = met.rows.full, np.empty(met.frame.shape[0], np.bool_)
     _law.foresee(
-        full.offset, full.block, full.start, full.h, full.m_start, full.minv, met.mu, met.place, met.status,
-        met.u_begin, met.u, met.u_free, met.turn, met.guess, slides,
+        full.arrays, met.mu, met.place, met.status, met.u_begin, met.u, met.u_free, met.turn, met.guess, slides
     )  # fmt: skip
     return slides

@@ -194,10 +194,9 @@ def account(
         external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
     if r.size:
         struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
-        full = met.rows.full
         done = _law.outcome(
-            full.offset, full.block, full.start, full.h, velocities[2], met.drag, r, met.mu, met.place, met.status,
-            struck, met.u, met.u_free, met.turn, met.frame, status, normal, friction, u_end, world,
+            met.rows.full.arrays, velocities[2], met.drag, r, met.mu, met.place, met.status, struck, met.u, met.u_free,
+            met.turn, met.frame, status, normal, friction, u_end, world,
         )  # fmt: skip
     struck_normal = struck_friction = 0.0
     if impact is not None:

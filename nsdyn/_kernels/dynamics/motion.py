@@ -155,8 +155,8 @@ def contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block,
 
 
 @kernel
-def free_rows(frame1, frame2, point, frame, x, R, free, start, h):
-    """Rows of Hᵀ on free bodies: direction d gives (d, Rᵀ ((p - x) x d)), minus on body 1, into h."""
+def free_rows(frame1, frame2, point, frame, x, R, free, start, H):
+    """Rows of Hᵀ on free bodies: direction d gives (d, Rᵀ ((p - x) x d)), minus on body 1, into H."""
     for c in range(frame1.size):
         for s in range(2):
             b = frame1[c] if s == 0 else frame2[c]
@@ -168,9 +168,9 @@ def free_rows(frame1, frame2, point, frame, x, R, free, start, h):
                 d0, d1, d2 = sign * frame[c, i, 0], sign * frame[c, i, 1], sign * frame[c, i, 2]
                 m0, m1, m2 = p1 * d2 - p2 * d1, p2 * d0 - p0 * d2, p0 * d1 - p1 * d0
                 row = start[c, s] + 6 * i
-                h[row], h[row + 1], h[row + 2] = d0, d1, d2
+                H[row], H[row + 1], H[row + 2] = d0, d1, d2
                 for j in range(3):
-                    h[row + 3 + j] = R[b, 0, j] * m0 + R[b, 1, j] * m1 + R[b, 2, j] * m2
+                    H[row + 3 + j] = R[b, 0, j] * m0 + R[b, 1, j] * m1 + R[b, 2, j] * m2
 
 
 @kernel

@@ -152,8 +152,8 @@ def quaternions(R, out):
 
 
 @kernel
-def link_rows(frame1, frame2, point, frame, first, support, J, start, h):
-    """Add the rows of Hᵀ on the links of one tree.
+def link_rows(frame1, frame2, point, frame, first, support, J, start, H):
+    """Add the rows of Hᵀ on the links of one tree to H.
 
     Its frames are first, first + 1, ...; column j of J (6, nv) is the velocity field of coordinate j in world axes,
     linear at the world's origin, then angular; it moves frame f if support[f - first, j]. A contact between two links
@@ -175,7 +175,7 @@ def link_rows(frame1, frame2, point, frame, first, support, J, start, h):
                 row = start[c, side] + nv * i
                 for j in range(nv):
                     if support[f - first, j]:
-                        h[row + j] += (
+                        H[row + j] += (
                             d0 * J[0, j] + d1 * J[1, j] + d2 * J[2, j] + m0 * J[3, j] + m1 * J[4, j] + m2 * J[5, j]
                         )
 
@@ -222,9 +222,10 @@ def active_rows(coordinate, sign, bound, near, angle, v, v_free, h):
 
 
 @kernel
-def append_rows(slots, coordinate, tree, sign, offset, block, start, h):
-    """Contacts followed by the joint rows of the given slots: (block, start, h)."""
-    nc, nj, size = block.shape[0], slots.size, h.size
+def append_rows(slots, coordinate, tree, sign, blocks):
+    """Contacts followed by the joint rows of the given slots, as blocks."""
+    offset, block, start, H, m_start, m, minv = blocks
+    nc, nj, size = block.shape[0], slots.size, H.size
     new_block, new_start = np.full((nc + nj, 2), -1, np.int64), np.empty((nc + nj, 2), np.int64)
     new_block[:nc], new_start[:nc] = block, start
     for i in range(nj):
@@ -232,26 +233,27 @@ def append_rows(slots, coordinate, tree, sign, offset, block, start, h):
         new_block[nc + i, 0] = k
         new_start[nc + i, 0] = new_start[nc + i, 1] = size
         size += 3 * (offset[k + 1] - offset[k])
-    new_h = np.zeros(size)
-    new_h[: h.size] = h
+    new_H = np.zeros(size)
+    new_H[: H.size] = H
     for i in range(nj):
         k = tree[slots[i]]
         at = new_start[nc + i, 0] + coordinate[slots[i]] - offset[k]
         if sign[slots[i]] == 0.0:
-            new_h[at + offset[k + 1] - offset[k]] = 1.0
+            new_H[at + offset[k + 1] - offset[k]] = 1.0
         else:
-            new_h[at] = sign[slots[i]]
-    return new_block, new_start, new_h
+            new_H[at] = sign[slots[i]]
+    return offset, new_block, new_start, new_H, m_start, m, minv
 
 
 @kernel
-def reduce_rows(offset, block, start, h, m_start, m, minv, bases, z_start, z, pressed, press):
+def reduce_rows(blocks, bases, z_start, z, pressed, press):
     """The factors in the coordinates y that constraints leave, v = Z y, and those of joint friction after them.
 
     Block bases[i] has Z (n, ny) with Zᵀ M Z = I at z[z_start[i]:z_start[i + 1]]. Row pressed[i] gets a block of one
     coordinate as its side 1, as mobile as its joint, and there the normal velocity -press[i] times that mobility.
-    Returns (offset, block, start, h, m_start, m, minv), where each block's Z begins in z (-1: it is I), velocities.
+    Returns the new blocks, where each block's Z begins in z (-1: it is I), velocities.
     """
+    offset, block, start, H, m_start, m, minv = blocks
     nb, nc, np_ = offset.size - 1, block.shape[0], pressed.size
     where, sizes = np.full(nb, -1, np.int64), np.ones(nb + np_, np.int64)
     for k in range(nb):
@@ -278,7 +280,7 @@ def reduce_rows(offset, block, start, h, m_start, m, minv, bases, z_start, z, pr
         mobility = 0.0
         for a in range(n):
             for b in range(n):
-                mobility += h[row + a] * minv[m_start[k] + a * n + b] * h[row + b]
+                mobility += H[row + a] * minv[m_start[k] + a * n + b] * H[row + b]
         if mobility <= 0.0:  # a joint that cannot move
             mobility = 1.0
         new_block[c, 1] = nb + i
@@ -290,22 +292,22 @@ def reduce_rows(offset, block, start, h, m_start, m, minv, bases, z_start, z, pr
             new_start[c, s] = size
             if new_block[c, s] >= 0:
                 size += 3 * sizes[new_block[c, s]]
-    new_h = np.zeros(size)
+    new_H = np.zeros(size)
     for c in range(nc):
         for s in range(2):
             k, b = new_block[c, s], new_start[c, s]
             if k >= nb:
-                new_h[b] = 1.0
+                new_H[b] = 1.0
             elif k >= 0:
                 a, n, ny = start[c, s], offset[k + 1] - offset[k], sizes[k]
                 for i in range(3):
                     for j in range(ny):
                         if where[k] < 0:
-                            new_h[b + i * ny + j] = h[a + i * n + j]
+                            new_H[b + i * ny + j] = H[a + i * n + j]
                         else:
                             for l in range(n):
-                                new_h[b + i * ny + j] += h[a + i * n + l] * z[where[k] + l * ny + j]
-    return new_offset, new_block, new_start, new_h, new_m_start[:-1], new_m, new_minv, where, velocity
+                                new_H[b + i * ny + j] += H[a + i * n + l] * z[where[k] + l * ny + j]
+    return (new_offset, new_block, new_start, new_H, new_m_start[:-1], new_m, new_minv), where, velocity
 
 
 @kernel

@@ -1,8 +1,9 @@
 """Products with H and M⁻¹ in block form, the Delassus operator W = Hᵀ M⁻¹ H, islands.
 
-Coordinates come in blocks (a free body: 6, an articulated tree: its nv). Contact c touches at most two blocks,
-``block[c, s]`` (-1: none), and ``h[start[c, s]:]`` holds the 3 x n rows of Hᵀ for that block, row by row.
-``m`` and ``minv`` hold the n x n diagonal blocks of M and M⁻¹, block k from ``m_start[k]`` on.
+``blocks`` is a plain tuple (offset, block, start, H, m_start, m, minv) in the order of `nsdyn.problem.blocks.Blocks`: a
+named one takes twice as long to hand over. Coordinates come in blocks (a free body: 6, an articulated tree: its nv).
+Contact c touches at most two blocks, ``block[c, s]`` (-1: none), and ``H[start[c, s]:]`` holds the 3 x n rows of Hᵀ for
+that block, row by row. ``m`` and ``minv`` hold the n x n diagonal blocks of M and M⁻¹, block k from ``m_start[k]`` on.
 """
 
 import math
@@ -14,8 +15,9 @@ from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
 
 
 @kernel
-def relative_velocity(offset, block, start, h, v, u):
+def relative_velocity(blocks, v, u):
     """u = Hᵀ v, into u (3 nc,)."""
+    offset, block, start, H = blocks[:4]
     for c in range(block.shape[0]):
         u0, u1, u2 = 0.0, 0.0, 0.0
         for s in range(2):
@@ -26,15 +28,16 @@ def relative_velocity(offset, block, start, h, v, u):
                 d, e = a + n, a + n + n
                 for j in range(n):
                     x = v[o + j]
-                    u0 += h[a + j] * x
-                    u1 += h[d + j] * x
-                    u2 += h[e + j] * x
+                    u0 += H[a + j] * x
+                    u1 += H[d + j] * x
+                    u2 += H[e + j] * x
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = u0, u1, u2
 
 
 @kernel
-def momentum(offset, block, start, h, r, p):
+def momentum(blocks, r, p):
     """p = H r, into p (n,)."""
+    offset, block, start, H = blocks[:4]
     p[:] = 0.0
     for c in range(block.shape[0]):
         r0, r1, r2 = r[3 * c], r[3 * c + 1], r[3 * c + 2]
@@ -46,7 +49,7 @@ def momentum(offset, block, start, h, r, p):
                 o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
                 d, e = a + n, a + n + n
                 for j in range(n):
-                    p[o + j] += h[a + j] * r0 + h[d + j] * r1 + h[e + j] * r2
+                    p[o + j] += H[a + j] * r0 + H[d + j] * r1 + H[e + j] * r2
 
 
 @kernel
@@ -84,9 +87,10 @@ def contacts_of_blocks(block, count):
 
 
 @kernel
-def weighted_rows(offset, block, start, h, m_start, minv):
-    """Rows of (M⁻¹ H)ᵀ in the layout of h."""
-    y = np.empty_like(h)
+def weighted_rows(blocks):
+    """Rows of (M⁻¹ H)ᵀ in the layout of H."""
+    offset, block, start, H, m_start, _, minv = blocks
+    y = np.empty_like(H)
     for c in range(block.shape[0]):
         for s in range(2):
             k = block[c, s]
@@ -96,7 +100,7 @@ def weighted_rows(offset, block, start, h, m_start, minv):
                     row = start[c, s] + i * n
                     y[row : row + n] = 0.0  # contacts may share their rows
                     for l in range(n):
-                        x = h[row + l]
+                        x = H[row + l]
                         if x != 0.0:
                             base = m_start[k] + l * n
                             for j in range(n):
@@ -105,8 +109,9 @@ def weighted_rows(offset, block, start, h, m_start, minv):
 
 
 @kernel
-def _add_coupling(offset, block, start, h, y, a, b, out):
+def _add_coupling(blocks, y, a, b, out):
     """Add Σ over shared blocks of H_aᵀ M⁻¹ H_b to out (3, 3)."""
+    offset, block, start, H = blocks[:4]
     for s in range(2):
         k = block[a, s]
         if k < 0:
@@ -119,16 +124,17 @@ def _add_coupling(offset, block, start, h, y, a, b, out):
                         ra, rb = start[a, s] + i * n, start[b, t] + j * n
                         total = 0.0
                         for l in range(n):
-                            total += y[ra + l] * h[rb + l]
+                            total += y[ra + l] * H[rb + l]
                         out[i, j] += total
 
 
 @kernel
-def delassus(offset, block, start, h, m_start, minv):
+def delassus(blocks):
     """Block-sparse W = Hᵀ M⁻¹ H as (indptr, indices, data (nnz, 3, 3)), exactly symmetric, columns ascending."""
+    offset, block = blocks[:2]
     nc, count = block.shape[0], offset.size - 1
     pointer, members = contacts_of_blocks(block, count)
-    y = weighted_rows(offset, block, start, h, m_start, minv)
+    y = weighted_rows(blocks)
     indptr = np.zeros(nc + 1, np.int64)
     seen = np.full(nc, -1, np.int64)
     for a in range(nc):
@@ -169,7 +175,7 @@ def delassus(offset, block, start, h, m_start, minv):
                     for j in range(3):
                         data[p, i, j] = mirror[j, i]
             else:
-                _add_coupling(offset, block, start, h, y, a, b, data[p])
+                _add_coupling(blocks, y, a, b, data[p])
                 if a == b:
                     for i in range(3):
                         for j in range(i):
@@ -178,27 +184,28 @@ def delassus(offset, block, start, h, m_start, minv):
 
 
 @kernel
-def velocity_change(offset, block, start, h, m_start, minv, r, v):
+def velocity_change(blocks, r, v):
     """v = M⁻¹ H r, into v (n,)."""
+    offset, _, _, _, m_start, _, minv = blocks
     p = np.empty(v.size)
-    momentum(offset, block, start, h, r, p)
+    momentum(blocks, r, p)
     block_product(offset, m_start, minv, p, v)
 
 
 @kernel
-def judged(offset, block, start, h, m_start, minv, q, mu, scales, r, u):
+def judged(blocks, q, mu, scales, r, u):
     """u = Hᵀ M⁻¹ H r + q, into u; returns the two `measures` of r."""
-    v = np.empty(offset[-1])
-    velocity_change(offset, block, start, h, m_start, minv, r, v)
-    relative_velocity(offset, block, start, h, v, u)
+    v = np.empty(blocks[0][-1])
+    velocity_change(blocks, r, v)
+    relative_velocity(blocks, v, u)
     u += q
     return measures(scales, u, r, mu)
 
 
 @kernel
-def prepare(offset, block, start, h, m_start, minv, q, mu, scales):
+def prepare(blocks, q, mu, scales):
     """`delassus_scales`; returns the norm of q, and whether q, mu and the scales are what they have to be."""
-    delassus_scales(offset, block, start, h, m_start, minv, scales)
+    delassus_scales(blocks, scales)
     norm, good = size_of(q, mu)
     for c in range(mu.size):
         good = good and scales[c] > 0.0
@@ -217,8 +224,9 @@ def size_of(q, mu):
 
 
 @kernel
-def delassus_scales(offset, block, start, h, m_start, minv, out):
+def delassus_scales(blocks, out):
     """lambda_max of every diagonal block W_cc, without the rest of W, into out (nc,)."""
+    offset, block, start, H, m_start, _, minv = blocks
     nc = block.shape[0]
     widest = 0
     for k in range(offset.size - 1):
@@ -235,7 +243,7 @@ def delassus_scales(offset, block, start, h, m_start, minv, out):
             n = offset[k + 1] - offset[k]
             for i in range(3):
                 for j in range(n):
-                    x[i, j] = h[start[c, s] + i * n + j] + (h[start[c, 1] + i * n + j] if twice else 0.0)
+                    x[i, j] = H[start[c, s] + i * n + j] + (H[start[c, 1] + i * n + j] if twice else 0.0)
                     y[i, j] = 0.0
                 for l in range(n):
                     f, base = x[i, l], m_start[k] + l * n

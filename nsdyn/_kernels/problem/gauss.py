@@ -80,9 +80,10 @@ def certificate(u, r, o, mu):
 
 
 @kernel
-def along_blocks(offset, block, start, h, m_start, m, d, o):
+def along_blocks(blocks, d, o):
     """o = Hᵀ d, into o (3 nc,); returns ‖d‖²_M."""
-    relative_velocity(offset, block, start, h, d, o)
+    offset, _, _, _, m_start, m, _ = blocks
+    relative_velocity(blocks, d, o)
     work = np.empty(d.size)
     block_product(offset, m_start, m, d, work)
     total = 0.0
@@ -92,11 +93,12 @@ def along_blocks(offset, block, start, h, m_start, m, d, o):
 
 
 @kernel
-def certificate_along(offset, block, start, h, m_start, m, u, r, mu, d):
+def certificate_along(blocks, u, r, mu, d):
     """`certificate` with o = Hᵀ d, and ‖d‖²_M; a d of other coordinates opens nothing."""
+    offset = blocks[0]
     o, square = np.zeros(u.size), 0.0
     if d.size == offset[-1]:
-        square = along_blocks(offset, block, start, h, m_start, m, d, o)
+        square = along_blocks(blocks, d, o)
     gap, shift, speed, step, total = certificate(u, r, o, mu)
     return gap, shift, speed, step, total, square
 
@@ -138,13 +140,14 @@ def least_opening(o, b, mu):
 
 
 @kernel
-def relax(offset, block, start, h, m_start, minv, mu, enough, sweeps, d):
+def relax(blocks, mu, enough, sweeps, d):
     """Change d (n,) until κ ≥ `enough` < 1 at every contact, by projections; whether that was reached.
 
     Each contact in turn where κ is less gets the shortest change, in the kinetic norm, that brings the linearised κ to
     1: along the impulse g = (1, -μ o_T/|o_T|), the gradient of κ = o_N - μ|o_T|. Where directions with κ > 1 exist,
     d comes closer to all of them with every change, and finitely many do.
     """
+    offset, block, start, H, m_start, _, minv = blocks
     for _ in range(sweeps):
         found = True
         for c in range(mu.size):
@@ -156,9 +159,9 @@ def relax(offset, block, start, h, m_start, minv, mu, enough, sweeps, d):
                     e, f = a + n, a + n + n
                     for j in range(n):
                         x = d[o + j]
-                        o0 += h[a + j] * x
-                        o1 += h[e + j] * x
-                        o2 += h[f + j] * x
+                        o0 += H[a + j] * x
+                        o1 += H[e + j] * x
+                        o2 += H[f + j] * x
             slip = math.sqrt(o1 * o1 + o2 * o2)
             kappa = o0 - mu[c] * slip
             if kappa >= enough:
@@ -176,10 +179,10 @@ def relax(offset, block, start, h, m_start, minv, mu, enough, sweeps, d):
                         for i in range(n):
                             w = 0.0
                             for j in range(n):
-                                w += minv[row + j] * (h[a + j] + g1 * h[e + j] + g2 * h[f + j])
+                                w += minv[row + j] * (H[a + j] + g1 * H[e + j] + g2 * H[f + j])
                             row += n
                             if stage == 0:
-                                square += w * (h[a + i] + g1 * h[e + i] + g2 * h[f + i])
+                                square += w * (H[a + i] + g1 * H[e + i] + g2 * H[f + i])
                             else:
                                 d[o + i] += change * w
                 if not square > 0.0:

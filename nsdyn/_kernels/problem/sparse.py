@@ -117,8 +117,9 @@ def elimination_work(offset, block):
 
 
 @kernel
-def assemble_sparse(offset, block, start, h, m_start, m, A, indptr, slot, diagonal, data):
+def assemble_sparse(blocks, A, indptr, slot, diagonal, data):
     """K = M + Σ H_c A_c H_cᵀ in the layout of `pattern`, into data."""
+    offset, block, start, H, m_start, m, _ = blocks
     data[:] = 0.0
     for k in range(offset.size - 1):
         o, n = offset[k], offset[k + 1] - offset[k]
@@ -137,15 +138,15 @@ def assemble_sparse(offset, block, start, h, m_start, m, A, indptr, slot, diagon
             ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
             for j in range(nl):
                 if not rubs:
-                    y0 = a[0, 0] * h[hl + j]
+                    y0 = a[0, 0] * H[hl + j]
                     for s in range(2):
                         k = block[c, s]
                         if k >= 0:
                             base, hk = indptr[ol + j] + slot[c, s, t], start[c, s]
                             for i in range(offset[k + 1] - offset[k]):
-                                data[base + i] += h[hk + i] * y0
+                                data[base + i] += H[hk + i] * y0
                     continue
-                x0, x1, x2 = h[hl + j], h[hl + nl + j], h[hl + 2 * nl + j]
+                x0, x1, x2 = H[hl + j], H[hl + nl + j], H[hl + 2 * nl + j]
                 y0 = a[0, 0] * x0 + a[0, 1] * x1 + a[0, 2] * x2
                 y1 = a[1, 0] * x0 + a[1, 1] * x1 + a[1, 2] * x2
                 y2 = a[2, 0] * x0 + a[2, 1] * x1 + a[2, 2] * x2
@@ -156,7 +157,7 @@ def assemble_sparse(offset, block, start, h, m_start, m, A, indptr, slot, diagon
                     nk, hk = offset[k + 1] - offset[k], start[c, s]
                     base = indptr[ol + j] + slot[c, s, t]
                     for i in range(nk):
-                        data[base + i] += h[hk + i] * y0 + h[hk + nk + i] * y1 + h[hk + 2 * nk + i] * y2
+                        data[base + i] += H[hk + i] * y0 + H[hk + nk + i] * y1 + H[hk + 2 * nk + i] * y2
 
 
 @kernel

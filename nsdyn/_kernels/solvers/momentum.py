@@ -18,8 +18,9 @@ CYCLE = 400  # sweeps without a better impulse after which contacts pass their m
 
 
 @kernel
-def rows_in_unit_mass(offset, block, start, h, m_start, minv, mu):
+def rows_in_unit_mass(blocks, mu):
     """Rows of Ĥᵀ, (nc, 2, 18) made flat, zeros for a missing body or row, and bodies (nc, 2), 0 for a missing one."""
+    offset, block, start, H, m_start, _, minv = blocks
     G = np.zeros_like(minv)
     for k in range(offset.size - 1):
         b = m_start[k]
@@ -37,7 +38,7 @@ def rows_in_unit_mass(offset, block, start, h, m_start, minv, mu):
                 body[c, s] = k
                 for i in range(3 if mu[c] > 0.0 else 1):
                     for l in range(6):
-                        x = h[start[c, s] + 6 * i + l]
+                        x = H[start[c, s] + 6 * i + l]
                         for j in range(l + 1):
                             out[c, s, 6 * i + j] += x * G[m_start[k] + 6 * l + j]
     return out.reshape(-1), body
@@ -232,9 +233,9 @@ def solve(
 
 
 @kernel
-def begin(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, v):
+def begin(blocks, q, mu, scales, q_norm, r, v):
     """Rows, bodies and steps of the contacts, v = Ĥ r, and the measure of r (nc, 3), whose missing rows become 0."""
-    rows, body = rows_in_unit_mass(offset, block, start, h, m_start, minv, mu)
+    rows, body = rows_in_unit_mass(blocks, mu)
     for c in range(mu.size):
         if mu[c] == 0.0:
             r[c, 1] = r[c, 2] = 0.0

@@ -66,8 +66,9 @@ def stiffness(u, r, rho, mu, A):
 
 
 @kernel
-def assemble_dense(offset, block, start, h, m_start, m, A, K):
+def assemble_dense(blocks, A, K):
     """K = M + Σ H_c A_c H_cᵀ as a dense matrix, into K (n, n)."""
+    offset, block, start, H, m_start, m, _ = blocks
     K[:] = 0.0
     for k in range(offset.size - 1):
         o, n = offset[k], offset[k + 1] - offset[k]
@@ -91,41 +92,43 @@ def assemble_dense(offset, block, start, h, m_start, m, A, K):
                 ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
                 for i in range(nk):
                     if not rubs:
-                        y0 = h[hk + i] * a[0, 0]
+                        y0 = H[hk + i] * a[0, 0]
                         for j in range(nl):
-                            K[ok + i, ol + j] += y0 * h[hl + j]
+                            K[ok + i, ol + j] += y0 * H[hl + j]
                         continue
-                    x0, x1, x2 = h[hk + i], h[hk + nk + i], h[hk + 2 * nk + i]
+                    x0, x1, x2 = H[hk + i], H[hk + nk + i], H[hk + 2 * nk + i]
                     y0 = x0 * a[0, 0] + x1 * a[1, 0] + x2 * a[2, 0]
                     y1 = x0 * a[0, 1] + x1 * a[1, 1] + x2 * a[2, 1]
                     y2 = x0 * a[0, 2] + x1 * a[1, 2] + x2 * a[2, 2]
                     for j in range(nl):
-                        K[ok + i, ol + j] += y0 * h[hl + j] + y1 * h[hl + nl + j] + y2 * h[hl + 2 * nl + j]
+                        K[ok + i, ol + j] += y0 * H[hl + j] + y1 * H[hl + nl + j] + y2 * H[hl + 2 * nl + j]
 
 
 @kernel
-def defect(offset, block, start, h, m_start, m, y, P, F, work):
+def defect(blocks, y, P, F, work):
     """F = M y - H P, into F (n,)."""
-    momentum(offset, block, start, h, P, F)
+    offset, _, _, _, m_start, m, _ = blocks
+    momentum(blocks, P, F)
     block_product(offset, m_start, m, y, work)
     for i in range(y.size):
         F[i] = work[i] - F[i]
 
 
 @kernel
-def velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work):
+def velocity_of(blocks, q, r, y, u, work):
     """y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
-    momentum(offset, block, start, h, r, work)
+    offset, _, _, _, m_start, _, minv = blocks
+    momentum(blocks, r, work)
     block_product(offset, m_start, minv, work, y)
-    relative_velocity(offset, block, start, h, y, u)
+    relative_velocity(blocks, y, u)
     for i in range(q.size):
         u[i] += q[i]
 
 
 @kernel
-def measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, y, u, work):
+def measure_of(blocks, q, mu, scales, q_norm, r, y, u, work):
     """Larger of the literature's error and the residual in m/s of impulse r, with its own y and u."""
-    velocity_of(offset, block, start, h, m_start, minv, q, r, y, u, work)
+    velocity_of(blocks, q, r, y, u, work)
     return max(natural_residual(scales, u, r, mu), natural_error(u, r, mu) / q_norm)
 
 
@@ -142,19 +145,20 @@ def measures_of_islands(label, found, scales, q_norm, u, r, mu):
 
 
 @kernel
-def settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F, work):
+def settled(blocks, scales, y, P, estimate, F, work):
     """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)).
 
     That is a hundredth of the momentum H (P - estimate), or 1e-5 of the step weighed by lambda_max(W_cc) contact by
     contact: redundant contacts exchange impulses without any momentum.
     """
-    defect(offset, block, start, h, m_start, m, y, P, F, work)
+    offset, _, _, _, m_start, _, minv = blocks
+    defect(blocks, y, P, F, work)
     block_product(offset, m_start, minv, F, work)
     left = 0.0
     for i in range(F.size):
         left += F[i] * work[i]
     change = P - estimate
-    momentum(offset, block, start, h, change, F)
+    momentum(blocks, change, F)
     block_product(offset, m_start, minv, F, work)
     total, weighed = 0.0, 0.0
     for i in range(F.size):
@@ -165,48 +169,49 @@ def settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F
 
 
 @kernel
-def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_norm, penalty, max_iter):
+def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
 
     Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and where F
     has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, doubles with
     every quick success and falls tenfold after a failure, which starts again from the estimate.
     """
+    offset = blocks[0]
     n, nr = offset[-1], q.size
     y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
     P, own_y, own_u = np.empty(nr), np.empty(n), np.empty(nr)
     A, K = np.empty((mu.size, 3, 3)), np.empty((n, n))
     pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    best = measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, r, y, u, work)
+    best = measure_of(blocks, q, mu, scales, q_norm, r, y, u, work)
     estimate = r.copy()
     count, inner = 0, 0
     rho = penalty / scales
     projected(u, estimate, rho, mu, P)
     while best > tol and count < max_iter and penalty > 1e-3:
-        defect(offset, block, start, h, m_start, m, y, P, F, work)
+        defect(blocks, y, P, F, work)
         stiffness(u, estimate, rho, mu, A)
-        assemble_dense(offset, block, start, h, m_start, m, A, K)
+        assemble_dense(blocks, A, K)
         if not factorise(K, pivot, low, end):
             return count, best
         substitute(K, pivot, low, end, F)
         y -= F
         count += 1
         inner += 1
-        relative_velocity(offset, block, start, h, y, u)
+        relative_velocity(blocks, y, u)
         u += q
         projected(u, estimate, rho, mu, P)
-        measure = measure_of(offset, block, start, h, m_start, minv, q, mu, scales, q_norm, P, own_y, own_u, work)
+        measure = measure_of(blocks, q, mu, scales, q_norm, P, own_y, own_u, work)
         if measure < best:
             best = measure
             r[:] = P
-        if settled(offset, block, start, h, m_start, m, minv, scales, y, P, estimate, F, work):
+        if settled(blocks, scales, y, P, estimate, F, work):
             penalty = grown(penalty, inner)
             estimate[:] = P
             inner = 0
         elif inner >= PATIENCE:
             penalty *= 0.1
             inner = 0
-            velocity_of(offset, block, start, h, m_start, minv, q, estimate, y, u, work)
+            velocity_of(blocks, q, estimate, y, u, work)
         else:
             continue
         rho = penalty / scales
@@ -215,8 +220,9 @@ def dense(offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_no
 
 
 @kernel
-def extract(offset, block, start, h, m_start, m, minv, label, island):
-    """Blocks and contacts of one island: (contacts, offset, block, start, h, m_start, m, minv)."""
+def extract(blocks, label, island):
+    """Contacts and blocks of one island: (contacts, blocks)."""
+    offset, block, start, H, m_start, m, minv = blocks
     contacts = np.flatnonzero(label == island)
     nb = offset.size - 1
     new = np.full(nb, -1, np.int64)
@@ -246,21 +252,20 @@ def extract(offset, block, start, h, m_start, m, minv, label, island):
             if k >= 0:
                 b[e, s], st[e, s] = new[k], size
                 size += 3 * (offset[k + 1] - offset[k])
-    hh = np.empty(size)
+    rows = np.empty(size)
     for e in range(contacts.size):
         for s in range(2):
             k = block[contacts[e], s]
             if k >= 0:
                 n = 3 * (offset[k + 1] - offset[k])
                 a = start[contacts[e], s]
-                hh[st[e, s] : st[e, s] + n] = h[a : a + n]
-    return contacts, o, b, st, hh, ms[:-1].copy(), mm, mi
+                rows[st[e, s] : st[e, s] + n] = H[a : a + n]
+    return contacts, (o, b, st, rows, ms[:-1].copy(), mm, mi)
 
 
 @kernel
 def warm_islands(
-    offset, block, start, h, m_start, m, minv, q, mu, scales, r, u, label, tol, accept, q_norm, largest, penalty,
-    max_iter,
+    blocks, q, mu, scales, r, u, label, tol, accept, q_norm, largest, penalty, max_iter
 ):  # fmt: skip
     """`dense` on every island of at most `largest` coordinates with measure above `tol`, in place of r unless r = 0.
 
@@ -268,6 +273,7 @@ def warm_islands(
     their share; their shares of the tolerance by contacts, since the literature's error adds the islands up in squares
     and the judge measures them together; and the factorisations.
     """
+    offset, block = blocks[:2]
     found = islands(block, offset.size - 1, label)
     measures = measures_of_islands(label, found, scales, q_norm, u, r, mu)
     share = np.zeros(found)
@@ -282,12 +288,10 @@ def warm_islands(
         if measures[k] <= tol:
             continue
         if alone and offset[-1] <= largest:
-            count, measures[k] = dense(
-                offset, block, start, h, m_start, m, minv, q, mu, scales, r, tol, q_norm, penalty, max_iter
-            )  # fmt: skip
+            count, measures[k] = dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter)
             continue
-        contacts, o, b, st, hh, ms, mm, mi = extract(offset, block, start, h, m_start, m, minv, label, k)
-        if o[-1] > largest:
+        contacts, part = extract(blocks, label, k)
+        if part[0][-1] > largest:
             continue
         nc = contacts.size
         x, own_q, own_mu, own_scales = np.empty(3 * nc), np.empty(3 * nc), np.empty(nc), np.empty(nc)
@@ -296,9 +300,7 @@ def warm_islands(
             own_mu[e], own_scales[e] = mu[c], scales[c]
             for i in range(3):
                 x[3 * e + i], own_q[3 * e + i] = r[3 * c + i], q[3 * c + i]
-        used, measures[k] = dense(
-            o, b, st, hh, ms, mm, mi, own_q, own_mu, own_scales, x, tol, q_norm, penalty, max_iter
-        )  # fmt: skip
+        used, measures[k] = dense(part, own_q, own_mu, own_scales, x, tol, q_norm, penalty, max_iter)
         count += used
         for e in range(nc):
             for i in range(3):

@@ -28,10 +28,7 @@ class Matrix(NamedTuple):
 class Factors(NamedTuple):
     """W = Hᵀ M⁻¹ H as in `blocks`, with `y` the rows of (M⁻¹ H)ᵀ, and all W_cc (nc, 3, 3) with their inverses."""
 
-    offset: np.ndarray
-    block: np.ndarray
-    start: np.ndarray
-    h: np.ndarray
+    blocks: tuple
     y: np.ndarray
     diagonal: np.ndarray
     inverse: np.ndarray
@@ -67,10 +64,11 @@ def matrix(indptr, indices, data):
 
 
 @kernel
-def factors(offset, block, start, h, m_start, minv):
+def factors(blocks):
     """`Factors` of W = Hᵀ M⁻¹ H."""
+    offset, block, start, H = blocks[:4]
     nc = block.shape[0]
-    y = weighted_rows(offset, block, start, h, m_start, minv)
+    y = weighted_rows(blocks)
     D, S = np.zeros((nc, 3, 3)), np.empty((nc, 3, 3))
     for c in range(nc):
         for s in range(2):
@@ -83,10 +81,10 @@ def factors(offset, block, start, h, m_start, minv):
                     for j in range(3):
                         total = 0.0
                         for l in range(n):
-                            total += y[start[c, s] + i * n + l] * h[start[c, t] + j * n + l]
+                            total += y[start[c, s] + i * n + l] * H[start[c, t] + j * n + l]
                         D[c, i, j] += total
         invert(D[c], S[c])
-    return Factors(offset, block, start, h, y, D, S)
+    return Factors(blocks, y, D, S)
 
 
 @kernel
@@ -129,7 +127,8 @@ def sweep_matrix(W, q, mu, r):
 @kernel
 def sweep_factors(W, q, mu, v, r):
     """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
-    offset, block, start, h, y, diagonal, inverse = W
+    blocks, y, diagonal, inverse = W
+    offset, block, start, H = blocks[:4]
     b, x = np.empty(3), np.empty(3)
     for c in range(mu.size):
         i = 3 * c
@@ -142,9 +141,9 @@ def sweep_factors(W, q, mu, v, r):
                 d, e = a + n, a + n + n
                 for l in range(n):
                     z = v[o + l]
-                    b0 += h[a + l] * z
-                    b1 += h[d + l] * z
-                    b2 += h[e + l] * z
+                    b0 += H[a + l] * z
+                    b1 += H[d + l] * z
+                    b2 += H[e + l] * z
         D, r0, r1, r2 = diagonal[c], r[i], r[i + 1], r[i + 2]
         b0 -= D[0, 0] * r0 + D[0, 1] * r1 + D[0, 2] * r2
         b1 -= D[1, 0] * r0 + D[1, 1] * r1 + D[1, 2] * r2
@@ -165,8 +164,9 @@ def sweep_factors(W, q, mu, v, r):
 @kernel
 def change_of(W, r):
     """v = M⁻¹ H r by the factors, shape (n,)."""
-    v = np.zeros(W.offset[-1])
-    momentum(W.offset, W.block, W.start, W.y, r, v)
+    offset, block, start, _, m_start, m, minv = W.blocks
+    v = np.zeros(offset[-1])
+    momentum((offset, block, start, W.y, m_start, m, minv), r, v)
     return v
 
 
@@ -202,7 +202,7 @@ def _velocity(W, q, r, u):
     if isinstance(W, Matrix):
         velocity(W.indptr, W.indices, W.data, q, r, u)
     else:
-        relative_velocity(W.offset, W.block, W.start, W.h, change_of(W, r), u)
+        relative_velocity(W.blocks, change_of(W, r), u)
         u += q
 
 
@@ -212,7 +212,7 @@ def _velocity_of(W, q, r, u):
         return lambda W, q, r, u: velocity(W.indptr, W.indices, W.data, q, r, u)
 
     def by_factors(W, q, r, u):
-        relative_velocity(W.offset, W.block, W.start, W.h, change_of(W, r), u)
+        relative_velocity(W.blocks, change_of(W, r), u)
         u += q
 
     return by_factors

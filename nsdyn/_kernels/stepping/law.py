@@ -161,26 +161,28 @@ def known(key, old_key, old_gap, closed, out):
 
 @kernel
 def meet(
-    offset, block, start, h, v_begin, v, v_free, carried, drag, drag_end, press, old_key, impulse, begin_key,
-    begin_point, begin_normal, x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, longer,
-    ahead, u_begin, u, u_free, turn, guess, end_gap,
+    blocks, v_begin, v, v_free, carried, drag, drag_end, press, old_key, impulse, begin_key, begin_point, begin_normal,
+    x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, longer, ahead, out,
+    end_gap,
 ):  # fmt: skip
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
-    u at v, u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces
-    that move (`carried` and `drag` as in `begin_velocities`, but all of these at the twists of the impulses, and
-    `drag_end` with those of the end) and the normal velocities of joint friction (`press`, empty for none). end_gap =
+    (u_begin, u, u_free, turn, warm start) into out (5, 3 rows), one array since each takes 0.1 us to hand over: u at v,
+    u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces that
+    move (`carried` and `drag` as in `begin_velocities`, but all of these at the twists of the impulses, and `drag_end`
+    with those of the end) and the normal velocities of joint friction (`press`, empty for none). end_gap =
     gap - ahead/2 turn_N, but for what the twists change: the parabola whose speed at the end of the step, `ahead`
     seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in world axes start the
     solver, `longer` times as large, as the move is; they need not be those found where the step begins.
     """
     nc = key.size
-    relative_velocity(offset, block, start, h, v, u)
-    relative_velocity(offset, block, start, h, v_free, u_free)
+    u_begin, u, u_free, turn, guess = out[0], out[1], out[2], out[3], out[4]
+    relative_velocity(blocks, v, u)
+    relative_velocity(blocks, v_free, u_free)
     place = places(old_key, key)
     warm_start(place, impulse, longer, frame, guess)
     if u.size > 3 * nc:  # joint rows are the same everywhere
-        relative_velocity(offset, block, start, h, v_begin, u_begin)
+        relative_velocity(blocks, v_begin, u_begin)
     begin_velocities(
         places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, carried, reach, frame1, frame2,
         point, frame, x, drag, u_begin,
@@ -201,11 +203,12 @@ def meet(
 
 
 @kernel
-def foresee(offset, block, start, h, m_start, minv, mu, place, old_status, u_begin, u, u_free, turn, guess, slides):
+def foresee(blocks, mu, place, old_status, u_begin, u, u_free, turn, guess, slides):
     """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
 
     What stuck begins without slip, but for what the solver's tolerance left; of what is new nothing can be foreseen.
     """
+    offset, block, start, H, m_start, _, minv = blocks
     for c in range(slides.size):
         i = 3 * c
         slides[c] = False
@@ -224,9 +227,9 @@ def foresee(offset, block, start, h, m_start, minv, mu, place, old_status, u_beg
                 a = start[c, s] + j * n
                 total = 0.0
                 for l in range(n):
-                    if h[a + l] != 0.0:
+                    if H[a + l] != 0.0:
                         for m in range(n):
-                            total += h[a + l] * minv[m_start[k] + l * n + m] * h[a + m]
+                            total += H[a + l] * minv[m_start[k] + l * n + m] * H[a + m]
                 if j == 0:
                     normal += total
                 else:
@@ -298,8 +301,8 @@ def states(r, mu, out):
 
 @kernel
 def outcome(
-    offset, block, start, h, v_plus, drag, r, mu, place, old_status, struck, u, u_free, turn, frame, status, normal,
-    friction, u_end, world,
+    blocks, v_plus, drag, r, mu, place, old_status, struck, u, u_free, turn, frame, status, normal, friction, u_end,
+    world,
 ):  # fmt: skip
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
@@ -309,7 +312,7 @@ def outcome(
     impact whose first step only closed the gap; joint rows always do work.
     """
     nc, u_plus = status.size, np.empty(u.size)
-    relative_velocity(offset, block, start, h, v_plus, u_plus)
+    relative_velocity(blocks, v_plus, u_plus)
     for i in range(drag.size):
         u_plus[i] += drag[i]
     impact, slip, rest = 0.0, 0.0, 0.0
