@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import interior as _kernels
-from nsdyn._kernels.solvers import local as _local
-from nsdyn._kernels.solvers import newton as _newton
-from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Local, Operator, Velocity
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.solvers.newton import each_island, rows, solve_blocks
+from nsdyn.solvers.newton import each_island, rows, solve_blocks, solve_impulses
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Interior", "interior", "newton", "solve_by_factors", "solve_by_matrix"]
+__all__ = ["Interior", "interior"]
 
 
 def interior(
@@ -66,78 +65,6 @@ def interior(
         short = short + 1 if last < 0.02 else 0
 
 
-def newton(
-    W: Operator,
-    q: Array,
-    mu: Array,
-    scales: Array,
-    r: Array,
-    tol: float,
-    q_norm: float,
-    penalty: float,
-    max_iter: int,
-) -> tuple[int, float]:
-    """The method of `_kernels.local.newton` with any W, in place of r: (factorisations, measure)."""
-    P, A = np.empty_like(q), np.empty((mu.size, 3, 3))
-    x, estimate, rho = r.copy(), r.copy(), penalty / scales
-    u = W.product(x) + q
-    best = max(_cones.natural_residual(scales, u, r, mu), _cones.natural_error(u, r, mu) / q_norm)
-    count = inner = 0
-    _newton.projected(u, estimate, rho, mu, P)
-    while best > tol and count < max_iter and penalty > 1e-3:
-        _newton.stiffness(u, estimate, rho, mu, A)
-        try:
-            du = W.factor(A)(P - x)
-        except RuntimeError:
-            break
-        # The Newton step (I + A W) dx = P - x of the impulses, by dx = P - x - A du.
-        x = P - (A @ du.reshape(-1, 3, 1)).ravel()
-        count, inner = count + 1, inner + 1
-        u = W.product(x) + q
-        _newton.projected(u, estimate, rho, mu, P)
-        own = W.product(P) + q
-        now = max(_cones.natural_residual(scales, own, P, mu), _cones.natural_error(own, P, mu) / q_norm)
-        if now < best:
-            best = now
-            r[:] = P
-        step = P - estimate
-        if _local.settled(u - own, x - P, W.product(step), step, scales):
-            penalty = _newton.grown(penalty, inner)
-            estimate = P.copy()
-        elif inner >= _newton.PATIENCE:
-            penalty *= 0.1
-            x = estimate.copy()
-            u = W.product(x) + q
-        else:
-            continue
-        inner = 0
-        rho = penalty / scales
-        _newton.projected(u, estimate, rho, mu, P)
-    return count, float(best)
-
-
-def solve_by_factors(
-    blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, limits: tuple[int, int]
-) -> tuple[int, float]:
-    """Interior point method from nothing, then Newton, on one connected problem with factors; best impulse into r."""
-    used, best = interior(Velocity(blocks), q, mu, scales, r, tol, q_norm, limits[0])
-    if best > tol:
-        more, best = solve_blocks(blocks, q, mu, scales, r, tol, q_norm, 1e3, limits[1])
-        used += more
-    return used, best
-
-
-def solve_by_matrix(
-    W: Operator, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, limits: tuple[int, int]
-) -> tuple[int, float]:
-    """Interior point method from nothing, then Newton, on one connected problem with a given W; best impulse into r."""
-    used, best = interior(W, q, mu, scales, r, tol, q_norm, limits[0])
-    if best > tol:
-        more, best = newton(W, q, mu, scales, r, tol, q_norm, 1e3, limits[1])
-        used += more
-    return used, best
-
-
 @dataclass(frozen=True)
 class Interior:
     """Nonassociated interior point method from nothing, finished by the Newton of `newton`, island by island.
@@ -171,7 +98,7 @@ class Interior:
         """Solve the problem; of r0 is only asked whether it is the solution."""
         start = time.perf_counter()
         r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
-        count, limits = 0, (self.max_iter, self.max_newton)
+        count = 0
         if problem.nc and not problem.solved(r, self.tol)[0]:
             q_norm = problem.q_norm
             if problem.blocks is not None:
@@ -181,9 +108,26 @@ class Interior:
                     i = rows(contacts, problem.nc)
                     x = r[i].copy()
                     given = problem.q[i], problem.mu[contacts], problem.scales[contacts]
-                    count += solve_by_factors(part, *given, x, tol, q_norm, limits)[0]
+                    count += self._solve(Velocity(part), partial(solve_blocks, part), *given, x, tol, q_norm)
                     r[i] = x
             else:
-                given = problem.q, problem.mu, problem.scales
-                count = solve_by_matrix(Local(problem.W), *given, r, 0.9 * self.tol, q_norm, limits)[0]
+                W, given = Local(problem.W), (problem.q, problem.mu, problem.scales)
+                count = self._solve(W, partial(solve_impulses, W), *given, r, 0.9 * self.tol, q_norm)
         return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+
+    def _solve(
+        self,
+        W: Operator,
+        newton: Callable[..., tuple[int, float]],
+        q: Array,
+        mu: Array,
+        scales: Array,
+        r: Array,
+        tol: float,
+        q_norm: float,
+    ) -> int:
+        """The method from nothing, then Newton, on one connected problem; best impulse into r, factorisations."""
+        count, best = interior(W, q, mu, scales, r, tol, q_norm, self.max_iter)
+        if best > tol:
+            count += newton(q, mu, scales, r, tol, q_norm, 1e3, self.max_newton)[0]
+        return count

