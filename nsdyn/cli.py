@@ -115,7 +115,16 @@ def _parser() -> _Parser:
         help="parameter of the scene; may be repeated",
     )
     _add_simulation(p)
-    p.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
+    where = p.add_mutually_exclusive_group()
+    where.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
+    where.add_argument(
+        "--resume", type=Path, metavar="RUN.h5",
+        help="recording of a run of the same arguments that ended or was killed: go on with it, bit for bit",
+    )  # fmt: skip
+    p.add_argument(
+        "--every", type=int, default=1, metavar="N", help="record only every N-th step (default: %(default)s)"
+    )
+    p.add_argument("--no-contacts", action="store_true", help="leave the contacts out of the recording")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
     p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
     p.add_argument("--check", action="store_true", help="audit the motion; the exit code is 0 only if it passes")
@@ -303,11 +312,12 @@ def _solver(arguments: argparse.Namespace) -> Any:
 
 
 def _met(trajectory: Any, solver: Any) -> str:
-    """How many steps met which tolerance, in words."""
+    """How many steps, or groups of them that are recorded as one, met which tolerance, in words."""
     from nsdyn import Status
 
     count = Counter(trajectory.solver.status.tolist())
-    parts = [f"{count.pop(Status.CONVERGED, 0)} steps to {solver.tol:g}"]
+    what = "steps" if trajectory.every == 1 else f"times {trajectory.every} steps"
+    parts = [f"{count.pop(Status.CONVERGED, 0)} {what} to {solver.tol:g}"]
     if loose := count.pop(Status.LOOSE, 0):
         parts.append(f"{loose} to {solver.loose:g}")
     if squeezed := count.pop(Status.OVERLAP, 0):
@@ -326,8 +336,9 @@ def _run(arguments: argparse.Namespace) -> int:
     name = arguments.scene
     parameters = settings.values(name, arguments.set)
     solver = _solver(arguments)
-    _check_outputs(None, arguments.output, arguments.html)
+    _check_outputs(None, arguments.output, arguments.resume, arguments.html)
     setup = nsdyn.scenes.setup(name, **parameters)
+    recording = arguments.output or arguments.resume
     start = time.perf_counter()
     try:
         trajectory = nsdyn.simulate(
@@ -340,28 +351,35 @@ def _run(arguments: argparse.Namespace) -> int:
             progress=True,
             on_fail=arguments.on_fail,
             dump_on_fail=arguments.dump_on_fail,
+            every=arguments.every,
+            contacts=not arguments.no_contacts,
+            resume=arguments.resume,
         )
     except nsdyn.NotConverged as failure:
-        kept = f"; the steps before it are in {arguments.output}" if arguments.output else ""
+        kept = f"; the steps before it are in {recording}" if recording else ""
         print(f"nsdyn: not converged: {_one_line(failure)}{kept}", file=sys.stderr)
         return 1
     wall = time.perf_counter() - start
     # The first step loads or compiles what it needs, beyond what is done before it.
-    median = float(np.median(trajectory.wall_time))
-    start_up = wall - float(trajectory.wall_time.sum()) + max(0.0, float(trajectory.wall_time[0]) - median)
+    each = trajectory.wall_time / trajectory.every
+    median = float(np.median(each))
+    start_up = None  # of a run that is resumed the recording has times of other processes
+    if not arguments.resume:
+        start_up = wall - float(trajectory.wall_time.sum()) + max(0.0, float(trajectory.wall_time[0]) - median)
     if arguments.html:
         trajectory.to_html(arguments.html)
     figures = {
         "scene": name,
         "parameters": settings.parameters(name) | parameters,
         "dt": trajectory.dt,
-        "steps": trajectory.steps,
+        "steps": trajectory.steps * trajectory.every,
+        "every": trajectory.every,
         "wall_time": wall,
         "start_up_time": start_up,
         "median_step_time": median,
-        "contacts": len(trajectory.columns["contacts/gap"]) / trajectory.steps,
+        "contacts": len(trajectory.columns["contacts/gap"]) / trajectory.steps if trajectory.has_contacts else None,
         "worst": trajectory.worst(),
-        "recording": arguments.output,
+        "recording": recording,
         "html": arguments.html,
     }
     audit = nsdyn.check(trajectory) if arguments.check else None
@@ -371,13 +389,16 @@ def _run(arguments: argparse.Namespace) -> int:
         return code
     _say(arguments, trajectory.energy_table())
     worst = trajectory.worst()
+    after = "since it was resumed" if start_up is None else f"after {start_up:.2f} s of start-up"
+    contacts, penetration = "contacts not recorded", ""
+    if trajectory.has_contacts:
+        contacts = f"{figures['contacts']:.1f} contacts on average"
+        penetration = f", penetration {worst['penetration']:.1e} m"
     _say(
         arguments,
-        f"{_met(trajectory, solver)}; {wall - start_up:.2f} s (median step {1e3 * median:.2f} ms) "
-        f"after {start_up:.2f} s of start-up, {figures['contacts']:.1f} contacts on average; "
-        f"worst residual {worst['residual']:.1e} m/s, "
-        f"Gauss bound {worst['gauss_bound']:.1e} √J, defect {worst['defect']:.1e} J, "
-        f"penetration {worst['penetration']:.1e} m",
+        f"{_met(trajectory, solver)}; {wall - (start_up or 0.0):.2f} s (median step {1e3 * median:.2f} ms) {after}, "
+        f"{contacts}; worst residual {worst['residual']:.1e} m/s, "
+        f"Gauss bound {worst['gauss_bound']:.1e} √J, defect {worst['defect']:.1e} J{penetration}",
     )
     if audit is not None:
         _say(arguments, audit)

@@ -157,6 +157,23 @@ def test_run_gives_its_figures_as_json(run, tmp_path):
     assert trajectory.meta["solver"].startswith("Newton(tol=1e-07")
 
 
+def test_run_goes_on(run, tmp_path):
+    """With every second step, without contacts; other options are refused in one line, as are two files."""
+    slide = "run", "slide", "--dt", "1e-3", "--every", "2", "--no-contacts"
+    assert run(*slide, "--time", "0.01", "-o", "run.h5")[0] == 0
+    code, out, _ = run(*slide, "--time", "0.02", "--resume", "run.h5", "--json")
+    figures = json.loads(out)
+    assert code == 0 and figures["steps"] == 20 and figures["every"] == 2 and figures["recording"] == "run.h5"
+    assert figures["contacts"] is None and figures["start_up_time"] is None and figures["worst"]["penetration"] is None
+    assert Trajectory.load(tmp_path / "run.h5").steps == 10
+    code, out, _ = run(*slide, "--time", "0.02", "--resume", "run.h5")
+    assert code == 0 and out.splitlines()[-1].startswith("10 times 2 steps to 1e-08; ")
+    assert "since it was resumed, contacts not recorded" in out
+    code, out, err = run(*slide, "--time", "0.03", "--theta", "0.6", "--resume", "run.h5")
+    assert code == 2 and out == "" and err.endswith("run.h5 cannot be resumed: its option theta is 0.5, not 0.6\n")
+    assert run(*slide, "--resume", "run.h5", "-o", "other.h5")[0] == 2
+
+
 def test_run_is_audited(run, tmp_path, monkeypatch):
     code, out, _ = run("run", "slide", *SHORT, "--check")
     assert code == 0 and out.splitlines()[-1] == "slide: passed"

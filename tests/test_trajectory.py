@@ -138,7 +138,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 4 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 5 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
@@ -280,7 +280,7 @@ def test_failed_save_leaves_the_old_file(tmp_path):
     [
         (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
         (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
-        (lambda f: f["meta"].attrs.__setitem__("format_version", 5), "format_version 5"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", 6), "format_version 6"),
         (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
         (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
         (lambda f: f["t"].resize(0, axis=0), "is damaged"),
@@ -288,7 +288,11 @@ def test_failed_save_leaves_the_old_file(tmp_path):
 )
 def test_damaged_file_is_named(damage, message, tmp_path):
     path = tmp_path / "run.h5"
-    record(path, 5)
+    first, steps = rows(5)
+    recorder = Recorder(path, META, scene_dict(), first)
+    for step in steps:
+        recorder.append(step)
+    recorder.flush()  # not finished, so that datasets can be resized
     with h5py.File(path, "r+") as file:
         damage(file)
     with pytest.raises(ValueError, match=message) as failure:

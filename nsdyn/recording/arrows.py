@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from nsdyn.recording.tables import need_contacts
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
@@ -45,7 +46,13 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     by : {"pair", "point"}
         One force for each pair of bodies, at their centre of pressure; or one for each contact point,
         whose impulses, not unique, are those of least norm with the same force and torque if none of them pulls.
+
+    Raises
+    ------
+    ValueError
+        If the recording has no contacts.
     """
+    need_contacts(trajectory)
     c = {name.removeprefix("contacts/"): x for name, x in trajectory.columns.items() if name.startswith("contacts/")}
     step = np.repeat(np.arange(1, trajectory.steps + 1), np.diff(c["offset"]))
     k = np.flatnonzero((step > rows[0]) & (step <= rows[-1]))
@@ -82,7 +89,7 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     force, mean = total(push), total(weight[:, None] * point) / weights
     if by == "point" and n:
         _spread(groups[:, :4], mean, total(weight[:, None] * normal), force)
-    length = np.diff(trajectory.t[rows])[groups[:, 0] - 1]
+    length = np.diff(trajectory.t[rows])[groups[:, 0] - 1] / trajectory.every  # of the steps that are recorded
     return Forces(groups[:, 0], groups[:, 3], mean, force / length[:, None])
 
 

@@ -164,8 +164,11 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     Notes
     -----
     Not audited: links of articulations beyond their overlaps and contacts (their velocities and the reactions of their
-    joints are not recorded), and the momenta of free bodies where external forces act. In recordings before format 3
-    it is not known whether they did, nor which links may overlap, so links of one articulation are not compared.
+    joints are not recorded), and the momenta of free bodies where external forces act. Where only every N-th step is
+    recorded there are no balances of momentum, nor of the works of contacts one by one, nor is it known where those of
+    the last step were in its middle; the ledger is audited, being of all steps. Where contacts are not recorded,
+    nothing is audited that they do. In recordings before format 3 it is not known whether external forces acted, nor
+    which links may overlap, so links of one articulation are not compared.
 
     Examples
     --------
@@ -201,6 +204,13 @@ def _worst(name: str, figure: Array, amount: Array, unit: str, step: Index, bodi
     found = max(0.0, float(figure[k])), max(0.0, float(amount[k])), int(step[k]), tuple(bodies(k)), figure.size
     worst, size, at, who, count = found if not np.isnan(figure[k]) else (np.nan, np.nan, *found[2:])
     return name, lambda tol: Finding(name, _MEANING[name], worst, tol, size, unit, at, who, count)
+
+
+def _left_out(t: Trajectory) -> str:
+    """What contacts are not recorded, in words; empty where all are."""
+    if not t.has_contacts:
+        return "contacts are not recorded"
+    return "" if t.every == 1 else f"of every {t.every} steps one is recorded"
 
 
 def _unknown(name: str, unit: str, reason: str) -> _Found:
@@ -275,6 +285,11 @@ def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, 
 def _contacts(poses: Poses) -> Iterator[_Found]:
     """Where impulses act, in which cones they are, and what friction does."""
     t = poses.trajectory
+    units = {"distance": "m", "normal": "m", "cone": "N·s", "friction": "J"}
+    missing = list(units) if not t.has_contacts else ["distance", "normal"] if t.every > 1 else []
+    yield from (_unknown(name, units[name], _left_out(t)) for name in missing)
+    if not t.has_contacts:
+        return
     c = {name.removeprefix("contacts/"): values for name, values in t.columns.items() if name.startswith("contacts/")}
     step = np.repeat(np.arange(1, t.steps + 1), np.diff(c["offset"]))
     first, second = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
@@ -287,9 +302,20 @@ def _contacts(poses: Poses) -> Iterator[_Found]:
     largest = np.zeros(t.steps + 1)
     np.maximum.at(largest, step, np.linalg.norm(r, axis=1))
 
-    # Of pairs that push each other: along the normal, from a step before to a step after.
+    if not missing:
+        yield from _where(poses, c, step, largest)
+    outside = np.maximum(-r[:, 0], drag - mu * np.maximum(r[:, 0], 0.0))
+    scale = np.maximum(largest[step], 1e-300)
+    yield _worst("cone", outside / scale, outside, "N·s", step, names)
+    power = (r[:, 1:] * c["u"][:, 1:]).sum(axis=1)
+    yield _worst("friction", power / _at_play(poses), power, "J", step, names)
+
+
+def _where(poses: _Poses, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[_Found]:
+    """Where pairs are that push each other: along the normal, from a step before to a step after."""
+    t, r = poses.trajectory, c["impulse"]
     push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
-    i, j, k, n = first[push], second[push], step[push], c["normal"][push]
+    i, j, k, n = c["geom1"][push].astype(np.int64), c["geom2"][push].astype(np.int64), step[push], c["normal"][push]
     n = n / np.linalg.norm(n, axis=1)[:, None]
     moments = [(k - 2).clip(0), k - 1, k - 1, k, (k + 1).clip(None, t.steps)]
     along, free = np.empty((2, len(moments), push.size))
@@ -305,15 +331,10 @@ def _contacts(poses: Poses) -> Iterator[_Found]:
     apart, skew = along[1:4].min(axis=0) - travel, (np.minimum(free, 0.0) - along)[1:4].min(axis=0) - travel
 
     def pushing(row: int) -> tuple[str, str]:
-        return names(int(push[row]))
+        return poses.names[i[row]], poses.names[j[row]]
 
     yield _worst("distance", apart / size, apart, "m", k, pushing)
     yield _worst("normal", skew / size, skew, "m", k, pushing)
-    outside = np.maximum(-r[:, 0], drag - mu * np.maximum(r[:, 0], 0.0))
-    scale = np.maximum(largest[step], 1e-300)
-    yield _worst("cone", outside / scale, outside, "N·s", step, names)
-    power = (r[:, 1:] * c["u"][:, 1:]).sum(axis=1)
-    yield _worst("friction", power / _at_play(poses), power, "J", step, names)
 
 
 def _along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Array) -> Array:
@@ -330,10 +351,12 @@ def _along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Ar
 def _momenta(poses: Poses) -> Iterator[_Found]:
     """Momentum and angular momentum of free bodies in every step."""
     t, free = poses.trajectory, poses.free
-    yield _motion(poses)
+    yield _motion(poses) if t.every == 1 else _unknown("motion", "m", f"of every {t.every} steps one is recorded")
+    reason = _left_out(t)
     if t.meta.get("external_force", True):
         known = "external_force" in t.meta
         reason = "external forces act" if known else "whether external forces act is not recorded"
+    if reason:
         yield _unknown("momentum", "N·s", reason)
         yield _unknown("spin", "N·m·s", reason)
         return
@@ -425,7 +448,10 @@ def _energies(poses: Poses) -> Iterator[_Found]:
         so_far = np.concatenate([[0.0], np.cumsum(t.columns[f"contacts/work_{name}"])])
         sums[name] = np.diff(so_far[ends])
     gain = sums["normal"] + sums["friction"]
-    yield _worst("dissipation", gain / scale, gain, "J", steps[1:], nobody)
+    if t.has_contacts:
+        yield _worst("dissipation", gain / scale, gain, "J", steps[1:], nobody)
+    else:
+        yield _unknown("dissipation", "J", _left_out(t))
     total = e.total
     if trees:
         yield _unknown("energy", "J", "masses of articulations are not recorded")
@@ -439,9 +465,12 @@ def _energies(poses: Poses) -> Iterator[_Found]:
         off = np.maximum(np.abs(kinetic - e.kinetic), np.abs(potential - e.potential))
         yield _worst("energy", off / (scale + np.abs(potential)), off, "J", steps, nobody)
         total = kinetic + potential
-        # What contacts do that stay closed and stick is booked as numerics.
-        off = np.abs(gain - e.normal - e.friction - e.integration)
-        yield _worst("works", off / scale, off, "J", steps[1:], nobody)
+        if reason := _left_out(t):
+            yield _unknown("works", "J", reason)
+        else:
+            # What contacts do that stay closed and stick is booked as numerics.
+            off = np.abs(gain - e.normal - e.friction - e.integration)
+            yield _worst("works", off / scale, off, "J", steps[1:], nobody)
     works: Mapping[str, Array] = {name: getattr(e, name) for name in e.names[2:] if name != "defect"}
     off = np.abs(np.diff(total) - sum(works.values()))
     yield _worst("balance", off / (scale + np.abs(e.potential[1:])), off, "J", steps[1:], nobody)

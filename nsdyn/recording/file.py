@@ -3,7 +3,9 @@
 Layout of the file (n steps, row 0 of a state is the initial one; SI units; quaternions xyzw)::
 
     /meta            attributes: format "nsdyn", format_version, dt, theta, solver, scene_name, external_force
-                     (whether there was one; since version 3), versions of nsdyn, pin, coal, numpy
+                     (whether there was one; since version 3), versions of nsdyn, pin, coal, numpy; since
+                     version 5 controller (whether there was one), impact, max_points, every, contacts, and
+                     checksums, JSON {what: CRC-32} of what moves the scene and its description does not tell
     /meta/scene      JSON string, what `Scene.describe` returns: shapes, poses, gravity, frames; since version 3 the
                      pairs of shapes that may overlap
     /t               (n+1,)  s
@@ -28,6 +30,12 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /contacts/u, impulse                           (., 3)  (N, T1, T2) of 2 relative to 1, m/s; on 2, N·s
     /contacts/status                               0 open, 1 stick, 2 slip
     /contacts/work_normal, work_friction           J
+    /state           the last states of the run, from which it can go on: see `nsdyn.recording.slots`; since version 5
+
+Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
+them, so that the ledger closes, as are `/solver/iterations`, `time` and `/wall_time`; `shift` and `bound` are the
+largest, `error`, `residual` and `status` those of the worst; contacts are those of the last, their impulses and works
+too. With contacts false there are none. A recording that is complete is compressed (byte shuffle and gzip).
 
 A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
 HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file
@@ -47,13 +55,15 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn.recording import slots
 from nsdyn.tools.unfinished import open_to_read
 
-__all__ = ["create", "extend", "read"]
+__all__ = ["create", "extend", "read", "read_state", "until"]
 
 Columns = dict[str, NDArray[Any]]
+Saved = tuple[int, Columns]
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 CONTACT_STATES = ("open", "stick", "slip")
 
 ENERGIES = ("kinetic", "potential")
@@ -93,7 +103,20 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
     (3, "solver/error", (), math.nan),
     (4, "wall_time", (), math.nan),
 ]
+# Attributes of /meta that older files lack.
+ADDED_META = {"every": 1, "contacts": True}
 CONTACTS = [f"contacts/{name}" for name in CONTACT]
+
+GROWING, PACKED = 1 << 16, 1 << 18
+"""Bytes of a chunk of a file that grows, quick to write and so small that small files stay small, and of one that is
+complete: many steps, whose likeness compresses best."""
+
+WORTH = 4096
+"""Bytes of a dataset from which on it is compressed: smaller ones would rather grow."""
+
+COMPRESSED = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
+"""What every HDF5 library reads. Only complete files are compressed: a chunk that changes its size is written to a new
+place, so that one that grows, a few rows at a time, would become larger than without."""
 
 
 def _rows(names: Iterable[str], states: int, contacts: int) -> dict[str, int]:
@@ -102,22 +125,36 @@ def _rows(names: Iterable[str], states: int, contacts: int) -> dict[str, int]:
     return {name: count.get(name, states - 1) for name in names}
 
 
-def create(path: Path, meta: Mapping[str, Any], scene: Mapping[str, Any], columns: Columns, grow: bool) -> None:
-    """Write a new file, its datasets of fixed size or ready to grow."""
+def until(columns: Columns, row: int) -> Columns:
+    """The columns of the states until a row, and of the steps before it."""
+    sizes = _rows(columns, row + 1, int(columns["contacts/offset"][row]))
+    return {name: columns[name][:size] for name, size in sizes.items()}
+
+
+def create(
+    path: Path, meta: Mapping[str, Any], scene: Mapping[str, Any], columns: Columns, grow: bool,
+    state: Saved | None = None,
+) -> None:  # fmt: skip
+    """Write a new file, its datasets of fixed size or ready to grow; a state, the row it belongs to and its arrays."""
     with h5py.File(path, "w", libver="latest", locking=False) as file:
         file.create_group("meta").attrs.update(meta)
         file["meta/scene"] = json.dumps(scene)
         for name, data in columns.items():
             options: dict[str, Any] = {}
+            shape = tuple(max(1, size) for size in data.shape[1:])
             if grow:
-                shape = tuple(max(1, size) for size in data.shape[1:])
-                rows = 65536 // (data.itemsize * math.prod(shape))  # 64 kB: quick, yet small files stay small
+                rows = GROWING // (data.itemsize * math.prod(shape))
                 options = {"maxshape": (None, *data.shape[1:]), "chunks": (min(1024, max(16, rows)), *shape)}
+            elif data.nbytes >= WORTH:
+                rows = PACKED // (data.itemsize * math.prod(shape))
+                options = {"chunks": (min(len(data), max(1, rows)), *shape), **COMPRESSED}
             file.create_dataset(name, data=data, **options)
+        if state is not None:
+            slots.create(file, *state)
 
 
-def extend(path: Path, columns: Columns) -> None:
-    """Add rows to a file: all columns, then, when they have reached it, `/t`.
+def extend(path: Path, columns: Columns, state: Saved | None = None) -> None:
+    """Add rows to a file: all columns, then, when they have reached it, `/t`; and the state of a row.
 
     Rows an interrupted call left beyond the end of `/t` are written over. Locking is off, so that nobody who
     reads the file can stop the simulation; single-writer mode keeps it readable at every moment.
@@ -131,17 +168,29 @@ def extend(path: Path, columns: Columns) -> None:
                 file.flush()
             file[name].resize(old + len(columns[name]), axis=0)
             file[name][old:] = columns[name]
+        if state is not None:
+            slots.write(file, *state)
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns]:
     """(meta, scene, columns) of a file, as `nsdyn.Trajectory` has them; errors as of `nsdyn.Trajectory.load`."""
+    return _read(path)[:3]
+
+
+def read_state(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Saved | None]:
+    """(meta, scene, columns, last state and the row it belongs to, if there is any) of a file; errors as of `read`."""
+    return _read(path)
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Saved | None]:
     if not path.is_file():
         raise FileNotFoundError(f"no such recording: {path}")
     if not h5py.is_hdf5(path):
         raise ValueError(f"{path} is not a recording of nsdyn: it is not an HDF5 file")
     try:
         with open_to_read(path) as file:
-            return _contents(file, path)
+            contents = _contents(file, path)
+            return *contents, slots.read(file, len(contents[2]["t"]))
     except (OSError, RuntimeError, KeyError) as failure:  # all of them h5py raises for damaged files
         raise ValueError(f"{path} is damaged: {failure.args[0] if failure.args else failure}") from None
 
@@ -170,5 +219,5 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     columns = {name: file[name][:size] for name, size in rows.items()}
     for _, column, summed, value in added:
         columns[column] = sum((columns.pop(part) for part in summed), np.full(states - 1, value))
-    meta["format_version"] = FORMAT_VERSION
+    meta = ADDED_META | meta | {"format_version": FORMAT_VERSION}
     return meta, scene, columns

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import version
 from itertools import repeat
@@ -14,13 +16,16 @@ from typing import Any
 import numpy as np
 
 import nsdyn
+from nsdyn.problem.solution import Status
 from nsdyn.recording import file as recording
-from nsdyn.recording.file import CONTACT, ENERGIES, FORMAT_VERSION, GAUSS, SOLVER, WORKS, Columns
+from nsdyn.recording.file import ADDED_META, CONTACT, ENERGIES, FORMAT_VERSION, GAUSS, SOLVER, WORKS, Columns, Saved
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Recorder"]
+
+State = Callable[[], Columns]
 
 _FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %
 _BLOCK_ROWS = 256  # rows kept as they are read before they are packed into arrays
@@ -33,6 +38,9 @@ _read_step = attrgetter(
     "created",
     *(path for path, _, _ in CONTACT.values()),
 )
+
+
+_NO_CONTACTS = tuple(np.empty((0, n) if n > 1 else 0, kind) for _, kind, n in CONTACT.values())
 
 
 @cache
@@ -49,12 +57,15 @@ class Recorder:
     path : path, optional
         HDF5 file to write. An existing one is replaced as a whole. None keeps everything in memory.
     meta : mapping
-        dt, theta, solver (its repr), as str, int or float.
+        dt, theta, solver (its repr) and other options, as str, int, float or bool. `every`, by default 1: how many
+        steps make a row; `contacts`, by default True: whether contacts are recorded.
     scene : mapping
         What `Scene.describe` returns.
     first : object
         The initial state: attributes t, q, v, frames_x, frames_quat and energy as below; of the energies only
         "kinetic" and "potential" are read.
+    state : callable, optional
+        Arrays by names from which the run goes on from the initial state; without it a recording cannot be resumed.
 
     Raises
     ------
@@ -80,51 +91,117 @@ class Recorder:
     ============================  =====================================================================
 
     and keeps references to these until the next flush: the arrays must not be changed afterwards. Use it as a context
-    manager, so that the last rows reach the file also when the simulation raises.
+    manager, so that the last rows reach the file also when the simulation raises; the file is then compressed and takes
+    no more.
     """
 
-    def __init__(self, path: str | Path | None, meta: Mapping[str, Any], scene: Mapping[str, Any], first: Any) -> None:
-        self.meta = {
-            "format": "nsdyn",
-            "format_version": FORMAT_VERSION,
-            "nsdyn_version": nsdyn.__version__,
-            **_versions(),
-            "scene_name": scene["name"],
-            **meta,
-        }
-        self.scene = dict(scene)
+    def __init__(
+        self, path: str | Path | None, meta: Mapping[str, Any], scene: Mapping[str, Any], first: Any,
+        state: State | None = None,
+    ) -> None:  # fmt: skip
+        columns = _pack([_read_state(first)], [])
+        columns |= {"contacts/offset": np.zeros(1, dtype=np.int64), "wall_time": np.empty(0)}
+        self._begin(path, _full(meta, scene), scene, columns, None if state is None else (0, state()))
+
+    def _begin(
+        self, path: str | Path | None, meta: Mapping[str, Any], scene: Mapping[str, Any], columns: Columns,
+        saved: Saved | None,
+    ) -> None:  # fmt: skip
+        self.meta, self.scene = dict(meta), dict(scene)
         if path is not None and files.is_special(path):
             raise ValueError(f"cannot record in {path}: it is no regular file, which rows could be added to")
         self.path = None if path is None else files.resolved(path)
         self._states: list[tuple[Any, ...]] = []
         self._steps: list[tuple[Any, ...]] = []
-        self._blocks = [_pack([_read_state(first)], [])]
-        self._blocks[0] |= {"contacts/offset": np.zeros(1, dtype=np.int64), "wall_time": np.empty(0)}
-        self._contacts = 0
+        self._open: list[tuple[tuple[Any, ...], tuple[Any, ...], float]] = []  # steps of a row that is not complete
+        self._state: State | None = None
+        self._blocks = [columns]
+        self._rows, self._contacts = len(columns["t"]) - 1, int(columns["contacts/offset"][-1])
         if self.path is not None:
             with files.writing(self.path) as part:
-                recording.create(part, self.meta, self.scene, self._blocks[0], grow=True)
+                recording.create(part, self.meta, self.scene, columns, grow=True, state=saved)
             self._blocks = []
         self._wall: list[float] = []
         self._clock = time.perf_counter()
         self._deadline = self._clock + _FLUSH_SECONDS
 
-    def append(self, step: Any) -> None:
-        """Record one step; see the notes of the class for what it must carry."""
-        self._wall.append(time.perf_counter() - self._clock)
-        self._states.append(_read_state(step))
-        self._steps.append(_read_step(step))
-        if len(self._steps) == _BLOCK_ROWS:
-            self._pack_rows()
-        if self.path is not None and time.perf_counter() >= self._deadline:
-            self.flush()
+    @classmethod
+    def resumed(
+        cls, path: str | Path, meta: Mapping[str, Any], scene: Mapping[str, Any], first: Any, duration: float
+    ) -> tuple[Recorder, Columns]:
+        """Go on with a recording whose run ended or was killed, from the last state in it.
+
+        Parameters
+        ----------
+        path, meta, scene, first
+            As of the recorder that began it.
+        duration : float
+            Of the whole run, s.
+
+        Returns
+        -------
+        recorder : Recorder
+            With the rows until that state; the file has been replaced by one that has no others.
+        state : dict of str to ndarray
+            Arrays that `state` of `append` gave.
+
+        Raises
+        ------
+        FileNotFoundError
+        ValueError
+            If the file is no recording, has no state, is of another scene or of other options, naming one, or longer.
+        """
+        found, described, columns, saved = recording.read_state(Path(path))
+        if saved is None:
+            raise ValueError(f"{path} cannot be resumed: it holds no state of its run")
+        given, begun = _full(meta, scene), _pack([_read_state(first)], [])
+        versions = [name for name in given if name.endswith("_version")]
+        _refuse(path, {k: v for k, v in found.items() if k not in versions}, given, "option")
+        _refuse(path, described, json.loads(json.dumps(dict(scene))), "scene")
+        for name in ("q", "v"):
+            if columns[name][0].tobytes() != begun[name][0].tobytes():
+                raise ValueError(f"{path} cannot be resumed: its initial {name} is another")
+        if (last := float(columns["t"][saved[0]])) >= duration + 0.999 * given["every"] * given["dt"]:  # round-off of t
+            raise ValueError(f"duration must be at least the {last:g} s that {path} has, got {duration:g}")
+        for name in versions:
+            if found[name] != given[name]:
+                warnings.warn(
+                    f"{path} was begun with {name} {found[name]}, this is {given[name]}: last bits may differ",
+                    stacklevel=3,
+                )
+        out = cls.__new__(cls)
+        out._begin(path, found, described, recording.until(columns, saved[0]), saved)
+        return out, saved[1]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows that are complete, the initial state apart."""
+        return self._rows
+
+    def append(self, step: Any, state: State | None = None) -> None:
+        """Record one step; see the notes of the class for what it must carry.
+
+        Where `state` is given it is called, now or later, for arrays by names from which the run goes on after it.
+        """
+        self._open.append((_read_state(step), _read_step(step), time.perf_counter() - self._clock))
+        if len(self._open) == self.meta["every"]:
+            row, did, wall = self._open[0] if len(self._open) == 1 else _merged(self._open)
+            self._states.append(row)
+            self._steps.append(did if self.meta["contacts"] else (*did[: -len(CONTACT)], *_NO_CONTACTS))
+            self._wall.append(wall)
+            self._open, self._state, self._rows = [], state, self._rows + 1
+            if len(self._steps) == _BLOCK_ROWS:
+                self._pack_rows()
+            if self.path is not None and time.perf_counter() >= self._deadline:
+                self.flush()
         self._clock = time.perf_counter()
 
     def flush(self) -> None:
-        """Write the rows collected so far to the file, if there is one."""
+        """Write the rows collected so far to the file, if there is one, and the state after them."""
         self._pack_rows()
         if self.path is not None and self._blocks:
-            recording.extend(self.path, _concatenate(self._blocks))
+            state = None if self._state is None else (self._rows, self._state())
+            recording.extend(self.path, _concatenate(self._blocks), state)
             self._blocks = []
             self._deadline = time.perf_counter() + _FLUSH_SECONDS
 
@@ -149,6 +226,59 @@ class Recorder:
 
     def __exit__(self, *_: object) -> None:
         self.flush()
+        if self.path is not None:
+            contents = recording.read_state(self.path)
+            with files.writing(self.path) as part:
+                recording.create(part, *contents[:3], grow=False, state=contents[3])
+
+
+def _full(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
+    """All attributes of a recording."""
+    return {
+        "format": "nsdyn",
+        "format_version": FORMAT_VERSION,
+        "nsdyn_version": nsdyn.__version__,
+        **_versions(),
+        "scene_name": scene["name"],
+        **ADDED_META,
+        **meta,
+    }
+
+
+def _refuse(path: str | Path, found: Any, given: Any, name: str) -> None:
+    """Raise a ValueError that names the first difference between what is in a file and what is given."""
+    if name == "option checksums":
+        found, given, name = json.loads(found), json.loads(given), "scene"
+        if differ := sorted(what for what in found.keys() | given.keys() if found.get(what) != given.get(what)):
+            raise ValueError(f"{path} cannot be resumed: its {differ[0]} differ from those of the scene given")
+    elif isinstance(found, dict) and isinstance(given, dict):
+        for key in sorted(found.keys() | (given.keys() if name == "scene" else set())):
+            _refuse(path, found.get(key), given.get(key), f"{name} {key}")
+    elif isinstance(found, list) and isinstance(given, list) and len(found) == len(given):
+        for k, (one, other) in enumerate(zip(found, given, strict=True)):
+            _refuse(path, one, other, f"{name}[{k}]")
+    elif found != given:
+        raise ValueError(f"{path} cannot be resumed: its {name} is {_short(found)}, not {_short(given)}")
+
+
+def _short(value: Any) -> str:
+    return f"a list of {len(value)}" if isinstance(value, list) else repr(value)
+
+
+def _merged(
+    parts: list[tuple[tuple[Any, ...], tuple[Any, ...], float]],
+) -> tuple[tuple[Any, ...], tuple[Any, ...], float]:
+    """What was read of several steps as one row, as the layout of the file has it."""
+    states, steps, wall = zip(*parts, strict=True)
+    *state, energy = states[-1]
+    energy = {**energy, **{name: sum(s[-1][name] for s in states) for name in WORKS}}
+    gap, shift, bound, error, residual, iterations, status, spent, created = zip(
+        *(step[: -len(CONTACT)] for step in steps), strict=True
+    )
+    fine = Status.CONVERGED, Status.LOOSE
+    worst = max(range(len(steps)), key=lambda k: (status[k] not in fine, error[k]))
+    did = sum(gap), max(shift), max(bound), error[worst], residual[worst], sum(iterations), status[worst], sum(spent)
+    return (*state, energy), (*did, sum(created), *steps[-1][-len(CONTACT) :]), sum(wall)
 
 
 def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Columns:

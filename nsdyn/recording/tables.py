@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
 
-__all__ = ["JointMotion", "Pair", "contact_table", "force", "joint", "pair"]
+__all__ = ["JointMotion", "Pair", "contact_table", "force", "joint", "need_contacts", "pair"]
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """What body a does to body b by contact in each of n steps; SI units, world frame.
+    """What body a does to body b by contact in each of n recorded steps; SI units, world frame.
 
     Attributes
     ----------
@@ -139,8 +139,15 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
     return JointMotion(name, position, velocity)
 
 
+def need_contacts(trajectory: Trajectory) -> None:
+    """Refuse a recording without contacts."""
+    if not trajectory.has_contacts:
+        raise ValueError("the recording has no contacts: it was made without them")
+
+
 def _rows(trajectory: Trajectory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(row, step from 1 on) of all contacts."""
+    need_contacts(trajectory)
     counts = np.diff(trajectory.columns["contacts/offset"])
     return np.arange(int(counts.sum())), np.repeat(np.arange(1, trajectory.steps + 1), counts)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -273,8 +274,18 @@ class Trajectory:
 
     @property
     def steps(self) -> int:
-        """Number of steps n."""
+        """Number of recorded steps n."""
         return self.t.size - 1
+
+    @property
+    def every(self) -> int:
+        """How many steps of dt a recorded one stands for: works are of all, contacts of the last of them."""
+        return int(self.meta.get("every", 1))
+
+    @property
+    def has_contacts(self) -> bool:
+        """Whether contacts were recorded."""
+        return bool(self.meta.get("contacts", True))
 
     @property
     def energy(self) -> Energy:
@@ -324,7 +335,11 @@ class Trajectory:
         return BodyMotion(name, position, (Rotation.from_quat(carrier.quaternion) * turn).as_quat(), None)
 
     def contacts(self, k: int) -> ContactTable:
-        """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError."""
+        """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError.
+
+        ValueError if the recording has no contacts.
+        """
+        tables.need_contacts(self)
         step = k + self.steps + 1 if k < 0 else k
         if not 1 <= step <= self.steps:
             raise IndexError(f"contacts belong to steps 1 to {self.steps}, got {k}")
@@ -476,14 +491,14 @@ class Trajectory:
     def worst(self) -> dict[str, float]:
         """Largest |defect| [J], Gauss bound [√J] and shift [m/s], residual [m/s] and penetration [m].
 
-        The penetration is that of the recorded gaps; `nsdyn.check` finds the true overlaps.
+        The penetration is that of the recorded gaps, NaN without any; `nsdyn.check` finds the true overlaps.
         """
         return {
             "defect": _largest(np.abs(self.energy.defect)),
             "gauss_bound": _largest(self.gauss.bound),
             "gauss_shift": _largest(self.gauss.shift),
             "residual": _largest(self.solver.residual),
-            "penetration": _largest(-self.columns["contacts/gap"]),
+            "penetration": _largest(-self.columns["contacts/gap"]) if self.has_contacts else math.nan,
         }
 
     def _active_works(self) -> list[str]:

@@ -6,9 +6,11 @@ which take three times as long to make: in a small scene that is a fifth of the 
 
 from __future__ import annotations
 
+import json
 import math
 import warnings
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +30,7 @@ from nsdyn.scene import pairs
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Auto, Solver, as_solver
-from nsdyn.stepping import impacts
+from nsdyn.stepping import checkpoint, impacts
 from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.encounter import Warm
@@ -535,6 +537,9 @@ def simulate(
     max_points: int = 8,
     dump_on_fail: str | Path | None = None,
     impact: str = "newton",
+    every: int = 1,
+    contacts: bool = True,
+    resume: str | Path | None = None,
 ) -> Trajectory:
     """Simulate a scene and return its trajectory.
 
@@ -542,13 +547,22 @@ def simulate(
     ----------
     scene : Scene
     duration : float
-        s; rounded up to whole steps.
+        s; rounded up to whole steps that are recorded.
     dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact
         As in `Stepper`.
     record : path, optional
         HDF5 file written while the simulation runs; a killed run keeps its steps.
     progress : bool
         Show a progress bar on stderr when it is a terminal.
+    every : int
+        Record only every so many steps. Works are summed over the steps between, so that the ledger closes; contacts,
+        with their impulses, are those of the step recorded: see `nsdyn.recording.file`.
+    contacts : bool
+        Whether contacts are recorded.
+    resume : path, optional
+        Recording, in place of `record`, of a run of the same arguments that ended or was killed. It goes on from the
+        last state there, about half a second of computing before a kill, and the rows after it are added to the file:
+        the same bits as if it had never stopped. Controllers and external forces must be functions of (t, q, v) alone.
 
     Returns
     -------
@@ -557,7 +571,10 @@ def simulate(
     Raises
     ------
     ValueError
-        For bad arguments, before anything is written.
+        For bad arguments, before anything is written; where `resume` is a recording of another scene or of other
+        options, naming one.
+    FileNotFoundError
+        If there is no recording to resume.
     NotConverged
         As `on_fail` has it; the steps before are in `record`.
 
@@ -579,11 +596,34 @@ def simulate(
     if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
         raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
     stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact)
-    steps = max(1, math.ceil(duration / stepper.dt - 1e-9))
-    meta = {"dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver)}
-    meta["external_force"] = external_force is not None
-    with Recorder(record, meta, scene.describe(), stepper.start()) as recorder:
+    if isinstance(every, bool) or not isinstance(every, int) or every < 1:
+        raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
+    if resume is not None and record is not None:
+        raise ValueError(f"record must be None where resume names the file to go on with, got {record}")
+    steps = every * max(1, math.ceil(duration / stepper.dt / every - 1e-9))
+    kept = {"max_points": max_points, "every": every, "contacts": bool(contacts)}
+    with _recorder(stepper, record, resume, kept, duration) as recorder:
+        done = every * recorder.rows
         # disable=None: tqdm draws only on a terminal
-        for _ in tqdm(range(steps), unit="step", disable=None if progress else True):
-            recorder.append(stepper.step())
-        return recorder.trajectory()
+        disable = None if progress else True
+        for _ in tqdm(range(done, steps), unit="step", initial=done, total=steps, disable=disable):
+            recorder.append(stepper.step(), partial(checkpoint.pack, stepper.get_state()))
+    return recorder.trajectory()
+
+
+def _recorder(
+    stepper: Stepper, record: str | Path | None, resume: str | Path | None, kept: dict[str, Any], duration: float
+) -> Recorder:
+    """What records a stepper, which is set to the last state of a recording to resume."""
+    scene = stepper.scene
+    meta = {
+        "dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver), "impact": stepper.system.impact,
+        "controller": stepper.controller is not None, "external_force": stepper.external_force is not None,
+        "checksums": json.dumps(checkpoint.checksums(scene)), **kept,
+    }  # fmt: skip
+    begin = stepper.get_state()
+    if resume is None:
+        return Recorder(record, meta, scene.describe(), stepper.start(), partial(checkpoint.pack, begin))
+    recorder, arrays = Recorder.resumed(resume, meta, scene.describe(), stepper.start(), duration)
+    stepper.set_state(checkpoint.unpack(arrays, begin, stepper.dynamics))
+    return recorder

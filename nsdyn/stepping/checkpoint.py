@@ -1,0 +1,145 @@
+"""The state of a run as plain arrays, from which it goes on bit for bit.
+
+Everything of `nsdyn.stepping.stepper.State` is stored but what is found again to the last bit: the links of trees,
+which follow from their coordinates, and the basis of the warm start, of which the rows of the contacts are kept only
+where the next step may use them. They must be: they were made where the contacts were found, which may be another
+place than the present one by what counts as closed, so that new ones would differ.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.joints import Rows
+from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.gauss import Opening
+from nsdyn.scene.scene import Scene
+from nsdyn.stepping.encounter import Basis
+from nsdyn.tools.arrays import Array
+
+if TYPE_CHECKING:
+    from nsdyn.stepping.stepper import State
+
+__all__ = ["checksums", "pack", "unpack"]
+
+Arrays = dict[str, NDArray[Any]]
+
+NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
+
+
+class Held(NamedTuple):
+    """What of a `Basis` is not in the state besides.
+
+    Attributes
+    ----------
+    blocks : Blocks
+    frame : ndarray, shape (nc, 3, 3)
+    q : ndarray, shape (3 nc,)
+        Of its problem, m/s.
+    """
+
+    blocks: Blocks
+    frame: Array
+    q: Array
+
+
+PAIRS = np.empty((0, 2), np.int64)
+HELD = Held(Blocks(NONE, PAIRS, PAIRS, NOTHING, NONE, NOTHING, NOTHING), np.empty((0, 3, 3)), NOTHING)
+OPENING = Opening(NOTHING, 0, 0.0)
+
+
+def pack(state: State) -> Arrays:
+    """The arrays of a state by the names of its parts, numbers as arrays without axes."""
+    basis, trees = state.instant.warm.basis, state.instant.position.trees
+    out = dict(_parts(_plain(state), "state"))
+    if state.opening is not None:
+        out |= _parts(state.opening, "opening")
+    # Others are of no use: see `nsdyn.stepping.encounter.meet`.
+    if basis is not None and basis.contacts is state.instant.contacts and not trees:
+        out |= _parts(Held(basis.rows.full, basis.frame, basis.problem.q), "basis")
+    return out
+
+
+def unpack(arrays: Arrays, like: State, dynamics: Dynamics) -> State:
+    """The state of `pack`; `like` is any state of the same scene.
+
+    Raises
+    ------
+    KeyError
+        If an array is missing.
+    """
+    state: State = _made(_plain(like), "state", arrays)
+    instant = state.instant
+    links = tuple(t.links(q) for t, q in zip(dynamics.trees, instant.position.trees, strict=True))
+    instant = instant._replace(placement=instant.placement._replace(links=links))
+    if "basis.q" in arrays:
+        held: Held = _made(HELD, "basis", arrays)
+        problem = FC3D.from_blocks(held.blocks, held.q, instant.contacts.mu)
+        basis = Basis(instant.contacts, Rows(held.blocks, {}, NONE, NOTHING), held.frame, problem)
+        instant = instant._replace(warm=instant.warm._replace(basis=basis))
+    opening = _made(OPENING, "opening", arrays) if "opening.d" in arrays else None
+    return state._replace(instant=instant, opening=opening)
+
+
+def _plain(state: State) -> State:
+    """The state without what is stored apart or found again."""
+    i = state.instant
+    i = i._replace(placement=i.placement._replace(links=()), warm=i.warm._replace(basis=None))
+    return state._replace(instant=i, opening=None)
+
+
+def _children(value: tuple[Any, ...], name: str) -> Iterator[tuple[str, Any]]:
+    names = getattr(value, "_fields", range(len(value)))
+    return ((f"{name}.{key}", child) for key, child in zip(names, value, strict=True))
+
+
+def _parts(value: Any, name: str) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Arrays and numbers of nested tuples."""
+    if isinstance(value, tuple):
+        for key, child in _children(value, name):
+            yield from _parts(child, key)
+    elif value is not None:
+        yield name, np.asarray(value)
+
+
+def _made(like: Any, name: str, arrays: Arrays) -> Any:
+    """Nested tuples like some others, from arrays and numbers."""
+    if isinstance(like, tuple):
+        children = [_made(child, key, arrays) for key, child in _children(like, name)]
+        return type(like)(*children) if hasattr(like, "_fields") else tuple(children)
+    if like is None:
+        return None
+    if isinstance(like, np.ndarray):
+        return arrays[name].astype(like.dtype)
+    return type(like)(arrays[name])
+
+
+def checksums(scene: Scene) -> dict[str, int]:
+    """What moves a scene and `Scene.describe` does not tell, each as a CRC-32: pairs, motions, articulations.
+
+    Functions of the time that prescribe motions are not looked into.
+    """
+    pairs = sorted((sorted(names), values) for names, values in scene.pairs.items())
+    motions = [
+        (m.name, m.kind, None if callable(m.velocity) else np.asarray(m.velocity).tolist())
+        for m in scene.motions.values()
+    ]
+    out = {"pairs with coefficients of their own": _checksum(pairs), "prescribed motions": _checksum(motions)}
+    for a in scene.articulations.values():
+        laws = a.friction, a.damping, a.armature, a.stiffness, a.rest, a.effort
+        loops = [(o.joint1, str(o.placement1), o.joint2, str(o.placement2), o.kind) for o in a.loops]
+        of_joints = [a.limits, a.restitution, *(law.tolist() for law in laws), loops]
+        out[f"articulation {a.name!r}"] = _checksum([a.model.saveToString(), of_joints])
+    return out
+
+
+def _checksum(values: Any) -> int:
+    return zlib.crc32(json.dumps(values).encode())
