@@ -73,10 +73,10 @@ def _pair(a: int, b: int) -> pin.CollisionPair:
 
 
 def distance_request() -> Any:
-    """How Coal is asked for a distance."""
+    """How Coal is asked for a distance: from one start, so that nothing depends on what was asked before."""
     request = coal.DistanceRequest()
     request.gjk_tolerance = GJK_TOLERANCE
-    request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
+    request.gjk_initial_guess = coal.GJKInitialGuess.DefaultGuess
     return request
 
 

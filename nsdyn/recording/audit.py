@@ -311,7 +311,7 @@ def _contacts(poses: Poses) -> Iterator[_Found]:
     yield _worst("friction", power / _at_play(poses), power, "J", step, names)
 
 
-def _where(poses: _Poses, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[_Found]:
+def _where(poses: Poses, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[_Found]:
     """Where pairs are that push each other: along the normal, from a step before to a step after."""
     t, r = poses.trajectory, c["impulse"]
     push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
