@@ -14,6 +14,7 @@ from test_problem import corner_box
 
 import nsdyn as nd
 from nsdyn import cli
+from nsdyn.cli import doctor
 from nsdyn.recording import viewer
 from nsdyn.recording.audit import TOLERANCES
 from nsdyn.recording.trajectory import Trajectory
@@ -107,15 +108,15 @@ def test_doctor(run, monkeypatch):
     out = run("doctor")[1]
     assert all(word in out for word in ("pin ", "coal", "qdldl", "cache", "chromium", "check"))
 
-    monkeypatch.setitem(cli._CHECKS, "coal distance", lambda: False)
-    monkeypatch.setitem(cli._CHECKS, "qdldl solve", lambda: 1 / 0)
+    monkeypatch.setitem(doctor.CHECKS, "coal distance", lambda: False)
+    monkeypatch.setitem(doctor.CHECKS, "qdldl solve", lambda: 1 / 0)
     code, out, _ = run("doctor")
     assert code == 1
     assert "coal distance: WRONG RESULT" in out and "qdldl solve: ZeroDivisionError" in out
 
 
 def test_doctor_misses_a_package(run, monkeypatch):
-    monkeypatch.setitem(cli._PACKAGES, "no-such-distribution", "no_such_module")
+    monkeypatch.setitem(doctor.PACKAGES, "no-such-distribution", "no_such_module")
     code, out, _ = run("doctor")
     assert code == 1 and "no-such-distribution MISSING" in out
 

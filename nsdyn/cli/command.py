@@ -1,0 +1,193 @@
+"""The `nsdyn` command.
+
+Figures go to stdout, as text or with ``--json``; progress and messages go to stderr. The exit code is 0 for
+success, 1 for a simulation that did not converge, a failed audit or self-check, 2 for bad input, which is told in
+one line before anything is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import re
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn, TextIO
+
+from nsdyn.cli.doctor import diagnose, version_of
+from nsdyn.cli.output import OUTPUTS, add_json, one_line
+from nsdyn.cli.problems import bench_engines, profile_solvers, solve_file
+from nsdyn.cli.results import show_contacts, show_energy, write_page
+from nsdyn.cli.simulation import add_simulation, list_scenes, run_scene, sweep_scene
+
+__all__ = ["main"]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    arguments = _parser().parse_args(argv)
+    logging.basicConfig(level=logging.INFO, format="nsdyn: %(message)s", stream=sys.stderr)
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        try:
+            return int(arguments.run(arguments))
+        except BrokenPipeError:  # the reader of our output is gone
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
+        except (ValueError, OSError) as error:
+            print(f"nsdyn: error: {one_line(error)}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            print("nsdyn: interrupted", file=sys.stderr)
+            return 130
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    print(f"nsdyn: warning: {one_line(message)}", file=sys.stderr)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Tells a mistake in one line, as everything else here does."""
+
+    def error(self, message: str) -> NoReturn:
+        from nsdyn.tools.naming import meant
+
+        choice = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        hint = meant(choice[1], re.findall(r"[\w-]+", choice[2])) if choice else ""
+        self.exit(2, f"nsdyn: error: {message}{hint} (see {self.prog} --help)\n")
+
+
+def _parser() -> _Parser:
+    parser = _Parser(prog="nsdyn", description="Rigid multibody dynamics with hard contact and exact Coulomb friction.")
+    parser.add_argument("--version", action="version", version=f"nsdyn {version_of('nsdyn')}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def command(name: str, run: Callable[[argparse.Namespace], int], summary: str) -> argparse.ArgumentParser:
+        out = commands.add_parser(
+            name, help=summary, description=summary, epilog=None if run in (list_scenes, diagnose) else OUTPUTS
+        )
+        out.set_defaults(run=run)
+        return out
+
+    p = command("scenes", list_scenes, "List the named scenes and their parameters.")
+    add_json(p)
+
+    p = command("doctor", diagnose, "Show versions and places of what nsdyn depends on, and check that it works.")
+    p.add_argument("--compile", action="store_true", help="first compile all kernels, in as many processes as cores")
+    add_json(p)
+
+    p = command("run", run_scene, "Simulate a named scene and print its energy ledger.")
+    p.add_argument("scene", metavar="SCENE", help="a name that 'nsdyn scenes' lists")
+    p.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="parameter of the scene; may be repeated",
+    )
+    add_simulation(p)
+    where = p.add_mutually_exclusive_group()
+    where.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
+    where.add_argument(
+        "--resume", type=Path, metavar="RUN.h5",
+        help="recording of a run of the same arguments that ended or was killed: go on with it, bit for bit",
+    )  # fmt: skip
+    p.add_argument(
+        "--every", type=int, default=1, metavar="N", help="record only every N-th step (default: %(default)s)"
+    )
+    p.add_argument("--no-contacts", action="store_true", help="leave the contacts out of the recording")
+    p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
+    p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
+    p.add_argument("--check", action="store_true", help="audit the motion; the exit code is 0 only if it passes")
+    add_json(p)
+
+    p = command("sweep", sweep_scene, "Simulate a named scene for every combination of parameters and print a table.")
+    p.add_argument("scene", metavar="SCENE", help="a name that 'nsdyn scenes' lists")
+    p.add_argument(
+        "--set",
+        metavar="NAME=VALUE,...",
+        action="append",
+        default=[],
+        help="values of a parameter of the scene, with commas between; may be repeated",
+    )
+    add_simulation(p)
+    where = p.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: this one)")
+    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster whose workers have nsdyn")
+    p.add_argument("--csv", type=Path, metavar="F.csv", help="the table")
+    add_json(p)
+
+    p = command("solve", solve_file, "Solve a frictional contact problem in an FCLIB file.")
+    p.add_argument("problem", type=Path, metavar="PROBLEM.hdf5")
+    p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
+    p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
+    p.add_argument("-o", "--output", type=Path, metavar="SOLUTION.hdf5", help="the problem and its solution")
+    add_json(p)
+
+    p = command(
+        "profile", profile_solvers, "Compare solvers on a folder of FCLIB files: Dolan-Moré performance profiles."
+    )
+    p.add_argument("folder", type=Path, metavar="DIR")
+    p.add_argument("--solver", action="append", metavar="S", help="name, or all; may be repeated (default: auto)")
+    p.add_argument(
+        "--tol", type=float, action="append", metavar="E", help="on the error measure; may be repeated (default: 1e-8)"
+    )
+    p.add_argument("--min-contacts", type=int, default=0, metavar="N", help="leave out smaller problems")
+    p.add_argument(
+        "--limit", type=float, default=10.0, metavar="SECONDS", help="time limit of each solve (default: %(default)s)"
+    )
+    p.add_argument("--peer", action="append", default=[], metavar="NAME", help="siconos or pinocchio: all its solvers")
+    p.add_argument("--csv", type=Path, metavar="F.csv", help="all runs, one a line")
+    p.add_argument("--plot", type=Path, metavar="F.png", help="picture of the profiles (png, pdf or svg)")
+    add_json(p)
+
+    p = command(
+        "bench", bench_engines, "Speed against error: scenes with known answers, in nsdyn and in other engines."
+    )
+    p.add_argument("case", metavar="CASE", nargs="*", help="cases by name (default: all)")
+    p.add_argument(
+        "--peer",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="mujoco, drake, dart, bullet or siconos; may be repeated",
+    )
+    p.add_argument(
+        "--limit", type=float, default=30.0, metavar="SECONDS", help="time limit of each run (default: %(default)s)"
+    )
+    p.add_argument("--csv", type=Path, metavar="F.csv", help="all runs, one a line")
+    p.add_argument("--plot", type=Path, metavar="F.png", help="picture of time against error (png, pdf or svg)")
+    add_json(p)
+
+    p = command("energy", show_energy, "Print, plot or export the energy ledger of a recording.")
+    p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument("--plot", type=Path, metavar="E.png", help="picture of energies and works (png, pdf or svg)")
+    p.add_argument("--csv", type=Path, metavar="E.csv", help="all times: energies, and the works of each step, in J")
+    add_json(p)
+
+    p = command("contacts", show_contacts, "Print or export the contacts of a recording.")
+    p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
+    p.add_argument("--csv", type=Path, metavar="C.csv", help="all contacts of all steps, one a line")
+
+    p = command("view", write_page, "Make a web page or a picture of a recording.")
+    p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
+    p.add_argument(
+        "--forces", nargs="?", const="pair", default=False, metavar="BY",
+        help="draw the contact forces, one for each pair of bodies (the default) or each contact point: pair, point",
+    )  # fmt: skip
+    p.add_argument("--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)")
+    p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
+    p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
+    return parser

@@ -1,0 +1,117 @@
+"""`nsdyn doctor`: what is installed, where, and whether it works."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from nsdyn.cli.output import one_line, say_json
+
+__all__ = ["CHECKS", "PACKAGES", "diagnose", "version_of"]
+
+# Distribution: module.
+PACKAGES = {
+    "nsdyn": "nsdyn",
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "numba": "numba",
+    "pin": "pinocchio",
+    "coal": "coal",
+    "qdldl": "qdldl",
+    "h5py": "h5py",
+    "meshcat": "meshcat",
+}
+
+
+def version_of(distribution: str) -> str | None:
+    """Version of an installed distribution; of nsdyn also in a source tree."""
+    if distribution == "nsdyn":
+        from nsdyn import __version__
+
+        return __version__
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def diagnose(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn doctor``."""
+    from nsdyn._kernels import ahead, compiled
+    from nsdyn.recording import viewer
+
+    if arguments.compile:
+        ahead.compile_examples("all")
+    packages: dict[str, Any] = {}
+    for distribution, module in PACKAGES.items():
+        spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server
+        packages[distribution] = {"version": version_of(distribution), "file": spec.origin if spec else None}
+    cache = compiled.folder()
+    checks = {name: _outcome(check) for name, check in CHECKS.items()}
+    sound = all(p["version"] and p["file"] for p in packages.values()) and all(c == "ok" for c in checks.values())
+    figures: dict[str, Any] = {
+        "python": {"version": sys.version.split()[0], "file": sys.executable},
+        "packages": packages,
+        "chromium": viewer.chromium(),
+        "cache": cache,
+        "checks": checks,
+        "ok": sound,
+    }
+    if arguments.json:
+        say_json(arguments, figures)
+        return 0 if sound else 1
+    for name, found in {"python": figures["python"], **packages}.items():
+        print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
+    print(f"{'chromium':12} {figures['chromium'] or 'not found; only pictures (nsdyn view --png) need it'}")
+    none = f"none can be written: every start compiles unless {compiled.FOLDER} names a folder"
+    print(f"{'cache':12} {cache or none}")
+    for name, outcome in checks.items():
+        print(f"check        {name}: {outcome}")
+    return 0 if sound else 1
+
+
+def _outcome(check: Callable[[], bool]) -> str:
+    try:
+        return "ok" if check() else "WRONG RESULT"
+    except Exception as error:  # whatever a broken installation raises is the finding
+        return f"{type(error).__name__}: {one_line(error)}"
+
+
+def _check_coal() -> bool:
+    import coal
+    import numpy as np
+
+    ball, there = coal.Sphere(1.0), coal.Transform3s()
+    there.setTranslation(np.array([3.0, 0.0, 0.0]))
+    result = coal.DistanceResult()
+    distance = coal.distance(ball, coal.Transform3s(), ball, there, coal.DistanceRequest(), result)
+    return bool(abs(distance - 1.0) < 1e-6)  # Coal's own tolerance of an iterative distance
+
+
+def _check_qdldl() -> bool:
+    import numpy as np
+    import qdldl
+    import scipy.sparse as sp
+
+    x = qdldl.Solver(sp.csc_matrix([[4.0, 1.0], [1.0, 3.0]])).solve(np.array([1.0, 2.0]))
+    return bool(np.allclose(x, [1 / 11, 7 / 11], rtol=1e-12, atol=0.0))
+
+
+def _check_contact() -> bool:
+    import numpy as np
+
+    import nsdyn
+
+    # One kilogram that slides: r_N stops it, friction is at its limit mu r_N.
+    solution = nsdyn.solve(nsdyn.FC3D(np.eye(3), np.array([-1.0, 2.0, 0.0]), np.array([0.5])))
+    return bool(np.allclose(solution.r, [1.0, -0.5, 0.0], rtol=0.0, atol=1e-7))
+
+
+CHECKS = {
+    "coal distance": _check_coal,
+    "qdldl solve": _check_qdldl,
+    "sliding contact": _check_contact,
+}

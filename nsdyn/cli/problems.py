@@ -1,0 +1,92 @@
+"""`nsdyn solve`, `nsdyn profile` and `nsdyn bench`."""
+
+from __future__ import annotations
+
+import argparse
+
+from nsdyn.cli.output import PLOTS, check_outputs, check_picture, picture, plot_to, say, say_json
+
+__all__ = ["bench_engines", "profile_solvers", "solve_file"]
+
+
+def solve_file(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn solve``."""
+    from nsdyn import solvers
+    from nsdyn.problem import fclib
+
+    solver = solvers.by_name(arguments.solver, arguments.tol)
+    check_outputs(arguments.problem, arguments.output)
+    problem = fclib.read(arguments.problem)
+    solution = solver(problem)
+    if arguments.output:
+        fclib.write_solution(arguments.output, arguments.problem, solution, overwrite=True)
+    figures = {
+        "problem": arguments.problem,
+        "contacts": problem.nc,
+        "solver": arguments.solver,
+        "tol": arguments.tol,
+        "converged": solution.converged,
+        "status": solution.status.message,
+        "error": solution.error,
+        "residual": solution.residual,
+        "iterations": solution.iterations,
+        "time": solution.time,
+        "solution": arguments.output,
+    }
+    if arguments.json:
+        say_json(arguments, figures)
+    else:
+        say(
+            arguments,
+            f"{problem.nc} contacts, {arguments.solver}: {solution.status.message}; error {solution.error:.2e}, "
+            f"residual {solution.residual:.2e} m/s, {solution.iterations} iterations in {1e3 * solution.time:.3g} ms",
+        )
+    return 0 if solution.converged else 1
+
+
+def profile_solvers(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn profile``."""
+    from dataclasses import asdict
+    from functools import partial
+
+    from nsdyn.study import profile
+
+    check_outputs(None, arguments.csv, arguments.plot)
+    check_picture(arguments.plot, *PLOTS)
+    solvers, smallest = arguments.solver or ["auto"], arguments.min_contacts
+    found = [
+        profile.measure(arguments.folder, solvers, tol, arguments.limit, arguments.peer, smallest, progress=True)
+        for tol in arguments.tol or [1e-8]
+    ]
+    if arguments.csv:
+        profile.write_csv(arguments.csv, found)
+    if arguments.plot:
+        plot_to(arguments.plot, *(partial(one.plot, legend=one is found[-1]) for one in found))
+    if arguments.json:
+        say_json(arguments, [
+            {"tol": p.tol, "limit": p.limit, "summary": p.summary(), "runs": [asdict(run) for run in p.runs]}
+            for p in found
+        ])  # fmt: skip
+    else:
+        say(arguments, "\n\n".join(f"tol {one.tol:g}\n{one.table()}" for one in found))
+    return 0
+
+
+def bench_engines(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn bench``."""
+    from dataclasses import asdict
+
+    from nsdyn.study import bench
+
+    check_outputs(None, arguments.csv, arguments.plot)
+    check_picture(arguments.plot, *PLOTS)
+    found = bench.measure(arguments.case, arguments.peer, arguments.limit, progress=True)
+    if arguments.csv:
+        found.write_csv(arguments.csv)
+    if arguments.plot:
+        picture(arguments.plot, found.plot, (13, 9.5), 80)
+    if arguments.json:
+        say_json(arguments, {"summary": found.summary(), "runs": [asdict(run) for run in found.runs]})
+    else:
+        say(arguments, found.table())
+    return 0

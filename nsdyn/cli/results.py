@@ -1,0 +1,93 @@
+"""`nsdyn energy`, `nsdyn contacts` and `nsdyn view`: what recordings show."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nsdyn.cli.output import PLOTS, check_outputs, check_picture, plot_to, say, say_json, write_csv
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["show_contacts", "show_energy", "write_page"]
+
+
+def show_energy(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn energy``."""
+    from nsdyn.recording.trajectory import Trajectory
+    from nsdyn.tools.files import writing
+
+    check_outputs(arguments.recording, arguments.plot, arguments.csv)
+    check_picture(arguments.plot, *PLOTS)
+    trajectory = Trajectory.load(arguments.recording)
+    if arguments.plot:
+        plot_to(arguments.plot, trajectory.plot_energy)
+    if arguments.csv:
+        with writing(arguments.csv) as part:
+            write_csv(trajectory, part)
+    if arguments.json:
+        say_json(arguments, _ledger(trajectory))
+    else:
+        say(arguments, trajectory.energy_table())
+    return 0
+
+
+def _ledger(trajectory: Trajectory) -> dict[str, Any]:
+    shares = {
+        name: {"total": total, "most": most, "share": most / trajectory.at_play if most else 0.0}
+        for name, (total, most) in trajectory.shares().items()
+    }
+    return {
+        "ledger": trajectory.ledger(),
+        "at_play": trajectory.at_play,
+        "shares": shares,
+        "worst": trajectory.worst(),
+    }
+
+
+def show_contacts(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn contacts``."""
+    import csv
+
+    from nsdyn.recording.trajectory import Trajectory
+    from nsdyn.tools.files import writing
+
+    check_outputs(arguments.recording, arguments.csv)
+    trajectory = Trajectory.load(arguments.recording)
+    if not 1 <= abs(arguments.step) <= trajectory.steps:
+        raise ValueError(f"--step must be one of 1 to {trajectory.steps}, or -1 back, got {arguments.step}")
+    if arguments.csv:
+        table = trajectory.contact_table()
+        with writing(arguments.csv) as part, open(part, "w", newline="") as file:
+            sink = csv.writer(file)
+            sink.writerow(table)
+            sink.writerows(zip(*(table[name].tolist() for name in table), strict=True))
+    say(arguments, trajectory.contacts(arguments.step))
+    return 0
+
+
+def write_page(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn view``."""
+    from nsdyn.recording import viewer
+    from nsdyn.recording.trajectory import Trajectory
+
+    if not (arguments.output or arguments.png):
+        raise ValueError("nothing to make: give -o RUN.html, --png FRAME.png, or both")
+    if arguments.at is not None and not arguments.png:
+        raise ValueError("--at is the time of the picture: give --png FRAME.png too")
+    check_outputs(arguments.recording, arguments.output, arguments.png)
+    check_picture(arguments.png, "png")
+    trajectory = Trajectory.load(arguments.recording)
+    options = {"fps": arguments.fps, "forces": arguments.forces}
+    if arguments.png:
+        at = trajectory.t[-1] if arguments.at is None else arguments.at
+        with tempfile.TemporaryDirectory(prefix="nsdyn-") as folder:
+            page = Path(folder) / "page.html"
+            viewer.write_html(trajectory, page, at=at, **options)
+            viewer.screenshot(page, arguments.png)
+    if arguments.output:
+        viewer.write_html(trajectory, arguments.output, **options)
+    return 0

@@ -1,0 +1,244 @@
+"""`nsdyn scenes`, `nsdyn run` and `nsdyn sweep`."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import inspect
+import sys
+import time
+from collections import Counter
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from nsdyn.cli.output import check_outputs, one_line, say, say_json
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+
+__all__ = ["add_simulation", "chosen_solver", "list_scenes", "run_scene", "sweep_scene"]
+
+
+def add_simulation(parser: argparse.ArgumentParser) -> None:
+    """Options of a simulation: its time, its step and its solver."""
+    parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
+    parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
+    parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
+    parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
+    parser.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
+    parser.add_argument(
+        "--loose", type=float, metavar="E",
+        help="of solver auto: what is accepted where its tolerance costs too much (default: 1e-4)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--on-fail", choices=("warn", "raise", "ignore"), default="warn",
+        help="what to do where a step misses its tolerance: go on with the best answer, or stop (default: %(default)s)",
+    )  # fmt: skip
+
+
+def list_scenes(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn scenes``."""
+    from nsdyn.scene import named as scenes
+    from nsdyn.scene import settings
+
+    found: dict[str, Any] = {}
+    for name in scenes.names():
+        summary = (inspect.getdoc(scenes.module(name)) or "").partition("\n")[0]
+        found[name] = {"summary": summary, "parameters": settings.parameters(name)}
+    if arguments.json:
+        say_json(arguments, found)
+        return 0
+    for name, scene in found.items():
+        shown = ", ".join(f"{key}={settings.as_text(value)}" for key, value in scene["parameters"].items())
+        print(f"{name}: {scene['summary']}\n    {shown}")
+    return 0
+
+
+def chosen_solver(arguments: argparse.Namespace) -> Any:
+    """The solver of a simulation, with a loose tolerance where it takes one."""
+    import nsdyn
+
+    solver = nsdyn.solvers.by_name(arguments.solver, arguments.tol)
+    if not isinstance(solver, nsdyn.solvers.Auto):
+        if arguments.loose is not None:
+            raise ValueError(f"--loose is for the solver 'auto', got {arguments.solver!r}")
+        return solver
+    loose = type(solver).loose if arguments.loose is None else arguments.loose
+    if not loose > 0.0:
+        raise ValueError(f"loose must be positive, got {loose}")
+    return replace(solver, loose=max(loose, solver.tol))
+
+
+def _met(trajectory: Any, solver: Any) -> str:
+    """How many steps, or groups of them that are recorded as one, met which tolerance, in words."""
+    from nsdyn import Status
+
+    count = Counter(trajectory.solver.status.tolist())
+    what = "steps" if trajectory.every == 1 else f"times {trajectory.every} steps"
+    parts = [f"{count.pop(Status.CONVERGED, 0)} {what} to {solver.tol:g}"]
+    if loose := count.pop(Status.LOOSE, 0):
+        parts.append(f"{loose} to {solver.loose:g}")
+    if squeezed := count.pop(Status.OVERLAP, 0):
+        parts.append(f"{squeezed} with an overlap that nothing removed")
+    if missed := count.total():
+        parts.append(f"{missed} missed their tolerance (largest error {trajectory.solver.error.max():.1e})")
+    return ", ".join(parts)
+
+
+def run_scene(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn run``."""
+    import numpy as np
+
+    import nsdyn
+    from nsdyn.scene import settings
+
+    name = arguments.scene
+    parameters = settings.values(name, arguments.set)
+    solver = chosen_solver(arguments)
+    check_outputs(None, arguments.output, arguments.resume, arguments.html)
+    setup = nsdyn.scenes.setup(name, **parameters)
+    recording = arguments.output or arguments.resume
+    start = time.perf_counter()
+    try:
+        trajectory = nsdyn.simulate(
+            setup.scene,
+            setup.duration if arguments.time is None else arguments.time,
+            **setup.options(dt=setup.dt if arguments.dt is None else arguments.dt),
+            theta=arguments.theta,
+            solver=solver,
+            record=arguments.output,
+            progress=True,
+            on_fail=arguments.on_fail,
+            dump_on_fail=arguments.dump_on_fail,
+            every=arguments.every,
+            contacts=not arguments.no_contacts,
+            resume=arguments.resume,
+        )
+    except nsdyn.NotConverged as failure:
+        kept = f"; the steps before it are in {recording}" if recording else ""
+        print(f"nsdyn: not converged: {one_line(failure)}{kept}", file=sys.stderr)
+        return 1
+    wall = time.perf_counter() - start
+    # The first step loads or compiles what it needs, beyond what is done before it.
+    each = trajectory.wall_time / trajectory.every
+    median = float(np.median(each))
+    start_up = None  # of a run that is resumed the recording has times of other processes
+    if not arguments.resume:
+        start_up = wall - float(trajectory.wall_time.sum()) + max(0.0, float(trajectory.wall_time[0]) - median)
+    if arguments.html:
+        trajectory.to_html(arguments.html)
+    figures = {
+        "scene": name,
+        "parameters": settings.parameters(name) | parameters,
+        "dt": trajectory.dt,
+        "steps": trajectory.steps * trajectory.every,
+        "every": trajectory.every,
+        "wall_time": wall,
+        "start_up_time": start_up,
+        "median_step_time": median,
+        "contacts": len(trajectory.columns["contacts/gap"]) / trajectory.steps if trajectory.has_contacts else None,
+        "worst": trajectory.worst(),
+        "recording": recording,
+        "html": arguments.html,
+    }
+    audit = nsdyn.check(trajectory) if arguments.check else None
+    code = 0 if audit is None or audit.passed else 1
+    if arguments.json:
+        say_json(arguments, figures if audit is None else figures | {"audit": audit.as_dict()})
+        return code
+    say(arguments, trajectory.energy_table())
+    worst = trajectory.worst()
+    after = "since it was resumed" if start_up is None else f"after {start_up:.2f} s of start-up"
+    contacts, penetration = "contacts not recorded", ""
+    if trajectory.has_contacts:
+        contacts = f"{figures['contacts']:.1f} contacts on average"
+        penetration = f", penetration {worst['penetration']:.1e} m"
+    say(
+        arguments,
+        f"{_met(trajectory, solver)}; {wall - (start_up or 0.0):.2f} s (median step {1e3 * median:.2f} ms) {after}, "
+        f"{contacts}; worst residual {worst['residual']:.1e} m/s, "
+        f"Gauss bound {worst['gauss_bound']:.1e} √J, defect {worst['defect']:.1e} J{penetration}",
+    )
+    if audit is not None:
+        say(arguments, audit)
+    return code
+
+
+def sweep_scene(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn sweep``."""
+    import nsdyn
+    from nsdyn.scene import settings
+    from nsdyn.study import sweep as ensemble
+    from nsdyn.tools.files import writing
+
+    name = arguments.scene
+    module = nsdyn.scenes.module(name)
+    parameters = settings.lists(name, arguments.set)
+    solver = chosen_solver(arguments)
+    check_outputs(None, arguments.csv)
+    with _executor(arguments) as executor:
+        members = ensemble.sweep(
+            name,
+            parameters,
+            module.DURATION if arguments.time is None else arguments.time,
+            on_fail=arguments.on_fail,
+            executor=executor,
+            keep=ensemble.figures,
+            progress=True,
+            dt=module.DT if arguments.dt is None else arguments.dt,
+            theta=arguments.theta,
+            solver=solver,
+        )
+    rows = [{**m.parameters, "failure": m.failure, **(m.result or {})} for m in members]
+    columns = list(dict.fromkeys(column for row in rows for column in row))  # a failed run has no figures
+    if arguments.csv:
+        import csv
+
+        with writing(arguments.csv) as part, open(part, "w", newline="") as file:
+            sink = csv.DictWriter(file, columns)
+            sink.writeheader()
+            sink.writerows(rows)
+    if arguments.json:
+        say_json(arguments, {"scene": name, "runs": rows})
+    else:
+        say(arguments, _columns(rows, [column for column in columns if column != "failure"]))
+    for m in members:
+        if m.failure:
+            print(f"nsdyn: not converged: {m.parameters}: {one_line(m.failure)}", file=sys.stderr)
+    return 1 if any(m.failure for m in members) else 0
+
+
+def _executor(arguments: argparse.Namespace) -> AbstractContextManager[Executor | None]:
+    """What runs the simulations, to be used in a with statement."""
+    if arguments.workers is not None:
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        if arguments.workers < 1:
+            raise ValueError(f"--workers must be at least 1, got {arguments.workers}")
+        return ProcessPoolExecutor(arguments.workers, get_context("spawn"))
+    if arguments.dask is not None:
+        if importlib.util.find_spec("distributed") is None:
+            raise ValueError("--dask needs the extra `cluster`: pip install 'nsdyn[cluster]'")
+        from distributed import Client
+
+        executor: AbstractContextManager[Executor] = Client(arguments.dask).get_executor()
+        return executor
+    return nullcontext()
+
+
+def _columns(rows: list[dict[str, Any]], names: list[str]) -> str:
+    """Text table of some columns; what a row lacks is a dash."""
+    cells = [[_cell(row.get(name)) for name in names] for row in rows]
+    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
+    return "\n".join("  ".join(map(str.rjust, line, widths)) for line in [names, *cells])
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    from nsdyn.scene.settings import as_text
+
+    return f"{value:.6g}" if isinstance(value, float) else as_text(value)
