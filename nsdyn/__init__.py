@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from nsdyn.scene.materials import Material
     from nsdyn.scene.scene import Scene
     from nsdyn.solvers import solve
-    from nsdyn.stepping.stepper import State, Step, Stepper, simulate
+    from nsdyn.stepping.simulation import simulate
+    from nsdyn.stepping.state import State, Step
+    from nsdyn.stepping.stepper import Stepper
     from nsdyn.study.sweep import sweep
 
 __version__ = "0.1.0"
@@ -53,7 +55,9 @@ _HOME = {
     "scene.materials": ("Material",),
     "scene.scene": ("Scene",),
     "solvers": ("solve",),
-    "stepping.stepper": ("State", "Step", "Stepper", "simulate"),
+    "stepping.simulation": ("simulate",),
+    "stepping.state": ("State", "Step"),
+    "stepping.stepper": ("Stepper",),
     "study.sweep": ("sweep",),
 }
 _MODULES = {"fclib": "problem.fclib", "scenes": "scene.named", "solvers": "solvers"}

@@ -34,7 +34,7 @@ from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Forces, Position
 from nsdyn.scene import pairs
 from nsdyn.scene.scene import Scene
-from nsdyn.stepping.stepper import State
+from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Acceleration", "Existence", "LeastConstraint", "accelerations", "least_constraint"]

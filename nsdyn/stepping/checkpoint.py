@@ -26,7 +26,7 @@ from nsdyn.stepping.encounter import Basis
 from nsdyn.tools.arrays import Array
 
 if TYPE_CHECKING:
-    from nsdyn.stepping.stepper import State
+    from nsdyn.stepping.state import State
 
 __all__ = ["checksums", "pack", "unpack"]
 

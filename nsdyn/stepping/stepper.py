@@ -1,4 +1,4 @@
-"""The Moreau–Jean time-stepper: moves between located impacts, their record, and the loop around it.
+"""The Moreau–Jean time-stepper: moves between located impacts, and their record.
 
 A step makes a dozen immutable values. They are named tuples, where the rest of the package has frozen dataclasses,
 which take three times as long to make: in a small scene that is a fifth of the step.
@@ -6,16 +6,13 @@ which take three times as long to make: in a small scene that is a fifth of the 
 
 from __future__ import annotations
 
-import json
 import math
 import warnings
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses
@@ -24,13 +21,11 @@ from nsdyn.dynamics.dynamics import Dynamics, Position
 from nsdyn.problem import fclib, gauss
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
-from nsdyn.recording.recorder import Recorder
-from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import pairs
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Auto, Solver, as_solver
-from nsdyn.stepping import checkpoint, impacts
+from nsdyn.stepping import impacts
 from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.encounter import Warm
@@ -39,10 +34,11 @@ from nsdyn.stepping.instant import Impulses, Instant, Looked, System, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.projection import place
 from nsdyn.stepping.sight import Unmet, others
+from nsdyn.stepping.state import Start, State, Step
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
 
-__all__ = ["State", "Step", "Stepper", "simulate"]
+__all__ = ["Callback", "Stepper"]
 
 Callback = Callable[[float, Array, Array], Mapping[str, Any]]
 
@@ -62,123 +58,6 @@ WORST = 1e-3
 """Error above which an answer is none."""
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
-
-
-class State(NamedTuple):
-    """Everything a run needs to go on bit for bit.
-
-    Attributes
-    ----------
-    origin, dt, count : float, float, int
-        t = origin + count dt.
-    instant : Instant
-        Position, velocity, contacts and warm start.
-    rate : ndarray, shape (n,)
-        Last free acceleration, m/s² and rad/s².
-    energies : (float, float)
-        Kinetic and potential, J.
-    owed : ndarray, shape (nf,)
-        Energy that free bodies gained by numerics, which was taken and not given back, J: see `nsdyn.stepping.balance`.
-    opening : gauss.Opening, optional
-        Direction that the last certificate rests on.
-    """
-
-    origin: float
-    dt: float
-    count: int  # type: ignore[assignment]  # tuple.count is of no use here
-    instant: Instant
-    rate: Array
-    energies: tuple[float, float]
-    owed: Array
-    opening: gauss.Opening | None = None
-
-    @property
-    def t(self) -> float:
-        """Time in s."""
-        return self.origin + self.count * self.dt
-
-    @property
-    def next_t(self) -> float:
-        """Time at the end of the next step in s."""
-        return self.origin + (self.count + 1) * self.dt
-
-
-class Step(NamedTuple):
-    """What one step did.
-
-    Attributes
-    ----------
-    t, q, v : float, ndarray, ndarray
-        At the end of the step; q and v in Pinocchio's layout.
-    frames_x, frames_quat : ndarray of shapes (frames, 3) and (frames, 4), or None
-        Poses of all moving frames when the scene has articulations.
-    contacts : ContactSet
-        Where the impulses acted, those of impacts first.
-    gap : ndarray, shape (nc,)
-        Of the shapes at the end of the step, m; negative inside.
-    frame : ndarray, shape (nc, 3, 3)
-        Contact frames, rows (n, t1, t2), world axes.
-    u, r : ndarray, shape (nc, 3)
-        Relative velocity at the end of the step [m/s], or after the impact, and impulse on body 2 [N·s], normal first.
-    contact_status : ndarray of int8, shape (nc,)
-        0 open, 1 stick, 2 slip.
-    work_normal, work_friction : ndarray, shape (nc,)
-        J.
-    joint_impulse : ndarray, shape (n,)
-        Of joint limits and dry joint friction on each coordinate, N m s or N s.
-    created : float
-        Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
-        chains, and Poisson's with several restitutions (`impacts`).
-    ledger : Ledger
-        Energies at the end and works of the step, J.
-    gauss : Certificate
-        Of the last problem.
-    problem : FC3D
-    solution : Solution
-        Of the last problem solved, or of the worst where any missed its tolerance; its status is OVERLAP where shapes
-        are left in each other by more than what counts as closed.
-    """
-
-    t: float
-    q: Array
-    v: Array
-    frames_x: Array | None
-    frames_quat: Array | None
-    contacts: ContactSet
-    gap: Array
-    frame: Array
-    u: Array
-    r: Array
-    contact_status: NDArray[np.int8]
-    work_normal: Array
-    work_friction: Array
-    joint_impulse: Array
-    created: float
-    ledger: Ledger
-    gauss: gauss.Certificate
-    problem: FC3D
-    solution: Solution
-
-    @property
-    def tangent(self) -> Array:
-        """First tangent t1 of every contact, shape (nc, 3); t2 = n × t1."""
-        return self.frame[:, 1]
-
-    @property
-    def energy(self) -> dict[str, float]:
-        """The terms of the ledger by their names, J."""
-        return self.ledger._asdict()
-
-
-class Start(NamedTuple):
-    """The initial state as a recording shows it: a `Step` without what steps do."""
-
-    t: float
-    q: Array
-    v: Array
-    frames_x: Array | None
-    frames_quat: Array | None
-    energy: dict[str, float]
 
 
 class Stepper:
@@ -521,109 +400,3 @@ def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:
         raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m){remedy}")
     if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
         warnings.warn(f"{where}; the first step moves them apart", stacklevel=5)
-
-
-def simulate(
-    scene: Scene,
-    duration: float,
-    dt: float = 1e-3,
-    theta: float = 0.5,
-    solver: str | Solver | None = None,
-    controller: Callback | None = None,
-    external_force: Callback | None = None,
-    on_fail: str = "warn",
-    record: str | Path | None = None,
-    progress: bool = False,
-    max_points: int = 8,
-    dump_on_fail: str | Path | None = None,
-    impact: str = "newton",
-    every: int = 1,
-    contacts: bool = True,
-    resume: str | Path | None = None,
-) -> Trajectory:
-    """Simulate a scene and return its trajectory.
-
-    Parameters
-    ----------
-    scene : Scene
-    duration : float
-        s; rounded up to whole steps that are recorded.
-    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact
-        As in `Stepper`.
-    record : path, optional
-        HDF5 file written while the simulation runs; a killed run keeps its steps.
-    progress : bool
-        Show a progress bar on stderr when it is a terminal.
-    every : int
-        Record only every so many steps. Works are summed over the steps between, so that the ledger closes; contacts,
-        with their impulses, are those of the step recorded: see `nsdyn.recording.file`.
-    contacts : bool
-        Whether contacts are recorded.
-    resume : path, optional
-        Recording, in place of `record`, of a run of the same arguments that ended or was killed. It goes on from the
-        last state there, about half a second of computing before a kill, and the rows after it are added to the file:
-        the same bits as if it had never stopped. Controllers and external forces must be functions of (t, q, v) alone.
-
-    Returns
-    -------
-    Trajectory
-
-    Raises
-    ------
-    ValueError
-        For bad arguments, before anything is written; where `resume` is a recording of another scene or of other
-        options, naming one.
-    FileNotFoundError
-        If there is no recording to resume.
-    NotConverged
-        As `on_fail` has it; the steps before are in `record`.
-
-    Examples
-    --------
-    A box slides 2²/(2 · 0.5 · 9.81) m = 0.4077 m and stops; friction has then taken its 2 J:
-
-    >>> import nsdyn as nd
-    >>> scene = nd.Scene()
-    >>> scene.add_halfspace("ground", material=nd.Material(mu=0.5))
-    >>> scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1), linear_velocity=(2, 0, 0),
-    ...               material=nd.Material(mu=0.5))
-    >>> trajectory = nd.simulate(scene, 0.5, dt=1e-3)
-    >>> round(float(trajectory.body("box").position[-1, 0]), 4), round(float(trajectory.energy.friction.sum()), 6)
-    (0.4077, -2.0)
-    """
-    from tqdm import tqdm  # costs 50 ms that a library user may not need
-
-    if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
-        raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
-    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact)
-    if isinstance(every, bool) or not isinstance(every, int) or every < 1:
-        raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
-    if resume is not None and record is not None:
-        raise ValueError(f"record must be None where resume names the file to go on with, got {record}")
-    steps = every * max(1, math.ceil(duration / stepper.dt / every - 1e-9))
-    kept = {"max_points": max_points, "every": every, "contacts": bool(contacts)}
-    with _recorder(stepper, record, resume, kept, duration) as recorder:
-        done = every * recorder.rows
-        # disable=None: tqdm draws only on a terminal
-        disable = None if progress else True
-        for _ in tqdm(range(done, steps), unit="step", initial=done, total=steps, disable=disable):
-            recorder.append(stepper.step(), partial(checkpoint.pack, stepper.get_state()))
-    return recorder.trajectory()
-
-
-def _recorder(
-    stepper: Stepper, record: str | Path | None, resume: str | Path | None, kept: dict[str, Any], duration: float
-) -> Recorder:
-    """What records a stepper, which is set to the last state of a recording to resume."""
-    scene = stepper.scene
-    meta = {
-        "dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver), "impact": stepper.system.impact,
-        "controller": stepper.controller is not None, "external_force": stepper.external_force is not None,
-        "checksums": json.dumps(checkpoint.checksums(scene)), **kept,
-    }  # fmt: skip
-    begin = stepper.get_state()
-    if resume is None:
-        return Recorder(record, meta, scene.describe(), stepper.start(), partial(checkpoint.pack, begin))
-    recorder, arrays = Recorder.resumed(resume, meta, scene.describe(), stepper.start(), duration)
-    stepper.set_state(checkpoint.unpack(arrays, begin, stepper.dynamics))
-    return recorder

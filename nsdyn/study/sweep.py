@@ -14,7 +14,7 @@ from nsdyn.problem.solution import NotConverged
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
-from nsdyn.stepping.stepper import simulate
+from nsdyn.stepping.simulation import simulate
 
 __all__ = ["Member", "figures", "sweep"]
 

@@ -1,0 +1,124 @@
+"""The loop around the stepper: a simulation from its arguments to its trajectory."""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from nsdyn.recording.recorder import Recorder
+from nsdyn.recording.trajectory import Trajectory
+from nsdyn.scene.scene import Scene
+from nsdyn.solvers import Solver
+from nsdyn.stepping import checkpoint
+from nsdyn.stepping.stepper import Callback, Stepper
+
+__all__ = ["simulate"]
+
+
+def simulate(
+    scene: Scene,
+    duration: float,
+    dt: float = 1e-3,
+    theta: float = 0.5,
+    solver: str | Solver | None = None,
+    controller: Callback | None = None,
+    external_force: Callback | None = None,
+    on_fail: str = "warn",
+    record: str | Path | None = None,
+    progress: bool = False,
+    max_points: int = 8,
+    dump_on_fail: str | Path | None = None,
+    impact: str = "newton",
+    every: int = 1,
+    contacts: bool = True,
+    resume: str | Path | None = None,
+) -> Trajectory:
+    """Simulate a scene and return its trajectory.
+
+    Parameters
+    ----------
+    scene : Scene
+    duration : float
+        s; rounded up to whole steps that are recorded.
+    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact
+        As in `Stepper`.
+    record : path, optional
+        HDF5 file written while the simulation runs; a killed run keeps its steps.
+    progress : bool
+        Show a progress bar on stderr when it is a terminal.
+    every : int
+        Record only every so many steps. Works are summed over the steps between, so that the ledger closes; contacts,
+        with their impulses, are those of the step recorded: see `nsdyn.recording.file`.
+    contacts : bool
+        Whether contacts are recorded.
+    resume : path, optional
+        Recording, in place of `record`, of a run of the same arguments that ended or was killed. It goes on from the
+        last state there, about half a second of computing before a kill, and the rows after it are added to the file:
+        the same bits as if it had never stopped. Controllers and external forces must be functions of (t, q, v) alone.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    ValueError
+        For bad arguments, before anything is written; where `resume` is a recording of another scene or of other
+        options, naming one.
+    FileNotFoundError
+        If there is no recording to resume.
+    NotConverged
+        As `on_fail` has it; the steps before are in `record`.
+
+    Examples
+    --------
+    A box slides 2²/(2 · 0.5 · 9.81) m = 0.4077 m and stops; friction has then taken its 2 J:
+
+    >>> import nsdyn as nd
+    >>> scene = nd.Scene()
+    >>> scene.add_halfspace("ground", material=nd.Material(mu=0.5))
+    >>> scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1), linear_velocity=(2, 0, 0),
+    ...               material=nd.Material(mu=0.5))
+    >>> trajectory = nd.simulate(scene, 0.5, dt=1e-3)
+    >>> round(float(trajectory.body("box").position[-1, 0]), 4), round(float(trajectory.energy.friction.sum()), 6)
+    (0.4077, -2.0)
+    """
+    from tqdm import tqdm  # costs 50 ms that a library user may not need
+
+    if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
+        raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
+    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact)
+    if isinstance(every, bool) or not isinstance(every, int) or every < 1:
+        raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
+    if resume is not None and record is not None:
+        raise ValueError(f"record must be None where resume names the file to go on with, got {record}")
+    steps = every * max(1, math.ceil(duration / stepper.dt / every - 1e-9))
+    kept = {"max_points": max_points, "every": every, "contacts": bool(contacts)}
+    with _recorder(stepper, record, resume, kept, duration) as recorder:
+        done = every * recorder.rows
+        # disable=None: tqdm draws only on a terminal
+        disable = None if progress else True
+        for _ in tqdm(range(done, steps), unit="step", initial=done, total=steps, disable=disable):
+            recorder.append(stepper.step(), partial(checkpoint.pack, stepper.get_state()))
+    return recorder.trajectory()
+
+
+def _recorder(
+    stepper: Stepper, record: str | Path | None, resume: str | Path | None, kept: dict[str, Any], duration: float
+) -> Recorder:
+    """What records a stepper, which is set to the last state of a recording to resume."""
+    scene = stepper.scene
+    meta = {
+        "dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver), "impact": stepper.system.impact,
+        "controller": stepper.controller is not None, "external_force": stepper.external_force is not None,
+        "checksums": json.dumps(checkpoint.checksums(scene)), **kept,
+    }  # fmt: skip
+    begin = stepper.get_state()
+    if resume is None:
+        return Recorder(record, meta, scene.describe(), stepper.start(), partial(checkpoint.pack, begin))
+    recorder, arrays = Recorder.resumed(resume, meta, scene.describe(), stepper.start(), duration)
+    stepper.set_state(checkpoint.unpack(arrays, begin, stepper.dynamics))
+    return recorder

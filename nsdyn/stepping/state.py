@@ -1,0 +1,135 @@
+"""States of a run, and what one step did, as values."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.problem import gauss
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.stepping.energy import Ledger
+from nsdyn.stepping.instant import Instant
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Start", "State", "Step"]
+
+
+class State(NamedTuple):
+    """Everything a run needs to go on bit for bit.
+
+    Attributes
+    ----------
+    origin, dt, count : float, float, int
+        t = origin + count dt.
+    instant : Instant
+        Position, velocity, contacts and warm start.
+    rate : ndarray, shape (n,)
+        Last free acceleration, m/s² and rad/s².
+    energies : (float, float)
+        Kinetic and potential, J.
+    owed : ndarray, shape (nf,)
+        Energy that free bodies gained by numerics, which was taken and not given back, J: see `nsdyn.stepping.balance`.
+    opening : gauss.Opening, optional
+        Direction that the last certificate rests on.
+    """
+
+    origin: float
+    dt: float
+    count: int  # type: ignore[assignment]  # tuple.count is of no use here
+    instant: Instant
+    rate: Array
+    energies: tuple[float, float]
+    owed: Array
+    opening: gauss.Opening | None = None
+
+    @property
+    def t(self) -> float:
+        """Time in s."""
+        return self.origin + self.count * self.dt
+
+    @property
+    def next_t(self) -> float:
+        """Time at the end of the next step in s."""
+        return self.origin + (self.count + 1) * self.dt
+
+
+class Step(NamedTuple):
+    """What one step did.
+
+    Attributes
+    ----------
+    t, q, v : float, ndarray, ndarray
+        At the end of the step; q and v in Pinocchio's layout.
+    frames_x, frames_quat : ndarray of shapes (frames, 3) and (frames, 4), or None
+        Poses of all moving frames when the scene has articulations.
+    contacts : ContactSet
+        Where the impulses acted, those of impacts first.
+    gap : ndarray, shape (nc,)
+        Of the shapes at the end of the step, m; negative inside.
+    frame : ndarray, shape (nc, 3, 3)
+        Contact frames, rows (n, t1, t2), world axes.
+    u, r : ndarray, shape (nc, 3)
+        Relative velocity at the end of the step [m/s], or after the impact, and impulse on body 2 [N·s], normal first.
+    contact_status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    work_normal, work_friction : ndarray, shape (nc,)
+        J.
+    joint_impulse : ndarray, shape (n,)
+        Of joint limits and dry joint friction on each coordinate, N m s or N s.
+    created : float
+        Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
+        chains, and Poisson's with several restitutions (`impacts`).
+    ledger : Ledger
+        Energies at the end and works of the step, J.
+    gauss : Certificate
+        Of the last problem.
+    problem : FC3D
+    solution : Solution
+        Of the last problem solved, or of the worst where any missed its tolerance; its status is OVERLAP where shapes
+        are left in each other by more than what counts as closed.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    frames_x: Array | None
+    frames_quat: Array | None
+    contacts: ContactSet
+    gap: Array
+    frame: Array
+    u: Array
+    r: Array
+    contact_status: NDArray[np.int8]
+    work_normal: Array
+    work_friction: Array
+    joint_impulse: Array
+    created: float
+    ledger: Ledger
+    gauss: gauss.Certificate
+    problem: FC3D
+    solution: Solution
+
+    @property
+    def tangent(self) -> Array:
+        """First tangent t1 of every contact, shape (nc, 3); t2 = n × t1."""
+        return self.frame[:, 1]
+
+    @property
+    def energy(self) -> dict[str, float]:
+        """The terms of the ledger by their names, J."""
+        return self.ledger._asdict()
+
+
+class Start(NamedTuple):
+    """The initial state as a recording shows it: a `Step` without what steps do."""
+
+    t: float
+    q: Array
+    v: Array
+    frames_x: Array | None
+    frames_quat: Array | None
+    energy: dict[str, float]
