@@ -41,6 +41,8 @@ def balance(
         What was taken before and not given back, J.
     """
     d = s.dynamics
+    if not (end.contacts.gap.size or any(a.contacts.gap.size for a in done)):
+        return end, 0.0, owed
     gain, slack, kinetic = np.empty((3, d.free))
     states = begin.position.x, begin.v, end.position.x, end.v
     some = _balance.gains(d.mass, d.J, d.gravity, external, s.closed, *states, gain, slack, kinetic)
