@@ -21,7 +21,10 @@ SCRIPTS = {
 }
 
 
-@pytest.mark.parametrize("script", SCRIPTS)
+LONG = "regimes.py"
+
+
+@pytest.mark.parametrize("script", [pytest.param(s, marks=[pytest.mark.slow] if s == LONG else []) for s in SCRIPTS])
 def test_script_runs(script, tmp_path):
     arguments, expected = SCRIPTS[script]
     arguments = [argument.format(folder=tmp_path) for argument in arguments]

@@ -31,11 +31,19 @@ def test_file(file, tmp_path):
     assert (again.blocks is None) == (problem.blocks is None) == (file in ("capstan", "rod"))
 
 
-@pytest.mark.parametrize("solver", nd.solvers.SOLVERS)
-@pytest.mark.parametrize("file", FILES)
+LONG = {("uzawa", "capstan"), ("bundle", "stack")}
+"""What takes ten seconds."""
+
+SOLVABLE = [
+    pytest.param(solver, file, marks=[pytest.mark.slow] if (solver, file) in LONG else [])
+    for solver in nd.solvers.SOLVERS
+    for file in FILES
+    if (solver, file) not in CANNOT
+]
+
+
+@pytest.mark.parametrize(("solver", "file"), SOLVABLE)
 def test_solver(solver, file):
-    if (solver, file) in CANNOT:
-        pytest.skip("named as what this method cannot solve")
     problem = nd.fclib.read(FILES[file])
     solution = nd.solve(problem, solver, tol=1e-4)
     assert solution.converged
