@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn.recording import arrows, viewer
+from nsdyn.recording import arrows, stage, viewer
 
 
 def keyframes(trajectory, fps):
@@ -25,7 +25,7 @@ def test_every_bounce_shows():
     np.testing.assert_allclose(found.force[:, 2] * length, np.diff(momentum)[bounced - 1], rtol=1e-9)
     # Seen from where the ball is at the end of the step, which it leaves at up to 4.4 m/s.
     np.testing.assert_allclose(found.point, np.tile((0, 0, -0.1), (2, 1)), rtol=0, atol=4.5e-3)
-    drawn = list(viewer._arrows(trajectory, rows, viewer._View(trajectory), "pair"))
+    drawn = list(viewer._arrows(trajectory, rows, stage.View(trajectory), "pair"))
     assert [path for path, _ in drawn] == ["/nsdyn/bodies/ball/contact forces/0"]
     assert np.flatnonzero(drawn[0][1]["scale"][:, 0]).tolist() == bounced.tolist()
 

@@ -14,7 +14,7 @@ import pytest
 import umsgpack
 
 import nsdyn as nd
-from nsdyn.recording import viewer
+from nsdyn.recording import pictures, solids, stage, viewer
 from nsdyn.recording.trajectory import Trajectory
 
 OCTAHEDRON = [(-1, 0, 0), (1, 0, 0), (0, -2, 0), (0, 2, 0), (0, 0, -3), (0, 0, 3)]
@@ -295,7 +295,7 @@ def test_arrows_point_anywhere():
 
 
 def test_camera_sees_everything_and_is_outside(falling):
-    view = viewer._View(falling)
+    view = stage.View(falling)
     assert view.eye[2] > 0.0
     forward = view.centre - view.eye
     forward /= np.linalg.norm(forward)
@@ -303,7 +303,7 @@ def test_camera_sees_everything_and_is_outside(falling):
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     x = np.concatenate([falling.body(name).position for name in falling.scene["frames"]]) - view.eye
-    slope = math.tan(math.radians(viewer.FIELD_OF_VIEW / 2))
+    slope = math.tan(math.radians(stage.FIELD_OF_VIEW / 2))
     assert (np.abs(x @ up) < slope * (x @ forward)).all()
     assert (np.abs(x @ right) < 4 / 3 * slope * (x @ forward)).all()
 
@@ -321,15 +321,15 @@ def test_articulation_is_drawn_link_by_link():
     page = viewer.html(trajectory, fps=500)
     moving = clips(page)
     for frame in trajectory.scene["frames"]:
-        assert viewer._body_path(frame) in {p.rpartition("/")[0] for p in by_path(page, "set_object")}
+        assert solids.body_path(frame) in {p.rpartition("/")[0] for p in by_path(page, "set_object")}
     link = next(name for name in trajectory.scene["frames"] if name.startswith("arm/"))
-    track = next(t for t in moving[viewer._body_path(link)]["tracks"] if t["name"] == ".quaternion")
+    track = next(t for t in moving[solids.body_path(link)]["tracks"] if t["name"] == ".quaternion")
     np.testing.assert_allclose(floats(track["values"], 4)[-1], trajectory.body(link).quaternion[-1], rtol=0, atol=1e-7)
 
 
 # -- in a browser --------------------------------------------------------------------------------------------
 
-needs_chromium = pytest.mark.skipif(viewer.chromium() is None, reason="no Chromium on the PATH")
+needs_chromium = pytest.mark.skipif(pictures.chromium() is None, reason="no Chromium on the PATH")
 
 
 @needs_chromium
@@ -339,7 +339,7 @@ def test_picture_shows_the_bodies_where_they_are(falling, tmp_path):
     pictures = []
     for at in (0.0, 1.0):
         viewer.write_html(falling, tmp_path / "page.html", at=at)
-        viewer.screenshot(tmp_path / "page.html", tmp_path / "page.png", size=(640, 360))
+        pictures.screenshot(tmp_path / "page.html", tmp_path / "page.png", size=(640, 360))
         pictures.append(np.asarray(Image.open(tmp_path / "page.png").convert("RGB"), dtype=float))
     assert pictures[0].shape == (360, 640, 3)
     blue = [((p[:, :, 2] - p[:, :, 0]) > 60).nonzero()[0] for p in pictures]  # first colour of the palette
@@ -357,7 +357,7 @@ def browse(page, *flags):
         "--host-resolver-rules=MAP * ~NOTFOUND", "--enable-logging=stderr",
         f"--user-data-dir={page.parent / 'profile'}", *flags,
     ]  # fmt: skip
-    done = subprocess.run([viewer.chromium(), *flags, page.as_uri()], capture_output=True, timeout=60)
+    done = subprocess.run([pictures.chromium(), *flags, page.as_uri()], capture_output=True, timeout=60)
     return done.stdout.decode(), done.stderr.decode(errors="replace")
 
 
@@ -410,5 +410,5 @@ def test_missing_browser_is_told(falling, tmp_path, monkeypatch):
     viewer.write_html(falling, tmp_path / "page.html", at=0.0)
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ValueError, match="apt-get install chromium"):
-        viewer.screenshot(tmp_path / "page.html", tmp_path / "page.png")
+        pictures.screenshot(tmp_path / "page.html", tmp_path / "page.png")
     assert [p.name for p in tmp_path.iterdir()] == ["page.html"]

@@ -41,7 +41,7 @@ def version_of(distribution: str) -> str | None:
 def diagnose(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn doctor``."""
     from nsdyn._kernels import ahead, compiled
-    from nsdyn.recording import viewer
+    from nsdyn.recording import pictures
 
     if arguments.compile:
         ahead.compile_examples("all")
@@ -55,7 +55,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
     figures: dict[str, Any] = {
         "python": {"version": sys.version.split()[0], "file": sys.executable},
         "packages": packages,
-        "chromium": viewer.chromium(),
+        "chromium": pictures.chromium(),
         "cache": cache,
         "checks": checks,
         "ok": sound,

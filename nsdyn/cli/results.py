@@ -71,7 +71,7 @@ def show_contacts(arguments: argparse.Namespace) -> int:
 
 def write_page(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn view``."""
-    from nsdyn.recording import viewer
+    from nsdyn.recording import pictures, viewer
     from nsdyn.recording.trajectory import Trajectory
 
     if not (arguments.output or arguments.png):
@@ -87,7 +87,7 @@ def write_page(arguments: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory(prefix="nsdyn-") as folder:
             page = Path(folder) / "page.html"
             viewer.write_html(trajectory, page, at=at, **options)
-            viewer.screenshot(page, arguments.png)
+            pictures.screenshot(page, arguments.png)
     if arguments.output:
         viewer.write_html(trajectory, arguments.output, **options)
     return 0

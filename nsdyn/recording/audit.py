@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from nsdyn.recording.overlap import Solid, separation
 from nsdyn.recording.poses import MIDDLE, Poses, turned
-from nsdyn.recording.trajectory import Trajectory, rotate
+from nsdyn.recording.series import rotate
+from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
 

@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from nsdyn.recording.overlap import Solid
-from nsdyn.recording.trajectory import Trajectory, rotate
+from nsdyn.recording.series import rotate
+from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["Poses", "matrix", "turned"]

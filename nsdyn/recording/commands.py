@@ -1,0 +1,103 @@
+"""Commands of meshcat and objects of three.js, as JSON values; identifiers are made from names."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import umsgpack
+from numpy.typing import ArrayLike
+
+from nsdyn.tools.arrays import Array
+
+__all__ = [
+    "Json",
+    "UPRIGHT",
+    "as_buffer",
+    "as_hex",
+    "as_three",
+    "by_columns",
+    "float_list",
+    "set_object",
+    "set_property",
+    "shaded",
+    "uuid_of",
+]
+
+Json = dict[str, Any]
+
+UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""Turns y, the axis of three.js, to z."""
+
+
+def set_object(path: str, content: Json) -> Json:
+    """Command that puts a three.js object, in its JSON format 4, at a path.
+
+    `content` has a node tree whose ``geometry`` and ``material`` are themselves JSON; three.js wants them in
+    lists and referred to by identifiers, which are made from the path here.
+    """
+    lists: dict[str, list[Json]] = {"geometries": [], "materials": []}
+
+    def place(node: Json, name: str) -> Json:
+        out = node | {"uuid": uuid_of(name)}
+        for key, field in (("geometry", "geometries"), ("material", "materials")):
+            if key in node:
+                out[key] = uuid_of(f"{name}:{key}")
+                lists[field].append(node[key] | {"uuid": out[key]})
+        out["children"] = [place(child, f"{name}.{k}") for k, child in enumerate(node.get("children", ()))]
+        return out
+
+    root = place(content, path)
+    data = {"metadata": {"version": 4.5, "type": "Object"}, "object": root, **lists}
+    return {"type": "set_object", "path": path, "object": data}
+
+
+def set_property(path: str, name: str, value: Any) -> Json:
+    """Command that sets a property of what is at a path."""
+    return {"type": "set_property", "path": path, "property": name, "value": value}
+
+
+def uuid_of(name: str) -> str:
+    """Identifier made from a name: equal recordings give equal bytes."""
+    return str(uuid.uuid5(uuid.NAMESPACE_URL, f"nsdyn:{name}"))
+
+
+def float_list(values: ArrayLike) -> umsgpack.Ext:
+    """Float32Array of the viewer's MessagePack dialect."""
+    return umsgpack.Ext(0x17, np.ascontiguousarray(values, dtype="<f4").tobytes())
+
+
+def as_buffer(**attributes: Array) -> Json:
+    """BufferGeometry with attributes of three components."""
+    data = {
+        name: {"itemSize": 3, "type": "Float32Array", "array": float_list(values), "normalized": False}
+        for name, values in attributes.items()
+    }
+    return {"type": "BufferGeometry", "data": {"attributes": data}}
+
+
+def as_hex(colour: Iterable[float]) -> int:
+    """RGB in [0, 1] as the number 0xrrggbb."""
+    r, g, b = (round(255 * c) for c in list(colour)[:3])
+    return r << 16 | g << 8 | b
+
+
+def shaded(colour: Iterable[float], factor: float) -> tuple[float, ...]:
+    """Colour darkened (factor < 1) or lightened towards white (> 1); alpha stays."""
+    r, g, b, *alpha = colour
+    mixed = [c * factor if factor <= 1 else 1 - (1 - c) / factor for c in (r, g, b)]
+    return (*mixed, *alpha)
+
+
+def by_columns(matrix: Array) -> list[float]:
+    """Column by column, as three.js stores it."""
+    out: list[float] = matrix.T.ravel().tolist()
+    return out
+
+
+def as_three(vector: Array) -> list[float]:
+    """World coordinates of the viewer, y up."""
+    x, y, z = (float(c) for c in vector)
+    return [x, z, -y]

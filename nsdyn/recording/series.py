@@ -1,0 +1,226 @@
+"""What a recording holds, as arrays over its steps: energies, certificates, solves, motions, and contacts of a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.recording.file import CONTACT_STATES, ENERGIES, WORKS
+from nsdyn.tools.arrays import Array
+
+__all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "SolverLog", "rotate"]
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """Energies and works in J: kinetic + potential grows in each step by the sum of the works and the defect.
+
+    Attributes
+    ----------
+    kinetic, potential : ndarray, shape (n + 1,)
+        At the times t.
+    external, normal, friction, damping, constraint : ndarray, shape (n,)
+        Physics, work done on the system in each step: by applied forces and joint actuation, by the normal and the
+        tangential impulses of contacts and joints, by viscous joint damping, by prescribed motion and closed loops.
+    integration, projection : ndarray, shape (n,)
+        Numerics: by the time discretisation of smooth motion, by position projection and what takes back such gains.
+    defect : ndarray, shape (n,)
+        What the ledger of each step fails to explain; round-off when all is well.
+    created : ndarray, shape (n,)
+        What of `normal` and `friction` the contacts of a step with an impact created, by a paradox of its law; no
+        term of the balance. NaN in recordings that do not tell.
+    """
+
+    kinetic: Array
+    potential: Array
+    external: Array
+    normal: Array
+    friction: Array
+    damping: Array
+    constraint: Array
+    integration: Array
+    projection: Array
+    defect: Array
+    created: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The terms of the balance, states first."""
+        return ENERGIES + WORKS
+
+    @property
+    def total(self) -> Array:
+        """Kinetic + potential, shape (n + 1,)."""
+        return self.kinetic + self.potential
+
+
+@dataclass(frozen=True, eq=False)
+class Gauss:
+    """Certificate of each step by Gauss's principle, shape (n,).
+
+    Attributes
+    ----------
+    gap : ndarray
+        Duality gap, J.
+    shift : ndarray
+        Size of the perturbation of the step that was solved exactly, m/s.
+    bound : ndarray
+        At least the error of the velocity in the kinetic norm, √J; infinite where none is (`nsdyn.problem.gauss`).
+    """
+
+    gap: Array
+    shift: Array
+    bound: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SolverLog:
+    """What the solver reported in each step, shape (n,).
+
+    Attributes
+    ----------
+    error, residual : ndarray
+        `FC3D.error` [-] and `FC3D.residual` [m/s].
+    iterations : ndarray of int
+    status : ndarray of int8
+        Values of `nsdyn.problem.fc3d.Status`; 0 is converged.
+    time : ndarray
+        Wall time of the solve, s.
+    """
+
+    error: Array
+    residual: Array
+    iterations: NDArray[np.int32]
+    status: NDArray[np.int8]
+    time: Array
+
+    @property
+    def status_names(self) -> list[str]:
+        """Names of the status of each step."""
+        from nsdyn.problem.solution import Status
+
+        return [Status(int(s)).name for s in self.status]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMotion:
+    """Motion of one free body or link in the world frame.
+
+    Attributes
+    ----------
+    name : str
+    position : ndarray, shape (n + 1, 3)
+        m. Of the centre of mass of a free body, of the frame of a link or a joint.
+    quaternion : ndarray, shape (n + 1, 4)
+        xyzw, body to world.
+    """
+
+    name: str
+    position: Array
+    quaternion: Array
+    _twist: Array | None
+
+    @property
+    def linear_velocity(self) -> Array:
+        """Velocity of the centre of mass, shape (n + 1, 3), m/s; ValueError for a link."""
+        return self._velocity(0)
+
+    @property
+    def angular_velocity(self) -> Array:
+        """Angular velocity, shape (n + 1, 3), rad/s; ValueError for a link."""
+        return self._velocity(3)
+
+    def _velocity(self, start: int) -> Array:
+        if self._twist is None:
+            raise ValueError(f"velocities of link {self.name!r} are not recorded: they follow from q and v")
+        return rotate(self.quaternion, self._twist[:, start : start + 3])
+
+
+def rotate(quaternion: Array, vector: Array) -> Array:
+    """R(quaternion) vector, xyzw in the last axis."""
+    axis, w = quaternion[..., :3], quaternion[..., 3:]
+    turn = 2.0 * np.cross(axis, vector)
+    out: Array = vector + w * turn + np.cross(axis, turn)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class ContactTable:
+    """Contacts of one step, nc rows; SI units, world frame.
+
+    Attributes
+    ----------
+    body1, body2 : tuple of str
+        Names of the bodies, "articulation/body" of a link.
+    shape1, shape2 : tuple of str
+        Names of their shapes; a free body has one, of its own name.
+    point, normal, tangent : ndarray, shape (nc, 3)
+        Normal from body 1 to body 2; t1, with t2 = n x t1.
+    gap : ndarray, shape (nc,)
+        At the end of the step, m, positive apart.
+    u : ndarray, shape (nc, 3)
+        Velocity of body 2 relative to body 1 after the step, (N, T1, T2), m/s.
+    impulse : ndarray, shape (nc, 3)
+        On body 2, its opposite on body 1, (N, T1, T2), N·s; not unique when contacts are redundant.
+    mu, restitution : ndarray, shape (nc,)
+    key : ndarray of int64, shape (nc,)
+        The same for the same features of the same pair of shapes in the next step.
+    status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    work_normal, work_friction : ndarray, shape (nc,)
+        J.
+    """
+
+    body1: tuple[str, ...]
+    body2: tuple[str, ...]
+    shape1: tuple[str, ...]
+    shape2: tuple[str, ...]
+    point: Array
+    normal: Array
+    tangent: Array
+    gap: Array
+    u: Array
+    impulse: Array
+    mu: Array
+    restitution: Array
+    key: NDArray[np.int64]
+    status: NDArray[np.int8]
+    work_normal: Array
+    work_friction: Array
+
+    @property
+    def impulse_world(self) -> Array:
+        """Impulse on body 2 in the world frame, shape (nc, 3), N·s."""
+        other = np.cross(self.normal, self.tangent)
+        r = self.impulse
+        out: Array = r[:, :1] * self.normal + r[:, 1:2] * self.tangent + r[:, 2:] * other
+        return out
+
+    @property
+    def status_names(self) -> list[str]:
+        """Words for the status of each contact: open, stick or slip."""
+        return [CONTACT_STATES[s] for s in self.status]
+
+    def __len__(self) -> int:
+        return self.gap.size
+
+    def __repr__(self) -> str:
+        width = max([5, *map(len, self.body1 + self.body2)])
+        lines = [
+            f"{'body1':{width}} {'body2':{width}} {'gap [m]':>10} {'u_N [m/s]':>10} {'|u_T|':>9}"
+            f" {'r_N [N·s]':>10} {'|r_T|':>9} {'mu':>5} status"
+        ]
+        for k, state in enumerate(self.status_names[:_SHOWN]):
+            slip, drag = np.hypot(*self.u[k, 1:]), np.hypot(*self.impulse[k, 1:])
+            lines.append(
+                f"{self.body1[k]:{width}} {self.body2[k]:{width}} {self.gap[k]:10.2e} {self.u[k, 0]:10.2e}"
+                f" {slip:9.2e} {self.impulse[k, 0]:10.3e} {drag:9.2e} {self.mu[k]:5.3g} {state}"
+            )
+        if len(self) > _SHOWN:
+            lines.append(f"... {len(self) - _SHOWN} more")
+        return "\n".join(lines)
+
+
+_SHOWN = 40  # contacts a printed table shows
