@@ -336,13 +336,13 @@ needs_chromium = pytest.mark.skipif(pictures.chromium() is None, reason="no Chro
 def test_picture_shows_the_bodies_where_they_are(falling, tmp_path):
     from PIL import Image
 
-    pictures = []
+    taken = []
     for at in (0.0, 1.0):
         viewer.write_html(falling, tmp_path / "page.html", at=at)
         pictures.screenshot(tmp_path / "page.html", tmp_path / "page.png", size=(640, 360))
-        pictures.append(np.asarray(Image.open(tmp_path / "page.png").convert("RGB"), dtype=float))
-    assert pictures[0].shape == (360, 640, 3)
-    blue = [((p[:, :, 2] - p[:, :, 0]) > 60).nonzero()[0] for p in pictures]  # first colour of the palette
+        taken.append(np.asarray(Image.open(tmp_path / "page.png").convert("RGB"), dtype=float))
+    assert taken[0].shape == (360, 640, 3)
+    blue = [((p[:, :, 2] - p[:, :, 0]) > 60).nonzero()[0] for p in taken]  # first colour of the palette
     assert min(b.size for b in blue) > 100
     assert blue[0].mean() < 120 < blue[1].mean() - 60  # it fell from the upper third by a good part of the picture
     assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "page.png"]
