@@ -15,15 +15,8 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.problem.blocks import (
-    block_product,
-    diagonal_block,
-    islands,
-    momentum,
-    relative_velocity,
-    widest,
-)
-from nsdyn._kernels.problem.cones import natural_error, natural_residual, solve_one
+from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity
+from nsdyn._kernels.problem.cones import natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
 
 PATIENCE = 5  # Newton steps without settling after which a penalty is called too large
@@ -290,51 +283,3 @@ def scatter(contacts, x, r):
     for e in range(contacts.size):
         for i in range(3):
             r[3 * contacts[e] + i] = x[3 * e + i]
-
-
-@kernel
-def small_islands(
-    blocks, q, mu, scales, r, u, label, tol, accept, q_norm, largest, penalty, max_iter
-):  # fmt: skip
-    """Solve every island of at most `largest` coordinates with measure above `tol`, in place of r.
-
-    One contact in closed form, more by `dense`. The islands into label (nc,). Returns their measures, 0 for those that
-    end within `accept` times their share; their shares of the tolerance by contacts, since the literature's error adds
-    the islands up in squares and the judge measures them together; and the factorisations.
-    """
-    offset, block = blocks[:2]
-    found = islands(block, offset.size - 1, label)
-    measures = measures_of_islands(label, found, scales, q_norm, u, r, mu)
-    share, first = np.zeros(found), np.empty(found, np.int64)
-    for c in range(label.size - 1, -1, -1):
-        share[label[c]] += 1.0
-        first[label[c]] = c
-    most = widest(offset)
-    x, y, w, one = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3)), np.empty(3)
-    alone = found == 1 and offset.size == 2  # one body, nothing to extract
-    count = 0
-    for k in range(found):
-        if measures[k] <= tol:
-            continue
-        if share[k] == 1.0:
-            c = first[k]
-            diagonal_block(blocks, c, x, y, w)
-            solve_one(w, q[3 * c : 3 * c + 3], mu[c], one)
-            r[3 * c : 3 * c + 3] = one
-            measures[k] = 0.0
-            count += 1
-        elif alone and offset[-1] <= largest:
-            count, measures[k] = dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter)
-        else:
-            contacts, part = extract(blocks, label, k)
-            if part[0][-1] > largest:
-                continue
-            own_q, own_mu, own_scales, own = gather(contacts, q, mu, scales, r)
-            used, measures[k] = dense(part, own_q, own_mu, own_scales, own, tol, q_norm, penalty, max_iter)
-            count += used
-            scatter(contacts, own, r)
-    for k in range(found):
-        share[k] = math.sqrt(share[k] / label.size)
-        if measures[k] <= accept * share[k]:
-            measures[k] = 0.0
-    return measures, share, count
