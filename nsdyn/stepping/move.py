@@ -306,8 +306,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         d.twists(placed.placement, v_end),
     )  # fmt: skip
     rate = (half.forces.v - half.middle.v) / half.h
-    turn = 0.5 * half.h * (half.middle.v + a.v)[: 6 * d.free].reshape(-1, 6)[:, 3:]
-    external = d.external_works(half.forces, placed.position.x - begin.position.x, turn)
+    external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)
     return Move(end, impulses, works, a.problem, a.solution, placed.clear, rate, external)
 
 
