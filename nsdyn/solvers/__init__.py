@@ -21,7 +21,7 @@ from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import Auto
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Interior
-from nsdyn.solvers.momentum import Momentum
+from nsdyn.solvers.nesterov import Nesterov
 from nsdyn.solvers.newton import Newton
 from nsdyn.solvers.pgs import PGS
 from nsdyn.solvers.reference.aclm import ACLM
@@ -49,7 +49,7 @@ __all__ = [
     "ImpulseNewton",
     "Interior",
     "InteriorPoint",
-    "Momentum",
+    "Nesterov",
     "Newton",
     "Panagiotopoulos",
     "Proximal",

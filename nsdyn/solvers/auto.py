@@ -16,7 +16,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import interior
-from nsdyn.solvers.means import ByFactors, ByMatrix, Means, Momentum
+from nsdyn.solvers.means import ByFactors, ByMatrix, Interruptible, Means
 from nsdyn.solvers.newton import DENSE, island, rows
 from nsdyn.solvers.smoothing import smoothing
 from nsdyn.solvers.tuning import TUNING
@@ -47,7 +47,7 @@ class Search:
         tols = np.array([auto.tol, max(auto.tol, auto.loose), TUNING.coarse])
         self.tol, self.loose, self.coarse = (TUNING.margin * share * tols).tolist()
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, TUNING.longest
-        self._sweeps: Momentum | None = None
+        self._sweeps: Interruptible | None = None
         self._tried: list[Callable[..., tuple[int, float]]] = []
         p = means.problem
         _, error, residual, _ = p.solved(r, self.tol)
@@ -126,7 +126,7 @@ class Search:
             return
         if self._sweeps is None or self.best < TUNING.restart * self._sweeps.best:
             self._x = self.r.copy()
-            self._sweeps = self.means.momentum(self._x)
+            self._sweeps = self.means.nesterov(self._x)
         cost, before = self.means.sweep, self._sweeps.count
         most = before + self._most(cost, factorisations * self.means.factorisation / cost)
         self._sweeps.run(tol, most, most)
