@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -226,6 +226,12 @@ class Auto:
         solve = self._given_matrix if problem.blocks is None else self._given_factors
         solution = solve(problem, r, start) if problem.nc else self._judged(problem, r, 0, start)
         return solution if solution.accepted else self._explained(problem, solution)
+
+    def loosely(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem to the loose tolerance only: for what follows on a LOOSE solution and differs little."""
+        found = replace(self, tol=max(self.tol, self.loose))(problem, r0)
+        missed = found.converged and max(found.error, found.residual) > self.tol
+        return found._replace(status=Status.LOOSE) if missed else found
 
     def _judged(self, problem: FC3D, r: Array, count: int, start: float) -> Solution:
         """Solution of an impulse, since the time `start`."""

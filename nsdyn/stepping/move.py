@@ -261,7 +261,8 @@ def _respond(
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES, last is not None)
-    problem, solution, otherwise = solve(met, s.solver, half.ahead, s.closed, slides, back, most)
+    before = None if last is None else last.solution
+    problem, solution, otherwise = solve(met, s.solver, before, half.ahead, s.closed, slides, back, most)
     v = forces.v + kick + met.rows.velocity_change(solution.r)
     impulse = None
     if d.trees:
