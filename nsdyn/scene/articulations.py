@@ -395,6 +395,8 @@ def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Arra
                 )
     M = np.array(pin.crba(model, model.createData(), q))
     moments = np.diag(M)
+    if not np.isfinite(M).all():
+        raise ValueError(f"{name!r} must have poses, masses and inertias whose products are finite")
     if (moments <= 0.0).any() or np.linalg.eigvalsh(M / np.sqrt(np.outer(moments, moments)))[:1] <= 1e-12:
         joint = next((j for j in range(1, model.njoints) if moments[model.idx_vs[j]] <= 0.0), model.njoints - 1)
         raise ValueError(
