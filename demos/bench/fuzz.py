@@ -4,8 +4,8 @@
 
 Each case mutates one of a few good files of its reader, from a seed of its own: bytes changed, cut, repeated, thrown
 in; words of a text replaced, numbers by what no number should be, elements left out or moved; fields of HDF5 files of
-other types, sizes and values. A file that is read must serve: a recording is tabled, a problem solved, a robot moved for
-two steps. All is done in a child process that takes the crash, under a limit on memory and time, and tells of each case:
+other types, sizes and values. A file that is read must serve: a recording is tabled, a problem solved, a robot moved
+for two steps. All is done in a child process that takes the crash, with a limit on memory and time, and tells of each:
 
     read       and what was done with it succeeded
     refused    a ValueError that names the file
@@ -39,8 +39,12 @@ from nsdyn.recording import file as recording
 SECONDS = 20.0
 """That a case may take."""
 
-MEMORY = 512_000_000
-"""Bytes beyond those of the process at its start: what solving and stepping take, over 1000 times any file here."""
+MEMORY, MULTIPLE = 256_000_000, 1100
+"""Bytes beyond those of the process at its start, which solving and stepping take, and for each byte of the
+smallest good file, as gzip makes of zeros."""
+
+TREE = 4_000_000_000
+"""Bytes for a robot: Pinocchio's tables of the most coordinates that are taken, 256, are 1 GB."""
 
 BATCH = 500
 """Cases of one child, so that what a library leaks does not count."""
@@ -394,9 +398,14 @@ def fields(data: bytes, rng: Rng) -> bytes:
             if isinstance(item, h5py.Group) or rng.uniform() < 0.1:
                 changed_group(file, name, rng)
                 continue
-            values = item[()]
+            found = item[()]
+            if isinstance(found, h5py.Empty):
+                continue
+            if item.dtype.kind == "O":  # a text
+                changed_text(file, name, found, rng)
+                continue
             del file[name]
-            changed_field(file, name, values, rng)
+            changed_field(file, name, found, rng)
     return buffer.getvalue()
 
 
@@ -410,9 +419,17 @@ def changed_group(file: Any, name: str, rng: Rng) -> None:
         file[name].attrs[keys[rng.integers(len(keys))]] = odd[rng.integers(len(odd))]
 
 
-def changed_field(file: Any, name: str, values: Any, rng: Rng) -> None:
+def changed_text(file: Any, name: str, text: bytes, rng: Rng) -> None:
+    """A text of JSON with words, numbers or parts of it changed."""
+    kinds: list[Callable[[bytes, Rng], bytes]] = [values, words, without, repeated, cut]
+    text = kinds[rng.integers(len(kinds))](text, rng)
+    del file[name]
+    file[name] = text.decode(errors="replace").replace("\0", " ")
+
+
+def changed_field(file: Any, name: str, data: Any, rng: Rng) -> None:
     """A field in the place of another that had some values."""
-    flat = np.atleast_1d(values)
+    flat = np.atleast_1d(data)
     match rng.integers(9):
         case 0:  # as long as a file may say, and nothing in it
             huge = int(rng.choice([10**7, 10**9, 10**12]))
@@ -435,9 +452,9 @@ def changed_field(file: Any, name: str, values: Any, rng: Rng) -> None:
             odd = [np.nan, np.inf, -1.0, 1e308, -1e308, 0.0] if flat.dtype.kind == "f" else [-1, 0, 7, 2**31 - 1]
             for k in rng.integers(out.size, size=rng.integers(1, 4)):
                 out[k] = np.asarray(rng.choice(odd)).astype(out.dtype)
-            file.create_dataset(name, data=out.reshape(np.shape(values)))
+            file.create_dataset(name, data=out.reshape(np.shape(data)))
         case _:  # a small one that compresses as hardly anything does
-            file.create_dataset(name, data=np.zeros((2**22, *flat.shape[1:])), chunks=True, compression="gzip")
+            file.create_dataset(name, data=np.zeros((2**20, *flat.shape[1:2])), chunks=True, compression="gzip")
 
 
 BYTES = [flipped, cut, without, repeated, thrown_in, noise]
@@ -465,8 +482,8 @@ def outcome(reader: Reader, path: Path) -> str:
         try:
             reader.use(path)
         except ValueError as refused:
-            named = path.name in str(refused) or "'robot" in str(refused)
-            return "refused" if named else f"unnamed: {refused}"
+            told = any(culprit in str(refused) for culprit in (path.name, "'robot", "'loop'", "step "))
+            return "refused" if told else f"unnamed: {refused}"
         except MemoryError:
             return "memory"
         except Exception as other:  # whatever it is, it is the finding
@@ -474,10 +491,10 @@ def outcome(reader: Reader, path: Path) -> str:
     return "read"
 
 
-def limit_memory() -> None:
-    """Let this process have no more than `MEMORY` bytes beyond what it has."""
+def limit_memory(more: int) -> None:
+    """Let this process have no more than so many bytes beyond what it has."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    most = pages * resource.getpagesize() + MEMORY
+    most = pages * resource.getpagesize() + more
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 
@@ -485,7 +502,8 @@ def work(reader: Reader, good: list[bytes], seed: int, cases: range, path: Path,
     """The child: all cases, each begun by its number in `at`, its outcome a line in the pipe `out`."""
     sys.stderr = open(os.devnull, "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    limit_memory()
+    robot = reader.suffix in (".urdf", ".xml", ".sdf")
+    limit_memory(TREE if robot else MEMORY + MULTIPLE * min(map(len, good)))
     text = reader.suffix not in (".h5", ".hdf5")
     for case in cases:
         path.write_bytes(mutated(good, text, np.random.default_rng([seed, case])))

@@ -24,10 +24,13 @@ from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["Articulation", "Description", "Link", "Loop", "assemble", "close_loop", "describe_model"]
+__all__ = ["Articulation", "Description", "Link", "Loop", "assemble", "check_size", "close_loop", "describe_model"]
 
 NORMALISED = 1e-6
 """Error of norm of a quaternion or of a pair (cos, sin) in q that a user's rounding may leave."""
+
+COORDINATES = 256
+"""Most of a tree: Pinocchio's data hold three-way tables of them, 64 nv³ bytes, which is 1 GB."""
 
 SHOWN = 4
 """Most notes of what is left out that a warning shows."""
@@ -176,6 +179,16 @@ def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str]
     return Description(model, links=tuple(links), bodies=tuple(bodies), **(defaults | more))
 
 
+def check_size(name: str, model: Any) -> None:
+    """Refuse trees that Pinocchio has no memory for, and numbers whose products are none."""
+    if model.nv > COORDINATES:
+        raise ValueError(f"{name!r} has {model.nv} coordinates, more than {COORDINATES}: cut it into several trees")
+    placed = [p.translation for p in model.jointPlacements]
+    values = [*placed, *(np.r_[body.mass, body.lever, body.inertia.ravel()] for body in model.inertias)]
+    if not (np.abs(np.concatenate(values)) <= checks.LARGEST).all():
+        raise ValueError(f"{name!r} must have poses, masses and inertias of at most {checks.LARGEST:g} in size")
+
+
 def assemble(
     name: str,
     description: Description,
@@ -199,6 +212,7 @@ def assemble(
     inertias: str = "check",
 ) -> Articulation:
     """Articulation of a description, placed in the world; the parameters are those of `nsdyn.Scene.add_model`."""
+    check_size(name, description.model)
     model = description.model.copy()
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
     dropped, unused = list(description.dropped), list(description.unused)
@@ -243,8 +257,9 @@ def assemble(
         ("stiffness", stiffness, description.stiffness),
     ):
         values = in_joints[what] = of_joints(given, what, default, 6)
-        if (values < 0.0).any():
-            raise ValueError(f"{what} of {name!r} must not be negative, got {values.tolist()}")
+        if not ((values >= 0.0) & (values <= checks.LARGEST)).all():
+            size = f", nor above {checks.LARGEST:g}" if (values >= 0.0).all() else ""
+            raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
     model.armature = in_joints["armature"]
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)

@@ -237,7 +237,25 @@ class Stepper:
     # -- one step ----------------------------------------------------------------------------------------------
 
     def step(self) -> Step:
-        """Advance by dt and return what happened; on `NotConverged` the state is left as it was."""
+        """Advance by dt and return what happened; where that raises, the state is left as it was.
+
+        Raises
+        ------
+        NotConverged
+            As `on_fail` has it.
+        ValueError
+            Naming the step, where motion leaves the range of numbers, loops no longer close, or a callback's value
+            does not fit.
+        """
+        try:
+            return self._advance()
+        except (ValueError, ArithmeticError) as failure:
+            where = f"step {self._state.count + 1} from t = {self.t:.6g} s"
+            numeric = isinstance(failure, (ArithmeticError, np.linalg.LinAlgError))
+            hint = "; look for extreme masses, lengths, speeds or forces" if numeric else ""
+            raise ValueError(f"{where} is not possible: {failure}{hint}") from failure
+
+    def _advance(self) -> Step:
         s, now, rate, left = self._state, self._state.instant, self._state.rate, self.dt
         done: list[Impulses] = []
         solved: list[tuple[FC3D, Solution]] = []
@@ -263,6 +281,8 @@ class Stepper:
             self._fail(*solved[worst], done[worst].contacts)
         certificate, opening = self._certify(solved, s.opening)
         energies = self.dynamics.energies(now.position, now.v)
+        if not math.isfinite(sum(energies)):
+            raise ArithmeticError("positions or velocities are no longer finite")
         self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, owed, opening)
         ledger = Ledger.of(s.energies, energies, Works.total(works))
         problem, solution = solved[worst]

@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene import meshes
-from nsdyn.scene.articulations import Description, Loop, describe_model
+from nsdyn.scene.articulations import Description, Loop, check_size, describe_model
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.model import links_of
@@ -73,6 +73,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         masks, materials = _simplify(root, dropped, unused)
         flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
         model, geometry = _build(root, path)
+        check_size(name, model)
         stiffness, rest = _set_joints(root, model, dropped)
         q = _initial(root, model, keyframe, dropped, unused)
         loops = tuple(_loops(root, model, q, dropped))

@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Notes", "inside", "mesh_file", "numbers", "parse"]
@@ -72,8 +73,9 @@ def numbers(text: str | None, count: int | None, default: Sequence[float] | None
         out = np.array(text.split(), dtype=float)
     except ValueError:
         out = np.empty(0)
-    if out.size != (count or max(1, out.size)) or not np.isfinite(out).all():
+    if out.size != (count or max(1, out.size)) or not (np.abs(out) <= LARGEST).all():
         wanted = "a number" if count == 1 else f"{count or 'finite'} numbers"
+        wanted += f" of at most {LARGEST:g} in size" if np.isfinite(out).all() and out.size else ""
         raise ValueError(f"{what} must be {wanted}, got {text!r}")
     return out
 
