@@ -454,7 +454,8 @@ def changed_field(file: Any, name: str, data: Any, rng: Rng) -> None:
                 out[k] = np.asarray(rng.choice(odd)).astype(out.dtype)
             file.create_dataset(name, data=out.reshape(np.shape(data)))
         case _:  # a small one that compresses as hardly anything does
-            file.create_dataset(name, data=np.zeros((2**20, *flat.shape[1:2])), chunks=True, compression="gzip")
+            rows = 2**20 // max(1, flat[0].size if len(flat) else 1)
+            file.create_dataset(name, data=np.zeros((rows, *flat.shape[1:])), chunks=True, compression="gzip")
 
 
 BYTES = [flipped, cut, without, repeated, thrown_in, noise]
@@ -500,7 +501,6 @@ def limit_memory(more: int) -> None:
 
 def work(reader: Reader, good: list[bytes], seed: int, cases: range, path: Path, at: mmap.mmap, out: int) -> None:
     """The child: all cases, each begun by its number in `at`, its outcome a line in the pipe `out`."""
-    sys.stderr = open(os.devnull, "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     robot = reader.suffix in (".urdf", ".xml", ".sdf")
     limit_memory(TREE if robot else MEMORY + MULTIPLE * min(map(len, good)))
@@ -532,11 +532,9 @@ def run(name: str, count: int, seed: int, keep: Path | None, begin: int = 0) -> 
             source, sink = os.pipe()
             pid = os.fork()
             if pid == 0:
-                try:
-                    os.close(source)
-                    work(reader, good, seed, cases, path, at, sink)
-                finally:
-                    os._exit(0)
+                os.close(source)
+                work(reader, good, seed, cases, path, at, sink)
+                os._exit(0)
             os.close(sink)
             lines, hung = watched(source, pid, at)
             _, status = os.waitpid(pid, 0)

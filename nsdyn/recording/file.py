@@ -56,6 +56,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording import schema, slots
+from nsdyn.tools.datasets import dataset
 from nsdyn.tools.unfinished import open_to_read
 
 __all__ = ["create", "extend", "read", "read_state", "until"]
@@ -223,7 +224,7 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     columns = {name: schema.column(file, name, size, *_layout(name)) for name, size in rows.items()}
     for _, column, summed, value in added:
         columns[column] = sum((columns.pop(part) for part in summed), np.full(states - 1, value))
-    text = schema.field(file, "meta/scene")
+    text = dataset(file, "meta/scene")
     return meta, schema.scene(text[()], columns), columns
 
 

@@ -1,8 +1,4 @@
-"""What a recording holds, so that a file of another kind, or a damaged one, is told where it is read.
-
-Sizes that a file declares are compared with the bytes it holds before anything is read: a few bytes may declare any
-number of values, and HDF5 would make room for them. Fields that lead to other files are refused.
-"""
+"""What a recording holds, so that a file of another kind, or a damaged one, is told where it is read."""
 
 from __future__ import annotations
 
@@ -11,14 +7,12 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MULTIPLE", "check_meta", "column", "field", "scene"]
+from nsdyn.tools.datasets import dataset
 
-MULTIPLE = 1100
-"""Bytes that a byte of a file may stand for: gzip makes 1032 of one."""
+__all__ = ["check_meta", "column", "scene"]
 
 TRIPLE = [float, float, float]
 PLACEMENT = [[float] * 4] * 4
@@ -50,25 +44,9 @@ SCENE: dict[str, Any] = {
 META = {"dt": float, "theta": float, "every": int, "contacts": bool, "scene_name": str}
 
 
-def field(file: Any, name: str, rows: int | None = None) -> Any:
-    """A dataset whose first rows, or all, are in the file itself; ValueError naming it."""
-    link = file.get(name, getlink=True)
-    item = file[name] if isinstance(link, h5py.HardLink) else None
-    if not isinstance(item, h5py.Dataset) or item.shape is None or item.is_virtual or item.external:
-        raise ValueError(f"/{name} is no dataset of its own")
-    per_row = item.dtype.itemsize * math.prod(item.shape[1:])
-    chunk = item.dtype.itemsize * math.prod(item.chunks or ())
-    stored = min(item.id.get_storage_size(), file.file.id.get_filesize())
-    most = stored * (1 if item.id.get_create_plist().get_nfilters() == 0 else MULTIPLE)
-    wanted = per_row * min(len(item) if rows is None else rows, len(item)) if item.ndim else per_row
-    if max(wanted, chunk * (wanted > 0)) > most:
-        raise ValueError(f"/{name} has {item.shape} values and {stored} bytes in the file")
-    return item
-
-
 def column(file: Any, name: str, rows: int | None, kind: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
     """The first rows of a dataset, or all, as numbers of a kind; the shape of a row is given, None for any length."""
-    item = field(file, name, rows)
+    item = dataset(file, name, rows)
     fits = item.ndim == 1 + len(shape) and item.dtype.kind in ("iuf" if kind[0] == "f" else "iu")
     if not fits or any(size not in (None, given) for size, given in zip(shape, item.shape[1:], strict=True)):
         raise ValueError(f"/{name} has {item.dtype} of shape {item.shape}, {kind} of {len(shape) + 1} axes expected")
