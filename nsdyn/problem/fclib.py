@@ -35,7 +35,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.datasets import dataset
+from nsdyn.tools.datasets import check_heaps, dataset
 
 __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
 
@@ -118,6 +118,7 @@ def _open(path: str | Path) -> Iterator[Any]:
     """Open a file to read; every error becomes a ValueError that names it."""
     if not Path(path).is_file():
         raise ValueError(f"no such file: {path}")
+    check_heaps(Path(path))
     try:
         with h5py.File(path, "r") as file:
             yield file

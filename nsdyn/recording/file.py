@@ -56,7 +56,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording import schema, slots
-from nsdyn.tools.datasets import dataset
+from nsdyn.tools.datasets import check_heaps, dataset
 from nsdyn.tools.unfinished import open_to_read
 
 __all__ = ["create", "extend", "read", "read_state", "until"]
@@ -188,6 +188,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Saved | 
         raise FileNotFoundError(f"no such recording: {path}")
     if not h5py.is_hdf5(path):
         raise ValueError(f"{path} is not a recording of nsdyn: it is not an HDF5 file")
+    check_heaps(path)
     try:
         with open_to_read(path) as file:
             contents = _contents(file, path)

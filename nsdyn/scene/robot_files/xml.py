@@ -50,12 +50,12 @@ def parse(name: str, path: Path, kind: str) -> Element:
     if not path.is_file():
         raise ValueError(f"path of {name!r} must be a file in {kind}, got {str(path)!r}")
     try:
-        depth, root = 0, None
-        for event, element in ElementTree.iterparse(path, ("start", "end")):
-            root, depth = element if root is None else root, depth + (1 if event == "start" else -1)
+        depth, events = 0, ElementTree.iterparse(path, ("start", "end"))
+        for event, _ in events:
+            depth += 1 if event == "start" else -1
             if depth > DEEPEST:
                 raise ValueError(f"path of {name!r}: {path} has elements more than {DEEPEST} deep in each other")
-        assert root is not None  # a file without elements is a ParseError
+        root: Element = events.root  # type: ignore[attr-defined]  # documented, and unknown to the stubs
         return root
     except (ElementTree.ParseError, UnicodeDecodeError) as failure:
         if b"xacro:" in path.read_bytes():
