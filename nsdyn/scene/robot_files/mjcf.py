@@ -84,7 +84,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         filtered = frozenset(
             frozenset((a.name, b.name)) for a, b in combinations(links, 2) if not _collide(masks[a.name], masks[b.name])
         )
-    except (ValueError, RuntimeError) as failure:
+    except (ValueError, RuntimeError, LookupError) as failure:  # all of them Pinocchio raises
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
     return describe_model(
         model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, excluded=excluded, filtered=filtered,
