@@ -191,16 +191,16 @@ def test_run_of_a_driven_scene(run, tmp_path):
     assert Trajectory.load(tmp_path / "run.h5").energy.external.sum() > 0.1
 
 
-@pytest.mark.filterwarnings("default:step from")
+@pytest.mark.filterwarnings("default:step")
 def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
     # No solver reaches 1e-300 once something moves.
     impossible = "--solver", "pgs", "--tol", "1e-300"
     code, out, err = run("run", "slide", *SHORT, *impossible, "-o", "all.h5")
-    assert code == 0 and err.startswith("nsdyn: warning: step from t = ") and err.count("\n") == 1
+    assert code == 0 and err.startswith("nsdyn: warning: step 1 from t = ") and err.count("\n") == 1
     assert "missed their tolerance" in out and Trajectory.load(tmp_path / "all.h5").steps == 20
     code, out, err = run("run", "slide", *SHORT, *impossible, "--on-fail", "raise", "-o", "run.h5")
     assert code == 1 and out == ""
-    assert err.startswith("nsdyn: not converged: step from t = ") and err.count("\n") == 1
+    assert err.startswith("nsdyn: not converged: step 1 from t = ") and err.count("\n") == 1
     assert "run.h5" in err and Trajectory.load(tmp_path / "run.h5").steps < 20
 
 
@@ -305,7 +305,7 @@ def test_solve_without_a_slater_point(run, tmp_path):
     assert code == 1 and "no velocity opens every contact" in out and out.count("\n") == 1
 
 
-@pytest.mark.filterwarnings("default:step from")
+@pytest.mark.filterwarnings("default:step")
 def test_failing_run_dumps_a_problem_that_solve_reads(run):
     code, _, err = run("run", "slide", *SHORT, "--solver", "pgs", "--tol", "1e-300", "--dump-on-fail", "dumps")
     assert code == 0 and "its problem is in dumps/step-000001.hdf5" in err

@@ -95,7 +95,7 @@ def _parser() -> _Parser:
         default=[],
         help="parameter of the scene; may be repeated",
     )
-    add_simulation(p)
+    add_simulation(p, "raise", "dump", "ignore")
     where = p.add_mutually_exclusive_group()
     where.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
     where.add_argument(
@@ -107,7 +107,9 @@ def _parser() -> _Parser:
     )
     p.add_argument("--no-contacts", action="store_true", help="leave the contacts out of the recording")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
-    p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
+    p.add_argument(
+        "--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail, as FCLIB files"
+    )
     p.add_argument("--check", action="store_true", help="audit the motion; the exit code is 0 only if it passes")
     add_json(p)
 
@@ -120,7 +122,7 @@ def _parser() -> _Parser:
         default=[],
         help="values of a parameter of the scene, with commas between; may be repeated",
     )
-    add_simulation(p)
+    add_simulation(p, "raise", "ignore")
     where = p.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: this one)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster whose workers have nsdyn")

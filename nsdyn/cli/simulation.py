@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["add_simulation", "chosen_solver", "list_scenes", "run_scene", "sweep_scene"]
 
 
-def add_simulation(parser: argparse.ArgumentParser) -> None:
-    """Options of a simulation: its time, its step and its solver."""
+def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
+    """Options of a simulation: its time, its step, its solver, and what else than warn it may do `on_fail`."""
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
     parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
@@ -33,8 +33,9 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
         help="of solver auto: what is accepted where its tolerance costs too much (default: 1e-4)",
     )  # fmt: skip
     parser.add_argument(
-        "--on-fail", choices=("warn", "raise", "ignore"), default="warn",
-        help="what to do where a step misses its tolerance: go on with the best answer, or stop (default: %(default)s)",
+        "--on-fail", choices=("warn", *on_fail), default="warn",
+        help="what to do where a step misses its tolerance: go on with the best answer, and say so, write its problem "
+        "or be silent, or stop (default: %(default)s)",
     )  # fmt: skip
 
 
@@ -73,6 +74,8 @@ def chosen_solver(arguments: argparse.Namespace) -> Any:
 
 def _met(trajectory: Any, solver: Any) -> str:
     """How many steps, or groups of them that are recorded as one, met which tolerance, in words."""
+    import numpy as np
+
     from nsdyn import Status
 
     count = Counter(trajectory.solver.status.tolist())
@@ -83,7 +86,11 @@ def _met(trajectory: Any, solver: Any) -> str:
     if squeezed := count.pop(Status.OVERLAP, 0):
         parts.append(f"{squeezed} with an overlap that nothing removed")
     if missed := count.total():
-        parts.append(f"{missed} missed their tolerance (largest error {trajectory.solver.error.max():.1e})")
+        error = np.where(np.isin(trajectory.solver.status, list(count)), trajectory.solver.error, -1.0)
+        worst = int(np.argmax(error))
+        parts.append(
+            f"{missed} missed their tolerance (largest error {error[worst]:.1e}, at t = {trajectory.t[worst + 1]:g} s)"
+        )
     return ", ".join(parts)
 
 

@@ -25,10 +25,13 @@ from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["Articulation", "Description", "Link", "Loop", "assemble", "close_loop", "describe_model"]
+__all__ = ["Articulation", "Description", "Link", "Loop", "assemble", "check_size", "close_loop", "describe_model"]
 
 NORMALISED = 1e-6
 """Error of norm of a quaternion or of a pair (cos, sin) in q that a user's rounding may leave."""
+
+COORDINATES = 256
+"""Most of a tree: Pinocchio's data hold three-way tables of them, 64 nv³ bytes, which is 1 GB."""
 
 SHOWN = 4
 """Most notes of what is left out that a warning shows."""
@@ -177,6 +180,16 @@ def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str]
     return Description(model, links=tuple(links), bodies=tuple(bodies), **(defaults | more))
 
 
+def check_size(name: str, model: Any) -> None:
+    """Refuse trees that Pinocchio has no memory for, and numbers whose products are none."""
+    if model.nv > COORDINATES:
+        raise ValueError(f"{name!r} has {model.nv} coordinates, more than {COORDINATES}: cut it into several trees")
+    placed = [p.translation for p in model.jointPlacements]
+    values = [*placed, *(np.r_[body.mass, body.lever, body.inertia.ravel()] for body in model.inertias)]
+    if not (np.abs(np.concatenate(values)) <= checks.LARGEST).all():
+        raise ValueError(f"{name!r} must have poses, masses and inertias of at most {checks.LARGEST:g} in size")
+
+
 def assemble(
     name: str,
     description: Description,
@@ -200,6 +213,7 @@ def assemble(
     inertias: str = "check",
 ) -> Articulation:
     """Articulation of a description, placed in the world; the parameters are those of `nsdyn.Scene.add_model`."""
+    check_size(name, description.model)
     model = description.model.copy()
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
     dropped, unused = list(description.dropped), list(description.unused)
@@ -231,8 +245,9 @@ def assemble(
         "stiffness": of_joints(stiffness, "stiffness", description.stiffness, 6),
     }
     for what, values in in_joints.items():
-        if (values < 0.0).any():
-            raise ValueError(f"{what} of {name!r} must not be negative, got {values.tolist()}")
+        if not ((values >= 0.0) & (values <= checks.LARGEST)).all():
+            size = f", nor above {checks.LARGEST:g}" if (values >= 0.0).all() else ""
+            raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
     model.armature = in_joints["armature"]
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
@@ -402,7 +417,10 @@ def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Arra
                 )
     M = np.array(pin.crba(model, model.createData(), q))
     moments = np.diag(M)
-    if (moments <= 0.0).any() or np.linalg.eigvalsh(M / np.sqrt(np.outer(moments, moments)))[:1] <= 1e-12:
+    if not np.isfinite(M).all():
+        raise ValueError(f"{name!r} must have poses, masses and inertias whose products are finite")
+    size = np.sqrt(np.where(moments > 0.0, moments, 1.0))
+    if (moments <= 0.0).any() or np.linalg.eigvalsh(M / size / size[:, None])[:1] <= 1e-12:
         joint = next((j for j in range(1, model.njoints) if moments[model.idx_vs[j]] <= 0.0), model.njoints - 1)
         raise ValueError(
             f"{name!r} has a singular mass matrix: give the bodies moved by joint {model.names[joint]!r} "
