@@ -1,4 +1,4 @@
-"""A ball and a crate on a tilted plane. (The first line says what a scene shows.)
+"""A ball and a crate on a tilted plane: the first line says what a scene shows.
 
 Run it with:  nsdyn run FILE.py --html page.html
               nsdyn run FILE.py --set slope=30 --time 2 --dt 1e-3 -o run.h5

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn.recording.file import CONTACT_STATES
+from nsdyn.recording.file import CONTACT_STATES, JOINTS
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
@@ -50,11 +50,26 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """Motion of a joint: `position` (n + 1, nq) and `velocity` (n + 1, nv), (n + 1,) for one coordinate; rad or m."""
+    """Motion of a joint and what acts in it; without the second axis where it has one coordinate.
+
+    Attributes
+    ----------
+    name : str
+    position, velocity : ndarray, shapes (n + 1, nq), (n + 1, nv)
+        At the times t; rad or m, and per s.
+    torque : ndarray, shape (n, nv)
+        Mean actuation in each step, what the controller gave and `nsdyn.PD` made of it, N m or N.
+    limit_impulse, friction : ndarray, shape (n, nv)
+        Impulse of the limits in each step [N m s or N s], and mean dry friction [N m or N]. NaN, as `torque`, in
+        recordings that do not tell.
+    """
 
     name: str
     position: Array
     velocity: Array
+    torque: Array
+    limit_impulse: Array
+    friction: Array
 
 
 def contact_table(trajectory: Trajectory) -> Any:
@@ -122,7 +137,7 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
     """Motion of the joint "articulation/joint"; see `nsdyn.Trajectory.joint`."""
     scene = trajectory.scene
     free = scene["free"]
-    q, v, places = 7 * free, 6 * free, {}
+    q, v, places = 7 * free, 0, {}
     for a in scene["articulations"]:
         sizes = a.get("sizes")
         if sizes is None:
@@ -131,12 +146,17 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
             places[f"{a['name']}/{label}"] = slice(q, q + nq), slice(v, v + nv)
             q, v = q + nq, v + nv
     at, rows = places[choice(name, places, "joint")]
-    position, velocity = trajectory.q[:, at], trajectory.v[:, rows]
+    position, velocity = trajectory.q[:, at], trajectory.v[:, 6 * free :][:, rows]
+    told = (trajectory.columns.get(column) for column in JOINTS)
+    nothing = np.full((trajectory.steps, velocity.shape[1]), np.nan)
+    actuation, limit, drag = (nothing if impulses is None else impulses[:, rows] for impulses in told)
+    duration = trajectory.dt * trajectory.every
+    acts = actuation / duration, limit, drag / duration
     if velocity.shape[1] == 1 and position.shape[1] == 2:  # cos and sin of an angle, which goes on over turns
         position = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))[:, None]
     if velocity.shape[1] == 1:
-        position, velocity = position[:, 0], velocity[:, 0]
-    return JointMotion(name, position, velocity)
+        position, velocity, acts = position[:, 0], velocity[:, 0], tuple(values[:, 0] for values in acts)
+    return JointMotion(name, position, velocity, *acts)
 
 
 def need_contacts(trajectory: Trajectory) -> None:

@@ -46,6 +46,11 @@ class Trajectory:
         return self.columns["t"]
 
     @property
+    def t_steps(self) -> Array:
+        """Ends of the steps, shape (n,), s: the times of what belongs to steps, as works, forces and residuals."""
+        return self.t[1:]
+
+    @property
     def q(self) -> Array:
         """Configurations, shape (n + 1, nq), Pinocchio's convention; row 0 is the initial one."""
         return self.columns["q"]
@@ -168,7 +173,7 @@ class Trajectory:
         return tables.force(self, name)
 
     def joint(self, name: str) -> tables.JointMotion:
-        """Motion of a joint, "articulation/joint"; ValueError naming the known ones."""
+        """Motion of a joint, "articulation/joint", and what acts in it; ValueError naming the known ones."""
         return tables.joint(self, name)
 
     def save(self, path: str | Path) -> None:

@@ -78,8 +78,9 @@ class Step(NamedTuple):
         0 open, 1 stick, 2 slip.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
-    joint_impulse : ndarray, shape (n,)
-        Of joint limits and dry joint friction on each coordinate, N m s or N s.
+    joints : ndarray, shape (3, nv), or None
+        Impulses of actuation, of limits and of dry friction on the coordinates of the articulations, N m s or N s;
+        None in scenes without any.
     created : float
         Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
         chains, and Poisson's with several restitutions (`impacts`).
@@ -106,7 +107,7 @@ class Step(NamedTuple):
     contact_status: NDArray[np.int8]
     work_normal: Array
     work_friction: Array
-    joint_impulse: Array
+    joints: Array | None
     created: float
     ledger: Ledger
     gauss: gauss.Certificate
@@ -117,6 +118,14 @@ class Step(NamedTuple):
     def tangent(self) -> Array:
         """First tangent t1 of every contact, shape (nc, 3); t2 = n × t1."""
         return self.frame[:, 1]
+
+    @property
+    def joint_impulse(self) -> Array:
+        """Impulses of joint limits and dry joint friction on each coordinate, shape (n,), N m s or N s."""
+        out = np.zeros(self.v.size)
+        if self.joints is not None:
+            out[self.v.size - self.joints.shape[1] :] = self.joints[1] + self.joints[2]
+        return out
 
     @property
     def energy(self) -> dict[str, float]:
