@@ -2,8 +2,11 @@
 
 import importlib.util
 import json
+import os
+import signal
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,6 +86,70 @@ def test_bad_arguments():
         nd.sweep("slide", {"mu": [-1.0]}, 0.1, executor=pool)
 
 
+def test_a_run_that_is_refused_loses_only_itself():
+    good, bad = nd.sweep("slide", {"mu": [0.3, -1.0]}, 0.02, dt=0.01)
+    assert good.failure == "" and bad.result is None and "mu must not be negative" in bad.failure
+
+
+def dies(trajectory):
+    """Kills its process where mu is 0.2, the first time only; where it is 0.4, always."""
+    mu = trajectory.scene["geoms"][0]["mu"]
+    marker = Path(os.environ["NSDYN_TEST_MARKER"])
+    if mu == 0.4 or (mu == 0.2 and not marker.exists()):
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return float(mu)
+
+
+def test_a_process_that_dies_loses_its_run_only_and_that_is_tried_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("NSDYN_TEST_MARKER", str(tmp_path / "marker"))
+    values = {"mu": [0.1, 0.2, 0.3, 0.4, 0.5]}
+    store = tmp_path / "s.jsonl"
+    found = nd.sweep("slide", values, 0.02, executor=2, keep=dies, dt=0.01, store=store)
+    assert [m.result for m in found] == [0.1, 0.2, 0.3, None, 0.5]
+    assert "its worker was lost twice: BrokenProcessPool" in found[3].failure
+    # What was lost is not stored, and tried again.
+    assert len(store.read_text().splitlines()) == 5
+
+
+def counted(trajectory):
+    with open(os.environ["NSDYN_TEST_MARKER"], "a") as file:
+        file.write("x")
+    return {"x": trajectory.q[-1, 0], "bad": float("nan")}
+
+
+def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):
+    """Runs that are stored are not run again, a line that a kill has cut is; another sweep is refused."""
+    runs, store = tmp_path / "runs", tmp_path / "s.jsonl"
+    monkeypatch.setenv("NSDYN_TEST_MARKER", str(runs))
+    options = {"duration": 0.02, "dt": 0.01, "keep": counted, "store": store}
+    first = nd.sweep("slide", {"mu": [0.1, 0.2]}, **options)
+    assert runs.read_text() == "xx"
+    lines = store.read_bytes().splitlines(keepends=True)
+    store.write_bytes(b"".join(lines[:-1]) + lines[-1][:20])
+    again = nd.sweep("slide", {"mu": np.array([0.1, 0.2, 0.3])}, **options)
+    assert runs.read_text() == "xxxx" and store.read_bytes().startswith(b"".join(lines))
+    for a, b in zip(first, again, strict=False):
+        assert a.parameters == b.parameters and a.result["x"] == b.result["x"] and np.isnan(b.result["bad"])
+    alone = nd.sweep("slide", {"mu": [0.3]}, 0.02, dt=0.01)[0].result
+    assert again[2].result["x"] == alone.q[-1, 0]
+    for others, words in (
+        ({"dt": 0.02}, r"its options is .*'dt': '0.01'.*; give another name"),
+        ({"duration": 0.03}, "its duration is 0.02, not 0.03"),
+        ({"keep": end}, "its keep is "),
+        ({"keep": None}, "keep must say what of a run is stored"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            nd.sweep("slide", {"mu": [0.1]}, **options | others)
+    with pytest.raises(ValueError, match="is the store of another sweep: its "):
+        nd.sweep("stack", {"mu": [0.1]}, **options)
+    store.write_text("no store\n")
+    with pytest.raises(ValueError, match=r"s\.jsonl is not the store of a sweep"):
+        nd.sweep("slide", {"mu": [0.1]}, **options)
+    with pytest.raises(ValueError, match="a store holds numbers, texts, lists and dicts of them: got Trajectory"):
+        nd.sweep("slide", {"mu": [0.1]}, 0.02, dt=0.01, keep=lambda run: run, store=tmp_path / "other.jsonl")
+
+
 def test_any_function_is_a_scene():
     (one,) = nd.sweep(lambda speed: nd.scenes.load("slide")(speed=speed), {"speed": [1.0]}, 0.05, dt=0.01)
     assert ensemble.figures(one.result)["displacement"] == pytest.approx(0.05 - 0.5 * 0.5 * 9.81 * 0.05**2)
@@ -103,13 +170,16 @@ def test_command(capsys, tmp_path):
     # Text and JSON, one process and several: the same figures.
     one, several = (json.loads(run(capsys, "slide", *settings, "--json", *w)[1]) for w in ([], ["--workers", "2"]))
     assert one == several and [r["mu"] for r in one["runs"]] == [0.1, 0.2]
+    stored = json.loads(run(capsys, "slide", *settings, "--json", "--store", str(tmp_path / "s.jsonl"))[1])
+    again = json.loads(run(capsys, "slide", *settings, "--json", "--store", str(tmp_path / "s.jsonl"))[1])
+    assert stored == again == one
 
 
 def test_command_with_a_failing_run(capsys):
     code, out, err = run(
         capsys, "slide", "--solver", "pgs", "--tol", "1e-300", "--time", "0.02", "--on-fail", "raise", "--set", "mu=0.1"
     )
-    assert code == 1 and out.splitlines()[0].split() == ["mu"] and "not converged: {'mu': 0.1}" in err
+    assert code == 1 and out.splitlines()[0].split() == ["mu"] and "failed: {'mu': 0.1}: step" in err
 
 
 @pytest.mark.parametrize(
@@ -119,6 +189,7 @@ def test_command_with_a_failing_run(capsys):
         (["slide", "--set", "mu=0.1,much"], "mu must be a number, got 'much'"),
         (["slide", "--set", "colour=red"], "parameter of scene slide must be one of mu, speed,"),
         (["slide", "--workers", "0"], "--workers must be at least 1"),
+        (["slide", "--store", "/dev/null"], "it is no regular file"),
     ],
 )
 def test_bad_commands(capsys, arguments, words):

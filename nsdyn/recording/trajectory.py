@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from nsdyn.recording import breakdown, tables
 from nsdyn.recording import file as recording
-from nsdyn.recording import tables
 from nsdyn.recording.file import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog, rotate
 from nsdyn.tools import files
@@ -164,6 +164,17 @@ class Trajectory:
         Both are bodies, "articulation/body" or whole articulations; ValueError naming the known ones.
         """
         return tables.pair(self, a, b)
+
+    def pair_works(self) -> dict[tuple[str, str], tuple[Array, Array]]:
+        """Works of the contacts of each pair of bodies in each step, (normal, friction) of shape (n,), J.
+
+        The pair with the largest work comes first. ValueError where not every step was recorded with its contacts.
+        """
+        return breakdown.pair_works(self)
+
+    def body_energies(self) -> dict[str, tuple[Array, Array]]:
+        """Energies (kinetic, potential) of each free body, and of all articulations together, shape (n + 1,), J."""
+        return breakdown.body_energies(self)
 
     def force(self, name: str) -> Array:
         """Net contact force on a body, "articulation/body" or articulation in each step, shape (n, 3), N, world axes.
