@@ -23,6 +23,7 @@ from nsdyn.cli.plots import add_plot, draw
 from nsdyn.cli.problems import bench_engines, profile_solvers, solve_file
 from nsdyn.cli.results import show_contacts, show_energy, write_page
 from nsdyn.cli.simulation import add_simulation, begin_scene, list_scenes, run_scene
+from nsdyn.cli.studies import add_check, add_compare, add_study, check_anything, compare_recordings, study_steps
 from nsdyn.cli.sweeps import add_sweep, sweep_scene
 
 __all__ = ["main"]
@@ -133,6 +134,12 @@ def _add_simulations(command: Command) -> None:
     p.add_argument("scene", metavar="SCENE", help=SCENE)
     add_sweep(p)
 
+    p = command("study", study_steps, "Simulate a scene at several time steps: errors against the finest, orders.")
+    p.add_argument("scene", metavar="SCENE", help=SCENE)
+    add_study(p)
+
+    add_check(command("check", check_anything, "Look for what is wrong with a robot file, a scene or a recording."))
+
 
 def _add_problems(command: Command) -> None:
     """Commands for contact problems, solvers and engines."""
@@ -207,4 +214,5 @@ def _add_results(command: Command) -> None:
     p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
 
+    add_compare(command("compare", compare_recordings, "Say where two recordings of one scene part."))
     add_plot(command("plot", draw, "Draw dissipation, friction cones, certificate, penetration of a recording."))

@@ -12,13 +12,18 @@ from typing import Any
 
 from nsdyn.cli.output import check_outputs, ledger, one_line, say, say_json
 
-__all__ = ["add_simulation", "begin_scene", "chosen_solver", "list_scenes", "run_scene"]
+__all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "list_scenes", "run_scene"]
 
 
 def add_simulation(parser: argparse.ArgumentParser) -> None:
     """Options of a simulation: its time, its step and its solver."""
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
+    add_solver(parser)
+
+
+def add_solver(parser: argparse.ArgumentParser) -> None:
+    """Options of the scheme and of the solver of a simulation."""
     parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
     parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
     parser.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")

@@ -58,6 +58,10 @@ class Pair:
     gap: Array
     state: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        touching = sum(state in ("stick", "slip") for state in self.state)
+        return f"<Pair {self.a!r}, {self.b!r}: {len(self.state)} steps, {touching} of them pushing>"
+
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
@@ -81,6 +85,9 @@ class JointMotion:
     torque: Array
     limit_impulse: Array
     friction: Array
+
+    def __repr__(self) -> str:
+        return f"<JointMotion of {self.name!r}: {len(self.position)} states>"
 
 
 def contact_table(trajectory: Trajectory) -> Any:

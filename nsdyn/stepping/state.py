@@ -51,6 +51,9 @@ class State(NamedTuple):
         """Time in s."""
         return self.origin + self.count * self.dt
 
+    def __repr__(self) -> str:
+        return f"<State at t = {self.t:.6g} s, {self.instant.v.size} velocities>"
+
     @property
     def next_t(self) -> float:
         """Time at the end of the next step in s."""
@@ -113,6 +116,9 @@ class Step(NamedTuple):
     gauss: gauss.Certificate
     problem: FC3D
     solution: Solution
+
+    def __repr__(self) -> str:
+        return f"<Step to t = {self.t:.6g} s: {self.gap.size} contacts, {self.solution.status.name}>"
 
     @property
     def tangent(self) -> Array:
