@@ -13,6 +13,7 @@ import pytest
 
 import nsdyn as nd
 from nsdyn import cli
+from nsdyn.study import gathering
 from nsdyn.study import sweep as ensemble
 
 
@@ -66,6 +67,56 @@ def test_same_bits_from_dask(serial):
         np.testing.assert_array_equal(one.result.q[-1], other.result)
 
 
+def killed_once(trajectory):
+    """Kills its worker in the fifth run, the first time."""
+    marker = Path(os.environ["NSDYN_TEST_MARKER"])
+    if trajectory.v[0, 0] == 5.0 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return float(trajectory.q[-1, 0])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed (extra `cluster`)")
+@pytest.mark.filterwarnings("default")  # dask's own
+def test_nothing_is_lost_with_a_worker_of_dask(tmp_path, monkeypatch):
+    """Two workers, one of which is killed on the way: all 300 runs are there, with the bits of one process."""
+    from distributed import Client, LocalCluster
+
+    monkeypatch.setenv("NSDYN_TEST_MARKER", str(tmp_path / "marker"))
+    values = {"speed": np.arange(1.0, 301.0).tolist()}
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        found = nd.sweep("slide", values, 0.02, executor=executor, keep=killed_once, dt=0.01)
+    assert (tmp_path / "marker").exists()
+    alone = nd.sweep("slide", values, 0.02, keep=killed_once, dt=0.01)
+    assert [m.failure for m in found] == [""] * 300
+    assert [m.result for m in found] == [m.result for m in alone]
+
+
+def loses(*values):
+    raise RuntimeError(f"lost {values}")
+
+
+def test_a_message_that_is_lost_is_sent_again_one_by_one(monkeypatch):
+    """An executor that loses whatever comes with task 3: only that is lost, and what failed is told."""
+    monkeypatch.setattr(gathering, "MESSAGES", 4)
+
+    class Lossy(ThreadPoolExecutor):
+        def submit(self, function, *arguments):
+            lost = (3,) in arguments[1]
+            return super().submit(loses if lost else function, *arguments)
+
+    with Lossy(2) as executor:
+        found = sorted(gathering.gather(abs, {k: (k,) for k in range(10)}, executor))
+    assert [k for k, _, _ in found] == list(range(10))
+    assert [(k, out) for k, out, reason in found if not reason] == [(k, k) for k in range(10) if k != 3]
+    assert found[3][1] is None and found[3][2].startswith("its worker was lost twice: RuntimeError: lost ")
+
+
 def test_a_run_that_does_not_converge_loses_only_itself():
     """Nothing reaches 1e-300, but a ball in flight need not."""
     solver = nd.solvers.by_name("pgs", 1e-300)
@@ -101,6 +152,7 @@ def dies(trajectory):
     return float(mu)
 
 
+@pytest.mark.slow  # it starts six processes
 def test_a_process_that_dies_loses_its_run_only_and_that_is_tried_again(tmp_path, monkeypatch):
     monkeypatch.setenv("NSDYN_TEST_MARKER", str(tmp_path / "marker"))
     values = {"mu": [0.1, 0.2, 0.3, 0.4, 0.5]}

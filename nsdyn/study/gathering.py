@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
@@ -9,6 +10,10 @@ from multiprocessing import get_context
 from typing import Any
 
 __all__ = ["gather"]
+
+MESSAGES = 128
+"""Most messages with tasks to an executor: one to a dask scheduler and back costs 10 ms of processor time, so that many
+short tasks go together, and so few of all that a message that is lost, or comes late, does not matter."""
 
 Tasks = Mapping[int, tuple[Any, ...]]
 Outcome = tuple[int, Any, str]
@@ -74,31 +79,45 @@ def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Ite
                         waiting.append(k)
     finally:
         for one in pools:
-            one.shutdown(wait=False, cancel_futures=True)
+            one.shutdown(cancel_futures=True)
 
 
 def _by_executor(function: Callable[..., Any], tasks: Tasks, executor: Executor) -> Iterator[Outcome]:
-    running = {executor.submit(function, *task): k for k, task in tasks.items()}
+    """Some tasks a message; those of a message that is lost are sent again one by one."""
+    size, numbers = math.ceil(len(tasks) / MESSAGES), list(tasks)
+    running: dict[Future[list[Any]], list[int]] = {}
     tried: set[int] = set()
+
+    def send(some: list[int]) -> None:
+        running[executor.submit(_each, function, [tasks[k] for k in some])] = some
+
+    for first in range(0, len(numbers), max(1, size)):
+        send(numbers[first : first + size])
     try:
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                k = running.pop(future)
+                some = running.pop(future)
                 try:
-                    yield k, future.result(), ""
+                    outcomes = future.result()
                 except Exception as failure:  # as above
-                    reason = _reason(failure)
-                    if k not in tried:
+                    for k in some:
+                        if k in tried:
+                            yield k, None, _reason(failure)
+                            continue
                         tried.add(k)
                         try:
-                            running[executor.submit(function, *tasks[k])] = k
-                            continue
+                            send([k])
                         except RuntimeError as broken:  # for good
-                            reason = _reason(broken)
-                    yield k, None, reason
+                            yield k, None, _reason(broken)
+                else:
+                    yield from ((k, outcome, "") for k, outcome in zip(some, outcomes, strict=True))
     finally:
         for future in running:
             future.cancel()
+
+
+def _each(function: Callable[..., Any], tasks: list[tuple[Any, ...]]) -> list[Any]:
+    return [function(*task) for task in tasks]
 
 
 def _reason(failure: Exception) -> str:
