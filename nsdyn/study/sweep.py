@@ -97,8 +97,6 @@ def sweep(
     >>> [(run.parameters, round(run.result, 4)) for run in runs]
     [({'mu': 0.25}, 1.5095), ({'mu': 0.5}, 1.019)]
     """
-    from tqdm import tqdm
-
     for name, values in parameters.items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
             raise ValueError(f"{name} must have a list of at least one value, got {values!r}")
@@ -108,28 +106,38 @@ def sweep(
         raise ValueError("keep must say what of a run is stored: whole trajectories are not")
     # A function of a named scene lives in a file that is no module for other processes: they load it by its name.
     scene = scenes.name_of(scene) or scene if callable(scene) else scene
-    combinations = [dict(zip(parameters, values, strict=True)) for values in itertools.product(*parameters.values())]
-    members: list[Member | None] = [None] * len(combinations)
-    refused: set[int] = set()
+    combinations = (dict(zip(parameters, values, strict=True)) for values in itertools.product(*parameters.values()))
+    tasks = [(scene, chosen, duration, keep, options) for chosen in combinations]
     with _opened(store, scene, duration, keep, options) as kept:
-        for k, chosen in enumerate(combinations):
-            if kept and (known := kept.point(chosen)):
-                members[k] = Member(chosen, known["result"], known["failure"])
-        tasks = {k: (scene, combinations[k], duration, keep, options) for k, m in enumerate(members) if m is None}
-        total, disable = len(members), None if progress else True
-        with tqdm(total=total, initial=total - len(tasks), unit="run", disable=disable) as bar:
-            for k, outcome, lost in gather(_run, tasks, executor):
-                result, failure, wrong = outcome if outcome else (None, lost, True)
-                if wrong:
-                    refused.add(k)
-                elif kept:
-                    result = kept.add({"parameters": combinations[k], "result": result, "failure": failure})["result"]
-                members[k] = Member(combinations[k], result, failure)
-                bar.update()
-    out = [member for member in members if member is not None]
-    if len(refused) == len(out):
-        raise ValueError(out[0].failure)
-    return out
+        members, refused = _gathered(tasks, executor, kept, progress)
+    if refused == len(members):
+        raise ValueError(members[0].failure)
+    return members
+
+
+def _gathered(
+    tasks: list[tuple[Any, ...]], executor: Executor | int | None, kept: Store | None, progress: bool
+) -> tuple[list[Member], int]:
+    """Members of a sweep, those that are stored and those that are run, and how many of them were refused or lost."""
+    from tqdm import tqdm
+
+    members: dict[int, Member] = {}
+    for k, (_, chosen, *_) in enumerate(tasks):
+        if kept and (known := kept.point(chosen)):
+            members[k] = Member(chosen, known["result"], known["failure"])
+    missing = {k: task for k, task in enumerate(tasks) if k not in members}
+    refused, disable = 0, None if progress else True
+    with tqdm(total=len(tasks), initial=len(members), unit="run", disable=disable) as bar:
+        for k, outcome, lost in gather(_run, missing, executor):
+            chosen = tasks[k][1]
+            result, failure, wrong = outcome if outcome else (None, lost, True)
+            if wrong:
+                refused += 1
+            elif kept:
+                result = kept.add({"parameters": chosen, "result": result, "failure": failure})["result"]
+            members[k] = Member(chosen, result, failure)
+            bar.update()
+    return [members[k] for k in range(len(tasks))], refused
 
 
 def _opened(
