@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from nsdyn.recording import breakdown, tables
 from nsdyn.recording import file as recording
-from nsdyn.recording import tables
 from nsdyn.recording.file import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog, rotate
 from nsdyn.tools import files
@@ -44,6 +44,11 @@ class Trajectory:
     def t(self) -> Array:
         """Times, shape (n + 1,), s."""
         return self.columns["t"]
+
+    @property
+    def t_steps(self) -> Array:
+        """Ends of the steps, shape (n,), s: the times of what belongs to steps, as works, forces and residuals."""
+        return self.t[1:]
 
     @property
     def q(self) -> Array:
@@ -160,6 +165,17 @@ class Trajectory:
         """
         return tables.pair(self, a, b)
 
+    def pair_works(self) -> dict[tuple[str, str], tuple[Array, Array]]:
+        """Works of the contacts of each pair of bodies in each step, (normal, friction) of shape (n,), J.
+
+        The pair with the largest work comes first. ValueError where not every step was recorded with its contacts.
+        """
+        return breakdown.pair_works(self)
+
+    def body_energies(self) -> dict[str, tuple[Array, Array]]:
+        """Energies (kinetic, potential) of each free body, and of all articulations together, shape (n + 1,), J."""
+        return breakdown.body_energies(self)
+
     def force(self, name: str) -> Array:
         """Net contact force on a body, "articulation/body" or articulation in each step, shape (n, 3), N, world axes.
 
@@ -168,7 +184,7 @@ class Trajectory:
         return tables.force(self, name)
 
     def joint(self, name: str) -> tables.JointMotion:
-        """Motion of a joint, "articulation/joint"; ValueError naming the known ones."""
+        """Motion of a joint, "articulation/joint", and what acts in it; ValueError naming the known ones."""
         return tables.joint(self, name)
 
     def save(self, path: str | Path) -> None:

@@ -155,8 +155,8 @@ class Impulses(NamedTuple):
         0 open, 1 stick, 2 slip.
     normal, friction : ndarray, shape (nc,)
         Works, J.
-    joints : ndarray, shape (n,)
-        Impulses of joint limits and dry joint friction on the coordinates, N m s or N s.
+    joints : ndarray, shape (3, n)
+        Impulses of actuation, of joint limits and of dry joint friction on the coordinates, N m s or N s.
     created : float
         Energy that impacts created, J.
     """
@@ -212,6 +212,6 @@ def account(
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     impulses = Impulses(
         met.contacts, met.frame, u_end.reshape(-1, 3)[:nc], total.reshape(-1, 3)[:nc], status, normal[:nc],
-        friction[:nc], on_joints, created,
+        friction[:nc], np.concatenate((np.zeros((1, d.n)), on_joints)), created,
     )  # fmt: skip
     return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)

@@ -299,6 +299,9 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         works.append(Works(projection=lifted))
     if a.impulse is not None:
         works += _tree_works(s, half, a, a.impulse, placed.position)
+        for t, before, free in zip(d.trees, half.middle.trees, half.forces.trees, strict=True):
+            actuation = t.forces(before, free, a.v[t.coordinates])[0] - free.loads.push
+            impulses.joints[0, t.coordinates] = half.h * actuation
     looked = seen.looked
     if placed.contacts is not seen.contacts:
         looked = Looked(placed.placement.x, placed.placement.R, np.zeros(d.frames))
