@@ -24,6 +24,9 @@ GROUND = (0.83, 0.845, 0.86)
 
 FIELD_OF_VIEW = 32.0  # degrees
 
+OUTLINE = 200
+"""Directions in which the outline of a scene is taken."""
+
 BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 1.0}
 """Moves a surface back in depth, so that lines on it stay whole."""
 
@@ -49,6 +52,7 @@ class View:
         lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
         self.centre = 0.5 * (lower + upper)
         self.radius = 0.5 * float(np.linalg.norm(upper - lower))
+        self.outline = _outline(x, r)
         # From the front right, unless that is behind a half-space, which would be seen from its back.
         azimuths = np.radians([35.0, -35.0, 215.0, 145.0])
         cameras = [self._camera(a, x - self.centre, r[:, 0]) for a in azimuths]
@@ -66,6 +70,16 @@ class View:
         high, wide = (np.abs(x @ up) + r) / slope, (np.abs(x @ right) + r) / (slope * 4 / 3)
         out: Array = self.centre + 1.05 * float((x @ back + np.maximum(high, wide)).max()) * back
         return out
+
+
+def _outline(x: Array, r: Array) -> Array:
+    """Centres and radii (., 4) of the balls that reach farthest in some of many directions."""
+    k = np.arange(OUTLINE) + 0.5  # on a spiral, evenly on the sphere
+    z, turn = 1.0 - 2.0 * k / OUTLINE, np.pi * (1.0 + math.sqrt(5.0)) * k
+    flat = np.sqrt(1.0 - z * z)
+    directions = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
+    farthest = np.unique([int(np.argmax(x @ d + r[:, 0])) for d in directions])
+    return np.column_stack([x, r])[farthest]
 
 
 def _direction(azimuth: float, elevation: float) -> Array:
