@@ -15,7 +15,7 @@ from test_problem import corner_box
 import nsdyn as nd
 from nsdyn import cli
 from nsdyn.cli import doctor
-from nsdyn.recording import pictures, viewer
+from nsdyn.recording import browser, viewer
 from nsdyn.recording.audit import TOLERANCES
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import settings
@@ -441,7 +441,7 @@ def test_view(run, recording, tmp_path):
     assert code == 2 and "fps must be positive" in err and not (tmp_path / "new.html").exists()
 
 
-@pytest.mark.skipif(pictures.chromium() is None, reason="no Chromium on the PATH")
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_view_takes_a_picture(run, recording, tmp_path):
     assert run("view", "run.h5", "--png", "frame.png", "--at", "0.01") == (0, "", "")
     assert (tmp_path / "frame.png").read_bytes().startswith(b"\x89PNG")

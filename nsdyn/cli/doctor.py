@@ -65,9 +65,8 @@ def diagnose(arguments: argparse.Namespace) -> int:
         return 0 if sound else 1
     for name, found in {"python": figures["python"], **packages}.items():
         print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
-    print(
-        f"{'chromium':12} {figures['chromium'] or 'not found; only pictures and films (nsdyn view --png, --mp4) need it'}"
-    )
+    absent = "not found; only pictures and films (nsdyn view --png, --mp4) need it"
+    print(f"{'chromium':12} {figures['chromium'] or absent}")
     none = f"none can be written: every start compiles unless {compiled.FOLDER} names a folder"
     print(f"{'cache':12} {cache or none}")
     for name, outcome in checks.items():

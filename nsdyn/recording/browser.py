@@ -48,18 +48,23 @@ class Browser:
     Attributes
     ----------
     events : list of dict
-        What the browser reported besides answers, for instance requests and exceptions of the page.
+        What the browser reported of the page besides answers, for instance requests and exceptions.
     """
 
     def __init__(self, requests: int, answers: int) -> None:
         self.events: list[dict[str, Any]] = []
         self._requests, self._answers = requests, answers
+        self._target: str | None = None
         self._session: str | None = None
         self._count, self._rest = 0, b""
 
     def open(self, page: str | Path, size: tuple[int, int]) -> None:
-        """Open a page of this package in a window of that many pixels; return when it shows its recordings."""
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        """Open a page of this package, in place of any before, in a window of that many pixels, until it is ready."""
+        before, self._session = self._target, None
+        if before:
+            self.call("Target.closeTarget", targetId=before)
+        self.events.clear()
+        target = self._target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network"):
             self.call(f"{domain}.enable")

@@ -88,7 +88,9 @@ def _identities(c: dict[str, NDArray[Any]]) -> Index:
     g1, g2 = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
     keys, key = np.unique(c["key"], return_inverse=True)
     shapes = int(max(g1.max(initial=0), g2.max(initial=0))) + 1
-    return np.unique((g1 * shapes + g2) * max(1, keys.size) + key.ravel(), return_inverse=True)[1].ravel()
+    code = (g1 * shapes + g2) * max(1, keys.size) + key.ravel()
+    out: Index = np.unique(code, return_inverse=True)[1].ravel()
+    return out
 
 
 def _so_far(group: Index, values: Array) -> Array:

@@ -65,7 +65,8 @@ def film(page: str | Path, target: str | Path, fps: float = 30.0, size: tuple[in
         browser.open(_as_picture(page), size)
         begin, end = browser.run("[nsdyn.clock.begin, nsdyn.clock.end]")
         command = [
-            "ffmpeg", "-y", "-loglevel", "error", "-f", "image2pipe", "-framerate", f"{fps:g}", "-c:v", "png", "-i", "-",
+            "ffmpeg", "-y", "-loglevel", "error",
+            "-f", "image2pipe", "-framerate", f"{fps:g}", "-c:v", "png", "-i", "-",
             "-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(part),
         ]  # fmt: skip
         ffmpeg = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)

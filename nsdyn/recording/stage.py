@@ -79,7 +79,8 @@ def _outline(x: Array, r: Array) -> Array:
     flat = np.sqrt(1.0 - z * z)
     directions = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
     farthest = np.unique([int(np.argmax(x @ d + r[:, 0])) for d in directions])
-    return np.column_stack([x, r])[farthest]
+    out: Array = np.column_stack([x, r])[farthest]
+    return out
 
 
 def _direction(azimuth: float, elevation: float) -> Array:

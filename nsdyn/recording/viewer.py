@@ -26,7 +26,7 @@ from nsdyn.recording.motion import motion_commands
 from nsdyn.recording.solids import body_path, geom_path, shape_commands
 from nsdyn.recording.stage import FIELD_OF_VIEW, View, stage_commands
 from nsdyn.tools import files
-from nsdyn.tools.arrays import Index
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
 
 if TYPE_CHECKING:
@@ -169,12 +169,9 @@ def _packed(trajectory: Trajectory, fps: float, forces: bool | str, max_frames: 
     stride = 1
     if trajectory.has_contacts:
         stride = max(1, -(-int(contact_points.counts(trajectory, rows).sum()) // MAX_CONTACTS))
-        touching = rows[::stride]
-        arrays["contacts/t"] = t[touching]
-        arrays |= _contacts(trajectory, touching)
-        found, unit = _forces(trajectory, touching, "point" if forces == "point" else "pair")
+        found, units = _touching(trajectory, rows[::stride], "point" if forces == "point" else "pair")
         arrays |= found
-        values["forces"] = {"shown": bool(forces), "unit": unit, "length": view.radius / 5}
+        values |= {"forces": bool(forces), "units": units, "length": view.radius / 5}
     values["notes"] = _notes(trajectory, rows.size, stride, int(hits.step.size), at)
     return bundle.pack(values, arrays)
 
@@ -194,6 +191,7 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         "begin": float(trajectory.t[0]),
         "end": float(trajectory.t[-1]),
         "dt": trajectory.dt,
+        "solver": str(trajectory.meta.get("solver", "")),
         "contacts": trajectory.has_contacts,
         "gravity": scene["gravity"],
         "largest": trajectory.largest_energy,
@@ -214,30 +212,32 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
     return values, {"outline": view.outline.astype("<f4")}
 
 
-def _contacts(trajectory: Trajectory, rows: Index) -> Arrays:
+def _touching(trajectory: Trajectory, rows: Index, by: str) -> tuple[Arrays, dict[str, float]]:
+    """Contacts at some states, and the forces since the one before; 90 % quantiles, N, of forces and of cones."""
     found = contact_points.at(trajectory, rows)
     whole = {"offset": "<u4", "id": "<u4", "state": "u1", "geoms": "<u4"}
-    return {
+    arrays: Arrays = {
         f"contacts/{name}": x.astype(whole[name]) if name in whole else bundle.rounded(x) for name, x in found.items()
     }
-
-
-def _forces(trajectory: Trajectory, rows: Index, by: str) -> tuple[Arrays, float]:
-    """Forces of each frame on the bodies they push, and the 90 % quantile of their sizes, N."""
+    arrays["contacts/t"] = trajectory.t[rows]
     since = rows if rows.size > 1 else np.array([max(0, rows[0] - 1), rows[0]])
-    found = arrows.between(trajectory, since, by)
-    size = np.linalg.norm(found.force, axis=1)
-    order = np.argsort(found.keyframe, kind="stable")
+    pushes = arrows.between(trajectory, since, by)
+    size = np.linalg.norm(pushes.force, axis=1)
+    order = np.argsort(pushes.keyframe, kind="stable")
     order = order[size[order] > 0.0]
-    frame = found.keyframe[order] - (since.size - rows.size)
-    unit = float(np.quantile(size[order], 0.9)) if order.size else 0.0
-    arrays: Arrays = {
+    frame = pushes.keyframe[order] - (since.size - rows.size)
+    arrays |= {
         "forces/offset": np.searchsorted(frame, np.arange(rows.size + 1)).astype("<u4"),
-        "forces/frame": found.frame[order].astype("<u4"),
-        "forces/point": bundle.rounded(found.point[order]),
-        "forces/force": bundle.rounded(found.force[order]),
+        "forces/frame": pushes.frame[order].astype("<u4"),
+        "forces/point": bundle.rounded(pushes.point[order]),
+        "forces/force": bundle.rounded(pushes.force[order]),
     }
-    return arrays, unit
+    return arrays, {"forces": _usual(size), "cones": _usual(found["r"][:, 0] / trajectory.dt)}
+
+
+def _usual(size: Array) -> float:
+    """90 % quantile of those that are positive, 0 if none is."""
+    return float(np.quantile(size[size > 0.0], 0.9)) if (size > 0.0).any() else 0.0
 
 
 def _notes(trajectory: Trajectory, frames: int, stride: int, hits: int, at: float | None) -> list[str]:

@@ -18,6 +18,9 @@ function withUnit(value, unit) {
   return sign + trimmed(size / scale[0]) + " " + scale[1] + unit;
 }
 
+// The same of a round number, without zeros at its end: "5 N".
+function plain(value, unit) { return withUnit(value, unit).replace(/(\.\d*?)0+ /, "$1 ").replace(". ", " "); }
+
 function trimmed(size) {
   const decimals = Math.max(0, DIGITS - 1 - Math.floor(Math.log10(size)));
   return size.toFixed(Math.min(decimals, 9));

@@ -10,7 +10,7 @@ class Overlay {
     Object.assign(this, {canvas, stage, recording, t: recording.begin, contacts: [], placed: []});
     // The contact picked by its identity, the body picked {frame, name}, and where it has been [{t, x}].
     this.selected = this.marked = this.trail = null;
-    const forces = Boolean(recording.forces?.shown);
+    const forces = recording.forces;
     const picture = document.body.classList.contains("picture");  // shows bodies alone unless asked for more
     this.layers = {contacts: forces || !picture, cones: false, forces};
     stage.drawn.push(() => this.draw());
@@ -28,10 +28,10 @@ class Overlay {
     return out;
   }
 
-  // Metres that a newton is long.
-  get scale() {
-    const {forces} = this.recording;
-    return forces?.unit ? forces.length / forces.unit : 0;
+  // Metres that a newton is long, of "forces" or "cones".
+  scale(layer) {
+    const {units, length} = this.recording;
+    return units?.[layer] ? length / units[layer] : 0;
   }
 
   draw() {
@@ -71,8 +71,7 @@ class Overlay {
     const {recording, stage} = this;
     const normal = contact.r[0] / recording.dt;
     if (!(normal > 0)) return;
-    const longest = 2 * recording.forces.length;
-    const height = Math.min(longest, normal * this.scale);
+    const height = Math.min(2 * recording.length, normal * this.scale("cones"));
     const metres = this.side(contact) * height / contact.r[0];  // of an impulse of 1 N·s
     const tip = impulse => stage.project(recording.world(contact, impulse).map((x, k) => contact.point[k] + metres * x));
     const apex = stage.project(contact.point);
@@ -104,8 +103,8 @@ class Overlay {
       const origin = stage.origin(frame);
       const from = world("point").map((x, c) => x + origin[c]);
       const force = world("force");
-      const cut = Math.min(1, 2 * recording.forces.length / (this.scale * Math.hypot(...force)));
-      const to = from.map((x, c) => x + cut * this.scale * force[c]);
+      const scale = Math.min(this.scale("forces"), 2 * recording.length / Math.hypot(...force));
+      const to = from.map((x, c) => x + scale * force[c]);
       const ends = [stage.project(from), stage.project(to)];
       if (ends[0] && ends[1]) arrow(context, ...ends, FORCE_COLOUR);
     }

@@ -9,14 +9,16 @@ class Pane {
     this.stage = new Stage(three.appendChild(element("div", "three")), recording);
     this.overlay = new Overlay(view.appendChild(element("canvas")), this.stage, recording);
     this.stage.viewer.gui.domElement.classList.add("gui");
-    view.append(this.stage.viewer.gui.domElement, element("div", "heading", recording.name));
+    const heading = element("div", "heading", recording.name);
+    heading.append(element("small", "", `h = ${plain(recording.dt, "s")}${recording.solver && ", " + recording.solver}`));
+    view.append(this.stage.viewer.gui.domElement, heading);
     this.tools = view.appendChild(element("div", "tools"));
     this.legend = view.appendChild(element("div", "legend"));
     this.inspector = new Inspector(view.appendChild(element("aside", "inspector")), recording, this.stage, this.overlay);
     this.makeTools();
     this.makeLegend();
     this.makeCurves();
-    this.stage.drawn.push(() => this.scaleBar());
+    this.stage.drawn.push(() => this.scaleBars());
     this.pickOn(three);
     new ResizeObserver(() => this.stage.resize()).observe(view);
     new ResizeObserver(() => this.chart.redraw()).observe(this.chart.place);
@@ -38,7 +40,7 @@ class Pane {
     const titles = {
       contacts: "Contact points: stick, slip, open",
       forces: "Contact forces on bodies, mean since the state before",
-      cones: "Friction cones with the force inside, red at its edge",
+      cones: "Friction cones with the force inside, red at its edge; of redundant contacts forces are not unique",
     };
     for (const [name, title] of Object.entries(titles)) {
       if (!this.recording.contacts) break;
@@ -63,8 +65,10 @@ class Pane {
       drawDot(sample.getContext("2d"), 7, 7, state, 4.2);
       return {state, number: entry.appendChild(element("span"))};
     });
-    this.bar = this.legend.appendChild(element("span", "scale"));
-    this.bar.append(element("span", "bar"), element("span"));
+    this.bars = ["forces", "cones"].map(layer => {
+      const entry = this.legend.appendChild(element("span", `scale ${layer}`, layer + " "));
+      return {layer, entry, bar: entry.appendChild(element("span", "bar")), text: entry.appendChild(element("span"))};
+    });
     this.showLegend();
   }
 
@@ -73,16 +77,20 @@ class Pane {
     const any = this.recording.contacts;
     this.legend.style.display = any && (contacts || forces || cones) ? "" : "none";
     for (const {number} of this.counts) number.parentElement.style.display = contacts ? "" : "none";
-    this.bar.style.display = (forces || cones) && this.overlay.scale ? "" : "none";
+    for (const {layer, entry} of this.bars) {
+      entry.style.display = this.overlay.layers[layer] && this.overlay.scale(layer) ? "" : "none";
+    }
   }
 
-  // A round force and how long it is in the middle of the picture.
-  scaleBar() {
-    const pixels = this.overlay.scale * this.stage.pixelsPerMetre;
-    if (!pixels) return;
-    const force = roundStep(40 / pixels);
-    this.bar.firstChild.style.width = `${force * pixels}px`;
-    this.bar.lastChild.textContent = withUnit(force, "N");
+  // Round forces, and how long they are in the middle of the picture.
+  scaleBars() {
+    for (const {layer, bar, text} of this.bars) {
+      const pixels = this.overlay.scale(layer) * this.stage.pixelsPerMetre;
+      if (!pixels) continue;
+      const force = roundStep(40 / pixels);
+      bar.style.width = `${force * pixels}px`;
+      text.textContent = plain(force, "N");
+    }
   }
 
   makeCurves() {

@@ -127,9 +127,9 @@ class Stage {
       const [point, r] = [Array.from(outline.subarray(k, k + 3)), outline[k + 3]];
       const high = (Math.abs(along(point, up)) + r) / slope;
       const wide = (Math.abs(along(point, right)) + r) / (slope * this.camera.aspect);
-      distance = Math.max(distance, along(point, towards) + Math.max(high, wide));
+      distance = Math.max(distance, along(point, towards) + 1.08 * Math.max(high, wide));
     }
-    const eye = centre.map((x, k) => x + 1.08 * distance * towards[k]);
+    const eye = centre.map((x, k) => x + distance * towards[k]);
     this.camera.position.set(eye[0], eye[2], -eye[1]);
     this.viewer.controls.target.set(centre[0], centre[2], -centre[1]);
     if (this.followed) this.followed.place = this.origin(this.followed.frame);
