@@ -20,10 +20,15 @@ OCTAHEDRON = [(-1, 0, 0), (1, 0, 0), (0, -2, 0), (0, 2, 0), (0, 0, -3), (0, 0, 3
 FLOATS = 0x17  # Float32Array in the viewer's MessagePack dialect
 
 
+def contents(page):
+    """Decode the values and arrays of a page."""
+    (text,) = re.findall('class="recording">([^<]*)<', page)
+    return bundle.unpack(text)
+
+
 def commands(page):
     """Decode the commands of a page."""
-    (text,) = re.findall('class="recording">([^<]*)<', page)
-    _, arrays = bundle.unpack(text)
+    arrays = contents(page)[1]
     parts = np.split(arrays["commands"], arrays["command_ends"][:-1])
     return [umsgpack.unpackb(part.tobytes()) for part in parts]
 
@@ -37,9 +42,15 @@ def by_path(page, kind):
     return {c["path"]: c for c in commands(page) if c["type"] == kind}
 
 
-def clips(page):
-    (animation,) = [c for c in commands(page) if c["type"] == "set_animation"]
-    return {a["path"]: a["clip"] for a in animation["animations"]}
+def keyframes(page):
+    """Times, and by the name of a frame the places or quaternions of those that move or turn."""
+    values, arrays = contents(page)
+    t, out = arrays["t"], [arrays["t"]]
+    for name, which, width in (("position", "moving", 3), ("quaternion", "turning", 4)):
+        tracks = arrays[f"motion/{name}"].reshape(-1, t.size, width)
+        paths = [values["frames"][k] for k in arrays[f"motion/{which}"]]
+        out.append(dict(zip(paths, tracks, strict=True)))
+    return out
 
 
 @pytest.fixture(scope="module")
@@ -73,45 +84,28 @@ def test_equal_recordings_give_equal_pages(falling):
 
 
 def test_only_what_moves_is_animated(falling):
-    moving = clips(viewer.html(falling))
-    assert {path: [t["name"] for t in clip["tracks"]] for path, clip in moving.items()} == {
-        "/nsdyn/bodies/falling": [".position"],
-        "/nsdyn/bodies/turning": [".quaternion"],
-    }
-    assert {clip["duration"] for clip in moving.values()} == {1.0}  # all go on together
+    _, places, turns = keyframes(viewer.html(falling))
+    assert list(places) == ["/nsdyn/bodies/falling"] and list(turns) == ["/nsdyn/bodies/turning"]
 
 
 def test_keyframes_are_the_recorded_states(falling):
-    (track,) = clips(viewer.html(falling, fps=20))["/nsdyn/bodies/falling"]["tracks"]
-    assert track["type"] == "vector3"
-    t, x = floats(track["times"], 1)[:, 0], floats(track["values"], 3)
-    assert len(t) == len(x) == 21
+    t, places, turns = keyframes(viewer.html(falling, fps=20))
     rows = np.round(t / 0.01).astype(int)
-    # float32
-    np.testing.assert_allclose(t, falling.t[rows], rtol=0, atol=1e-7)
-    np.testing.assert_allclose(x, falling.q[rows, :3], rtol=0, atol=5e-7)
-
-
-def test_a_body_that_stops_needs_no_more_keys():
-    scene = nd.Scene()
-    scene.add_sphere("ball", 0.1, 1.0)
-    q = np.tile([0, 0, 0, 0, 0, 0, 1.0], (100, 1))
-    q[:, 0] = np.clip(np.arange(100), 40, 60)
-    (track,) = clips(viewer.html(recording(scene, q), fps=100))["/nsdyn/bodies/ball"]["tracks"]
-    # The first, and from where it leaves to where it stops.
-    np.testing.assert_allclose(floats(track["times"], 1)[:, 0], [0.0, *np.arange(40, 61) / 100], rtol=1e-6)
+    assert len(t) == 21 and (t == falling.t[rows]).all()
+    # Half a millionth of the scene's radius of some 3 m, and of a unit quaternion.
+    np.testing.assert_allclose(places["/nsdyn/bodies/falling"], falling.q[rows, :3], rtol=0, atol=2e-6)
+    np.testing.assert_allclose(turns["/nsdyn/bodies/turning"], falling.q[rows, 17:], rtol=0, atol=6e-7)
 
 
 def test_long_recordings_get_fewer_keyframes(falling):
-    tracks = clips(viewer.html(falling, fps=1000, max_frames=7))["/nsdyn/bodies/falling"]["tracks"]
-    times = floats(tracks[0]["times"], 1)[:, 0]
-    assert len(times) == 7 and times[0] == 0.0 and times[-1] == 1.0
-    assert len(viewer.html(falling, fps=1000)) > len(viewer.html(falling, fps=10))
+    t = keyframes(viewer.html(falling, fps=1000, max_frames=7))[0]
+    assert len(t) == 7 and t[0] == 0.0 and t[-1] == 1.0
+    assert len(keyframes(viewer.html(falling, fps=1000))[0]) == len(falling.t)
 
 
 def test_one_moment(falling):
     page = viewer.html(falling, at=0.5)
-    assert not [c for c in commands(page) if c["type"] == "set_animation"]
+    assert [len(part) for part in keyframes(page)] == [1, 0, 0]
     poses = {(c["path"], c["property"]): c["value"] for c in commands(page) if c["type"] == "set_property"}
     assert poses["/nsdyn/bodies/falling", "position"] == falling.q[50, :3].tolist()
     assert poses["/nsdyn/bodies/turning", "quaternion"] == falling.q[50, 17:].tolist()
@@ -261,9 +255,10 @@ def test_articulation_is_drawn_link_by_link():
     scene = nd.scenes.load("arm_pushes_box")()
     trajectory = nd.simulate(scene, duration=0.02, dt=2e-3)
     page = viewer.html(trajectory, fps=500)
-    moving = clips(page)
+    turns = keyframes(page)[2]
     for frame in trajectory.scene["frames"]:
         assert solids.body_path(frame) in {p.rpartition("/")[0] for p in by_path(page, "set_object")}
     link = next(name for name in trajectory.scene["frames"] if name.startswith("arm/"))
-    track = next(t for t in moving[solids.body_path(link)]["tracks"] if t["name"] == ".quaternion")
-    np.testing.assert_allclose(floats(track["values"], 4)[-1], trajectory.body(link).quaternion[-1], rtol=0, atol=1e-7)
+    # Half a millionth, as above.
+    expected = trajectory.body(link).quaternion[-1]
+    np.testing.assert_allclose(turns[solids.body_path(link)][-1], expected, rtol=0, atol=6e-7)

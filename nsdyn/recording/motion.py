@@ -1,4 +1,4 @@
-"""Motion of the bodies of a page: the animation of meshcat's viewer, keyframes as binary arrays."""
+"""Motion of the bodies of a page: where they begin, and keyframes of those that move."""
 
 from __future__ import annotations
 
@@ -6,42 +6,45 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nsdyn.recording.commands import Json, float_list, set_property
+from nsdyn.recording.commands import Json, set_property
 from nsdyn.recording.solids import body_path
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["motion_commands"]
+__all__ = ["keys", "start_commands"]
+
+INVISIBLE = 1e-6
+"""Differences below this part of the scene, or of a unit quaternion."""
 
 
-def motion_commands(trajectory: Trajectory, rows: Index, radius: float) -> list[Json]:
-    """Poses at the first of the rows, and the animation through all of them, of a scene of that radius."""
-    commands, clips = [], []
-    t = trajectory.t[rows] - trajectory.t[0]
+def start_commands(trajectory: Trajectory, row: int) -> list[Json]:
+    """Commands that put all moving frames where they are in a row."""
+    commands = []
     for name in trajectory.scene["frames"]:
         motion, path = trajectory.body(name), body_path(name)
-        tracks = {"position": motion.position[rows], "quaternion": motion.quaternion[rows]}
-        commands += [set_property(path, key, values[0].tolist()) for key, values in tracks.items()]
-        moving = [_track(key, t, values, radius) for key, values in tracks.items()]
-        moving = [track for track in moving if track]
-        if moving:
-            clip = {"fps": 1, "name": "default", "duration": float(t[-1]), "tracks": moving}
-            clips.append({"path": path, "clip": clip})
-    if clips:
-        commands.append({"type": "set_animation", "path": "", "animations": clips, "options": {"play": False}})
+        commands.append(set_property(path, "position", motion.position[row].tolist()))
+        commands.append(set_property(path, "quaternion", motion.quaternion[row].tolist()))
     return commands
 
 
-def _track(name: str, t: Array, values: Array, radius: float) -> Json | None:
-    """Keyframes of one property, none if it is constant, without those that change nothing."""
-    # Differences below a millionth of the scene, or of a unit quaternion, are invisible.
-    grid = np.round(values / (1e-6 * (1.0 if name == "quaternion" else radius)))
-    changes = (grid[1:] != grid[:-1]).any(axis=1)
-    if not changes.any():
-        return None
-    keep = np.concatenate([[True], changes])
-    keep[:-1] |= changes  # a line that ends needs the key where it begins too
-    kind = "quaternion" if name == "quaternion" else "vector3"
-    return {"name": f".{name}", "type": kind, "times": float_list(t[keep]), "values": float_list(values[keep])}
+def keys(trajectory: Trajectory, rows: Index, radius: float) -> dict[str, Array]:
+    """Keyframes in a scene of that radius.
+
+    Returns
+    -------
+    dict of str to ndarray
+        position (k, len(rows), 3), m, and quaternion (m, len(rows), 4) xyzw of the frames that change theirs, rounded
+        to what can be seen; moving (k,) and turning (m,), which frames these are.
+    """
+    out: dict[str, Array] = {}
+    motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
+    for name, which, scale in (("position", "moving", radius), ("quaternion", "turning", 1.0)):
+        grid = 2.0 ** np.floor(np.log2(INVISIBLE * scale))  # exact in binary: its multiples deflate well
+        values = [grid * np.round(getattr(motion, name)[rows] / grid) for motion in motions]
+        changing = [k for k, x in enumerate(values) if (x != x[0]).any()]
+        width = 3 if name == "position" else 4
+        out[name] = np.array([values[k] for k in changing]).reshape(-1, rows.size, width)
+        out[which] = np.array(changing, dtype=np.int64)
+    return out

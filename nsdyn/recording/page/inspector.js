@@ -66,23 +66,12 @@ class Inspector {
       });
     };
     add("Follow", "The camera goes with the body", on => this.stage.follow(on ? frame : null));
-    add("Trail", "Where it has been", on => { this.overlay.trail = on ? this.path(frame) : null; });
-  }
-
-  // Places of a frame, from the tracks of the animation; one if it never moves.
-  path(frame) {
-    const node = this.stage.frames[frame];
-    const action = this.stage.animator.actions.find(each => each.getRoot() === node);
-    const track = action?.getClip().tracks.find(each => each.name === ".position");
-    if (!track) return [{t: this.recording.begin, x: node.position.toArray()}];
-    return Array.from(track.times, (t, k) => ({
-      t: t + this.recording.begin, x: Array.from(track.values.subarray(3 * k, 3 * k + 3)),
-    }));
+    add("Trail", "Where it has been", on => { this.overlay.trail = on ? this.recording.path(frame, this.stage.origin(frame)) : null; });
   }
 
   curves(number, body) {
     const {recording} = this;
-    const path = this.path(body.frame);
+    const path = recording.path(body.frame, this.stage.origin(body.frame));
     const last = path[path.length - 1];
     if (last.t < recording.end) path.push({t: recording.end, x: last.x});
     this.plot("height", "m", path.map(point => point.t), path.map(point => point.x[2]));

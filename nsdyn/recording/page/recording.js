@@ -63,6 +63,35 @@ class Recording {
     }
   }
 
+  // Clips for meshcat's animator, of the frames that change their place or direction; all share the times.
+  animations() {
+    const clips = new Map();
+    const times = Float32Array.from(this.t, t => t - this.begin);
+    const duration = times[times.length - 1];
+    for (const [name, which, type, width] of [
+      ["position", "moving", "vector3", 3], ["quaternion", "turning", "quaternion", 4],
+    ]) {
+      const size = width * times.length;
+      this.arrays[`motion/${which}`].forEach((frame, k) => {
+        const values = this.arrays[`motion/${name}`].subarray(k * size, (k + 1) * size);
+        if (!clips.has(frame)) clips.set(frame, {fps: 1, name: "default", duration, tracks: []});
+        clips.get(frame).tracks.push({name: `.${name}`, type, times, values});
+      });
+    }
+    return Array.from(clips, ([frame, clip]) => ({path: pathOf(this.frames[frame]), clip}));
+  }
+
+  // Places of a moving frame over time [{t, x}]; one if it never moves.
+  path(frame, start) {
+    const k = this.arrays["motion/moving"].indexOf(frame);
+    if (k < 0) return [{t: this.begin, x: start}];
+    const values = this.arrays["motion/position"];
+    return Array.from(this.t, (t, row) => {
+      const at = 3 * (k * this.t.length + row);
+      return {t, x: Array.from(values.subarray(at, at + 3))};
+    });
+  }
+
   // Value of a curve of the ledger at a time, between its points.
   at(name, t) {
     const {at, part, next} = Recording.place(this.arrays["ledger/t"], t);
@@ -165,6 +194,9 @@ class Recording {
     return {times, normal, drag};
   }
 }
+
+// Path of a node in meshcat's tree.
+function pathOf(text) { return text.split("/").filter(Boolean); }
 
 function cross(a, b) {
   return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];

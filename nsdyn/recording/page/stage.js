@@ -2,10 +2,11 @@
 //
 // three.js has y up, recordings have z up: (x, y, z) there is (x, z, -y) in the viewer.
 
-// Where pictures take longer than SLOW ms, as where software draws them, those of a moving scene have fewer pixels and no
-// shadows: [pixels per pixel of the page, shadows]. A scene that stands still is drawn as the first.
-const QUALITIES = [[1, true], [0.7, false], [0.5, false], [0.35, false]];
+// Where pictures take longer than SLOW ms, as where software draws them, those of a moving scene get fewer pixels, no
+// shadows, no edges: [pixels per pixel of the page, shadows, edges]. A scene that stands still is drawn as the first.
+const QUALITIES = [[1, true, true], [0.7, false, true], [0.5, false, false], [0.35, false, false]];
 const SLOW = 30;
+const LATE = 150;  // ms that pictures may be late in all before they get worse
 const STILL = 200;  // ms without a picture
 
 const VIEWS = {home: null, front: [0, 2], side: [90, 2], top: [0, 89.9]};  // azimuth, elevation in degrees
@@ -21,17 +22,20 @@ class Stage {
     const {centre} = recording.view;
     sun.target.position.set(centre[0], centre[2], -centre[1]);
     sun.target.updateMatrixWorld();
+    this.viewer.set_animation(recording.animations(), {play: false});
     this.animator = this.viewer.animator;
     this.animator.play();  // makes the tracks active; time is the page's own
     this.animator.pause();
-    const nodes = paths => paths.map(path => this.viewer.scene_tree.find(path.split("/").filter(Boolean)).object);
+    const nodes = paths => paths.map(path => this.viewer.scene_tree.find(pathOf(path)).object);
     this.frames = nodes(recording.frames);
     this.shapes = nodes(recording.geoms.map(geom => geom.path));
     this.followed = null;
     this.moved = false;  // whether the user has turned the camera
     this.viewer.controls.addEventListener("start", () => { this.moved = true; });
-    this.quality = {moving: 0, now: 0, last: -Infinity, slow: 0, rest: 0};
+    this.quality = {moving: 0, now: 0, last: null, late: 0, still: false};
     this.sun = sun;
+    this.edges = [];
+    for (const shape of this.shapes) shape.traverse(object => { if (object.isLineSegments) this.edges.push(object); });
     const render = this.viewer.render.bind(this.viewer);
     this.viewer.render = () => {
       this.choose();
@@ -70,35 +74,39 @@ class Stage {
     this.viewer.set_dirty();
   }
 
-  // Quality of the next picture, from how long those of a moving scene take.
+  // Quality of the next picture: the pictures of a moving scene follow each other, and get worse while they are late.
   choose() {
     const {quality} = this;
+    if (quality.still) return;
     const now = performance.now();
-    const passed = now - quality.last;
+    if (quality.last) quality.late += Math.max(0, now - quality.last - SLOW);
     quality.last = now;
-    clearTimeout(quality.rest);
-    if (passed === Infinity) return;
-    quality.slow = passed > SLOW && passed <= 2 * STILL ? quality.slow + 1 : 0;
-    if (quality.slow > 2 && quality.moving < QUALITIES.length - 1) {
+    if (quality.late > LATE && quality.moving < QUALITIES.length - 1) {
       quality.moving++;
-      quality.slow = 0;
+      quality.late = 0;
     }
     this.draw(quality.moving);
-    quality.rest = setTimeout(() => this.still(), STILL);
+    // It is at rest when nothing follows what the browser has shown.
+    clearTimeout(quality.rest);
+    cancelAnimationFrame(quality.shown);
+    quality.shown = requestAnimationFrame(() => { quality.rest = setTimeout(() => this.still(), STILL); });
   }
 
   // Draw at once, as a scene that stands still.
   still() {
-    this.quality.last = -Infinity;
+    this.quality.last = null;
+    this.quality.still = true;
     this.draw(0);
     this.viewer.render();
+    this.quality.still = false;
   }
 
   draw(quality) {
     if (quality === this.quality.now) return;
     this.quality.now = quality;
-    const [pixels, shadows] = QUALITIES[quality];
+    const [pixels, shadows, edges] = QUALITIES[quality];
     this.sun.castShadow = shadows;
+    for (const object of this.edges) object.visible = edges;
     this.viewer.renderer.setPixelRatio(pixels);
   }
 
