@@ -8,7 +8,7 @@ from recordings import recording
 from test_viewer import contents
 
 import nsdyn as nd
-from nsdyn.recording import bundle, contact_points, curves, impacts, keyframes
+from nsdyn.recording import bundle, contact_points, curves, impacts, keyframes, viewer
 from nsdyn.recording import contents as packing
 from nsdyn.recording.contents import packed
 
@@ -140,7 +140,7 @@ def test_what_is_left_out_is_told(sliding, monkeypatch):
     assert values["notes"] == [
         "all 21 recorded states",
         "curves of 10 of them, figures of checks the largest in between",
-        "contacts of every 3th state shown",
+        "contacts of one in 3 of them",
     ]
     assert arrays["contacts/t"].tolist() == sliding.t[::3].tolist()
     assert arrays["contacts/id"].size == 24
@@ -158,7 +158,7 @@ def test_forces_push_the_moving_body(sliding):
 
 
 def test_values_are_json_of_finite_numbers(bouncing):
-    values, _ = contents(nd.recording.viewer.html(bouncing))
+    values, _ = contents(viewer.html(bouncing))
     assert json.loads(json.dumps(values, allow_nan=False)) == values
 
 
@@ -185,6 +185,6 @@ def test_large_pages_stay_small(rng):
         "work_friction": -rng.uniform(size=m),
     }  # fmt: skip
     trajectory = recording(scene, q.reshape(n, -1), dt=1 / 30, contacts=contacts, v=rng.normal(size=(n, 600)))
-    page = nd.recording.viewer.html(trajectory)
+    page = viewer.html(trajectory)
     assert len(page) < 25e6
     assert contents(page)[1]["t"].size == n

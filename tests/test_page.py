@@ -466,7 +466,7 @@ def test_what_is_not_recorded_is_told(opened, tmp_path):
     scene = nd.scenes.load("bounce")()
     page = opened(nd.simulate(scene, 0.6, dt=1e-3, every=10, contacts=False))
     notes = text(page, "#notes")
-    assert "every 10th step is recorded" in notes and "recorded without contacts" in notes
+    assert "one step in 10 is recorded" in notes and "recorded without contacts" in notes
     assert page.run("document.querySelector('.tools .contacts, .tools .forces, .tools .cones')") is None
     assert page.run("getComputedStyle(document.querySelector('.legend')).display") == "none"
     assert page.run("nsdyn.dock.impacts.length") == 0

@@ -67,7 +67,7 @@ def packed(trajectory: Trajectory, fps: float, forces: bool | str, max_frames: i
     if trajectory.has_contacts:
         stride = max(1, -(-int(contact_points.counts(trajectory, rows).sum()) // MAX_CONTACTS))
         if stride > 1:
-            notes.append(f"contacts of every {stride}th state shown")
+            notes.append(f"contacts of one in {stride} of them")
         found = contact_points.at(trajectory, rows[::stride])
         arrays |= {"contacts/t": t[rows[::stride]]} | _contacts(found)
         pushes, usual, left = _forces(trajectory, rows[::stride], "point" if forces == "point" else "pair")
@@ -154,7 +154,7 @@ def _notes(trajectory: Trajectory, frames: int, hits: int) -> list[str]:
         notes.append(f"curves of {curves.MAX_POINTS} of them, figures of checks the largest in between")
     if trajectory.every > 1:
         notes.append(
-            f"every {trajectory.every}th step is recorded: works are sums of {trajectory.every} steps, "
+            f"one step in {trajectory.every} is recorded: works are sums of {trajectory.every} steps, "
             "contacts those of the last; impacts are not marked"
         )
     if not trajectory.has_contacts:

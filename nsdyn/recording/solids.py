@@ -58,7 +58,7 @@ def _solid(geom: Json, colour: Iterable[float]) -> list[Json]:
     kind, size = geom["shape"], geom["size"]
     if "vertices" in geom:
         return _polytope(np.array(geom["vertices"]), geom["faces"], colour)
-    quarter = np.linspace(-np.pi / 2, np.pi / 2, 25)
+    quarter = np.linspace(-np.pi / 2, np.pi / 2, 17)
     arc = np.column_stack([np.cos(quarter), np.sin(quarter)])
     arc[[0, -1], 0] = 0.0
     scale = np.eye(4)
@@ -79,7 +79,7 @@ def _solid(geom: Json, colour: Iterable[float]) -> list[Json]:
         lathe = {
             "type": "LatheGeometry",
             "points": points,
-            "segments": 24,
+            "segments": 16,
             "phiStart": half,
             "phiLength": np.pi,
         }

@@ -156,7 +156,8 @@ def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view
     }
     shadow = {
         "type": "Mesh",
-        "geometry": {"type": "CircleGeometry", "radius": rings[-1], "segments": 32},
+        # As far as shadows reach: the sun's camera sees 1.6 R around the centre, which is at most R above.
+        "geometry": {"type": "CircleGeometry", "radius": 3.5 * R, "segments": 32},
         "material": {
             "type": "ShadowMaterial",
             "color": 0,
