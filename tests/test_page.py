@@ -162,9 +162,10 @@ def test_buttons_and_keys_move_the_time(opened, falling):
 
 def test_plays_at_its_speed_and_stops_at_the_end(opened, falling):
     page = opened(falling)
+    page.run("nsdyn.dock.setSpeed(0.01)")
+    assert page.run("nsdyn.clock.speed") == 0.1 and text(page, "#speed output") == "0.10 ×"
     press(page, " ")
     assert page.run("nsdyn.clock.playing")
-    page.run("nsdyn.dock.setSpeed(0.1)")
     # Times of pictures, with which the clock goes.
     between = page.run(
         "new Promise(done => requestAnimationFrame(a => { const t = nsdyn.clock.t, last = nsdyn.clock.last; "
@@ -178,13 +179,14 @@ def test_plays_at_its_speed_and_stops_at_the_end(opened, falling):
     page.run("(nsdyn.clock.seek(0.9), nsdyn.clock.play())")
     page.run("new Promise(done => { const look = () => nsdyn.clock.playing ? setTimeout(look, 10) : done(); look(); })")
     assert now(page) == 1.0
+    page.run("nsdyn.dock.setSpeed(0.1)")
     click_on(page, "#play")  # from the beginning again
     assert page.run("nsdyn.clock.playing") and now(page) < 1.0
 
 
 def test_a_page_plays_when_it_opens(opened, falling):
     page = opened(falling, at="")
-    assert page.run("nsdyn.clock.playing")
+    page.run("new Promise(done => { const look = () => nsdyn.clock.t > 0 ? done() : setTimeout(look, 10); look(); })")
 
 
 def test_bodies_are_where_the_cursor_is(opened, falling):

@@ -75,7 +75,8 @@ def packed(trajectory: Trajectory, fps: float, forces: bool | str, max_frames: i
             notes.append(f"the {MAX_CONTACTS} largest of {left + MAX_CONTACTS} forces")
         arrays |= pushes
         units = {"forces": usual, "cones": _usual(found["r"][:, 0] / trajectory.dt)}
-        values |= {"forces": bool(forces), "units": units, "length": view.radius / 5}
+        lengths = {"forces": view.radius / 5, "cones": min(view.radius / 5, view.body_radius)}
+        values |= {"forces": bool(forces), "units": units, "lengths": lengths}
     values |= {"picture": at is not None, "notes": [] if at is not None else notes}
     return bundle.pack(values, arrays)
 

@@ -39,7 +39,7 @@ class View:
         every = 1 + trajectory.steps // 1000  # enough to see where a body goes
         positions = [trajectory.body(name).position[::every] for name in scene["frames"]]
         self.planes = [(np.array(g["size"]), float(g["offset"])) for g in scene["geoms"] if g["shape"] == "halfspace"]
-        points, reach = [np.zeros((1, 3))], [np.ones(1)]
+        points, reach, sizes = [np.zeros((1, 3))], [np.ones(1)], []
         for geom in scene["geoms"]:
             if geom["shape"] != "halfspace":
                 placement = np.array(geom["placement"])
@@ -47,11 +47,13 @@ class View:
                 points.append(positions[geom["frame"]] if moves else placement[None, :3, 3])
                 ball = _radius(geom) + (float(np.linalg.norm(placement[:3, 3])) if moves else 0.0)
                 reach.append(np.full(len(points[-1]), ball))
+                sizes += [_radius(geom)] * moves
         skip = 1 if len(points) > 1 else 0  # an empty scene shows the unit ball
         x, r = np.concatenate(points[skip:]), np.concatenate(reach[skip:])[:, None]
         lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
         self.centre = 0.5 * (lower + upper)
         self.radius = 0.5 * float(np.linalg.norm(upper - lower))
+        self.body_radius = float(np.median(sizes)) if sizes else self.radius
         self.outline = _outline(x, r)
         # From the front right, unless that is behind a half-space, which would be seen from its back.
         azimuths = np.radians([35.0, -35.0, 215.0, 145.0])

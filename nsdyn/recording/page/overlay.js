@@ -30,8 +30,8 @@ class Overlay {
 
   // Metres that a newton is long, of "forces" or "cones".
   scale(layer) {
-    const {units, length} = this.recording;
-    return units?.[layer] ? length / units[layer] : 0;
+    const {units, lengths} = this.recording;
+    return units?.[layer] ? lengths[layer] / units[layer] : 0;
   }
 
   draw() {
@@ -71,7 +71,7 @@ class Overlay {
     const {recording, stage} = this;
     const normal = contact.r[0] / recording.dt;
     if (!(normal > 0)) return;
-    const height = Math.min(2 * recording.length, normal * this.scale("cones"));
+    const height = Math.min(2 * recording.lengths.cones, normal * this.scale("cones"));
     const metres = this.side(contact) * height / contact.r[0];  // of an impulse of 1 N·s
     const tip = impulse => stage.project(recording.world(contact, impulse).map((x, k) => contact.point[k] + metres * x));
     const apex = stage.project(contact.point);
@@ -86,9 +86,9 @@ class Overlay {
     context.fillStyle = colour + "12";
     context.strokeStyle = colour + "a0";
     context.lineWidth = 1;
-    for (let k = 0; k < 24; k++) polygon(context, [apex, rim[k], rim[(k + 1) % 24]]).fill();
-    polygon(context, rim).stroke();
-    for (const k of silhouette(apex, rim)) polygon(context, [apex, rim[k]]).stroke();
+    for (let k = 0; k < 24; k++) context.fill(polygonOf([apex, rim[k], rim[(k + 1) % 24]]));
+    context.stroke(polygonOf(rim));
+    for (const k of silhouette(apex, rim)) context.stroke(polygonOf([apex, rim[k]]));
     const end = tip(contact.r);
     if (end) arrow(context, apex, end, contact.edge ? EDGE_COLOUR : FORCE_COLOUR);
   }
@@ -103,7 +103,7 @@ class Overlay {
       const origin = stage.origin(frame);
       const from = world("point").map((x, c) => x + origin[c]);
       const force = world("force");
-      const scale = Math.min(this.scale("forces"), 2 * recording.length / Math.hypot(...force));
+      const scale = Math.min(this.scale("forces"), 2 * recording.lengths.forces / Math.hypot(...force));
       const to = from.map((x, c) => x + scale * force[c]);
       const ends = [stage.project(from), stage.project(to)];
       if (ends[0] && ends[1]) arrow(context, ...ends, FORCE_COLOUR);
@@ -120,7 +120,7 @@ class Overlay {
     const width = context.measureText(this.marked.name).width;
     context.strokeStyle = "#111111";
     context.lineWidth = 1.5;
-    polygon(context, [at, [x, y]]).stroke();
+    context.stroke(polygonOf([at, [x, y]]));
     context.fillStyle = "#111111";
     context.beginPath();
     context.arc(at[0], at[1], 3, 0, 2 * Math.PI);
@@ -168,11 +168,11 @@ function ring(context, [x, y], size) {
   context.stroke();
 }
 
-function polygon(context, points) {
-  context.beginPath();
-  for (const [x, y] of points) context.lineTo(x, y);
-  context.closePath();
-  return context;
+function polygonOf(points) {
+  const path = new Path2D();
+  for (const [x, y] of points) path.lineTo(x, y);
+  path.closePath();
+  return path;
 }
 
 // The two points of the rim of a cone between which and its apex its outline runs; none where it is seen from inside.
@@ -186,17 +186,21 @@ function arrow(context, from, to, colour) {
   const [dx, dy] = [to[0] - from[0], to[1] - from[1]];
   const length = Math.hypot(dx, dy);
   if (length < 1) return;
-  const head = Math.min(9, 0.6 * length);
+  const head = Math.min(10, 0.6 * length);
   const [ux, uy] = [dx / length, dy / length];
   const [bx, by] = [to[0] - head * ux, to[1] - head * uy];
-  for (const [style, width] of [["#ffffffc0", 4.5], [colour, 2.2]]) {
-    context.strokeStyle = style;
+  const tip = polygonOf([to, [bx - 0.45 * head * uy, by + 0.45 * head * ux], [bx + 0.45 * head * uy, by - 0.45 * head * ux]]);
+  const shaft = new Path2D();
+  shaft.moveTo(from[0], from[1]);
+  shaft.lineTo(bx, by);
+  // With a white rim, to be seen on dark bodies.
+  context.strokeStyle = "white";
+  for (const [path, width] of [[shaft, 5.5], [tip, 3]]) {
     context.lineWidth = width;
-    context.beginPath();
-    context.moveTo(from[0], from[1]);
-    context.lineTo(bx, by);
-    context.stroke();
+    context.stroke(path);
   }
-  context.fillStyle = colour;
-  polygon(context, [to, [bx - 0.45 * head * uy, by + 0.45 * head * ux], [bx + 0.45 * head * uy, by - 0.45 * head * ux]]).fill();
+  context.strokeStyle = context.fillStyle = colour;
+  context.lineWidth = 2.4;
+  context.stroke(shaft);
+  context.fill(tip);
 }

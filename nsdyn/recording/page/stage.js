@@ -77,7 +77,7 @@ class Stage {
   // Quality of the next picture: the pictures of a moving scene follow each other, and get worse while they are late.
   choose() {
     const {quality} = this;
-    if (quality.still) return;
+    if (quality.still || document.body.classList.contains("picture")) return;
     const now = performance.now();
     if (quality.last) quality.late += Math.max(0, now - quality.last - SLOW);
     quality.last = now;
