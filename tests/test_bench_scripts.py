@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from nsdyn.recording import browser
+
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = {
     "step_time.py": (["--scene", "stack", "--steps", "5"], r"nsdyn, tol 1e-06: +\d+ us"),
@@ -17,6 +19,10 @@ SCRIPTS = {
     "portfolio.py": (["--steps", "2"], r"mean [\d.]+ ms"),
     "regimes.py": (["{folder}", "--solver", "auto", "--bodies", "12"], r"collision, 1e-08\nsolver .*\nauto +4/4 "),
     "truth.py": (["slow_ball", "--quick"], r"slow_ball +speed +[\d.e+-]+ +1e-09"),
+    "page.py": (
+        ["slide", "--time", "0.1", "--size", "400", "300", "--frames", "15"],
+        r"slide: [\d.]+ MB, made in [\d.]+ s\nopens in [\d.]+ s\nscrubs at \d+ pictures a second",
+    ),
     "quadruped.py": (["--time", "0.05", "--robots", "1"], r"nsdyn +0.005 +1 +\d+"),
 }
 
@@ -26,6 +32,8 @@ LONG = "regimes.py"
 
 @pytest.mark.parametrize("script", [pytest.param(s, marks=[pytest.mark.slow] if s == LONG else []) for s in SCRIPTS])
 def test_script_runs(script, tmp_path):
+    if script == "page.py" and browser.chromium() is None:
+        pytest.skip("no Chromium on the PATH")
     arguments, expected = SCRIPTS[script]
     arguments = [argument.format(folder=tmp_path) for argument in arguments]
     command = [sys.executable, str(ROOT / "demos" / "bench" / script), *arguments]

@@ -205,8 +205,9 @@ def _add_results(command: Command) -> None:
     p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
     p.add_argument("--csv", type=Path, metavar="C.csv", help="all contacts of all steps, one a line")
 
-    p = command("view", write_page, "Make a web page or a picture of a recording.")
+    p = command("view", write_page, "Make a web page, a picture or a film of a recording, or of two side by side.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument("beside", type=Path, metavar="OTHER.h5", nargs="?", help="shown beside it, on the same clock")
     p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
     p.add_argument(
         "--forces", nargs="?", const="pair", default=False, metavar="BY",
@@ -214,6 +215,7 @@ def _add_results(command: Command) -> None:
     )  # fmt: skip
     p.add_argument("--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)")
     p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
+    p.add_argument("--mp4", type=Path, metavar="RUN.mp4", help="film, made by a headless Chromium and ffmpeg")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
 
     add_compare(command("compare", compare_recordings, "Say where two recordings of one scene part."))
