@@ -29,9 +29,12 @@ from nsdyn.solvers.reference.admm import ADMM
 from nsdyn.solvers.reference.bundle import Bundle
 from nsdyn.solvers.reference.extragradient import Extragradient
 from nsdyn.solvers.reference.fixed_point import FixedPoint
+from nsdyn.solvers.reference.gauss_seidel import GaussSeidel
+from nsdyn.solvers.reference.hybrid import Hybrid
 from nsdyn.solvers.reference.interior_point import InteriorPoint
 from nsdyn.solvers.reference.panagiotopoulos import Panagiotopoulos
 from nsdyn.solvers.reference.proximal import Proximal
+from nsdyn.solvers.reference.relaxation import relaxed
 from nsdyn.solvers.reference.tresca import Tresca
 from nsdyn.solvers.reference.uzawa import Uzawa
 from nsdyn.tools.arrays import Array
@@ -46,6 +49,8 @@ __all__ = [
     "Bundle",
     "Extragradient",
     "FixedPoint",
+    "GaussSeidel",
+    "Hybrid",
     "ImpulseNewton",
     "Interior",
     "InteriorPoint",
@@ -58,6 +63,7 @@ __all__ = [
     "Uzawa",
     "as_solver",
     "by_name",
+    "relaxed",
     "solve",
 ]
 
@@ -80,6 +86,8 @@ SOLVERS: dict[str, type] = {
     "bundle": Bundle,
     "extragradient": Extragradient,
     "fixed_point": FixedPoint,
+    "gauss_seidel": GaussSeidel,
+    "hybrid": Hybrid,
     "impulse_newton": ImpulseNewton,
     "interior": Interior,
     "interior_point": InteriorPoint,
