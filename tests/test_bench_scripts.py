@@ -17,15 +17,21 @@ SCRIPTS = {
     "portfolio.py": (["--steps", "2"], r"mean [\d.]+ ms"),
     "regimes.py": (["{folder}", "--solver", "auto", "--bodies", "12"], r"collision, 1e-08\nsolver .*\nauto +4/4 "),
     "truth.py": (["slow_ball", "--quick"], r"slow_ball +speed +[\d.e+-]+ +1e-09"),
+    "sweep.py": (
+        ["--runs", "40", "--time", "0.1", "--rounds", "1"],
+        r"same bits: True\n.* 0 of 40 lost, same bits: True",
+    ),
     "quadruped.py": (["--time", "0.05", "--robots", "1"], r"nsdyn +0.005 +1 +\d+"),
 }
 
 
-LONG = "regimes.py"
+LONG = "regimes.py", "sweep.py"
 
 
-@pytest.mark.parametrize("script", [pytest.param(s, marks=[pytest.mark.slow] if s == LONG else []) for s in SCRIPTS])
+@pytest.mark.parametrize("script", [pytest.param(s, marks=[pytest.mark.slow] if s in LONG else []) for s in SCRIPTS])
 def test_script_runs(script, tmp_path):
+    if script == "sweep.py":
+        pytest.importorskip("distributed", reason="dask is not installed (extra `cluster`)")
     arguments, expected = SCRIPTS[script]
     arguments = [argument.format(folder=tmp_path) for argument in arguments]
     command = [sys.executable, str(ROOT / "demos" / "bench" / script), *arguments]
