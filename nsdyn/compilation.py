@@ -90,12 +90,12 @@ def _problems() -> None:
     for means in (ByFactors(factors.blocks, *given), ByMatrix(factors.csr, *given)):
         r = np.zeros_like(factors.q)
         means.accelerated(r, 1e-8, 4, 4)
-        means.momentum(r).run(1e-8, 4, 4)
+        means.nesterov(r).run(1e-8, 4, 4)
         for method in (interior, smoothing):
             method(means.operator, factors.q, factors.mu, factors.scales, r, 1e-8, factors.q_norm, 3)
         means.newton(r, 0.0, 10.0, 3)
     smooth = ByFactors(factors.blocks, factors.q, 0.0 * factors.mu, factors.scales, factors.q_norm)
-    smooth.momentum(np.zeros_like(r)).run(1e-8, 4, 4)
+    smooth.nesterov(np.zeros_like(r)).run(1e-8, 4, 4)
     # Where sweeps do not suffice.
     heavy = Stepper(scenes.load("heavy_on_light")(ratio=1e4), 5e-3).step().problem
     solvers.by_name("auto")(FC3D(heavy.W, heavy.q, heavy.mu))

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from nsdyn.recording import browser
+
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = {
     "step_time.py": (["--scene", "stack", "--steps", "5"], r"nsdyn, tol 1e-06: +\d+ us"),
@@ -21,6 +23,10 @@ SCRIPTS = {
         ["--runs", "40", "--time", "0.1", "--rounds", "1"],
         r"same bits: True\n.* 0 of 40 lost, same bits: True",
     ),
+    "page.py": (
+        ["slide", "--time", "0.1", "--size", "400", "300", "--frames", "15"],
+        r"slide: [\d.]+ MB, made in [\d.]+ s\nopens in [\d.]+ s\nscrubs at \d+ pictures a second",
+    ),
     "quadruped.py": (["--time", "0.05", "--robots", "1"], r"nsdyn +0.005 +1 +\d+"),
 }
 
@@ -32,6 +38,8 @@ LONG = "regimes.py", "sweep.py"
 def test_script_runs(script, tmp_path):
     if script == "sweep.py":
         pytest.importorskip("distributed", reason="dask is not installed (extra `cluster`)")
+    if script == "page.py" and browser.chromium() is None:
+        pytest.skip("no Chromium on the PATH")
     arguments, expected = SCRIPTS[script]
     arguments = [argument.format(folder=tmp_path) for argument in arguments]
     command = [sys.executable, str(ROOT / "demos" / "bench" / script), *arguments]

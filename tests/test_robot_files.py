@@ -94,8 +94,12 @@ ARM = f"""<robot name="r"><link name="base"/><link name="arm">{INERTIAL}
         ('value="1"', 'value="${m}"', "has xacro macros: expand them first"),
         ("<link", "<xacro:link", "has xacro macros: expand them first"),
         ('<box size="1 1 1"/>', '<mesh filename=""/>', "collision of 'arm': <mesh> names no file"),
-        ('<box size="1 1 1"/>', '<mesh filename="empty.stl"/>', r"collision of 'arm': .*empty\.stl .* File is empty"),
-        ('<box size="1 1 1"/>', '<mesh filename="none.stl"/>', r"collision of 'arm': .*none\.stl .* no facets"),
+        ('<box size="1 1 1"/>', '<mesh filename="empty.stl"/>', r"collision of 'arm': .*empty\.stl .* it is empty"),
+        (
+            '<box size="1 1 1"/>',
+            '<mesh filename="none.stl"/>',
+            r"collision of 'arm': .*none\.stl .* it has no triangles",
+        ),
     ],
 )
 def test_bad_urdf_is_told_in_one_line_with_its_culprit(tmp_path, capfd, old, new, words):

@@ -1,9 +1,12 @@
 """The stepper itself: resuming, determinism, callbacks, failures, arguments, the ledger and the certificate."""
 
+import pickle
+
 import numpy as np
 import pytest
 
 import nsdyn as nd
+from nsdyn.stepping import stepper as stepper_module
 
 
 @pytest.mark.parametrize("name", nd.scenes.names())
@@ -118,6 +121,52 @@ def test_failure_raises_warns_or_is_recorded(tmp_path):
     assert len(warned) == 1, "one warning a run"
     assert (trajectory.solver.status == nd.Status.MAX_ITERATIONS).any()
     assert trajectory.steps == 10
+
+
+def test_steps_that_miss_their_tolerance_are_written(tmp_path, monkeypatch):
+    """The file holds the step's problem and its answer: the error that was recorded, and a problem that is solved."""
+    monkeypatch.chdir(tmp_path)
+    scene, lazy = nd.scenes.load("stack")(height=4), nd.solvers.PGS(tol=1e-300, max_iter=200)
+    with pytest.warns(
+        UserWarning, match=r"step 1 .* worst between .*; its problem is in failed-steps/step-000001\.hdf5"
+    ):
+        trajectory = nd.simulate(scene, 0.03, dt=1e-2, solver=lazy, on_fail="dump")
+    missed = np.flatnonzero(trajectory.solver.status == nd.Status.MAX_ITERATIONS)
+    written = sorted((tmp_path / "failed-steps").iterdir())
+    assert missed.size and [path.stem for path in written] == [f"step-{k + 1:06d}" for k in missed]
+    for k, path in zip(missed, written, strict=True):
+        problem, (answer,) = nd.fclib.read(path), nd.fclib.read_guesses(path)
+        # round-off of impulses of 0.4 N·s over that of velocities of 0.2 m/s
+        assert problem.error(answer.r) == pytest.approx(trajectory.solver.error[k], abs=1e-14)
+        assert nd.solve(problem, r0=answer.r).converged
+
+
+def test_failure_says_where_and_can_be_sent():
+    """Another process may be told what failed, where, and with which bodies."""
+    stepper = nd.Stepper(
+        nd.scenes.load("stack")(height=4), dt=1e-2, solver=nd.solvers.PGS(tol=1e-12, max_iter=1, memory=0)
+    )
+    with pytest.raises(nd.NotConverged, match=r"worst between '.*' and '.*'.*try a smaller dt") as caught:
+        for _ in range(2):
+            stepper.step()
+    failure = pickle.loads(pickle.dumps(caught.value))
+    assert failure.step == 1 and str(failure) == str(caught.value)
+    assert failure.solution.error == caught.value.solution.error > 1e-3
+    assert failure.problem.nc == 16 and failure.state.t == stepper.t
+
+
+def test_the_worst_of_a_step_is_recorded():
+    """A problem that missed even the loose tolerance beside one of a larger error that is within it."""
+    problem = nd.FC3D(np.eye(3), np.array([-1.0, 0.0, 0.0]), [0.5])
+    exact = nd.solve(problem)
+
+    def solved(status, error):
+        return problem, exact._replace(status=status, error=error)
+
+    loose, stalled = solved(nd.Status.LOOSE, 9e-5), solved(nd.Status.STALLED, 2e-6)
+    assert stepper_module._worst([solved(nd.Status.CONVERGED, 1e-9), stalled, loose]) == 1
+    assert stepper_module._worst([loose, stalled, solved(nd.Status.NO_SLATER_POINT, 1e-7)]) == 2
+    assert stepper_module._worst([solved(nd.Status.CONVERGED, 2e-9), solved(nd.Status.CONVERGED, 1e-9)]) == 1
 
 
 def test_what_is_no_answer_stops_a_run(tmp_path):

@@ -35,6 +35,8 @@ def scene_dict(links: bool = False):
             "shape": "halfspace",
             "size": [0, 0, 1],
             "offset": 0,
+            "placement": np.eye(4).tolist(),
+            "colour": None,
         },
         {"name": "a", "body": "a", "frame": 0, **box},
         {"name": "b", "body": "b", "frame": 1, **box},

@@ -114,7 +114,7 @@ def _add_simulations(command: Command) -> None:
         default=[],
         help="parameter of the scene; may be repeated",
     )
-    add_simulation(p)
+    add_simulation(p, "raise", "dump", "ignore")
     where = p.add_mutually_exclusive_group()
     where.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
     where.add_argument(
@@ -126,7 +126,9 @@ def _add_simulations(command: Command) -> None:
     )
     p.add_argument("--no-contacts", action="store_true", help="leave the contacts out of the recording")
     p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
-    p.add_argument("--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail")
+    p.add_argument(
+        "--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail, as FCLIB files"
+    )
     p.add_argument("--check", action="store_true", help="audit the motion; the exit code is 0 only if it passes")
     add_json(p)
 
@@ -203,8 +205,9 @@ def _add_results(command: Command) -> None:
     p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
     p.add_argument("--csv", type=Path, metavar="C.csv", help="all contacts of all steps, one a line")
 
-    p = command("view", write_page, "Make a web page or a picture of a recording.")
+    p = command("view", write_page, "Make a web page, a picture or a film of a recording, or of two side by side.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument("beside", type=Path, metavar="OTHER.h5", nargs="?", help="shown beside it, on the same clock")
     p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
     p.add_argument(
         "--forces", nargs="?", const="pair", default=False, metavar="BY",
@@ -212,6 +215,7 @@ def _add_results(command: Command) -> None:
     )  # fmt: skip
     p.add_argument("--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)")
     p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
+    p.add_argument("--mp4", type=Path, metavar="RUN.mp4", help="film, made by a headless Chromium and ffmpeg")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
 
     add_compare(command("compare", compare_recordings, "Say where two recordings of one scene part."))

@@ -41,7 +41,7 @@ def version_of(distribution: str) -> str | None:
 def diagnose(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn doctor``."""
     from nsdyn._kernels import ahead, compiled
-    from nsdyn.recording import pictures
+    from nsdyn.recording import browser
 
     if arguments.compile:
         ahead.compile_examples("all")
@@ -55,7 +55,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
     figures: dict[str, Any] = {
         "python": {"version": sys.version.split()[0], "file": sys.executable},
         "packages": packages,
-        "chromium": pictures.chromium(),
+        "chromium": browser.chromium(),
         "cache": cache,
         "checks": checks,
         "ok": sound,
@@ -65,7 +65,8 @@ def diagnose(arguments: argparse.Namespace) -> int:
         return 0 if sound else 1
     for name, found in {"python": figures["python"], **packages}.items():
         print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
-    print(f"{'chromium':12} {figures['chromium'] or 'not found; only pictures (nsdyn view --png) need it'}")
+    absent = "not found; only pictures and films (nsdyn view --png, --mp4) need it"
+    print(f"{'chromium':12} {figures['chromium'] or absent}")
     none = f"none can be written: every start compiles unless {compiled.FOLDER} names a folder"
     print(f"{'cache':12} {cache or none}")
     for name, outcome in checks.items():

@@ -92,10 +92,10 @@ def check_outputs(source: Path | None, *paths: Path | None) -> None:
 PLOTS = "png", "pdf", "svg"
 
 
-def check_picture(path: Path | None, *kinds: str) -> None:
-    """Refuse the name of a picture of another kind."""
+def check_picture(path: Path | None, *kinds: str, what: str = "picture") -> None:
+    """Refuse the name of a picture, or what it is, of another kind."""
     if path and path.suffix and path.suffix[1:].lower() not in kinds:
-        raise ValueError(f"cannot write {path}: a picture must be {' or '.join(kinds)}, got {path.suffix}")
+        raise ValueError(f"cannot write {path}: a {what} must be {' or '.join(kinds)}, got {path.suffix}")
 
 
 def plot_to(path: Path, *draw: Callable[[Any], Any]) -> None:

@@ -89,20 +89,28 @@ def write_page(arguments: argparse.Namespace) -> int:
     from nsdyn.recording import pictures, viewer
     from nsdyn.recording.trajectory import Trajectory
 
-    if not (arguments.output or arguments.png):
-        raise ValueError("nothing to make: give -o RUN.html, --png FRAME.png, or both")
+    if not (arguments.output or arguments.png or arguments.mp4):
+        raise ValueError("nothing to make: give -o RUN.html, --png FRAME.png or --mp4 RUN.mp4")
     if arguments.at is not None and not arguments.png:
         raise ValueError("--at is the time of the picture: give --png FRAME.png too")
-    check_outputs(arguments.recording, arguments.output, arguments.png)
+    for recording in filter(None, (arguments.recording, arguments.beside)):
+        check_outputs(recording, arguments.output, arguments.png, arguments.mp4)
     check_picture(arguments.png, "png")
+    check_picture(arguments.mp4, "mp4", what="film")
+    if arguments.mp4:
+        pictures.check_film()
     trajectory = Trajectory.load(arguments.recording)
-    options = {"fps": arguments.fps, "forces": arguments.forces}
-    if arguments.png:
-        at = trajectory.t[-1] if arguments.at is None else arguments.at
-        with tempfile.TemporaryDirectory(prefix="nsdyn-") as folder:
-            page = Path(folder) / "page.html"
+    beside = Trajectory.load(arguments.beside) if arguments.beside else None
+    options = {"fps": arguments.fps, "forces": arguments.forces, "beside": beside}
+    with tempfile.TemporaryDirectory(prefix="nsdyn-") as folder:
+        page = Path(folder) / "page.html"
+        if arguments.png:
+            at = trajectory.t[-1] if arguments.at is None else arguments.at
             viewer.write_html(trajectory, page, at=at, **options)
             pictures.screenshot(page, arguments.png)
+        if arguments.mp4:
+            viewer.write_html(trajectory, page, **options)
+            pictures.film(page, arguments.mp4, arguments.fps)
     if arguments.output:
         viewer.write_html(trajectory, arguments.output, **options)
     return 0

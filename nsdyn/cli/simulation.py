@@ -15,15 +15,15 @@ from nsdyn.cli.output import check_outputs, ledger, one_line, say, say_json
 __all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "list_scenes", "run_scene"]
 
 
-def add_simulation(parser: argparse.ArgumentParser) -> None:
-    """Options of a simulation: its time, its step and its solver."""
+def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
+    """Options of a simulation: its time, its step, and those of `add_solver`."""
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
-    add_solver(parser)
+    add_solver(parser, *on_fail)
 
 
-def add_solver(parser: argparse.ArgumentParser) -> None:
-    """Options of the scheme and of the solver of a simulation."""
+def add_solver(parser: argparse.ArgumentParser, *on_fail: str) -> None:
+    """Options of the scheme and of the solver of a simulation, and what else than warn it may do `on_fail`."""
     parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
     parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
     parser.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
@@ -32,8 +32,9 @@ def add_solver(parser: argparse.ArgumentParser) -> None:
         help="of solver auto: what is accepted where its tolerance costs too much (default: 1e-4)",
     )  # fmt: skip
     parser.add_argument(
-        "--on-fail", choices=("warn", "raise", "ignore"), default="warn",
-        help="what to do where a step misses its tolerance: go on with the best answer, or stop (default: %(default)s)",
+        "--on-fail", choices=("warn", *on_fail), default="warn",
+        help="what to do where a step misses its tolerance: go on with the best answer, and say so, write its problem "
+        "or be silent, or stop (default: %(default)s)",
     )  # fmt: skip
 
 
@@ -88,6 +89,8 @@ def chosen_solver(arguments: argparse.Namespace) -> Any:
 
 def _met(trajectory: Any, solver: Any) -> str:
     """How many steps, or groups of them that are recorded as one, met which tolerance, in words."""
+    import numpy as np
+
     from nsdyn import Status
 
     count = Counter(trajectory.solver.status.tolist())
@@ -98,7 +101,11 @@ def _met(trajectory: Any, solver: Any) -> str:
     if squeezed := count.pop(Status.OVERLAP, 0):
         parts.append(f"{squeezed} with an overlap that nothing removed")
     if missed := count.total():
-        parts.append(f"{missed} missed their tolerance (largest error {trajectory.solver.error.max():.1e})")
+        error = np.where(np.isin(trajectory.solver.status, list(count)), trajectory.solver.error, -1.0)
+        worst = int(np.argmax(error))
+        parts.append(
+            f"{missed} missed their tolerance (largest error {error[worst]:.1e}, at t = {trajectory.t[worst + 1]:g} s)"
+        )
     return ", ".join(parts)
 
 

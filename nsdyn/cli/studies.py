@@ -24,7 +24,7 @@ def add_study(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="parameter; may be repeated")
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
-    add_solver(parser)
+    add_solver(parser, "raise", "ignore")
     parser.add_argument("--csv", type=Path, metavar="F.csv", help="the table")
     add_json(parser)
 

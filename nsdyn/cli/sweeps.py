@@ -26,7 +26,7 @@ def add_sweep(parser: argparse.ArgumentParser) -> None:
         "--set", metavar="NAME=VALUE,...", action="append", default=[],
         help="values of a parameter of the scene, with commas between; may be repeated",
     )  # fmt: skip
-    add_simulation(parser)
+    add_simulation(parser, "raise", "ignore")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: as many as cores)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster whose workers have nsdyn")

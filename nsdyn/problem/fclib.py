@@ -35,6 +35,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.datasets import check_heaps, dataset
 
 __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
 
@@ -117,10 +118,11 @@ def _open(path: str | Path) -> Iterator[Any]:
     """Open a file to read; every error becomes a ValueError that names it."""
     if not Path(path).is_file():
         raise ValueError(f"no such file: {path}")
+    check_heaps(Path(path))
     try:
         with h5py.File(path, "r") as file:
             yield file
-    except (OSError, RuntimeError) as failure:  # h5py raises both for broken files
+    except (OSError, RuntimeError, KeyError, TypeError) as failure:  # h5py raises all of them for broken files
         raise ValueError(f"{path} is not an HDF5 file, or a damaged one: {failure}") from None
     except ValueError as failure:
         raise ValueError(f"{path}: {failure}") from None
@@ -140,10 +142,10 @@ def _group(file: Any) -> tuple[Any, int]:
 def _array(group: Any, name: str, kind: Any = np.float64, size: int | None = None) -> Any:
     """Vector of numbers, checked."""
     where = f"{group.name}/{name}".lstrip("/")
-    item = group.get(name)
-    if not isinstance(item, h5py.Dataset):
+    if name not in group:
         raise ValueError(f"{where} is missing")
-    if item.shape is None or item.ndim > 1 or item.dtype.kind not in ("iuf" if kind is np.float64 else "iu"):
+    item = dataset(group, name)
+    if item.ndim > 1 or item.dtype.kind not in ("iuf" if kind is np.float64 else "iu"):
         raise ValueError(f"{where} must be a vector of numbers, got {item.dtype} of shape {item.shape}")
     out = np.atleast_1d(item[()]).astype(kind)
     if size is not None and out.size != size:
@@ -159,6 +161,8 @@ def _matrix(group: Any, name: str) -> Any:
     m, n, nz = (int(_array(group, f"{name}/{key}", np.int64, 1)[0]) for key in ("m", "n", "nz"))
     p, i = (_array(group, f"{name}/{key}", np.int64) for key in ("p", "i"))
     x = _array(group, f"{name}/x")
+    if max(m, n) > group.file.id.get_filesize():  # each row and column has a number in some vector
+        raise ValueError(f"{where} must have the size of a problem, got {m} x {n}")
     if min(m, n) < 0 or nz < -2 or i.size != x.size:
         raise ValueError(
             f"{where} must have m, n ≥ 0, nz ≥ -2 and as many i as x, got {m}, {n}, {nz}, {i.size} and {x.size}"

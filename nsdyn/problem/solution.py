@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.tools.arrays import Array
@@ -98,9 +98,25 @@ class Solution(NamedTuple):
 
 
 class NotConverged(RuntimeError):
-    """A solve missed its tolerance; carries the `problem` and its best `solution`."""
+    """A solve missed its tolerance.
 
-    def __init__(self, message: str, problem: FC3D, solution: Solution) -> None:
+    Attributes
+    ----------
+    problem : FC3D
+    solution : Solution
+        The best answer found.
+    state : nsdyn.stepping.state.State or None
+        Where the step began that met it, for `Stepper.set_state`; None outside a simulation.
+    step : int or None
+        Its number, 1 for the first.
+    """
+
+    def __init__(
+        self, message: str, problem: FC3D, solution: Solution, state: Any = None, step: int | None = None
+    ) -> None:
         super().__init__(message)
-        self.problem = problem
-        self.solution = solution
+        self.problem, self.solution, self.state, self.step = problem, solution, state, step
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """All of it, so that it comes back from another process."""
+        return type(self), (str(self), self.problem, self.solution, self.state, self.step)

@@ -478,6 +478,8 @@ def _energies(poses: Poses) -> Iterator[_Found]:
         total = kinetic + potential
         if reason := _left_out(t):
             yield _unknown("works", "J", reason)
+        elif float(t.meta["theta"]) != 0.5:
+            yield _unknown("works", "J", "with theta above 0.5 the scheme does work of its own")
         else:
             # What contacts do that stay closed and stick is booked as numerics.
             off = np.abs(gain - e.normal - e.friction - e.integration)

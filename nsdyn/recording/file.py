@@ -57,7 +57,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn.recording import slots
+from nsdyn.recording import schema, slots
+from nsdyn.tools.datasets import check_heaps, dataset
 from nsdyn.tools.unfinished import open_to_read
 
 __all__ = ["create", "extend", "read", "read_state", "until"]
@@ -190,19 +191,24 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Saved | 
         raise FileNotFoundError(f"no such recording: {path}")
     if not h5py.is_hdf5(path):
         raise ValueError(f"{path} is not a recording of nsdyn: it is not an HDF5 file")
+    check_heaps(path)
     try:
         with open_to_read(path) as file:
             contents = _contents(file, path)
             return *contents, slots.read(file, len(contents[2]["t"]))
-    except (OSError, RuntimeError, KeyError) as failure:  # all of them h5py raises for damaged files
+    except Exception as failure:  # h5py raises many kinds for damaged files
+        if isinstance(failure, ValueError) and str(path) in str(failure):
+            raise
         raise ValueError(f"{path} is damaged: {failure.args[0] if failure.args else failure}") from None
 
 
 def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns]:
-    attributes = file["meta"].attrs if "meta" in file else {}
+    attributes = file["meta"].attrs if isinstance(file.get("meta"), h5py.Group) else {}
     meta = {k: v.item() if isinstance(v, np.generic) else v for k, v in attributes.items()}
-    if meta.get("format") != "nsdyn":
+    if not isinstance(meta.get("format"), str) or meta["format"] != "nsdyn":
         raise ValueError(f"{path} is not a recording of nsdyn: /meta with format='nsdyn' is missing")
+    if not isinstance(meta.get("format_version"), int):
+        raise ValueError(f"{path} is not a recording of nsdyn: /meta has no format_version")
     if meta["format_version"] > FORMAT_VERSION:
         raise ValueError(f"{path} has format_version {meta['format_version']}, this nsdyn reads up to {FORMAT_VERSION}")
     added = [row for row in ADDED if meta["format_version"] < row[0]]
@@ -211,16 +217,32 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     missing = [name for name in ["meta/scene", *STATES, *steps, *CONTACTS] if name not in file]
     if missing:
         raise ValueError(f"{path} is not a recording of nsdyn: /{missing[0]} is missing")
-    scene = json.loads(file["meta/scene"][()])
-    states = len(file["t"])
-    offset = file["contacts/offset"][:states]
+    meta = ADDED_META | meta | {"format_version": FORMAT_VERSION}
+    schema.check_meta(meta)
+    states = len(schema.column(file, "t", None, "f8", ()))
+    if not states:
+        raise ValueError("/t has no rows")
+    offset = schema.column(file, "contacts/offset", states, "i8", ())
     names = STATES + (LINKS if "frames" in file else []) + steps + (JOINTS if "joints" in file else []) + CONTACTS
-    rows = _rows(names, states, int(offset[-1]) if len(offset) else 0)
-    for name, size in rows.items():
-        if len(file[name]) < size or not states:
-            raise ValueError(f"{path} is damaged: /{name} has {len(file[name])} rows, {size} expected")
-    columns = {name: file[name][:size] for name, size in rows.items()}
+    rows = _rows(names, states, int(offset[-1]))
+    columns = {name: schema.column(file, name, size, *_layout(name)) for name, size in rows.items()}
     for _, column, summed, value in added:
         columns[column] = sum((columns.pop(part) for part in summed), np.full(states - 1, value))
-    meta = ADDED_META | meta | {"format_version": FORMAT_VERSION}
-    return meta, scene, columns
+    text = dataset(file, "meta/scene")
+    return meta, schema.scene(text[()], columns), columns
+
+
+def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
+    """(type, shape of a row) of a column, None for any length."""
+    group, _, inner = name.partition("/")
+    if group == "contacts" and inner in CONTACT:
+        _, kind, components = CONTACT[inner]
+        return kind, () if components == 1 else (components,)
+    if group == "solver":
+        return SOLVER[inner], ()
+    row: tuple[str, tuple[int | None, ...]] = ("f8", (None,))
+    return {
+        "q": row, "v": row, **dict.fromkeys(JOINTS, row),
+        "frames/x": ("f8", (None, 3)), "frames/quat": ("f8", (None, 4)),
+        "contacts/offset": ("i8", ()),
+    }.get(name, ("f8", ()))  # fmt: skip

@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn.recording import schema
+
 __all__ = ["create", "read", "write"]
 
 PARTS = {"layout": "u1", "numbers": "f8", "whole": "i8"}
@@ -58,9 +60,11 @@ def read(file: Any, rows: int) -> tuple[int, dict[str, NDArray[Any]]] | None:
     """(row, arrays) of the latest state that is whole and among the first rows; None if there is none."""
     found = []
     for k in "01" if "state" in file else "":
-        group = file[f"state/{k}"]
-        row, checksum, *sizes = group["head"][()].tolist()
-        parts = {name: group[name][:size] for name, size in zip(PARTS, sizes, strict=True)}
+        row, checksum, *sizes = schema.column(file, f"state/{k}/head", 5, "i8", ()).tolist()
+        parts = {
+            name: schema.column(file, f"state/{k}/{name}", size, kind, ())
+            for (name, kind), size in zip(PARTS.items(), sizes, strict=True)
+        }
         if 0 <= row < rows and _checksum(parts) == checksum:
             found.append((row, parts))
     if not found:

@@ -205,7 +205,7 @@ class Trajectory:
         return cls(*recording.read(Path(path)))
 
     def to_html(self, path: str | Path, **options: Any) -> None:
-        """Write a self-contained animated page; options as in `nsdyn.recording.viewer.write_html`."""
+        """Write a self-contained page that plays the recording; options as in `nsdyn.recording.viewer.html`."""
         from nsdyn.recording.viewer import write_html
 
         write_html(self, path, **options)
@@ -238,7 +238,7 @@ class Trajectory:
         ax.set(xlabel="t [s]", ylabel="energy, work so far [J]", title=self.meta["scene_name"])
         ax.margins(x=0)
         low, high = ax.get_ylim()
-        least = 1e-6 * self._largest_energy or 1.0
+        least = 1e-6 * self.largest_energy or 1.0
         if high - low < least:
             ax.set_ylim(-0.1 * least, 0.9 * least)
             ax.text(0.5, 0.5, "at rest", transform=ax.transAxes, ha="center", va="center", size="x-large")
@@ -279,7 +279,7 @@ class Trajectory:
         return max(float(e.kinetic.max()), float(np.ptp(e.potential)), *works)
 
     @property
-    def _largest_energy(self) -> float:
+    def largest_energy(self) -> float:
         """Of the energy at play and the potential energy, which a body at rest has too, J."""
         return max(self.at_play, float(np.abs(self.energy.potential).max()))
 
@@ -308,9 +308,7 @@ class Trajectory:
     def _active_works(self) -> list[str]:
         """Works of more than round-off, without the defect."""
         works = {name: np.abs(self._cumulative(name)).max() for name in WORKS if name != "defect"}
-        return [
-            name for name, work in works.items() if work > 1e-9 * max(self._largest_energy, 1e-300, *works.values())
-        ]
+        return [name for name, work in works.items() if work > 1e-9 * max(self.largest_energy, 1e-300, *works.values())]
 
     def _cumulative(self, work: str) -> Array:
         """Work from 0 to t, shape (n + 1,)."""

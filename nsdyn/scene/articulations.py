@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,10 +25,13 @@ from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["Articulation", "Description", "Link", "Loop", "assemble", "close_loop", "describe_model"]
+__all__ = ["Articulation", "Description", "Link", "Loop", "assemble", "check_size", "close_loop", "describe_model"]
 
 NORMALISED = 1e-6
 """Error of norm of a quaternion or of a pair (cos, sin) in q that a user's rounding may leave."""
+
+COORDINATES = 256
+"""Most of a tree: Pinocchio's data hold three-way tables of them, 64 nv³ bytes, which is 1 GB."""
 
 SHOWN = 4
 """Most notes of what is left out that a warning shows."""
@@ -176,6 +180,16 @@ def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str]
     return Description(model, links=tuple(links), bodies=tuple(bodies), **(defaults | more))
 
 
+def check_size(name: str, model: Any) -> None:
+    """Refuse trees that Pinocchio has no memory for, and numbers whose products are none."""
+    if model.nv > COORDINATES:
+        raise ValueError(f"{name!r} has {model.nv} coordinates, more than {COORDINATES}: cut it into several trees")
+    placed = [p.translation for p in model.jointPlacements]
+    values = [*placed, *(np.r_[body.mass, body.lever, body.inertia.ravel()] for body in model.inertias)]
+    if not (np.abs(np.concatenate(values)) <= checks.LARGEST).all():
+        raise ValueError(f"{name!r} must have poses, masses and inertias of at most {checks.LARGEST:g} in size")
+
+
 def assemble(
     name: str,
     description: Description,
@@ -199,6 +213,7 @@ def assemble(
     inertias: str = "check",
 ) -> Articulation:
     """Articulation of a description, placed in the world; the parameters are those of `nsdyn.Scene.add_model`."""
+    check_size(name, description.model)
     model = description.model.copy()
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
     dropped, unused = list(description.dropped), list(description.unused)
@@ -206,20 +221,8 @@ def assemble(
         raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
     dropped += description.flaws
 
-    def of_joints(value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:
-        """One value per joint coordinate; those of a free base may be left out."""
-        if value is None:
-            return default.copy()
-        out, size = default.copy(), np.size(value)
-        first = lead if free and size == default.size - lead else 0
-        out[first:] = checks.vector(value, default.size - first, f"{what} of {name!r}")
-        return out
-
-    for what, flag in (("limits", limits), ("clip", clip)):
-        if not isinstance(flag, bool):
-            raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
-    if not isinstance(self_collisions, bool) and self_collisions != "apart":
-        raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
+    of_joints = partial(_of_joints, name, free)
+    _check_choices(name, limits, clip, self_collisions)
     links, bodies = _collisions(name, description, collisions)
     at = pin.SE3(
         checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),
@@ -235,16 +238,16 @@ def assemble(
     excluded = set(description.excluded)
     if srdf is not None:
         excluded |= exclusions.disabled_pairs(name, checks.path(srdf, f"srdf of {name!r}"), model, unused)
-    in_joints = {}
-    for what, given, default in (
-        ("friction", friction, np.array(model.upperDryFrictionLimit)),
-        ("damping", damping, np.array(model.damping)),
-        ("armature", armature, np.array(model.armature)),
-        ("stiffness", stiffness, description.stiffness),
-    ):
-        values = in_joints[what] = of_joints(given, what, default, 6)
-        if (values < 0.0).any():
-            raise ValueError(f"{what} of {name!r} must not be negative, got {values.tolist()}")
+    in_joints = {
+        "friction": of_joints(friction, "friction", np.array(model.upperDryFrictionLimit), 6),
+        "damping": of_joints(damping, "damping", np.array(model.damping), 6),
+        "armature": of_joints(armature, "armature", np.array(model.armature), 6),
+        "stiffness": of_joints(stiffness, "stiffness", description.stiffness, 6),
+    }
+    for what, values in in_joints.items():
+        if not ((values >= 0.0) & (values <= checks.LARGEST)).all():
+            size = f", nor above {checks.LARGEST:g}" if (values >= 0.0).all() else ""
+            raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
     model.armature = in_joints["armature"]
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
@@ -269,6 +272,25 @@ def assemble(
         excluded=apart,
         report=(*dropped, *unused),
     )  # fmt: skip
+
+
+def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | str) -> None:
+    """ValueError for what is none of the choices."""
+    for what, flag in (("limits", limits), ("clip", clip)):
+        if not isinstance(flag, bool):
+            raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
+    if not isinstance(self_collisions, bool) and self_collisions != "apart":
+        raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
+
+
+def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:
+    """One value per joint coordinate; those of a free base, `lead` of them, may be left out."""
+    if value is None:
+        return default.copy()
+    out, size = default.copy(), np.size(value)
+    first = lead if free and size == default.size - lead else 0
+    out[first:] = checks.vector(value, default.size - first, f"{what} of {name!r}")
+    return out
 
 
 def _effort(model: Any) -> Array:
@@ -395,7 +417,10 @@ def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Arra
                 )
     M = np.array(pin.crba(model, model.createData(), q))
     moments = np.diag(M)
-    if (moments <= 0.0).any() or np.linalg.eigvalsh(M / np.sqrt(np.outer(moments, moments)))[:1] <= 1e-12:
+    if not np.isfinite(M).all():
+        raise ValueError(f"{name!r} must have poses, masses and inertias whose products are finite")
+    size = np.sqrt(np.where(moments > 0.0, moments, 1.0))
+    if (moments <= 0.0).any() or np.linalg.eigvalsh(M / size / size[:, None])[:1] <= 1e-12:
         joint = next((j for j in range(1, model.njoints) if moments[model.idx_vs[j]] <= 0.0), model.njoints - 1)
         raise ValueError(
             f"{name!r} has a singular mass matrix: give the bodies moved by joint {model.names[joint]!r} "

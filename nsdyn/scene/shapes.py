@@ -27,6 +27,7 @@ import coal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nsdyn.scene import meshes
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array, Index
 
@@ -344,7 +345,7 @@ def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:
 
 
 def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
-    """Convex hull of a mesh file (whatever Assimp reads: STL, OBJ, DAE, PLY).
+    """Convex hull of a mesh file: STL, OBJ, PLY or COLLADA, whose unit and upward axis are not looked at.
 
     Parameters
     ----------
@@ -362,26 +363,22 @@ def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
     UserWarning
         When the hull has more than 1.02 times the volume of the mesh: its hollows are filled.
     """
-    file = Path(path)
     factor = np.full(3, _positive(scale, "scale")) if np.ndim(scale) == 0 else np.array(scale, dtype=float)
     if factor.shape != (3,) or not (np.isfinite(factor).all() and factor.all()):
         raise ValueError(f"scale must be a number or 3 numbers other than 0, got {scale!r}")
-    if not file.is_file():
-        raise ValueError(f"path must be a mesh file, got {str(path)!r}")
+    surface = meshes.read(Path(path))
     try:
-        with noise.caught() as lines:
-            surface = coal.MeshLoader().load(str(file), factor)
-    except (RuntimeError, ValueError) as failure:
-        raise ValueError(
-            f"path: {file} could not be read as a mesh of triangles: {noise.told(failure, lines)}"
-        ) from None
-    return _hull_of_surface(surface, str(file))
+        with np.errstate(over="ignore"):
+            surface = surface._replace(vertices=surface.vertices * factor)
+        return _hull_of_surface(surface.vertices, surface.volume, str(path))
+    except ValueError as failure:
+        raise ValueError(f"path: {path} has no hull: {failure}") from None
 
 
-def _hull_of_surface(surface: Any, name: str) -> tuple[Shape, Array]:
-    """Hull of a triangulated surface of Coal, with a warning when it is not convex."""
-    shape, centroid = convex(np.array(surface.vertices()))
-    volume = abs(surface.computeVolume())
+def _hull_of_surface(vertices: Array, volume: float, name: str) -> tuple[Shape, Array]:
+    """Hull of a triangulated surface, with a warning when it is not convex."""
+    shape, centroid = convex(vertices)
+    volume = abs(volume)
     if shape.volume > CONCAVE * volume:
         warnings.warn(
             f"{name} is not convex (or not closed): its hull has {shape.volume:.4g} m³, the mesh {volume:.4g} m³. "
@@ -427,6 +424,6 @@ def from_coal(geometry: Any) -> tuple[Shape, Array]:
         case "Convex" | "ConvexBase":
             return convex(np.array(g.points()))
         case name if name.startswith("BVHModel"):
-            return _hull_of_surface(geometry, "the mesh")
+            return _hull_of_surface(np.array(g.vertices()), g.computeVolume(), "the mesh")
         case name:
             raise ValueError(f"geometry must be a primitive, a convex polytope or a mesh of Coal, got {name}")

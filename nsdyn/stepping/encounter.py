@@ -24,8 +24,8 @@ from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Dynamics, Forces, Middle, Placement
 from nsdyn.dynamics.joints import JointRows, Rows
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
-from nsdyn.solvers import Solver
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.solvers import Auto, Solver
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["SOLVES", "Basis", "Encounter", "Warm", "foresee", "meet", "solve"]
@@ -205,14 +205,17 @@ def meet(
 
 
 def solve(
-    met: Encounter, solver: Solver, ahead: float, closed: float, slides: Bools, back: bool, most: int
-) -> tuple[FC3D, Solution, bool]:
+    met: Encounter, solver: Solver, last: Solution | None, ahead: float, closed: float, slides: Bools, back: bool,
+    most: int,
+) -> tuple[FC3D, Solution, bool]:  # fmt: skip
     """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
 
     Parameters
     ----------
     met : Encounter
     solver : Solver
+    last : Solution, optional
+        Of the same move with other contacts. Where `Auto` found no better than a loose one it is asked for no more.
     ahead, closed : float
         h₂ [s], and the largest gap [m] that counts as closed.
     slides : ndarray of bool, shape (nc,)
@@ -230,15 +233,22 @@ def solve(
 
     alike = met.alike
     problem = alike.with_velocity(offsets()) if alike else FC3D.from_blocks(met.rows.blocks, offsets(), met.mu)
-    solution = solver(problem, met.guess)
+    solution = _again(solver, last, problem, met.guess)
     for k in range(most + 1):
         shown = solution.r, solution.u, problem.q, met.mu, met.u_begin, met.u, met.u_free, met.turn
         if not _law.reconsider(*shown, slides, back or k > 0):
             return problem, solution, False
         if k < most:
             problem = problem.with_velocity(offsets())
-            solution = solver(problem, solution.r)
+            solution = _again(solver, solution, problem, solution.r)
     return problem, solution, True
+
+
+def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array) -> Solution:
+    """Solve a problem that differs little from the last one, no better than that was."""
+    if isinstance(solver, Auto) and last is not None and last.status is Status.LOOSE:
+        return solver.loosely(problem, r)
+    return solver(problem, r)
 
 
 def foresee(met: Encounter) -> Bools:

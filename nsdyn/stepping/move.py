@@ -261,7 +261,8 @@ def _respond(
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES, last is not None)
-    problem, solution, otherwise = solve(met, s.solver, half.ahead, s.closed, slides, back, most)
+    before = None if last is None else last.solution
+    problem, solution, otherwise = solve(met, s.solver, before, half.ahead, s.closed, slides, back, most)
     v = forces.v + kick + met.rows.velocity_change(solution.r)
     impulse = None
     if d.trees:
@@ -309,8 +310,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         d.twists(placed.placement, v_end),
     )  # fmt: skip
     rate = (half.forces.v - half.middle.v) / half.h
-    turn = 0.5 * half.h * (half.middle.v + a.v)[: 6 * d.free].reshape(-1, 6)[:, 3:]
-    external = d.external_works(half.forces, placed.position.x - begin.position.x, turn)
+    external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)
     return Move(end, impulses, works, a.problem, a.solution, placed.clear, rate, external)
 
 

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Position
-from nsdyn.problem import fclib, gauss
+from nsdyn.problem import cones, fclib, gauss
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
 from nsdyn.scene import pairs
@@ -57,6 +57,13 @@ effort is bounded; beyond, impacts are caught within the step."""
 WORST = 1e-3
 """Error above which an answer is none."""
 
+ON_FAIL = "warn", "raise", "dump", "ignore"
+DUMPS = "failed-steps"
+"""Folder of the problems of failing steps where none is given."""
+
+NAMED = 3
+"""Most pairs of bodies that a message names."""
+
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
@@ -92,14 +99,15 @@ class Stepper:
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's
         frame. Nothing persists to the next step.
-    on_fail : {"warn", "raise", "ignore"}
+    on_fail : {"warn", "raise", "dump", "ignore"}
         What to do when the solver misses its tolerance. The status is always recorded. "warn" goes on with the best
         answer and warns once, but raises where that is none: an error above 1e-3, or no velocity that opens every
-        contact, which a solution needs.
+        contact, which a solution needs. "dump" does the same, and writes the problem of every such step.
     max_points : int
         Most contact points per pair of shapes.
     dump_on_fail : path, optional
-        Folder for the problems of failing steps, FCLIB global files named by the step.
+        Folder for the problems of failing steps, whatever else is done: FCLIB global files named by the step, the
+        answer as a guess in them. "failed-steps" where `on_fail` is "dump".
     impact : {"newton", "poisson", "fremond"}
         Law of contacts with restitution: see `nsdyn.stepping.impacts`.
 
@@ -142,11 +150,13 @@ class Stepper:
             raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
         if not isinstance(scene, Scene):
             raise ValueError(f"scene must be a nsdyn.Scene, got {scene!r}; nsdyn.scenes.load(name)() makes a named one")
-        choice(on_fail, ("warn", "raise", "ignore"), "on_fail")
+        choice(on_fail, ON_FAIL, "on_fail")
         for what, given in (("controller", controller), ("external_force", external_force)):
             if given is not None and not callable(given):
                 raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
         choice(impact, impacts.LAWS, "impact")
+        if dump_on_fail is None and on_fail == "dump":
+            dump_on_fail = DUMPS
         self.dump_on_fail = None if dump_on_fail is None else Path(dump_on_fail)
         if self.dump_on_fail is not None and self.dump_on_fail.is_file():
             raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
@@ -172,7 +182,7 @@ class Stepper:
                 f"got {several}",
                 stacklevel=2,
             )
-        self._failures = 0
+        self._failures, self._names = 0, [g.name for g in geoms]
         self._state = State(0.0, self.dt, 0, *self._start(geoms), np.zeros(self.dynamics.free))
 
     def _start(self, geoms: list[Geom]) -> tuple[Instant, Array, tuple[float, float]]:
@@ -227,7 +237,25 @@ class Stepper:
     # -- one step ----------------------------------------------------------------------------------------------
 
     def step(self) -> Step:
-        """Advance by dt and return what happened; on `NotConverged` the state is left as it was."""
+        """Advance by dt and return what happened; where that raises, the state is left as it was.
+
+        Raises
+        ------
+        NotConverged
+            As `on_fail` has it.
+        ValueError
+            Naming the step, where motion leaves the range of numbers, loops no longer close, or a callback's value
+            does not fit.
+        """
+        try:
+            return self._advance()
+        except (ValueError, ArithmeticError) as failure:
+            where = f"step {self._state.count + 1} from t = {self.t:.6g} s"
+            numeric = isinstance(failure, (ArithmeticError, np.linalg.LinAlgError))
+            hint = "; look for extreme masses, lengths, speeds or forces" if numeric else ""
+            raise ValueError(f"{where} is not possible: {failure}{hint}") from failure
+
+    def _advance(self) -> Step:
         s, now, rate, left = self._state, self._state.instant, self._state.rate, self.dt
         done: list[Impulses] = []
         solved: list[tuple[FC3D, Solution]] = []
@@ -248,14 +276,16 @@ class Stepper:
         now, gained, owed = balance(self.system, s.instant, now, done, external, s.owed)
         if gained:
             works.append(Works(projection=gained))
-        for problem, solution in solved:
-            if not solution.accepted:
-                self._fail(problem, solution)
+        worst = _worst(solved)
+        if not solved[worst][1].accepted:
+            self._fail(*solved[worst], done[worst].contacts)
         certificate, opening = self._certify(solved, s.opening)
         energies = self.dynamics.energies(now.position, now.v)
+        if not math.isfinite(sum(energies)):
+            raise ArithmeticError("positions or velocities are no longer finite")
         self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, owed, opening)
         ledger = Ledger.of(s.energies, energies, Works.total(works))
-        problem, solution = _worst(solved)
+        problem, solution = solved[worst]
         if solution.accepted and not clear:
             solution = solution._replace(status=Status.OVERLAP)
         return self._record(done, ledger, certificate, problem, solution)
@@ -345,28 +375,55 @@ class Stepper:
             acted.normal, acted.friction, joints, acted.created, ledger, certificate, problem, solution,
         )  # fmt: skip
 
-    def _fail(self, problem: FC3D, solution: Solution) -> None:
+    def _fail(self, problem: FC3D, solution: Solution, contacts: ContactSet) -> None:
+        """Warn of a step that misses its tolerance, write its problem, or stop."""
+        step = self._state.count + 1
         message = (
-            f"step from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
+            f"step {step} from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
             f"{solution.residual:.2e} m/s, tolerance {self.solver.tol:.1e} ({solution.status.message})"
+            f"{self._culprits(problem, solution, contacts)}"
         )
         if self.dump_on_fail is not None:
             self.dump_on_fail.mkdir(parents=True, exist_ok=True)
-            path = self.dump_on_fail / f"step-{self._state.count + 1:06d}.hdf5"
+            path = self.dump_on_fail / f"step-{step:06d}.hdf5"
             fclib.write(path, problem, guesses=[solution.r], description=message, overwrite=True)
             message += f"; its problem is in {path}"
-        none = solution.status is Status.NO_SLATER_POINT or not solution.error <= WORST
-        if self.on_fail == "raise" or (self.on_fail == "warn" and none):
-            raise NotConverged(message, problem, solution)
-        if self.on_fail == "warn" and not self._failures:
+        none = _is_none(solution)
+        if self.on_fail == "raise" or (self.on_fail in ("warn", "dump") and none):
+            if none and solution.status is not Status.NO_SLATER_POINT:  # which says what to look for
+                message += "; no answer is near: try a smaller dt"
+            raise NotConverged(message, problem, solution, self._state, step)
+        if self.on_fail != "ignore" and not self._failures:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
         self._failures += 1
 
+    def _culprits(self, problem: FC3D, solution: Solution, contacts: ContactSet) -> str:
+        """The bodies between which a problem is furthest from being solved, in words."""
+        u, r = solution.u.reshape(-1, 3), solution.r.reshape(-1, 3)
+        wrong = r - cones.project(r - cones.saxce(u, problem.mu) / problem.scales[:, None], problem.mu)
+        size = problem.scales * np.linalg.norm(wrong, axis=1)
+        if problem.nc < contacts.gap.size:  # an impact of some of them
+            size = np.ones(contacts.gap.size)
+        names = [(self._names[i], self._names[j]) for i, j in zip(contacts.geom1, contacts.geom2, strict=True)]
+        worst = [names[k] for k in np.argsort(-size[: len(names)], kind="stable")]
+        pairs = [f"{a!r} and {b!r}" for a, b in list(dict.fromkeys(worst))[:NAMED]]
+        return f"; worst between {', '.join(pairs)}" if pairs else ""
 
-def _worst(solved: list[tuple[FC3D, Solution]]) -> tuple[FC3D, Solution]:
-    """The last problem of a step and its solution, or the one of largest error where any missed its tolerance."""
-    missed = [pair for pair in solved if not pair[1].converged]
-    return max(missed, key=lambda pair: pair[1].error) if missed else solved[-1]
+
+def _is_none(solution: Solution) -> bool:
+    """Whether an answer is none that a simulation could go on with."""
+    return solution.status is Status.NO_SLATER_POINT or not solution.error <= WORST
+
+
+def _worst(solved: list[tuple[FC3D, Solution]]) -> int:
+    """The last problem of a step, or the one furthest from its tolerance where any missed it."""
+
+    def badness(k: int) -> tuple[bool, bool, float]:
+        solution = solved[k][1]
+        return not solution.accepted, _is_none(solution), solution.error
+
+    missed = [k for k, (_, solution) in enumerate(solved) if not solution.converged]
+    return max(missed, key=badness) if missed else len(solved) - 1
 
 
 def _joined(done: list[Impulses]) -> Impulses:

@@ -18,6 +18,11 @@ ROLLS = 12.0
 for a rattleback. What jumps from corner to corner goes farther in all but large steps."""
 
 
+TURNS = 0.5
+"""Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
+the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
+
+
 @kernel
 def places(old_key, new_key):
     """Where every new key stands among the old ones, -1 where it does not."""
@@ -172,8 +177,9 @@ def meet(
     move (`carried` and `drag` as in `begin_velocities`, but all of these at the twists of the impulses, and `drag_end`
     with those of the end) and the normal velocities of joint friction (`press`, empty for none). end_gap =
     gap - ahead/2 turn_N, but for what the twists change: the parabola whose speed at the end of the step, `ahead`
-    seconds later, is 0. Returns the places of the contacts among the old ones, whose impulses in world axes start the
-    solver, `longer` times as large, as the move is; they need not be those found where the step begins.
+    seconds later, is 0; of bodies that turn by more than `TURNS` nothing is foreseen. Returns the places of the
+    contacts among the old ones, whose impulses in world axes start the solver, `longer` times as large, as the move is;
+    they need not be those found where the step begins.
     """
     nc = key.size
     u_begin, u, u_free, turn, guess = out[0], out[1], out[2], out[3], out[4]
@@ -193,6 +199,12 @@ def meet(
     for i in range(u.size):
         turn[i] = u[i] - u_begin[i]
     for c in range(nc):
+        spin = 0.0
+        for f in (frame1[c], frame2[c]):
+            if f >= 0:
+                spin = max(spin, dot(row(angular, f), row(angular, f)))
+        if ahead * ahead * spin > TURNS * TURNS:
+            turn[3 * c], turn[3 * c + 1], turn[3 * c + 2] = 0.0, 0.0, 0.0
         end_gap[c] = gap[c] - 0.5 * ahead * turn[3 * c]
     # Driven bodies go with the twist of the end all the way from here, which needs no time to be reached.
     for i in range(drag.size):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
 
 __all__ = ["check_mass", "flaw"]
@@ -20,11 +21,15 @@ def check_mass(mass: float, where: str) -> float:
     """A mass that is not negative: links without one are frames."""
     if mass < 0.0:
         raise ValueError(f"mass of {where} must not be negative, got {mass:g}")
+    if mass > LARGEST:
+        raise ValueError(f"mass of {where} must be at most {LARGEST:g}, got {mass:g}")
     return mass
 
 
 def flaw(inertia: Array, where: str) -> str | None:
     """What no body can have in an inertia, shape (3, 3), in words; None for one that a body has, thin ones included."""
+    if not (np.abs(inertia) <= LARGEST).all():
+        raise ValueError(f"inertia of {where} must be at most {LARGEST:g} in size, got {inertia.tolist()}")
     moments = np.linalg.eigvalsh(inertia)
     if np.abs(moments).max() < NOTHING:
         return None

@@ -20,11 +20,12 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.scene.articulations import Description, Loop, describe_model
+from nsdyn.scene import meshes
+from nsdyn.scene.articulations import Description, Loop, check_size, describe_model
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.model import links_of
-from nsdyn.scene.robot_files.xml import Notes, numbers, parse
+from nsdyn.scene.robot_files.xml import Notes, inside, mesh_file, numbers, parse
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
@@ -46,6 +47,9 @@ ASSETS = {"mesh"}
 
 POSE = {"pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"}
 
+NUMBERS = {*POSE, "axis", "size", "fromto", "ref", "scale", "vertex"}
+"""Attributes that are numbers: Pinocchio takes what is none for anything."""
+
 ATTRIBUTES = {
     "joint": {"name", "type", "pos", "axis", "range", "limited", "ref", "stiffness", "springref", "springdamper",
               "damping", "armature", "frictionloss"},
@@ -60,7 +64,7 @@ ATTRIBUTES = {
 
 def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     """Description of an MJCF file; its bases are fixed or free as it says, and `keyframe` names its initial state."""
-    root = _with_includes(name, path, parse(name, path, "MJCF"))
+    root = _with_includes(name, path, parse(name, path, "MJCF"), {path.resolve()})
     if root.tag != "mujoco":
         raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <mujoco>")
     dropped, unused = Notes(), Notes()
@@ -69,6 +73,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         masks, materials = _simplify(root, dropped, unused)
         flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
         model, geometry = _build(root, path)
+        check_size(name, model)
         stiffness, rest = _set_joints(root, model, dropped)
         q = _initial(root, model, keyframe, dropped, unused)
         loops = tuple(_loops(root, model, q, dropped))
@@ -79,7 +84,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         filtered = frozenset(
             frozenset((a.name, b.name)) for a, b in combinations(links, 2) if not _collide(masks[a.name], masks[b.name])
         )
-    except (ValueError, RuntimeError) as failure:
+    except (ValueError, RuntimeError, LookupError) as failure:  # all of them Pinocchio raises
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
     return describe_model(
         model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, excluded=excluded, filtered=filtered,
@@ -91,17 +96,23 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
 # -- a simpler file --------------------------------------------------------------------------------------------
 
 
-def _with_includes(name: str, path: Path, element: Element) -> Element:
-    """Element with the contents of included files, which are named from the folder of the main file."""
+def _with_includes(name: str, path: Path, element: Element, seen: set[Path]) -> Element:
+    """Element with the contents of included files, which are named from the folder of the main file, each once."""
     for child in list(element):
         if child.tag == "include":
             k = list(element).index(child)
             element.remove(child)
-            included = parse(name, path.parent / child.get("file", ""), "MJCF")
-            for offset, inner in enumerate(_with_includes(name, path, included)):
+            given = child.get("file", "")
+            what = f"path of {name!r}: {path}: <include> of {given!r}"
+            file = inside(path.parent / given, given, [path.parent], what)
+            if file.resolve() in seen:
+                raise ValueError(f"{what} must not come twice")
+            seen.add(file.resolve())
+            included = parse(name, file, "MJCF")
+            for offset, inner in enumerate(_with_includes(name, path, included, seen)):
                 element.insert(k + offset, inner)
         else:
-            _with_includes(name, path, child)
+            _with_includes(name, path, child, seen)
     return element
 
 
@@ -160,6 +171,10 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> tuple[dict[str, t
     unused.of_children([root], read, "mujoco")
     for tag, used in ATTRIBUTES.items():
         unused.of_attributes([e for e in root.iter(tag) if "joint1" not in e.attrib], used, tag)
+    for element in root.iter():
+        for attribute in NUMBERS & element.attrib.keys():
+            label = f"{attribute} of <{element.tag}> {element.get('name', '')!r}"
+            numbers(element.attrib[attribute], None, None, label)
     masks: dict[str, tuple[int, int]] = {}
     materials: dict[str, Material] = {}
     for number, body in enumerate(world.iter("body")):
@@ -189,6 +204,8 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> tuple[dict[str, t
                 body.remove(geom)
                 continue
             label = geom.attrib.setdefault("name", f"{where}_{number}")
+            if label in masks:
+                raise ValueError(f"geom {label!r} of body {where!r} must have a name of its own")
             if material := _material(geom, label):
                 materials[label] = material
             if geom.get("condim") in ("4", "6"):
@@ -213,16 +230,26 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
     compiler = root.find("compiler")
     if compiler is None:
         compiler = ElementTree.SubElement(root, "compiler")
-    folder = compiler.get("meshdir", compiler.get("assetdir", ""))
-    compiler.set("meshdir", str((path.parent / folder).absolute()))
+    folder = compiler.attrib.pop("meshdir", compiler.attrib.pop("assetdir", ""))
     bare = Element("mujoco", root.attrib)
     bare.extend(e for e in root if e.tag in ("compiler", "asset", "worldbody"))
     with tempfile.TemporaryDirectory() as scratch:
+        _copy_meshes(bare, path.parent, folder, Path(scratch))
         file = Path(scratch) / path.with_suffix(".xml").name
         ElementTree.ElementTree(bare).write(file)
         with noise.caught():
             model = pin.buildModelFromMJCF(str(file))
             return model, pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+
+
+def _copy_meshes(root: Element, home: Path, folder: str, scratch: Path) -> None:
+    """Have the meshes of a file in `scratch`, as Pinocchio reads them without doubt; ValueError as `meshes.read`."""
+    for number, element in enumerate(e for e in root.iter("mesh") if "file" in e.attrib):
+        given = Path(folder) / element.attrib["file"]
+        surface = meshes.read(mesh_file(str(given), [home]))
+        element.attrib.setdefault("name", given.stem)
+        element.set("file", f"mesh{number}.stl")
+        meshes.write_stl(scratch / f"mesh{number}.stl", surface)
 
 
 def _material(geom: Element, label: str) -> Material | None:

@@ -23,6 +23,7 @@ from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.xml import Notes, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
+from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 
 __all__ = ["read_sdf"]
@@ -35,7 +36,7 @@ BEHAVIOUR = {"gravity": "true", "kinematic": "false", "enable_wind": "false", "v
 """Elements of a link that change how it moves, and what they say where they do not, if they can."""
 
 UNLIMITED = 1e15
-"""A limit of this size means none: SDF writes 1e16."""
+"""A limit of this size means none: SDF writes 1e16, or the largest number there is."""
 
 
 def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description:
@@ -50,8 +51,8 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
         reader = _Reader(found[0], [path.parent, *package_dirs])
         reader.unused.of_children([root, *root.findall("world")], {"model", "world"}, "world")
         return reader.description()
-    except ValueError as failure:
-        raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
+    except (ValueError, RuntimeError) as failure:  # the latter Pinocchio's, of inertias below zero
+        raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, [])}") from None
 
 
 @dataclass(frozen=True)
@@ -268,8 +269,11 @@ class _Reader:
 
         def value(where: str, default: float) -> float:
             text = None if axis is None else axis.findtext(where)
-            if text is not None and text.strip().lstrip("+-") == "inf":
-                return float(text)
+            try:
+                if abs(float(text or "")) >= UNLIMITED:
+                    return float(np.copysign(np.inf, float(text or "")))
+            except ValueError:  # told below
+                pass
             return float(numbers(text, 1, (default,), f"{where} of joint {joint.name!r}")[0])
 
         limits = (-np.inf, np.inf)

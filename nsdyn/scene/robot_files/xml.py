@@ -12,10 +12,13 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Notes", "mesh_file", "numbers", "parse"]
+__all__ = ["Notes", "inside", "mesh_file", "numbers", "parse"]
 
+DEEPEST = 400
+"""Elements inside each other: what reads them calls itself for each, which ends the process at some thousands."""
 
 XACRO = "has xacro macros: expand them first (xacro FILE.urdf.xacro > FILE.urdf)"
 
@@ -47,15 +50,21 @@ def parse(name: str, path: Path, kind: str) -> Element:
     if not path.is_file():
         raise ValueError(f"path of {name!r} must be a file in {kind}, got {str(path)!r}")
     try:
-        return ElementTree.parse(path).getroot()
+        depth, events = 0, ElementTree.iterparse(path, ("start", "end"))
+        for event, _ in events:
+            depth += 1 if event == "start" else -1
+            if depth > DEEPEST:
+                raise ValueError(f"path of {name!r}: {path} has elements more than {DEEPEST} deep in each other")
+        root: Element = events.root  # type: ignore[attr-defined]  # documented, and unknown to the stubs
+        return root
     except (ElementTree.ParseError, UnicodeDecodeError) as failure:
         if b"xacro:" in path.read_bytes():
             raise ValueError(f"path of {name!r}: {path} {XACRO}") from None
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
 
 
-def numbers(text: str | None, count: int, default: Sequence[float] | None, what: str) -> Array:
-    """`count` numbers of a text; `default` where there is none."""
+def numbers(text: str | None, count: int | None, default: Sequence[float] | None, what: str) -> Array:
+    """`count` numbers of a text, None for any; `default` where there is no text."""
     if text is None:
         if default is None:
             raise ValueError(f"{what} is missing")
@@ -64,13 +73,15 @@ def numbers(text: str | None, count: int, default: Sequence[float] | None, what:
         out = np.array(text.split(), dtype=float)
     except ValueError:
         out = np.empty(0)
-    if out.shape != (count,) or not np.isfinite(out).all():
-        raise ValueError(f"{what} must be {'a number' if count == 1 else f'{count} numbers'}, got {text!r}")
+    if out.size != (count or max(1, out.size)) or not (np.abs(out) <= LARGEST).all():
+        wanted = "a number" if count == 1 else f"{count or 'finite'} numbers"
+        wanted += f" of at most {LARGEST:g} in size" if np.isfinite(out).all() and out.size else ""
+        raise ValueError(f"{what} must be {wanted}, got {text!r}")
     return out
 
 
 def mesh_file(uri: str, folders: Sequence[Path]) -> Path:
-    """File of ``package://package/rest``, ``model://...``, ``file://...`` or a path, looked up in `folders`."""
+    """File of ``package://package/rest``, ``model://...``, ``file://...`` or a path, in one of `folders`."""
     scheme, _, rest = uri.rpartition("://")
     if not rest:
         raise ValueError("<mesh> names no file")
@@ -81,6 +92,22 @@ def mesh_file(uri: str, folders: Sequence[Path]) -> Path:
         package, _, inner = rest.partition("/")
         tried += [folder / inner for folder in folders if folder.name == package]
     for path in tried:
-        if path.is_file():
-            return path
+        if _is_file(path):
+            return inside(path, rest, folders, f"mesh {uri!r}")
     raise ValueError(f"mesh {uri!r} was not found in {', '.join(map(str, folders))}; give its folder in package_dirs")
+
+
+def inside(path: Path, given: str, folders: Sequence[Path], what: str) -> Path:
+    """The path, as a file has `given` it: ValueError unless it lies in one of the folders, links followed."""
+    if ".." in Path(given).parts:
+        raise ValueError(f"{what} must not go up by '..': name it from the folder of the file, or one given")
+    if not any(path.resolve().is_relative_to(folder.resolve()) for folder in folders):
+        raise ValueError(f"{what} lies outside of {', '.join(map(str, folders))}, which is not read")
+    return path
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # of a name that is too long
+        return False

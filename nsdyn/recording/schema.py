@@ -1,0 +1,136 @@
+"""What a recording holds, so that a file of another kind, or a damaged one, is told where it is read."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.tools.datasets import dataset
+
+__all__ = ["check_meta", "column", "scene"]
+
+TRIPLE = [float, float, float]
+PLACEMENT = [[float] * 4] * 4
+
+# A type, a list of so many values, (pattern,) for a list of any number, {name: pattern}, or {"?name": ...} where the
+# name may be missing.
+SCENE: dict[str, Any] = {
+    "name": str,
+    "?gravity": TRIPLE,
+    "geoms": (
+        {
+            "name": str, "?body": str, "?link": str, "frame": int, "placement": PLACEMENT, "?mu": float,
+            "?restitution": float, "colour": object, "shape": str, "size": TRIPLE, "?offset": float,
+            "?vertices": (TRIPLE,), "?faces": ((int,),),
+        },
+    ),
+    "?excluded": ([int, int],),
+    "frames": (str,),
+    "?links": ({"name": str, "frame": int, "placement": PLACEMENT},),
+    "free": int,
+    "?masses": (float,),
+    "?inertias": ([TRIPLE, TRIPLE, TRIPLE],),
+    "?articulations": (
+        {"name": str, "nq": int, "nv": int, "?joints": (str,), "?sizes": ([int, int],)},
+    ),
+}  # fmt: skip
+"""What `nsdyn.Scene.describe` returns."""
+
+META = {"dt": float, "theta": float, "every": int, "contacts": bool, "scene_name": str}
+
+
+def column(file: Any, name: str, rows: int | None, kind: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
+    """The first rows of a dataset, or all, as numbers of a kind; the shape of a row is given, None for any length."""
+    item = dataset(file, name, rows)
+    fits = item.ndim == 1 + len(shape) and item.dtype.kind in ("iuf" if kind[0] == "f" else "iu")
+    if not fits or any(size not in (None, given) for size, given in zip(shape, item.shape[1:], strict=True)):
+        raise ValueError(f"/{name} has {item.dtype} of shape {item.shape}, {kind} of {len(shape) + 1} axes expected")
+    if rows is not None and len(item) < rows:
+        raise ValueError(f"/{name} has {len(item)} rows, {rows} expected")
+    out: NDArray[Any] = item[:rows].astype(kind, copy=False)
+    return out
+
+
+def check_meta(meta: Mapping[str, Any]) -> None:
+    """ValueError naming the attribute of /meta that is missing or does not fit."""
+    for name, kind in META.items():
+        value = meta.get(name)
+        if not _fits(value, kind):
+            raise ValueError(f"the attribute {name} of /meta is {value!r}, {kind.__name__} expected")
+
+
+def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """The scene that a recording describes, which its columns fit; ValueError saying what does not."""
+    try:
+        out = json.loads(text)
+    except (ValueError, TypeError, RecursionError) as failure:
+        raise ValueError(f"/meta/scene is no JSON: {failure}") from None
+    if where := _misfit(out, SCENE, "scene"):
+        raise ValueError(f"/meta/scene has a wrong {where}")
+    found: dict[str, Any] = out
+    moving, free, trees = len(found["frames"]), found["free"], found.get("articulations", ())
+    shapes = len(found["geoms"])
+    frames = [part["frame"] for part in (*found["geoms"], *found.get("links", ()))]
+    corners = [(g, k) for g in found["geoms"] for loop in g.get("faces", ()) for k in loop]
+    if not 0 <= free <= moving or any(not -1 <= k < moving for k in frames):
+        raise ValueError("/meta/scene names moving bodies that it does not have")
+    if any(not 0 <= k < len(g.get("vertices", ())) for g, k in corners):
+        raise ValueError("/meta/scene has faces whose corners it does not have")
+    if any(not 0 <= k < shapes for pair in found.get("excluded", ()) for k in pair):
+        raise ValueError("/meta/scene has pairs of shapes that it does not have")
+    if any(len(found[name]) != free for name in ("masses", "inertias") if name in found):
+        raise ValueError(f"/meta/scene must have {free} masses and inertias like free bodies")
+    sizes = 7 * free + sum(a["nq"] for a in trees), 6 * free + sum(a["nv"] for a in trees)
+    if (columns["q"].shape[1], columns["v"].shape[1]) != sizes:
+        raise ValueError(f"/q and /v must have {sizes[0]} and {sizes[1]} columns like /meta/scene")
+    if any(columns[name].shape[1] != sizes[1] - 6 * free for name in columns if name.startswith("joints/")):
+        raise ValueError(f"/joints must have {sizes[1] - 6 * free} columns like the articulations of /meta/scene")
+    if "frames/x" in columns and columns["frames/x"].shape[1] != moving:
+        raise ValueError(f"/frames must have {moving} bodies like /meta/scene")
+    if "frames/x" not in columns and moving > free:
+        raise ValueError("/frames is missing")
+    _check_contacts(columns, shapes)
+    return found
+
+
+def _check_contacts(columns: Mapping[str, NDArray[Any]], shapes: int) -> None:
+    """ValueError for contacts of shapes or steps that are not there."""
+    offset = columns["contacts/offset"]
+    if offset[0] != 0 or (np.diff(offset) < 0).any():
+        raise ValueError("/contacts/offset must ascend from 0")
+    for name, most in (("geom1", shapes), ("geom2", shapes), ("status", 3)):
+        values = columns[f"contacts/{name}"]
+        if values.size and not (values.min() >= 0 and values.max() < most):
+            raise ValueError(f"/contacts/{name} must lie between 0 and {most - 1}")
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    if kind is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    if kind is int:
+        return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**53
+    return isinstance(value, kind)
+
+
+def _misfit(value: Any, pattern: Any, where: str) -> str:
+    """Where a value does not fit its pattern, empty if it does."""
+    parts: Iterable[tuple[str, Any, Any]]
+    if isinstance(pattern, dict):
+        if not isinstance(value, dict):
+            return where
+        names = {name.removeprefix("?"): inner for name, inner in pattern.items() if name in value or name[0] != "?"}
+        names |= {name[1:]: inner for name, inner in pattern.items() if name[0] == "?" and name[1:] in value}
+        parts = ((f"{where} {name}", value.get(name, ...), inner) for name, inner in names.items())
+    elif isinstance(pattern, (list, tuple)):
+        if not isinstance(value, list) or (isinstance(pattern, list) and len(value) != len(pattern)):
+            return where
+        inside = pattern if isinstance(pattern, list) else pattern * len(value)
+        parts = ((f"{where}[{k}]", v, p) for k, (v, p) in enumerate(zip(value, inside, strict=True)))
+    else:
+        return "" if value is not ... and _fits(value, pattern) else where
+    return next((found for name, inner, p in parts if (found := _misfit(inner, p, name))), "")
