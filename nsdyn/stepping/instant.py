@@ -195,8 +195,8 @@ def account(
     if r.size:
         struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
         done = _law.outcome(
-            met.rows.full.arrays, velocities[2], met.drag, r, met.mu, met.place, met.status, struck, met.u, met.u_free,
-            met.turn, met.frame, status, normal, friction, u_end, world,
+            met.rows.full.arrays, velocities[2], met.transport, r, met.mu, (met.place, met.status), struck,
+            (met.u, met.u_free, met.drift), met.frame, (status, normal, friction, u_end, world),
         )  # fmt: skip
     struck_normal = struck_friction = 0.0
     if impact is not None:
@@ -204,7 +204,7 @@ def account(
         normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
         struck_normal, struck_friction = float(impact.normal.sum()), float(impact.friction.sum())
         _law.states(total, met.mu, status)
-    constraint = -float(met.drag @ total) if met.drag.size else 0.0
+    constraint = -float(met.transport @ total) if met.transport.size else 0.0
     works = Works(
         external, done[0] + struck_normal, done[1] + struck_friction, 0.0, constraint, beyond + done[2], 0.0
     )  # fmt: skip

@@ -15,7 +15,7 @@ from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.collisions import caught_impacts
-from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, meet, solve
+from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
 from nsdyn.stepping.instant import FAST, Impulses, Instant, Looked, System, account
@@ -254,7 +254,7 @@ def _respond(
     """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
     d, middle, forces = s.dynamics, half.middle, half.forces
     start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-    met = meet(d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead)
+    met = Encounter.of(d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead)
     met, impact, kick = caught_impacts(s, met, half.h)
     slides = foresee(met)
     if last is not None:
