@@ -19,6 +19,10 @@ SCRIPTS = {
     "portfolio.py": (["--steps", "2"], r"mean [\d.]+ ms"),
     "regimes.py": (["{folder}", "--solver", "auto", "--bodies", "12"], r"collision, 1e-08\nsolver .*\nauto +4/4 "),
     "truth.py": (["slow_ball", "--quick"], r"slow_ball +speed +[\d.e+-]+ +1e-09"),
+    "sweep.py": (
+        ["--runs", "40", "--time", "0.1", "--rounds", "1"],
+        r"same bits: True\n.* 0 of 40 lost, same bits: True",
+    ),
     "page.py": (
         ["slide", "--time", "0.1", "--size", "400", "300", "--frames", "15"],
         r"slide: [\d.]+ MB, made in [\d.]+ s\nopens in [\d.]+ s\nscrubs at \d+ pictures a second",
@@ -27,11 +31,13 @@ SCRIPTS = {
 }
 
 
-LONG = "regimes.py"
+LONG = "regimes.py", "sweep.py"
 
 
-@pytest.mark.parametrize("script", [pytest.param(s, marks=[pytest.mark.slow] if s == LONG else []) for s in SCRIPTS])
+@pytest.mark.parametrize("script", [pytest.param(s, marks=[pytest.mark.slow] if s in LONG else []) for s in SCRIPTS])
 def test_script_runs(script, tmp_path):
+    if script == "sweep.py":
+        pytest.importorskip("distributed", reason="dask is not installed (extra `cluster`)")
     if script == "page.py" and browser.chromium() is None:
         pytest.skip("no Chromium on the PATH")
     arguments, expected = SCRIPTS[script]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nsdyn.recording import pictures
+from nsdyn.recording import browser
 
 DEMOS = Path(__file__).resolve().parent.parent / "demos"
 
@@ -55,7 +55,7 @@ def test_the_gallery_is_what_its_script_writes(tmp_path, monkeypatch, capsys):
     assert page.startswith(gallery.HEAD) and "FAILED" not in page
     for exhibit in gallery.EXHIBITS:
         assert f"## {exhibit.title}\n" in page and exhibit.law in page and gallery.command(exhibit) in page
-    if pictures.chromium() is None:
+    if browser.chromium() is None:
         pytest.skip("no Chromium to take pictures with")
     (tmp_path / "gallery").mkdir()
     monkeypatch.setattr(gallery, "HERE", tmp_path)
