@@ -260,7 +260,7 @@ class Auto:
         given = problem.q, problem.mu, problem.scales
         found, left, count, error, residual = _start.by_factors(
             blocks.arrays, *given, r, u, label, islands, enough, TUNING.margin * self.accept * self.tol, q_norm, DENSE,
-            *TUNING.small,
+            *TUNING.small, TUNING.warm[1],
         )  # fmt: skip
         if not left:
             return self._measured(r, u, error, residual, count, start)

@@ -12,15 +12,16 @@ from nsdyn._kernels.solvers import local, newton, pgs
 
 @kernel
 def by_factors(
-    blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, largest, penalty, max_iter
+    blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, largest, penalty, max_iter, few
 ):  # fmt: skip
     """Solve every island of at most `largest` coordinates in place of r, unless r is good `enough`.
 
-    One contact in closed form, more by `newton.dense`. The islands into label (nc,), into islands (2, nc) their
-    measures, 0 for those that end within `accept` times their share, and their shares of the tolerance by contacts,
-    since the literature's error adds the islands up in squares and the judge measures them together. Returns their
-    number, 0 if r was good enough, whether one is left, the factorisations, and the literature's error and the residual
-    of r where none is left; then its u = W r + q is in u.
+    One contact in closed form, more by `newton.dense`, to be `enough` or at least `accept` times their share, and then
+    by a `few` steps better. The islands into label (nc,), into islands (2, nc) their measures, 0 for those that end
+    within `accept` times their share, and their shares of the tolerance by contacts, since the literature's error adds
+    the islands up in squares and the judge measures them together. Returns their number, 0 if r was good enough,
+    whether one is left, the factorisations, and the literature's error and the residual of r where none is left; then
+    its u = W r + q is in u.
     """
     top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
     if top / q_norm <= enough and residual <= enough:
@@ -51,8 +52,9 @@ def by_factors(
                 contacts, part = newton.extract(blocks, label, k)
                 own_q, own_mu, own_scales, own = newton.gather(contacts, q, mu, scales, r)
             if part[0][-1] <= largest:
+                good = accept * math.sqrt(share[k] / label.size)
                 used, measures[k] = newton.dense(
-                    part, own_q, own_mu, own_scales, own, enough, q_norm, penalty, max_iter
+                    part, own_q, own_mu, own_scales, own, enough, q_norm, penalty, max_iter, good, few
                 )  # fmt: skip
                 count += used
                 if not alone:
