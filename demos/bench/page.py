@@ -1,10 +1,10 @@
 """How soon a page of a recording opens in Chromium, with OpenGL in software, and how it follows the scrubber.
 
-    python demos/bench/page.py [SCENE] [--time 10] [--size 1280 800] [--frames 150]
+    python demos/bench/page.py [SCENE] [--time 10] [--size 1280 800] [--frames 150] [--png PAGE.png --at 0.5]
 
 The pointer is drawn over the scrubber from one end to the other, a bit further at each of so many pictures of the
 browser. Counted are the pictures a second: all of them, and those after the first ten, in which the page finds out how
-much it can draw. Other processes slow it down: the load of the machine is printed too.
+much it can draw. Other processes slow it down: the load of the machine is printed too. The picture is of the page.
 """
 
 import argparse
@@ -40,6 +40,8 @@ def main() -> None:
     parser.add_argument("--time", type=float, default=10.0, help="simulated, s")
     parser.add_argument("--size", type=int, nargs=2, default=(1280, 800), help="of the window, pixels")
     parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--png", type=Path, help="picture of the page")
+    parser.add_argument("--at", type=float, default=0.0, help="time of the picture, s")
     arguments = parser.parse_args()
     setup = nd.scenes.setup(arguments.scene)
     trajectory = nd.simulate(setup.scene, arguments.time, **setup.options())
@@ -53,6 +55,9 @@ def main() -> None:
         times = browser.run(DRAG.replace("FRAMES", str(arguments.frames)))
         rates = [(len(times) - 1 - k) / (times[-1] - times[k]) * 1e3 for k in (0, 10)]
         print(f"scrubs at {rates[0]:.0f} pictures a second, {rates[1]:.0f} after the first ten")
+        if arguments.png:
+            browser.run(f"nsdyn.show({arguments.at})")
+            arguments.png.write_bytes(browser.picture())
     print(f"load of the machine: {os.getloadavg()[0]:.1f} of {os.cpu_count()} cores")
 
 
