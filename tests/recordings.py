@@ -2,6 +2,7 @@
 
 import numpy as np
 
+import nsdyn as nd
 from nsdyn.recording.file import CONTACT, CONTACTS, STEPS
 from nsdyn.recording.trajectory import Trajectory
 
@@ -19,3 +20,17 @@ def recording(scene, q, dt=0.01, contacts=None, **columns):
     known |= {f"contacts/{name}": values for name, values in (contacts or {}).items()}
     assert {f"contacts/{name}" for name in contacts or ()} <= {*CONTACTS, "contacts/offset"}
     return Trajectory({"dt": dt, "scene_name": scene.name}, scene.describe(), known | columns)
+
+
+def falling():
+    """One second of a falling box, a box at rest and a turning sphere."""
+    scene = nd.Scene(name="<three> & more")
+    scene.add_halfspace("ground")
+    for name, x in (("falling", 0.0), ("<i>resting", 1.0)):
+        scene.add_box(name, (0.2, 0.2, 0.2), 1.0, position=(x, 0, 0.1))
+    scene.add_sphere("turning", 0.1, 1.0, position=(2, 0, 0.1))
+    t = np.linspace(0.0, 1.0, 101)
+    q = np.tile([0, 0, 5, 0, 0, 0, 1, 1, 0, 0.1, 0, 0, 0, 1, 2, 0, 0.1, 0, 0, 0, 1.0], (101, 1))
+    q[:, 2] -= 0.5 * 9.81 * t**2
+    q[:, 19], q[:, 20] = np.sin(t), np.cos(t)
+    return recording(scene, q)

@@ -2,15 +2,13 @@
 
 import math
 import re
-import stat
-import sys
 
 import numpy as np
 import pytest
-from recordings import recording
+import recordings
 
 import nsdyn as nd
-from nsdyn.recording import browser, impacts, pictures, stage, viewer
+from nsdyn.recording import browser, impacts, stage, viewer
 
 needs_chromium = pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 pytestmark = needs_chromium
@@ -20,17 +18,7 @@ SIZE = (1000, 700)
 
 @pytest.fixture(scope="module")
 def falling():
-    """One second of a falling box, a box at rest and a turning sphere."""
-    scene = nd.Scene(name="<three> & more")
-    scene.add_halfspace("ground")
-    for name, x in (("falling", 0.0), ("<i>resting", 1.0)):
-        scene.add_box(name, (0.2, 0.2, 0.2), 1.0, position=(x, 0, 0.1))
-    scene.add_sphere("turning", 0.1, 1.0, position=(2, 0, 0.1))
-    t = np.linspace(0.0, 1.0, 101)
-    q = np.tile([0, 0, 5, 0, 0, 0, 1, 1, 0, 0.1, 0, 0, 0, 1, 2, 0, 0.1, 0, 0, 0, 1.0], (101, 1))
-    q[:, 2] -= 0.5 * 9.81 * t**2
-    q[:, 19], q[:, 20] = np.sin(t), np.cos(t)
-    return recording(scene, q)
+    return recordings.falling()
 
 
 @pytest.fixture(scope="module")
@@ -501,61 +489,3 @@ def test_picture_has_a_clock_and_no_controls(sliding, opened):
     assert not page.run("nsdyn.clock.playing")
     left, top, width, height = place(page, "#clock")
     assert left + width <= SIZE[0] and top + height <= SIZE[1] and height > 25
-
-
-# -- pictures and films --------------------------------------------------------------------------------------
-
-
-def test_picture_shows_the_bodies_where_they_are(falling, tmp_path):
-    from PIL import Image
-
-    taken = []
-    for at in (0.0, 1.0):
-        viewer.write_html(falling, tmp_path / "page.html", at=at)
-        pictures.screenshot(tmp_path / "page.html", tmp_path / "page.png", size=(640, 360))
-        taken.append(np.asarray(Image.open(tmp_path / "page.png").convert("RGB"), dtype=float))
-    assert taken[0].shape == (360, 640, 3)
-    blue = [((p[:, :, 2] - p[:, :, 0]) > 60).nonzero()[0] for p in taken]  # first colour of the palette
-    assert min(b.size for b in blue) > 100
-    assert blue[0].mean() < 120 < blue[1].mean() - 60  # it fell from the upper third by a good part of the picture
-    # The clock, dark in the lower right corner, says something else.
-    corners = [p[310:, 480:].sum(axis=2) < 200 for p in taken]
-    assert corners[0].sum() > 50 and (corners[0] != corners[1]).sum() > 20
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "page.png"]
-
-
-def test_missing_browser_is_told(falling, tmp_path, monkeypatch):
-    viewer.write_html(falling, tmp_path / "page.html", at=0.0)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ValueError, match="apt-get install chromium"):
-        pictures.screenshot(tmp_path / "page.html", tmp_path / "page.png")
-    assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
-
-
-def stand_in(tmp_path, monkeypatch, script):
-    """An ffmpeg that is a script in Python."""
-    path = tmp_path / "bin" / "ffmpeg"
-    path.parent.mkdir()
-    path.write_text(f"#!{sys.executable}\nimport sys\n{script}\n")
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setenv("PATH", str(path.parent), prepend=":")
-
-
-def test_film_has_a_picture_for_each_moment(falling, tmp_path, monkeypatch):
-    stand_in(tmp_path, monkeypatch, "open(sys.argv[-1], 'wb').write(sys.stdin.buffer.read())")
-    viewer.write_html(falling, tmp_path / "page.html")
-    pictures.film(tmp_path / "page.html", tmp_path / "film.mp4", fps=4, size=(320, 180))
-    begin = b"\x89PNG\r\n\x1a\n"
-    shown = (tmp_path / "film.mp4").read_bytes().split(begin)[1:]
-    assert len(shown) == len(set(shown)) == 5  # of 1 s, both ends; no two alike
-
-
-def test_film_that_fails_is_told(falling, tmp_path, monkeypatch):
-    stand_in(tmp_path, monkeypatch, "sys.exit('no such encoder')")
-    viewer.write_html(falling, tmp_path / "page.html")
-    with pytest.raises(ValueError, match=r"cannot write .*film\.mp4: ffmpeg fails: no such encoder"):
-        pictures.film(tmp_path / "page.html", tmp_path / "film.mp4", size=(320, 180))
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ValueError, match="films need ffmpeg on the PATH"):
-        pictures.film(tmp_path / "page.html", tmp_path / "film.mp4")
-    assert not (tmp_path / "film.mp4").exists()

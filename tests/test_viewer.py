@@ -190,7 +190,7 @@ def test_shapes_have_their_size(add, arguments, half):
     getattr(scene, f"add_{add}")("thing", mass=1.0, position=(1, 2, 3), **arguments)
     objects = by_path(viewer.html(recording(scene, np.tile([1, 2, 3, 0, 0, 0, 1.0], (3, 1)))), "set_object")
     lower, upper = extent(objects["/nsdyn/bodies/thing/thing"]["object"])
-    # float32; radii of lathes are met at their 16 segments, which include the axes.
+    # float32; radii of lathes are met at their 32 segments, which include the axes.
     np.testing.assert_allclose(upper, half, rtol=1e-6)
     np.testing.assert_allclose(lower, -np.array(half), rtol=1e-6)
 

@@ -28,6 +28,9 @@ FLAGS = [
     "--host-resolver-rules=MAP * ~NOTFOUND", "--remote-debugging-pipe",
 ]  # fmt: skip
 
+OF_THE_BROWSER = ("Target.", "SystemInfo.")
+"""What commands begin with that go to no page."""
+
 _WITH_PIPES = """
 import os, sys
 for there, here in enumerate(sys.argv[1:3], 3):
@@ -60,12 +63,11 @@ class Browser:
 
     def open(self, page: str | Path, size: tuple[int, int]) -> None:
         """Open a page of this package, in place of any before, in a window of that many pixels, until it is ready."""
-        before, self._session = self._target, None
-        if before:
-            self.call("Target.closeTarget", targetId=before)
+        if self._target:
+            self.call("Target.closeTarget", targetId=self._target)
         self.events.clear()
-        target = self._target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network"):
             self.call(f"{domain}.enable")
         self.resize(size)
@@ -98,7 +100,7 @@ class Browser:
         """Answer of the browser to a command of its protocol; ValueError with its message if it fails."""
         self._count += 1
         request = {"id": self._count, "method": method, "params": parameters}
-        if self._session:
+        if not method.startswith(OF_THE_BROWSER):
             request["sessionId"] = self._session
         os.write(self._requests, json.dumps(request).encode() + b"\0")
         end = time.monotonic() + PATIENCE

@@ -100,6 +100,7 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         "contacts": trajectory.has_contacts,
         "gravity": scene["gravity"],
         "largest": trajectory.largest_energy,
+        "free": scene["free"],
         "bodies": bodies,
         "frames": [body_path(name) for name in scene["frames"]],
         "geoms": [

@@ -15,6 +15,9 @@ __all__ = ["FIXED_COLOUR", "PALETTE", "body_path", "geom_path", "shape_commands"
 # Paul Tol's "bright" scheme, which colour-blind readers can tell apart.
 PALETTE = [(68, 119, 170), (238, 102, 119), (34, 136, 51), (204, 187, 68), (102, 204, 238), (170, 51, 119)]
 
+FEW = 20
+"""Shapes that may be drawn in detail: the triangles of many round ones are slow where software draws them."""
+
 FIXED_COLOUR = (0.62, 0.65, 0.68)
 
 
@@ -32,6 +35,7 @@ def geom_path(scene: Json, geom: Json) -> str:
 def shape_commands(scene: Json, view: View) -> list[Json]:
     """Objects of all collision shapes, those that move under the node of their frame."""
     commands = []
+    detail = 32 if len(scene["geoms"]) <= FEW else 16
     for geom in scene["geoms"]:
         k, path = geom["frame"], geom_path(scene, geom)
         if geom["shape"] == "halfspace":
@@ -47,18 +51,21 @@ def shape_commands(scene: Json, view: View) -> list[Json]:
         solid = {
             "type": "Group",
             "matrix": by_columns(np.array(geom["placement"])),
-            "children": _solid(geom, colour),
+            "children": _solid(geom, colour, detail),
         }
         commands.append(set_object(path, solid))
     return commands
 
 
-def _solid(geom: Json, colour: Iterable[float]) -> list[Json]:
-    """Nodes of a bounded shape: a polytope and its edges, or a round one in two tones that show rotation."""
+def _solid(geom: Json, colour: Iterable[float], detail: int) -> list[Json]:
+    """Nodes of a bounded shape: a polytope and its edges, or a round one in two tones that show rotation.
+
+    Half circles have `detail` sides.
+    """
     kind, size = geom["shape"], geom["size"]
     if "vertices" in geom:
         return _polytope(np.array(geom["vertices"]), geom["faces"], colour)
-    quarter = np.linspace(-np.pi / 2, np.pi / 2, 17)
+    quarter = np.linspace(-np.pi / 2, np.pi / 2, detail + 1)
     arc = np.column_stack([np.cos(quarter), np.sin(quarter)])
     arc[[0, -1], 0] = 0.0
     scale = np.eye(4)
@@ -79,7 +86,7 @@ def _solid(geom: Json, colour: Iterable[float]) -> list[Json]:
         lathe = {
             "type": "LatheGeometry",
             "points": points,
-            "segments": 16,
+            "segments": detail,
             "phiStart": half,
             "phiLength": np.pi,
         }

@@ -16,6 +16,8 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from nsdyn.recording.contents import packed
 from nsdyn.tools import files
 from nsdyn.tools.naming import choice
@@ -84,15 +86,17 @@ def html(
     """
     if not isinstance(forces, bool):
         choice(forces, ("pair", "point"), "forces")
-    shown = [trajectory] if beside is None else [trajectory, beside]
+    shown = [(trajectory, at)]
+    if beside is not None:  # before it begins and after it ends it shows its first and last state
+        shown.append((beside, None if at is None else float(np.clip(at, beside.t[0], beside.t[-1]))))
     page = Template(_part("page.html")).substitute(
-        title=_escape.escape(" | ".join(t.meta["scene_name"] for t in shown) + " - nsdyn"),
+        title=_escape.escape(" | ".join(t.meta["scene_name"] for t, _ in shown) + " - nsdyn"),
         style=_part("page.css"),
         meshcat=_meshcat_script(),
         script="\n".join(_part(f"{name}.js") for name in SCRIPTS),
         recordings="\n".join(
-            f'<script type="text/plain" class="recording">{packed(t, fps, forces, max_frames, at)}</script>'
-            for t in shown
+            f'<script type="text/plain" class="recording">{packed(t, fps, forces, max_frames, moment)}</script>'
+            for t, moment in shown
         ),
     )
     if len(page) > LARGE_PAGE:

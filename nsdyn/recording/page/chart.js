@@ -55,7 +55,7 @@ class Chart {
     context.textAlign = "center";
     const times = this.end > this.begin ? ticks(this.begin, this.end, Math.max(2, this.width / 110)) : [this.begin];
     for (const t of times) {
-      context.fillText(onAxis(t, times[1] - times[0] || 1), Math.min(this.x(t), this.width - 22), this.height - 5);
+      context.fillText(onAxis(t, times[1] - times[0] || 1), Math.min(this.x(t), this.width - 28), this.height - 5);
     }
     context.textAlign = "right";
     context.fillText("s", this.width - 4, this.height - 5);

@@ -36,8 +36,6 @@ class Recording {
     Object.assign(this, values);
     this.arrays = arrays;
     this.t = arrays.t;
-    this.framesOf = this.bodies.map(body => body.frame);
-    this.free = this.bodies.filter(body => body.mass !== null).length;
   }
 
   // Number of the last of ascending times that is not after t, and how far t is on the way to the next.

@@ -44,7 +44,6 @@ class Stage {
       this.measure();
       for (const draw of this.drawn) draw();
     };
-    this.direction = VIEWS.home;
     this.look("home");
   }
 
