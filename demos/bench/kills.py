@@ -2,43 +2,51 @@
 
     python demos/bench/kills.py [--count N] [--seed S] [--full]
 
-Each of the N runs is killed by SIGKILL after a random time, also within writes, until it ends: every file that a kill
-leaves must open, with every step before the last flush and nothing else, and `nsdyn run --resume` goes on with it. At
-the end all that was recorded but times must be that of a run that was never stopped, to the last bit. `--full` records
-on a small file system that fills up.
+Each run is killed by SIGKILL after a random time, also within writes, and goes on until it comes to its end: every file
+that a kill leaves must open, with the rows of a run that was never stopped and never fewer than before. At the end all
+that was recorded but times must be that of the other run, to the last bit. `--full` records on a small file system that
+fills up.
 """
 
 import argparse
+import multiprocessing
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import nsdyn as nd
 from nsdyn.recording import file as recording
+from nsdyn.recording import recorder
 
 TIMES = ["wall_time", "solver/time"]
 """Columns of a machine, not of a motion."""
 
-RUNS = {
-    "pile": ["--set", "boxes=3", "--set", "spheres=3", "--time", "8", "--dt", "0.01"],
-    "stack": ["--set", "height=3", "--time", "15", "--dt", "0.01"],
-    "quadruped": ["--time", "1"],
-    "rolling": ["--set", "balls=2", "--time", "3", "--every", "3"],
+RUNS: dict[str, tuple[dict[str, Any], int, dict[str, Any]]] = {
+    "pile": ({"boxes": 3, "spheres": 3}, 600, {}),
+    "stack": ({"height": 3}, 1500, {}),
+    "quadruped": ({}, 800, {}),
+    "rolling": ({"balls": 2}, 900, {"every": 3}),
+    "woodpecker": ({}, 600, {"contacts": False}),
 }
-"""Scenes and options of `nsdyn run`, some seconds each."""
+"""Named scenes: parameters, steps, options of the recording."""
 
 
-def started(name: str, how: str, path: Path) -> subprocess.Popen[bytes]:
-    """The command, running."""
-    command = [sys.executable, "-m", "nsdyn", "run", name, *RUNS[name], how, str(path)]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+def run(name: str, how: str, path: Path, flush: float) -> None:
+    """Simulate, flushing every so many seconds."""
+    parameters, steps, options = RUNS[name]
+    recorder._FLUSH_SECONDS = flush
+    setup = nd.scenes.setup(name, **parameters)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        nd.simulate(setup.scene, steps * setup.dt, **setup.options(), **options, **{how: path})
 
 
 def contents(path: Path) -> recording.Columns:
@@ -57,19 +65,20 @@ def differs(part: recording.Columns, whole: recording.Columns) -> str:
 
 def killed_run(name: str, whole: recording.Columns, took: float, folder: Path, rng: np.random.Generator) -> list[str]:
     """What went wrong in a run that is killed again and again, and how many kills it took, as its last word."""
-    path, how, kills, wrong, known = folder / "run.h5", "-o", 0, [], 0
+    path, how, kills, wrong, known = folder / "run.h5", "record", 0, [], 0
     path.unlink(missing_ok=True)
+    flush = float(rng.choice([0.0, 0.02, 0.5]))  # after every row, often, as it is
     while True:
-        process = started(name, how, path)
-        try:
-            _, told = process.communicate(timeout=float(rng.uniform(0.3, 1.0) * took))
-            if process.returncode:
-                wrong.append(f"exit code {process.returncode}: {told.decode()[-200:]}")
+        process = multiprocessing.get_context("fork").Process(target=run, args=(name, how, path, flush))
+        process.start()
+        process.join(float(rng.uniform(0.0, 0.5) * took))
+        if not process.is_alive():
+            if process.exitcode:
+                wrong.append(f"exit code {process.exitcode}")
             break
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            process.communicate()
-            kills += 1
+        process.kill()
+        process.join()
+        kills += 1
         if not path.exists():  # killed before its first write: nothing was recorded
             continue
         try:
@@ -82,7 +91,7 @@ def killed_run(name: str, whole: recording.Columns, took: float, folder: Path, r
             wrong.append(f"after {rows} rows: {problem}")
         if rows < known:
             wrong.append(f"{known - rows} rows of the file before are gone")
-        known, how = rows, "--resume"
+        known, how = rows, "resume"
     if not wrong and (problem := differs(whole, contents(path))):
         wrong.append(f"at the end: {problem}")
     return [*wrong, str(kills)]
@@ -119,9 +128,9 @@ def main() -> int:
             return 0
         wholes = {}
         for name in RUNS:
+            run(name, "record", folder / f"{name}.h5", 0.5)  # loads the kernels
             begin = time.monotonic()
-            process = started(name, "-o", folder / f"{name}.h5")
-            process.communicate()
+            run(name, "record", folder / f"{name}.h5", 0.5)
             wholes[name] = contents(folder / f"{name}.h5"), time.monotonic() - begin
         while kills < arguments.count:
             name = list(RUNS)[runs % len(RUNS)]
