@@ -302,3 +302,25 @@ def test_a_full_disk_leaves_what_fitted(tmp_path):
     assert left.q.tobytes() == whole.q[: left.steps + 1].tobytes()
     resumed = nd.simulate(nd.scenes.load("slide")(), 2.0, dt=0.01, resume=path)
     assert resumed.q.tobytes() == whole.q.tobytes()
+
+
+# -- scenes ---------------------------------------------------------------------------------------------------------
+
+anything = script("anything")
+FINE = {"passed", "refused", "stopped", "missed, warned of", "squeezed, told"}
+
+
+def tried(count, bad=False, begin=0):
+    arguments = ["--count", str(count), "--begin", str(begin), "--steps", "15", *(["--bad"] if bad else [])]
+    return anything.campaign(anything.parsed(arguments))
+
+
+def test_random_scenes():
+    tally, _, failures = tried(12)
+    assert not failures and set(tally) <= FINE and tally["passed"] >= 10
+
+
+@pytest.mark.slow
+def test_many_random_scenes():
+    tally, _, failures = tried(250, begin=20)
+    assert not failures and set(tally) <= FINE and tally["passed"] >= 240
