@@ -1,4 +1,16 @@
-"""nsdyn: rigid multibody dynamics with hard contact and exact Coulomb friction, every step certified."""
+"""nsdyn: rigid multibody dynamics with hard contact and exact Coulomb friction, every step certified.
+
+    import nsdyn as nd
+
+nd.Scene, nd.Material, nd.scenes           describe a scene, or take a named one
+nd.simulate, nd.Stepper, nd.PD             run it, step by step if need be, under control
+nd.Trajectory                              what happened: states, energies, contacts, forces, certificates, files, pages
+nd.check, nd.compare, nd.plots             audit a motion, say where two part, draw what is recorded
+nd.sweep, nd.refine                        many parameters, several time steps
+nd.FC3D, nd.solve, nd.solvers, nd.fclib    contact problems alone
+
+Each has its own help, with an example; ``nsdyn --help`` lists the commands. SI units, world axes, quaternions xyzw.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +22,9 @@ if TYPE_CHECKING:
     from nsdyn.problem import fclib
     from nsdyn.problem.fc3d import FC3D
     from nsdyn.problem.solution import NotConverged, Solution, Status
+    from nsdyn.recording import plots
     from nsdyn.recording.audit import Audit, check
+    from nsdyn.recording.comparison import Comparison, compare
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.scene import named as scenes
     from nsdyn.scene.control import PD
@@ -20,16 +34,19 @@ if TYPE_CHECKING:
     from nsdyn.stepping.simulation import simulate
     from nsdyn.stepping.state import State, Step
     from nsdyn.stepping.stepper import Stepper
+    from nsdyn.study.refinement import Refinement, refine
     from nsdyn.study.sweep import sweep
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Audit",
+    "Comparison",
     "FC3D",
     "PD",
     "Material",
     "NotConverged",
+    "Refinement",
     "Scene",
     "Solution",
     "State",
@@ -38,7 +55,10 @@ __all__ = [
     "Stepper",
     "Trajectory",
     "check",
+    "compare",
     "fclib",
+    "plots",
+    "refine",
     "scenes",
     "simulate",
     "solve",
@@ -50,6 +70,7 @@ _HOME = {
     "problem.fc3d": ("FC3D",),
     "problem.solution": ("NotConverged", "Solution", "Status"),
     "recording.audit": ("Audit", "check"),
+    "recording.comparison": ("Comparison", "compare"),
     "recording.trajectory": ("Trajectory",),
     "scene.control": ("PD",),
     "scene.materials": ("Material",),
@@ -58,9 +79,15 @@ _HOME = {
     "stepping.simulation": ("simulate",),
     "stepping.state": ("State", "Step"),
     "stepping.stepper": ("Stepper",),
+    "study.refinement": ("Refinement", "refine"),
     "study.sweep": ("sweep",),
 }
-_MODULES = {"fclib": "problem.fclib", "scenes": "scene.named", "solvers": "solvers"}
+_MODULES = {
+    "fclib": "problem.fclib",
+    "plots": "recording.plots",
+    "scenes": "scene.named",
+    "solvers": "solvers",
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -72,3 +99,8 @@ def __getattr__(name: str) -> Any:
             value = globals()[name] = getattr(import_module(f"nsdyn.{module}"), name)
             return value
     raise AttributeError(f"module 'nsdyn' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names, which `dir` and completion then show before they are imported."""
+    return sorted([*__all__, "__version__", "__doc__"])

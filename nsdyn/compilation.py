@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from itertools import combinations_with_replacement, product
+from typing import get_args
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers.interior import interior
 from nsdyn.solvers.means import ByFactors, ByMatrix
+from nsdyn.solvers.reference.gauss_seidel import Local
 from nsdyn.solvers.smoothing import smoothing
 from nsdyn.stepping.stepper import Stepper
 
@@ -84,18 +86,20 @@ def _problems() -> None:
     matrix = FC3D(np.eye(6) + 0.1, np.array([-1.0, 2.0, 0.0, -1.0, 0.1, 0.0]), np.full(2, 0.5))
     for solver in solvers.SOLVERS:
         solvers.by_name(solver, 1e-8)(matrix)
+    for local in get_args(Local):
+        solvers.GaussSeidel(1e-8, local=local)(matrix)
     factors = Stepper(scenes.load("stack")(height=2), 5e-3).step().problem
     assert factors.blocks is not None
     given = factors.q, factors.mu, factors.scales, factors.q_norm
     for means in (ByFactors(factors.blocks, *given), ByMatrix(factors.csr, *given)):
         r = np.zeros_like(factors.q)
         means.accelerated(r, 1e-8, 4, 4)
-        means.momentum(r).run(1e-8, 4, 4)
+        means.nesterov(r).run(1e-8, 4, 4)
         for method in (interior, smoothing):
             method(means.operator, factors.q, factors.mu, factors.scales, r, 1e-8, factors.q_norm, 3)
         means.newton(r, 0.0, 10.0, 3)
     smooth = ByFactors(factors.blocks, factors.q, 0.0 * factors.mu, factors.scales, factors.q_norm)
-    smooth.momentum(np.zeros_like(r)).run(1e-8, 4, 4)
+    smooth.nesterov(np.zeros_like(r)).run(1e-8, 4, 4)
     # Where sweeps do not suffice.
     heavy = Stepper(scenes.load("heavy_on_light")(ratio=1e4), 5e-3).step().problem
     solvers.by_name("auto")(FC3D(heavy.W, heavy.q, heavy.mu))

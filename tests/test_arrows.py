@@ -1,16 +1,15 @@
 """Forces to draw: all impulses between keyframes, on the bodies, without corners that fight each other."""
 
-import warnings
-
 import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn.recording import arrows, stage, viewer
+from nsdyn.recording import arrows, viewer
+from nsdyn.recording.keyframes import nearest
 
 
 def keyframes(trajectory, fps):
-    return viewer._nearest(trajectory.t, np.arange(trajectory.t[0], trajectory.t[-1] + 1e-9, 1.0 / fps))
+    return nearest(trajectory.t, np.arange(trajectory.t[0], trajectory.t[-1] + 1e-9, 1.0 / fps))
 
 
 def test_every_bounce_shows():
@@ -25,9 +24,6 @@ def test_every_bounce_shows():
     np.testing.assert_allclose(found.force[:, 2] * length, np.diff(momentum)[bounced - 1], rtol=1e-9)
     # Seen from where the ball is at the end of the step, which it leaves at up to 4.4 m/s.
     np.testing.assert_allclose(found.point, np.tile((0, 0, -0.1), (2, 1)), rtol=0, atol=4.5e-3)
-    drawn = list(viewer._arrows(trajectory, rows, stage.View(trajectory), "pair"))
-    assert [path for path, _ in drawn] == ["/nsdyn/bodies/ball/contact forces/0"]
-    assert np.flatnonzero(drawn[0][1]["scale"][:, 0]).tolist() == bounced.tolist()
 
 
 @pytest.mark.parametrize(("by", "count"), [("pair", 1), ("point", 4)])
@@ -57,13 +53,7 @@ def test_points_keep_force_and_torque():
     assert (each.force[:, 2] >= 0.0).all()
 
 
-def test_arrows_left_out_are_told(monkeypatch):
-    trajectory = nd.simulate(nd.scenes.load("stack")(height=5), 0.05, dt=1e-2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        viewer.html(trajectory, forces="pair")
-    monkeypatch.setattr(viewer, "MAX_ARROWS", 3)
-    with pytest.warns(UserWarning, match=r"^4 arrows are left out: a frame shows its 3 largest forces"):
-        viewer.html(trajectory, forces=True, fps=40)
+def test_forces_of_another_kind_are_refused():
+    trajectory = nd.simulate(nd.scenes.load("stack")(height=2), 0.02, dt=1e-2)
     with pytest.raises(ValueError, match=r"forces must be one of pair, point; got 'pairs'; did you mean 'pair'\?"):
         viewer.html(trajectory, forces="pairs")

@@ -147,7 +147,8 @@ def test_islands_of_a_matrix():
     order = np.array([1, 0, 3, 2])  # islands {1}, {0, 3}, {2}
     rows = (3 * order[:, None] + np.arange(3)).ravel()
     problem = nd.FC3D(W[np.ix_(rows, rows)], np.ones(12), np.ones(4))
-    label, found = local.islands(*problem.csr[:2])
+    label = np.empty(problem.nc, np.int64)
+    found = local.islands(*problem.csr[:2], label)
     assert found == 3 and label.tolist() == [0, 1, 2, 0]
 
 

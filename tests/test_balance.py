@@ -82,6 +82,16 @@ def test_it_loses_no_more_than_rolling_has(rng):
     assert pair.energy(pair.v) - pair.energy(v) == pytest.approx(lost, rel=1e-12)
 
 
+def test_what_only_spins_about_its_normal_loses_that_spin(rng):
+    """Rolling resistance has no torque about n."""
+    pair = Pair(rng)
+    pair.v.reshape(2, 6)[:, 3:] = 0.0
+    pair.v[3:6] = pair.R[0].T @ [0.0, 0.0, 2.0]
+    v, lost = pair.resist([0.01, 0.0], frame1=[-1], frame2=[0], normal=np.array([[0.0, 0.0, 1.0]]))
+    assert lost == pytest.approx(0.01, rel=1e-12)
+    assert pair.energy(pair.v) - pair.energy(v) == pytest.approx(0.01, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     "gain, spare, frame1, frame2",
     [

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from nsdyn.recording import browser
+
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = {
     "step_time.py": (["--scene", "stack", "--steps", "5"], r"nsdyn, tol 1e-06: +\d+ us"),
@@ -21,15 +23,27 @@ SCRIPTS = {
     "anything.py": (["--count", "3", "--steps", "5"], r"3 scenes: .*\nworst figures: "),
     "kills.py": (["--count", "1", "--scene", "rolling"], r"\d+ kills in \d+ runs, 0 failures"),
     "long.py": (["ball", "--time", "0.5"], r"ball t = +0\.5 s: .* 0 missed"),
+    "sweep.py": (
+        ["--runs", "40", "--time", "0.1", "--rounds", "1"],
+        r"same bits: True\n.* 0 of 40 lost, same bits: True",
+    ),
+    "page.py": (
+        ["slide", "--time", "0.1", "--size", "400", "300", "--frames", "15"],
+        r"slide: [\d.]+ MB, made in [\d.]+ s\nopens in [\d.]+ s\nscrubs at \d+ pictures a second",
+    ),
     "quadruped.py": (["--time", "0.05", "--robots", "1"], r"nsdyn +0.005 +1 +\d+"),
 }
 
 
-LONG = "regimes.py"
+LONG = "regimes.py", "sweep.py"
 
 
-@pytest.mark.parametrize("script", [pytest.param(s, marks=[pytest.mark.slow] if s == LONG else []) for s in SCRIPTS])
+@pytest.mark.parametrize("script", [pytest.param(s, marks=[pytest.mark.slow] if s in LONG else []) for s in SCRIPTS])
 def test_script_runs(script, tmp_path):
+    if script == "sweep.py":
+        pytest.importorskip("distributed", reason="dask is not installed (extra `cluster`)")
+    if script == "page.py" and browser.chromium() is None:
+        pytest.skip("no Chromium on the PATH")
     arguments, expected = SCRIPTS[script]
     arguments = [argument.format(folder=tmp_path) for argument in arguments]
     command = [sys.executable, str(ROOT / "demos" / "bench" / script), *arguments]

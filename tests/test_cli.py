@@ -17,7 +17,7 @@ from test_problem import corner_box
 import nsdyn as nd
 from nsdyn import cli
 from nsdyn.cli import doctor
-from nsdyn.recording import pictures, viewer
+from nsdyn.recording import browser, viewer
 from nsdyn.recording.audit import TOLERANCES
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import settings
@@ -58,6 +58,11 @@ def recording(run, tmp_path):
         ["profile"],
         ["bench"],
         ["sweep"],
+        ["new"],
+        ["study"],
+        ["compare"],
+        ["check"],
+        ["plot"],
         ["energy"],
         ["contacts"],
         ["view"],
@@ -262,6 +267,8 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["view", "text.h5", "-o", "run.html", "--at", "1"], "--at is the time of the picture"),
         (["view", "text.h5", "-o", "run.html"], "text.h5 is not a recording of nsdyn"),
         (["view", "text.h5", "--png", "frame.jpg"], "cannot write frame.jpg: a picture must be png, got .jpg"),
+        (["view", "text.h5", "--mp4", "run.avi"], "cannot write run.avi: a film must be mp4, got .avi"),
+        (["view", "a.h5", "text.h5", "-o", "text.h5"], "cannot write text.h5: it is read"),
         (["energy", "text.h5", "--plot", "e.xyz"], "a picture must be png or pdf or svg, got .xyz"),
         (["energy", "text.h5", "--csv", "text.h5"], "cannot write text.h5: it is read"),
         (["run", "slide", "-o", "run.h5", "--html", "run.h5"], "cannot write run.h5: it is named twice"),
@@ -458,7 +465,22 @@ def test_view(run, recording, tmp_path):
     assert code == 2 and "fps must be positive" in err and not (tmp_path / "new.html").exists()
 
 
-@pytest.mark.skipif(pictures.chromium() is None, reason="no Chromium on the PATH")
+def test_view_of_two(run, recording, tmp_path):
+    assert run("run", "slide", "--time", "0.04", "--dt", "1e-2", "-o", "other.h5")[0] == 0
+    assert run("view", "run.h5", "other.h5", "-o", "both.html") == (0, "", "")
+    both = [Trajectory.load(tmp_path / name) for name in ("run.h5", "other.h5")]
+    assert (tmp_path / "both.html").read_text() == viewer.html(both[0], beside=both[1])
+    code, _, err = run("view", "run.h5", "missing.h5", "-o", "new.html")
+    assert code == 2 and "no such recording: missing.h5" in err and not (tmp_path / "new.html").exists()
+
+
+def test_film_without_ffmpeg(run, recording, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    code, _, err = run("view", "run.h5", "--mp4", "run.mp4")
+    assert code == 2 and "films need ffmpeg on the PATH" in err and err.count("\n") == 1
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_view_takes_a_picture(run, recording, tmp_path):
     assert run("view", "run.h5", "--png", "frame.png", "--at", "0.01") == (0, "", "")
     assert (tmp_path / "frame.png").read_bytes().startswith(b"\x89PNG")

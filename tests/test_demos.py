@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nsdyn.recording import browser
+
 DEMOS = Path(__file__).resolve().parent.parent / "demos"
 
 
 def demo(name):
     spec = importlib.util.spec_from_file_location(name, DEMOS / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where its dataclasses look
     spec.loader.exec_module(module)
     return module
 
@@ -36,8 +39,38 @@ def test_stacking():
     assert stacking.drift(trajectory) <= 1e-8
 
 
+def test_tipping():
+    """A quarter of the diagram each way: every block does what mechanics has."""
+    tipping = demo("tipping")
+    mu, slenderness = tipping.MU[1::4], tipping.SLENDERNESS[::4]
+    exact = [[tipping.expected(m, s) for m in mu] for s in slenderness]
+    assert {fate for row in exact for fate in row} == {0, 1, 2, 3}
+    np.testing.assert_array_equal(tipping.run(mu, slenderness), exact)
+
+
+def test_the_gallery_is_what_its_script_writes(tmp_path, monkeypatch, capsys):
+    """One section anew, but for times; of the others title, law and command."""
+    gallery = demo("gallery")
+    page = (DEMOS / "README.md").read_text()
+    assert page.startswith(gallery.HEAD) and "FAILED" not in page
+    for exhibit in gallery.EXHIBITS:
+        assert f"## {exhibit.title}\n" in page and exhibit.law in page and gallery.command(exhibit) in page
+    if browser.chromium() is None:
+        pytest.skip("no Chromium to take pictures with")
+    (tmp_path / "gallery").mkdir()
+    monkeypatch.setattr(gallery, "HERE", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["gallery.py", "bounce"])
+    gallery.main()
+    section = capsys.readouterr().out.partition("\n")[2]
+    assert (tmp_path / "gallery" / "bounce.png").stat().st_size > 10_000
+    before_table = section.partition("| solver")[0]
+    assert "## Ball dropped" in before_table and before_table in page
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "product"), [("sliding", "html"), ("stacking", "html"), ("elastic_block", "png")])
+@pytest.mark.parametrize(
+    ("name", "product"), [("sliding", "html"), ("stacking", "html"), ("elastic_block", "png"), ("tipping", "png")]
+)
 def test_demo_as_a_script(name, product, tmp_path):
     if name == "elastic_block":
         pytest.importorskip("skfem", reason="scikit-fem is not installed (extra `fem`)")

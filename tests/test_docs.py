@@ -7,7 +7,7 @@ import pytest
 
 import nsdyn as nd
 
-PUBLIC = [getattr(nd, name) for name in nd.__all__ if name not in ("fclib", "scenes", "solvers")]
+PUBLIC = [getattr(nd, name) for name in nd.__all__ if name not in nd._MODULES]
 MODULES = sorted({value.__module__ for value in PUBLIC} | {"nsdyn.problem.fclib"})
 
 

@@ -2,14 +2,18 @@
 
 import importlib.util
 import json
+import os
+import signal
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import nsdyn as nd
 from nsdyn import cli
+from nsdyn.study import gathering
 from nsdyn.study import sweep as ensemble
 
 
@@ -63,6 +67,56 @@ def test_same_bits_from_dask(serial):
         np.testing.assert_array_equal(one.result.q[-1], other.result)
 
 
+def killed_once(trajectory):
+    """Kills its worker in the fifth run, the first time."""
+    marker = Path(os.environ["NSDYN_TEST_MARKER"])
+    if trajectory.v[0, 0] == 5.0 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return float(trajectory.q[-1, 0])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed (extra `cluster`)")
+@pytest.mark.filterwarnings("default")  # dask's own
+def test_nothing_is_lost_with_a_worker_of_dask(tmp_path, monkeypatch):
+    """Two workers, one of which is killed on the way: all 300 runs are there, with the bits of one process."""
+    from distributed import Client, LocalCluster
+
+    monkeypatch.setenv("NSDYN_TEST_MARKER", str(tmp_path / "marker"))
+    values = {"speed": np.arange(1.0, 301.0).tolist()}
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        found = nd.sweep("slide", values, 0.02, executor=executor, keep=killed_once, dt=0.01)
+    assert (tmp_path / "marker").exists()
+    alone = nd.sweep("slide", values, 0.02, keep=killed_once, dt=0.01)
+    assert [m.failure for m in found] == [""] * 300
+    assert [m.result for m in found] == [m.result for m in alone]
+
+
+def loses(*values):
+    raise RuntimeError(f"lost {values}")
+
+
+def test_a_message_that_is_lost_is_sent_again_one_by_one(monkeypatch):
+    """An executor that loses whatever comes with task 3: only that is lost, and what failed is told."""
+    monkeypatch.setattr(gathering, "MESSAGES", 4)
+
+    class Lossy(ThreadPoolExecutor):
+        def submit(self, function, *arguments):
+            lost = (3,) in arguments[1]
+            return super().submit(loses if lost else function, *arguments)
+
+    with Lossy(2) as executor:
+        found = sorted(gathering.gather(abs, {k: (k,) for k in range(10)}, executor))
+    assert [k for k, _, _ in found] == list(range(10))
+    assert [(k, out) for k, out, reason in found if not reason] == [(k, k) for k in range(10) if k != 3]
+    assert found[3][1] is None and found[3][2].startswith("its worker was lost twice: RuntimeError: lost ")
+
+
 def test_a_run_that_does_not_converge_loses_only_itself():
     """Nothing reaches 1e-300, but a ball in flight need not."""
     solver = nd.solvers.by_name("pgs", 1e-300)
@@ -81,6 +135,71 @@ def test_bad_arguments():
         nd.sweep("sleigh", {"mu": [0.3]}, 0.1)
     with pytest.raises(ValueError, match="mu"), ThreadPoolExecutor(1) as pool:
         nd.sweep("slide", {"mu": [-1.0]}, 0.1, executor=pool)
+
+
+def test_a_run_that_is_refused_loses_only_itself():
+    good, bad = nd.sweep("slide", {"mu": [0.3, -1.0]}, 0.02, dt=0.01)
+    assert good.failure == "" and bad.result is None and "mu must not be negative" in bad.failure
+
+
+def dies(trajectory):
+    """Kills its process where mu is 0.2, the first time only; where it is 0.4, always."""
+    mu = trajectory.scene["geoms"][0]["mu"]
+    marker = Path(os.environ["NSDYN_TEST_MARKER"])
+    if mu == 0.4 or (mu == 0.2 and not marker.exists()):
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return float(mu)
+
+
+@pytest.mark.slow  # it starts six processes
+def test_a_process_that_dies_loses_its_run_only_and_that_is_tried_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("NSDYN_TEST_MARKER", str(tmp_path / "marker"))
+    values = {"mu": [0.1, 0.2, 0.3, 0.4, 0.5]}
+    store = tmp_path / "s.jsonl"
+    found = nd.sweep("slide", values, 0.02, executor=2, keep=dies, dt=0.01, store=store)
+    assert [m.result for m in found] == [0.1, 0.2, 0.3, None, 0.5]
+    assert "its worker was lost twice: BrokenProcessPool" in found[3].failure
+    # What was lost is not stored, and tried again.
+    assert len(store.read_text().splitlines()) == 5
+
+
+def counted(trajectory):
+    with open(os.environ["NSDYN_TEST_MARKER"], "a") as file:
+        file.write("x")
+    return {"x": trajectory.q[-1, 0], "bad": float("nan")}
+
+
+def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):
+    """Runs that are stored are not run again, a line that a kill has cut is; another sweep is refused."""
+    runs, store = tmp_path / "runs", tmp_path / "s.jsonl"
+    monkeypatch.setenv("NSDYN_TEST_MARKER", str(runs))
+    options = {"duration": 0.02, "dt": 0.01, "keep": counted, "store": store}
+    first = nd.sweep("slide", {"mu": [0.1, 0.2]}, **options)
+    assert runs.read_text() == "xx"
+    lines = store.read_bytes().splitlines(keepends=True)
+    store.write_bytes(b"".join(lines[:-1]) + lines[-1][:20])
+    again = nd.sweep("slide", {"mu": np.array([0.1, 0.2, 0.3])}, **options)
+    assert runs.read_text() == "xxxx" and store.read_bytes().startswith(b"".join(lines))
+    for a, b in zip(first, again, strict=False):
+        assert a.parameters == b.parameters and a.result["x"] == b.result["x"] and np.isnan(b.result["bad"])
+    alone = nd.sweep("slide", {"mu": [0.3]}, 0.02, dt=0.01)[0].result
+    assert again[2].result["x"] == alone.q[-1, 0]
+    for others, words in (
+        ({"dt": 0.02}, r"its options is .*'dt': '0.01'.*; give another name"),
+        ({"duration": 0.03}, "its duration is 0.02, not 0.03"),
+        ({"keep": end}, "its keep is "),
+        ({"keep": None}, "keep must say what of a run is stored"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            nd.sweep("slide", {"mu": [0.1]}, **options | others)
+    with pytest.raises(ValueError, match="is the store of another sweep: its "):
+        nd.sweep("stack", {"mu": [0.1]}, **options)
+    store.write_text("no store\n")
+    with pytest.raises(ValueError, match=r"s\.jsonl is not the store of a sweep"):
+        nd.sweep("slide", {"mu": [0.1]}, **options)
+    with pytest.raises(ValueError, match="a store holds numbers, texts, lists and dicts of them: got Trajectory"):
+        nd.sweep("slide", {"mu": [0.1]}, 0.02, dt=0.01, keep=lambda run: run, store=tmp_path / "other.jsonl")
 
 
 def test_any_function_is_a_scene():
@@ -103,13 +222,16 @@ def test_command(capsys, tmp_path):
     # Text and JSON, one process and several: the same figures.
     one, several = (json.loads(run(capsys, "slide", *settings, "--json", *w)[1]) for w in ([], ["--workers", "2"]))
     assert one == several and [r["mu"] for r in one["runs"]] == [0.1, 0.2]
+    stored = json.loads(run(capsys, "slide", *settings, "--json", "--store", str(tmp_path / "s.jsonl"))[1])
+    again = json.loads(run(capsys, "slide", *settings, "--json", "--store", str(tmp_path / "s.jsonl"))[1])
+    assert stored == again == one
 
 
 def test_command_with_a_failing_run(capsys):
     code, out, err = run(
         capsys, "slide", "--solver", "pgs", "--tol", "1e-300", "--time", "0.02", "--on-fail", "raise", "--set", "mu=0.1"
     )
-    assert code == 1 and out.splitlines()[0].split() == ["mu"] and "not converged: {'mu': 0.1}" in err
+    assert code == 1 and out.splitlines()[0].split() == ["mu"] and "failed: {'mu': 0.1}: step" in err
 
 
 @pytest.mark.parametrize(
@@ -119,6 +241,7 @@ def test_command_with_a_failing_run(capsys):
         (["slide", "--set", "mu=0.1,much"], "mu must be a number, got 'much'"),
         (["slide", "--set", "colour=red"], "parameter of scene slide must be one of mu, speed,"),
         (["slide", "--workers", "0"], "--workers must be at least 1"),
+        (["slide", "--store", "/dev/null"], "it is no regular file"),
     ],
 )
 def test_bad_commands(capsys, arguments, words):

@@ -20,6 +20,8 @@ RESIDUALS = [
     fm.residual_hueber_stadler_wohlmuth,
     fm.residual_xuewen_soh_wanji,
     fm.residual_soccp,
+    fm.residual_quasi_variational_inequality,
+    fm.residual_bipotential,
 ]
 NAMES = sorted(fm.ELEMENTS)
 
@@ -42,6 +44,53 @@ def test_not_zero_elsewhere(solved, residual, rng):
     for name, problem in CASES.items():
         away = solved[name] + rng.normal(size=problem.q.size)
         assert np.abs(residual(problem, away)).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_all_residuals_vanish_together(solved, name):
+    """On the way to a solution every residual falls with the distance, a hundredth at a hundredth of it or faster."""
+    problem, r = CASES[name], solved[name]
+    d = np.cos(1.0 + np.arange(r.size))
+    for residual in RESIDUALS:
+        far, near = (np.linalg.norm(residual(problem, r + h * d)) for h in (1e-3, 1e-5))
+        # 1 % and 5 % of it: piecewise smooth functions keep their slope only nearly. 3e-8 as above.
+        assert 0.0 < near <= 0.0105 * far + 3e-8, residual.__name__
+
+
+def test_gap_of_the_quasi_variational_inequality_is_a_maximum(rng):
+    """u·(r - s) - ‖r - s‖²/2ρ sampled over half-line times disk never exceeds it and comes close."""
+    problem = CASES["definite0"]
+    r, rho = rng.normal(size=12) + np.tile([2.0, 0.0, 0.0], 4), np.array([[0.3, 0.5]] * 4)
+    gap, u = fm.quasi_variational_gap(problem, r, rho), problem.velocity(r).reshape(-1, 3)
+    n, radius, angle = np.meshgrid(np.linspace(0, 8, 81), np.linspace(0, 1, 41), np.linspace(0, 2 * np.pi, 321))
+    for c, x in enumerate(r.reshape(-1, 3)):
+        size = problem.mu[c] * max(x[0], 0.0) * radius
+        s = np.stack((n, size * np.cos(angle), size * np.sin(angle)))
+        away = x[:, None, None, None] - s
+        weight = np.array([0.3, 0.5, 0.5])[:, None, None, None]
+        sampled = (np.einsum("i,i...->...", u[c], away) - (away**2 / weight).sum(axis=0) / 2).max()
+        # The grid misses the maximum of a function of curvature 1/ρ by at most (spacing / 2)² / 2ρ = 4e-3 a direction.
+        assert gap[c] - 1.2e-2 <= sampled <= gap[c] + 1e-12
+
+
+def test_gap_of_the_quasi_variational_inequality_and_its_natural_map(rng):
+    """For r ∈ C(r_N) the gap is at least ‖r - P_C(r - ρ u)‖²/2ρ: both vanish together."""
+    problem = CASES["definite1"]
+    r = cones.project(rng.normal(size=(4, 3)) + np.eye(3)[0], problem.mu).ravel()
+    natural = fm.residual_jean_moreau(problem, r).reshape(-1, 3)
+    bound = 0.5 * problem.scales * (natural**2).sum(axis=1)
+    assert (fm.quasi_variational_gap(problem, r) >= bound - 1e-14).all() and bound.max() > 1e-3
+
+
+def test_bipotential_is_above_its_duality_product(rng):
+    """b(-u, r) ≥ -u·r for every admissible pair; equality is Coulomb's law, `FC3D.gap` their sum."""
+    mu = rng.uniform(0.1, 1.0, 50)
+    r, u = cones.project(rng.normal(size=(50, 3)), mu), rng.normal(size=(50, 3))
+    u[:, 0] = np.abs(u[:, 0])
+    problem = nd.FC3D(np.eye(150), u.ravel() - r.ravel(), mu)
+    value = fm.residual_bipotential(problem, r.ravel())
+    assert value[:50].min() >= -1e-15 and not value[50:].any(where=np.abs(value[50:]) > 1e-15)
+    np.testing.assert_allclose(value[:50].sum(), problem.gap(r.ravel()), rtol=1e-13)
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -8,6 +8,7 @@ from test_problem import corner_box
 from test_solvers import CASES
 
 import nsdyn as nd
+from nsdyn._kernels.problem import one_contact
 from nsdyn.problem import cones, formulations
 from nsdyn.solvers._common import Equilibrated, factor
 from nsdyn.solvers.impulse_newton import ImpulseNewton, steps
@@ -214,6 +215,125 @@ def test_over_relaxation(velocities):
         agrees(nd.solvers.ADMM(tol=REACH, relaxation=1.6)(problem), velocities[case])
     with pytest.raises(ValueError, match="relaxation must be in"):
         nd.solvers.ADMM(relaxation=2.0)
+
+
+LOCAL = {
+    "alart-curnier": one_contact.ALART_CURNIER,
+    "jean-moreau": one_contact.JEAN_MOREAU,
+    "natural": one_contact.NATURAL,
+    "fischer-burmeister": one_contact.FISCHER_BURMEISTER,
+}
+
+
+@pytest.mark.parametrize("function", LOCAL)
+def test_local_maps_are_those_of_the_formulations(function, rng):
+    """The compiled maps and their derivatives against the NumPy ones, in all states and without friction."""
+    u, r, mu = rng.normal(size=(300, 3)), rng.normal(size=(300, 3)), rng.uniform(0.1, 1.5, 300)
+    mu[:30], u[30:60, 1:] = 0.0, 0.0
+    F, A, B = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    expected = formulations.ELEMENTS[function](u, r, mu, np.full((300, 2), 0.7))
+    for c in range(300):
+        one_contact.element(LOCAL[function], u[c], r[c], mu[c], 0.7, F, A, B)
+        for given, wanted in zip((F, A, B), expected, strict=True):
+            np.testing.assert_allclose(given, wanted[c], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("local", ["projection", "iterated-projection", "exact", *LOCAL])
+def test_local_solvers(velocities, local):
+    for case, problem in CASES.items():
+        agrees(nd.solvers.GaussSeidel(tol=REACH, local=local)(problem), velocities[case])
+
+
+@pytest.mark.parametrize("order", ["given", "shuffled", "reshuffled", "symmetric"])
+@pytest.mark.parametrize("omega", [0.6, 1.3])
+def test_orders_and_relaxation(velocities, order, omega):
+    for case, problem in CASES.items():
+        solver = nd.solvers.GaussSeidel(tol=REACH, order=order, omega=omega)
+        agrees(solver(problem), velocities[case])
+        np.testing.assert_array_equal(solver(problem).r, solver(problem).r)  # shuffles are seeded
+
+
+def test_fixed_point_of_the_relaxed_sweep_is_the_solution():
+    """A sweep of any ω leaves the solution where it is: the splitting is consistent."""
+    problem = CASES["definite0"]
+    scaled = Equilibrated(problem)
+    x = nd.solve(problem, tol=1e-13).r * scaled.root
+    for omega in (0.4, 1.0, 1.9):
+        y, order, ones = x.copy(), np.arange(problem.nc), np.ones(problem.nc)
+        args = *scaled.csr, scaled.q, scaled.mu, ones, order, one_contact.EXACT, omega, 1e-14, 50
+        one_contact.sweep(*args, y)
+        np.testing.assert_allclose(y, x, rtol=0, atol=1e-11)
+
+
+def test_exact_local_solver_against_the_roots_of_the_quartic(rng):
+    """Slip: u_N = 0, u_T = -α r_T, ‖r_T‖ = μ r_N is a quartic in α; what `solve_one` finds is one of its roots."""
+    slips = 0
+    for _ in range(60):
+        G = rng.normal(size=(3, 3))
+        W, mu, q = G @ G.T + 0.1 * np.eye(3), rng.uniform(0.1, 1.0), rng.normal(size=3) * [1, 3, 3]
+        r = np.zeros(3)
+        one_contact.solve(one_contact.EXACT, W, q, mu, 1.0, 0.0, 1, r)
+        u = W @ r + q
+        if r[0] < 1e-6 or np.hypot(*u[1:]) < 1e-6:
+            continue
+        slips += 1
+
+        def lines(alpha, W=W, q=q):
+            S = W + np.diag([0.0, alpha, alpha])
+            return np.linalg.det(S), np.linalg.det(S) * np.linalg.solve(S, -q)
+
+        # det(S)² (‖r_T‖² - μ² r_N²), a polynomial of degree 4 through 5 points.
+        at = np.linspace(0.0, 4.0, 5)
+        values = [x[1] ** 2 + x[2] ** 2 - (mu * x[0]) ** 2 for x in (lines(a)[1] for a in at)]
+        alpha = -(u[1:] @ r[1:]) / (r[1:] @ r[1:])
+        roots = np.roots(np.polyfit(at, values, 4))
+        assert np.abs(roots - alpha).min() <= 1e-6 * max(1.0, alpha)  # the fit loses half of the digits
+    assert slips > 20
+
+
+def test_hybrid_restarts_where_newton_fails():
+    """Full steps on Alart–Curnier cycle from zero on one of the problems; safe iterations bring them home."""
+    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    assert nd.solvers.Hybrid(tol=1e-10)(problem).converged
+    for function in LOCAL:
+        assert nd.solvers.Hybrid(tol=REACH, function=function)(CASES["definite1"]).converged
+
+
+@pytest.mark.parametrize("sigma", [1e-2, 1.0, 1e2])
+@pytest.mark.parametrize("nu", [0.5, 1.0])
+def test_proximal_by_the_error(velocities, sigma, nu):
+    for case, problem in CASES.items():
+        agrees(nd.solvers.Proximal(tol=REACH, rule="error", alpha=sigma, nu=nu)(problem), velocities[case])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_convex_relaxation(case):
+    """r ∈ K, W r + q ∈ K*, orthogonal; where nothing slides it is the solution of Coulomb's law."""
+    problem = CASES[case]
+    r = nd.solvers.relaxed(problem, tol=1e-12)
+    u = problem.velocity(r).reshape(-1, 3)
+    x = r.reshape(-1, 3)
+    for given, projected in ((x, cones.project(x, problem.mu)), (u, cones.project_dual(u, problem.mu))):
+        np.testing.assert_allclose(given, projected, rtol=0, atol=1e-9)
+    assert abs(r @ u.ravel()) <= 1e-9
+    if case in ("rest", "stop"):
+        assert problem.error(r) <= 1e-9
+    if case == "slip":  # dilation: it opens at mu |u_T|
+        assert problem.error(r) > 1e-3
+        np.testing.assert_allclose(u[:, 0], problem.mu * np.hypot(u[:, 1], u[:, 2]), rtol=0, atol=1e-9)
+
+
+def test_bad_options_of_the_new_methods():
+    with pytest.raises(ValueError, match="local must be one of"):
+        nd.solvers.GaussSeidel(local="magic")
+    with pytest.raises(ValueError, match="order must be one of"):
+        nd.solvers.GaussSeidel(order="random")
+    with pytest.raises(ValueError, match="omega must be between 0 and 2"):
+        nd.solvers.GaussSeidel(omega=2.0)
+    with pytest.raises(ValueError, match="rule must be one of"):
+        nd.solvers.Proximal(rule="magic")
+    with pytest.raises(ValueError, match="alpha must be positive"):
+        nd.solvers.Proximal(alpha=0.0)
 
 
 def test_singular_matrix_has_no_solve():

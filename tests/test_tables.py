@@ -5,7 +5,9 @@ import sys
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from mechanisms import add, slider
 from test_articulations import HAND
 
 import nsdyn as nd
@@ -112,3 +114,49 @@ def test_contacts_on_the_command_line(tmp_path, capsys, monkeypatch):
     np.testing.assert_array_equal([float(row[head.index("impulse_z")]) for row in rows], table["impulse_z"])
     assert cli.main(["contacts", "run.h5", "--step", "99"]) == 2
     assert "--step must be one of 1 to 20, or -1 back, got 99" in capsys.readouterr().err
+
+
+def test_what_acts_in_a_joint(tmp_path):
+    """A slider of 2 kg that a force of 5 N pushes against 3 N of dry friction until its stop, and holds it there."""
+    push = {"a": np.array([5.0])}
+
+    def run(path=None, **options):
+        scene = nd.Scene()
+        scene.add_sphere("ball", 0.1, 1.0, position=(0, 5, 0))
+        add(scene, "a", slider(2.0, upper=0.1), friction=3.0)
+        return nd.simulate(scene, 0.6, dt=1e-2, controller=lambda t, q, v: push, record=path, **options)
+
+    trajectory = run()
+    joint = trajectory.joint("a/rail")
+    assert joint.velocity.shape == (61,) and joint.torque.shape == trajectory.t_steps.shape == (60,)
+    np.testing.assert_array_equal(joint.torque, np.full(60, 5.0))
+    moving = joint.velocity[1:] > 1e-9
+    np.testing.assert_allclose(joint.friction[moving][:-1], -3.0, rtol=0, atol=1e-12)
+    # It arrives at √(2 a s) = √0.2 m/s, and the stop takes that momentum.
+    assert joint.limit_impulse.min() == pytest.approx(-2.0 * np.sqrt(0.2), rel=1e-2)
+    # At rest on the stop the forces on it vanish.
+    total = joint.torque + joint.friction + joint.limit_impulse / 1e-2
+    np.testing.assert_allclose(total[-5:], 0.0, rtol=0, atol=1e-9)
+    # m Δv is the sum of the impulses in every step, also where several are recorded as one, in a file too.
+    np.testing.assert_allclose(2.0 * np.diff(joint.velocity), 1e-2 * total, rtol=0, atol=1e-14)
+    some = run(tmp_path / "some.h5", every=4).joint("a/rail")
+    np.testing.assert_allclose(some.limit_impulse, joint.limit_impulse.reshape(-1, 4).sum(axis=1), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(some.friction, joint.friction.reshape(-1, 4).mean(axis=1), rtol=0, atol=1e-14)
+
+
+def test_torque_of_a_control_is_what_moves_the_joint():
+    """An implicit PD control on a slider, which a wrench pushes too: m Δv/h less the wrench."""
+    scene = nd.Scene()
+    model = slider(2.0)
+    model.addBodyFrame("cart", 1, pin.SE3.Identity(), 0)
+    add(scene, "a", model)
+    control = {"a": nd.PD(kp=100.0, kd=3.0, target=0.1)}
+    pushed = {"a/cart": (7.0, 0.0, 0.0)}
+    trajectory = nd.simulate(
+        scene, 0.3, dt=1e-2, controller=lambda t, q, v: control, external_force=lambda t, q, v: pushed
+    )
+    joint = trajectory.joint("a/rail")
+    torque = 2.0 * np.diff(joint.velocity) / 1e-2 - 7.0
+    np.testing.assert_allclose(joint.torque, torque, rtol=0, atol=1e-11)  # round-off of differences over dt
+    # It is not kp (target - q) of the beginning, 10 N, which explicit control would give.
+    assert joint.torque[0] < 9.9

@@ -78,6 +78,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
             u=rng.normal(size=(nc, 3)), r=rng.normal(size=(nc, 3)),
             contact_status=rng.integers(0, 3, nc).astype(np.int8),
             work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc), created=1e-3 * k,
+            joints=rng.normal(size=(3, 1)) if links else None,
             gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k),
             solution=SimpleNamespace(
                 error=1e-10 * k, residual=1e-9 * k, iterations=k, status=nd.Status.CONVERGED, time=1e-4
@@ -151,6 +152,9 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         assert set(file["solver"]) == {"error", "residual", "iterations", "status", "time"}
         offset = file["contacts/offset"][:]
         assert offset.shape == (8,) and offset[0] == 0
+        assert {name: file["joints"][name].shape for name in file["joints"]} == dict.fromkeys(
+            ("actuation", "limit", "friction"), (7, 1)
+        )
         columns = set(file["contacts"]) - {"offset"}
         assert columns == {
             "geom1", "geom2", "point", "normal", "gap", "u", "impulse", "mu", "restitution", "key", "status",

@@ -1,7 +1,5 @@
 """Pages: the commands they hold, and what a real browser makes of them."""
 
-import base64
-import html
 import json
 import math
 import re
@@ -12,19 +10,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 import umsgpack
+from recordings import recording
 
 import nsdyn as nd
-from nsdyn.recording import pictures, solids, stage, viewer
+from nsdyn.recording import bundle, solids, stage, viewer
 from nsdyn.recording.trajectory import Trajectory
 
 OCTAHEDRON = [(-1, 0, 0), (1, 0, 0), (0, -2, 0), (0, 2, 0), (0, 0, -3), (0, 0, 3)]
 FLOATS = 0x17  # Float32Array in the viewer's MessagePack dialect
 
 
+def contents(page):
+    """Decode the values and arrays of a page."""
+    (text,) = re.findall('class="recording">([^<]*)<', page)
+    return bundle.unpack(text)
+
+
 def commands(page):
     """Decode the commands of a page."""
-    blobs = re.findall(r'^"([A-Za-z0-9+/=]+)",?$', page, flags=re.MULTILINE)
-    return [umsgpack.unpackb(base64.b64decode(blob)) for blob in blobs]
+    arrays = contents(page)[1]
+    parts = np.split(arrays["commands"], arrays["command_ends"][:-1])
+    return [umsgpack.unpackb(part.tobytes()) for part in parts]
 
 
 def floats(ext, width):
@@ -36,19 +42,15 @@ def by_path(page, kind):
     return {c["path"]: c for c in commands(page) if c["type"] == kind}
 
 
-def clips(page):
-    (animation,) = [c for c in commands(page) if c["type"] == "set_animation"]
-    return {a["path"]: a["clip"] for a in animation["animations"]}
-
-
-def recording(scene, q, dt=0.01, contacts=None):
-    """A trajectory of free bodies with given configurations, one step per row after the first."""
-    q = np.asarray(q, dtype=float)
-    n = len(q) - 1
-    columns = {"t": dt * np.arange(n + 1), "q": q, "v": np.zeros((n + 1, 6 * len(q[0]) // 7))}
-    columns["contacts/offset"] = np.zeros(n + 1, np.int64)
-    columns |= contacts or {}
-    return Trajectory({"dt": dt, "scene_name": scene.name}, scene.describe(), columns)
+def keyframes(page):
+    """Times, and by the name of a frame the places or quaternions of those that move or turn."""
+    values, arrays = contents(page)
+    t, out = arrays["t"], [arrays["t"]]
+    for name, which, width in (("position", "moving", 3), ("quaternion", "turning", 4)):
+        tracks = arrays[f"motion/{name}"].reshape(-1, t.size, width)
+        paths = [values["frames"][k] for k in arrays[f"motion/{which}"]]
+        out.append(dict(zip(paths, tracks, strict=True)))
+    return out
 
 
 @pytest.fixture(scope="module")
@@ -82,46 +84,28 @@ def test_equal_recordings_give_equal_pages(falling):
 
 
 def test_only_what_moves_is_animated(falling):
-    moving = clips(viewer.html(falling))
-    assert {path: [t["name"] for t in clip["tracks"]] for path, clip in moving.items()} == {
-        "/nsdyn/bodies/falling": [".position"],
-        "/nsdyn/bodies/turning": [".quaternion"],
-    }
-    # All go on together: the second plus half a second of rest.
-    assert {clip["duration"] for clip in moving.values()} == {1.5}
+    _, places, turns = keyframes(viewer.html(falling))
+    assert list(places) == ["/nsdyn/bodies/falling"] and list(turns) == ["/nsdyn/bodies/turning"]
 
 
 def test_keyframes_are_the_recorded_states(falling):
-    (track,) = clips(viewer.html(falling, fps=20))["/nsdyn/bodies/falling"]["tracks"]
-    assert track["type"] == "vector3"
-    t, x = floats(track["times"], 1)[:, 0], floats(track["values"], 3)
-    assert len(t) == len(x) == 21
+    t, places, turns = keyframes(viewer.html(falling, fps=20))
     rows = np.round(t / 0.01).astype(int)
-    # float32
-    np.testing.assert_allclose(t, falling.t[rows], rtol=0, atol=1e-7)
-    np.testing.assert_allclose(x, falling.q[rows, :3], rtol=0, atol=5e-7)
-
-
-def test_a_body_that_stops_needs_no_more_keys():
-    scene = nd.Scene()
-    scene.add_sphere("ball", 0.1, 1.0)
-    q = np.tile([0, 0, 0, 0, 0, 0, 1.0], (100, 1))
-    q[:, 0] = np.clip(np.arange(100), 40, 60)
-    (track,) = clips(viewer.html(recording(scene, q), fps=100))["/nsdyn/bodies/ball"]["tracks"]
-    # The first, and from where it leaves to where it stops.
-    np.testing.assert_allclose(floats(track["times"], 1)[:, 0], [0.0, *np.arange(40, 61) / 100], rtol=1e-6)
+    assert len(t) == 21 and (t == falling.t[rows]).all()
+    # Half a millionth of the scene's radius of some 3 m, and of a unit quaternion.
+    np.testing.assert_allclose(places["/nsdyn/bodies/falling"], falling.q[rows, :3], rtol=0, atol=2e-6)
+    np.testing.assert_allclose(turns["/nsdyn/bodies/turning"], falling.q[rows, 17:], rtol=0, atol=6e-7)
 
 
 def test_long_recordings_get_fewer_keyframes(falling):
-    tracks = clips(viewer.html(falling, fps=1000, max_frames=7))["/nsdyn/bodies/falling"]["tracks"]
-    times = floats(tracks[0]["times"], 1)[:, 0]
-    assert len(times) == 7 and times[0] == 0.0 and times[-1] == 1.0
-    assert len(viewer.html(falling, fps=1000)) > len(viewer.html(falling, fps=10))
+    t = keyframes(viewer.html(falling, fps=1000, max_frames=7))[0]
+    assert len(t) == 7 and t[0] == 0.0 and t[-1] == 1.0
+    assert len(keyframes(viewer.html(falling, fps=1000))[0]) == len(falling.t)
 
 
 def test_one_moment(falling):
     page = viewer.html(falling, at=0.5)
-    assert not [c for c in commands(page) if c["type"] == "set_animation"]
+    assert [len(part) for part in keyframes(page)] == [1, 0, 0]
     poses = {(c["path"], c["property"]): c["value"] for c in commands(page) if c["type"] == "set_property"}
     assert poses["/nsdyn/bodies/falling", "position"] == falling.q[50, :3].tolist()
     assert poses["/nsdyn/bodies/turning", "quaternion"] == falling.q[50, 17:].tolist()
@@ -206,7 +190,7 @@ def test_shapes_have_their_size(add, arguments, half):
     getattr(scene, f"add_{add}")("thing", mass=1.0, position=(1, 2, 3), **arguments)
     objects = by_path(viewer.html(recording(scene, np.tile([1, 2, 3, 0, 0, 0, 1.0], (3, 1)))), "set_object")
     lower, upper = extent(objects["/nsdyn/bodies/thing/thing"]["object"])
-    # float32; radii of lathes are met at their 24 segments, which include the axes.
+    # float32; radii of lathes are met at their 16 segments, which include the axes.
     np.testing.assert_allclose(upper, half, rtol=1e-6)
     np.testing.assert_allclose(lower, -np.array(half), rtol=1e-6)
 
@@ -246,54 +230,6 @@ def test_given_colour_is_used():
     assert material["color"] == 0xFF8000 and material["opacity"] == 0.4 and material["transparent"]
 
 
-ARROW = "/nsdyn/bodies/ball/contact forces/0"
-
-
-def pressed(body_first):
-    """A ball that the ground carries for two steps; the contact impulse is (0, 0, 3) N s on it, then none."""
-    scene = nd.Scene()
-    if body_first:
-        scene.add_sphere("ball", 0.1, 1.0)
-    scene.add_halfspace("ground")
-    if not body_first:
-        scene.add_sphere("ball", 0.1, 1.0)
-    up = -1.0 if body_first else 1.0
-    contacts = {
-        "offset": np.array([0, 1, 2, 2]), "geom1": np.array([0, 0]), "geom2": np.array([1, 1]),
-        "point": np.array([[0.0, 0, 0], [0.5, 0, 0]]), "normal": np.array([[0, 0, up]] * 2),
-        "tangent": np.array([[1.0, 0, 0]] * 2), "impulse": np.array([[3.0, 0, 0], [3.0, 1.0, 0]]),
-        **{name: np.zeros(2) for name in ("gap", "mu", "restitution", "key", "work_normal", "work_friction")},
-        "u": np.zeros((2, 3)), "status": np.ones(2, np.int8),
-    }  # fmt: skip
-    q = [[x, 0, 0.1, 0, 0, 0, 1.0] for x in (0, 0, 0.5, 0.5)]
-    return recording(scene, q, contacts={f"contacts/{name}": values for name, values in contacts.items()})
-
-
-@pytest.mark.parametrize("body_first", [False, True])
-def test_forces_push_the_moving_body(body_first):
-    page = viewer.html(pressed(body_first), fps=100, forces=True)
-    assert [path for path in by_path(page, "set_object") if "forces" in path] == [ARROW]
-    tracks = {t["name"]: t for t in clips(page)[ARROW]["tracks"]}
-    assert {t["interpolation"] for t in tracks.values()} == {2300}  # jumps
-    size = floats(tracks[".scale"]["values"], 3)[:, 0]
-    assert size[0] == 0.0 and size[1] > 0.0 and size[-1] == 0.0
-    assert size[2] / size[1] == pytest.approx(math.sqrt(10) / 3, rel=1e-6)  # float32
-    x, y, z, w = floats(tracks[".quaternion"]["values"], 4)[1]
-    direction = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-    # The tangential part acts on body 2, so on the ball when it comes second.
-    expected = np.array([-1.0 if body_first else 1.0, 0.0, 3.0]) / math.sqrt(10)
-    np.testing.assert_allclose(direction, expected, rtol=0, atol=1e-6)
-    # From the centre of the ball, which moves with it.
-    np.testing.assert_allclose(floats(tracks[".position"]["values"], 3)[1], (0, 0, -0.1), rtol=0, atol=1e-7)
-
-
-def test_arrows_point_anywhere():
-    for d in np.array([(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.6, 0, -0.8), (0, -1, 0.0)]):
-        x, y, z, w = viewer._from_z(d)
-        turned = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), w * w + z * z - x * x - y * y])
-        np.testing.assert_allclose(turned, d, rtol=0, atol=1e-15)
-
-
 def test_camera_sees_everything_and_is_outside(falling):
     view = stage.View(falling)
     assert view.eye[2] > 0.0
@@ -319,96 +255,10 @@ def test_articulation_is_drawn_link_by_link():
     scene = nd.scenes.load("arm_pushes_box")()
     trajectory = nd.simulate(scene, duration=0.02, dt=2e-3)
     page = viewer.html(trajectory, fps=500)
-    moving = clips(page)
+    turns = keyframes(page)[2]
     for frame in trajectory.scene["frames"]:
         assert solids.body_path(frame) in {p.rpartition("/")[0] for p in by_path(page, "set_object")}
     link = next(name for name in trajectory.scene["frames"] if name.startswith("arm/"))
-    track = next(t for t in moving[solids.body_path(link)]["tracks"] if t["name"] == ".quaternion")
-    np.testing.assert_allclose(floats(track["values"], 4)[-1], trajectory.body(link).quaternion[-1], rtol=0, atol=1e-7)
-
-
-# -- in a browser --------------------------------------------------------------------------------------------
-
-needs_chromium = pytest.mark.skipif(pictures.chromium() is None, reason="no Chromium on the PATH")
-
-
-@needs_chromium
-def test_picture_shows_the_bodies_where_they_are(falling, tmp_path):
-    from PIL import Image
-
-    taken = []
-    for at in (0.0, 1.0):
-        viewer.write_html(falling, tmp_path / "page.html", at=at)
-        pictures.screenshot(tmp_path / "page.html", tmp_path / "page.png", size=(640, 360))
-        taken.append(np.asarray(Image.open(tmp_path / "page.png").convert("RGB"), dtype=float))
-    assert taken[0].shape == (360, 640, 3)
-    blue = [((p[:, :, 2] - p[:, :, 0]) > 60).nonzero()[0] for p in taken]  # first colour of the palette
-    assert min(b.size for b in blue) > 100
-    assert blue[0].mean() < 120 < blue[1].mean() - 60  # it fell from the upper third by a good part of the picture
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "page.png"]
-
-
-def browse(page, *flags):
-    """(document, messages) of a page as headless Chromium has it after a second."""
-    flags = [
-        "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--no-first-run", "--disable-background-networking",
-        "--disable-component-update", "--disable-sync", "--virtual-time-budget=1000", "--dump-dom",
-        "--host-resolver-rules=MAP * ~NOTFOUND", "--enable-logging=stderr",
-        f"--user-data-dir={page.parent / 'profile'}", *flags,
-    ]  # fmt: skip
-    done = subprocess.run([pictures.chromium(), *flags, page.as_uri()], capture_output=True, timeout=60)
-    return done.stdout.decode(), done.stderr.decode(errors="replace")
-
-
-@needs_chromium
-def test_browser_loads_nothing_and_complains_about_nothing(falling, tmp_path):
-    def hosts_and_messages(page):
-        log = tmp_path / "net.json"
-        messages = browse(page, f"--log-net-log={log}")[1]
-        events = json.loads(log.read_text())["events"]
-        urls = [e["params"]["url"] for e in events if "url" in e.get("params", {})]
-        hosts = {re.sub(r"^\w+://([^/:]+).*", r"\1", url) for url in urls}
-        own = re.compile(r"(^|\.)(google|googleapis|gvt1)\.com$")  # what Chromium asks for on its own
-        return {h for h in hosts if not own.search(h)}, messages
-
-    viewer.write_html(falling, tmp_path / "page.html")
-    hosts, messages = hosts_and_messages(tmp_path / "page.html")
-    assert hosts == set()
-    assert "Uncaught" not in messages
-    # The same look at a page that does load something, so that an empty set means something.
-    control = tmp_path / "control.html"
-    control.write_text("<img src='http://elsewhere.invalid/x.png'><script>throw new Error('oops')</script>")
-    hosts, messages = hosts_and_messages(control)
-    assert hosts == {"elsewhere.invalid"} and "Uncaught" in messages
-
-
-@needs_chromium
-def test_page_plays(falling, tmp_path):
-    probe = """<script>
-    const animator = viewer.animator, found = {playing: animator.playing, duration: animator.duration};
-    const body = name => viewer.scene_tree.find(["nsdyn", "bodies", name]).object;
-    animator.pause();
-    for (const t of [0.25, 1.0, 1.5]) {
-        animator.seek(t);
-        found[t] = [body("falling").position.z, body("turning").quaternion.z, body("resting").position.x];
-    }
-    document.body.dataset.found = JSON.stringify(found);
-    </script></body>"""
-    page = tmp_path / "page.html"
-    page.write_text(viewer.html(falling).replace("</body>", probe))
-    document, _ = browse(page)
-    found = json.loads(html.unescape(re.search('data-found="([^"]*)"', document).group(1)))
-    assert found["playing"] and found["duration"] == 1.5
-    for t in (0.25, 1.0, 1.5):
-        s = min(t, 1.0)
-        # Interpolated over at most 0.04 s between keys (at most g 0.04^2 / 8 = 2 mm); the last state stays.
-        assert found[f"{t:g}"] == pytest.approx([5 - 0.5 * 9.81 * s**2, math.sin(s), 1.0], abs=2e-3)
-
-
-def test_missing_browser_is_told(falling, tmp_path, monkeypatch):
-    viewer.write_html(falling, tmp_path / "page.html", at=0.0)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ValueError, match="apt-get install chromium"):
-        pictures.screenshot(tmp_path / "page.html", tmp_path / "page.png")
-    assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
+    # Half a millionth, as above.
+    expected = trajectory.body(link).quaternion[-1]
+    np.testing.assert_allclose(turns[solids.body_path(link)][-1], expected, rtol=0, atol=6e-7)

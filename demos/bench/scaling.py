@@ -111,7 +111,7 @@ def settled(scene: nd.Scene, tol: float, lift: float) -> nd.Stepper:
     """Stepper of a pile that has come down."""
     bodies = scene.free_bodies
     still = lift * sum(9.81 * b.mass * b.shape.bounding_radius for b in bodies)
-    hasty = nd.Stepper(scene, dt=DT, solver=nd.solvers.Momentum(tol=0.1 * tol, max_iter=200), on_fail="ignore")
+    hasty = nd.Stepper(scene, dt=DT, solver=nd.solvers.Nesterov(tol=0.1 * tol, max_iter=200), on_fail="ignore")
     most = 128 * max(2, round((len(bodies) / 2) ** (1 / 3)))
     for k in range(most):
         kinetic = hasty.step().energy["kinetic"]
@@ -187,7 +187,7 @@ def features() -> None:
     sweeps = []
     for given in (problem, problem.with_velocity(problem.q, np.zeros(problem.nc))):
         start = time.perf_counter()
-        found = nd.solvers.Momentum(tol=1e-14, max_iter=2000)(given)
+        found = nd.solvers.Nesterov(tol=1e-14, max_iter=2000)(given)
         sweeps.append((time.perf_counter() - start) / found.iterations)
     print(
         f"a sweep over a pile of 200 spheres: {1e6 * sweeps[0]:.0f} us; without friction x {sweeps[1] / sweeps[0]:.2f}"

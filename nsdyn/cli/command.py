@@ -19,11 +19,19 @@ from typing import NoReturn, TextIO
 
 from nsdyn.cli.doctor import diagnose, version_of
 from nsdyn.cli.output import OUTPUTS, add_json, one_line
+from nsdyn.cli.plots import add_plot, draw
 from nsdyn.cli.problems import bench_engines, profile_solvers, solve_file
 from nsdyn.cli.results import show_contacts, show_energy, write_page
-from nsdyn.cli.simulation import add_simulation, list_scenes, run_scene, sweep_scene
+from nsdyn.cli.simulation import add_simulation, begin_scene, list_scenes, run_scene
+from nsdyn.cli.studies import add_check, add_compare, add_study, check_anything, compare_recordings, study_steps
+from nsdyn.cli.sweeps import add_sweep, sweep_scene
 
 __all__ = ["main"]
+
+Command = Callable[[str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
+"""Adds a command of a name, a function and a summary."""
+
+SCENE = "a name that 'nsdyn scenes' lists, or a file of your own, which 'nsdyn new' begins"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -79,6 +87,14 @@ def _parser() -> _Parser:
         out.set_defaults(run=run)
         return out
 
+    _add_simulations(command)
+    _add_problems(command)
+    _add_results(command)
+    return parser
+
+
+def _add_simulations(command: Command) -> None:
+    """Commands that make and run scenes."""
     p = command("scenes", list_scenes, "List the named scenes and their parameters.")
     add_json(p)
 
@@ -86,8 +102,11 @@ def _parser() -> _Parser:
     p.add_argument("--compile", action="store_true", help="first compile all kernels, in as many processes as cores")
     add_json(p)
 
-    p = command("run", run_scene, "Simulate a named scene and print its energy ledger.")
-    p.add_argument("scene", metavar="SCENE", help="a name that 'nsdyn scenes' lists")
+    p = command("new", begin_scene, "Write a commented scene file to begin with; one that exists is left alone.")
+    p.add_argument("file", type=Path, metavar="MY.py")
+
+    p = command("run", run_scene, "Simulate a scene and print its energy ledger.")
+    p.add_argument("scene", metavar="SCENE", help=SCENE)
     p.add_argument(
         "--set",
         metavar="NAME=VALUE",
@@ -113,22 +132,19 @@ def _parser() -> _Parser:
     p.add_argument("--check", action="store_true", help="audit the motion; the exit code is 0 only if it passes")
     add_json(p)
 
-    p = command("sweep", sweep_scene, "Simulate a named scene for every combination of parameters and print a table.")
-    p.add_argument("scene", metavar="SCENE", help="a name that 'nsdyn scenes' lists")
-    p.add_argument(
-        "--set",
-        metavar="NAME=VALUE,...",
-        action="append",
-        default=[],
-        help="values of a parameter of the scene, with commas between; may be repeated",
-    )
-    add_simulation(p, "raise", "ignore")
-    where = p.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: this one)")
-    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster whose workers have nsdyn")
-    p.add_argument("--csv", type=Path, metavar="F.csv", help="the table")
-    add_json(p)
+    p = command("sweep", sweep_scene, "Simulate a scene for every combination of parameters and print a table.")
+    p.add_argument("scene", metavar="SCENE", help=SCENE)
+    add_sweep(p)
 
+    p = command("study", study_steps, "Simulate a scene at several time steps: errors against the finest, orders.")
+    p.add_argument("scene", metavar="SCENE", help=SCENE)
+    add_study(p)
+
+    add_check(command("check", check_anything, "Look for what is wrong with a robot file, a scene or a recording."))
+
+
+def _add_problems(command: Command) -> None:
+    """Commands for contact problems, solvers and engines."""
     p = command("solve", solve_file, "Solve a frictional contact problem in an FCLIB file.")
     p.add_argument("problem", type=Path, metavar="PROBLEM.hdf5")
     p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
@@ -171,9 +187,16 @@ def _parser() -> _Parser:
     p.add_argument("--plot", type=Path, metavar="F.png", help="picture of time against error (png, pdf or svg)")
     add_json(p)
 
+
+def _add_results(command: Command) -> None:
+    """Commands that read recordings."""
     p = command("energy", show_energy, "Print, plot or export the energy ledger of a recording.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
     p.add_argument("--plot", type=Path, metavar="E.png", help="picture of energies and works (png, pdf or svg)")
+    p.add_argument(
+        "--by", choices=("pair", "body"),
+        help="in place of the ledger, works of the contacts of each pair of bodies, or energies of each body",
+    )  # fmt: skip
     p.add_argument("--csv", type=Path, metavar="E.csv", help="all times: energies, and the works of each step, in J")
     add_json(p)
 
@@ -182,8 +205,9 @@ def _parser() -> _Parser:
     p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
     p.add_argument("--csv", type=Path, metavar="C.csv", help="all contacts of all steps, one a line")
 
-    p = command("view", write_page, "Make a web page or a picture of a recording.")
+    p = command("view", write_page, "Make a web page, a picture or a film of a recording, or of two side by side.")
     p.add_argument("recording", type=Path, metavar="RUN.h5")
+    p.add_argument("beside", type=Path, metavar="OTHER.h5", nargs="?", help="shown beside it, on the same clock")
     p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
     p.add_argument(
         "--forces", nargs="?", const="pair", default=False, metavar="BY",
@@ -191,5 +215,8 @@ def _parser() -> _Parser:
     )  # fmt: skip
     p.add_argument("--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)")
     p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
+    p.add_argument("--mp4", type=Path, metavar="RUN.mp4", help="film, made by a headless Chromium and ffmpeg")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
-    return parser
+
+    add_compare(command("compare", compare_recordings, "Say where two recordings of one scene part."))
+    add_plot(command("plot", draw, "Draw dissipation, friction cones, certificate, penetration of a recording."))

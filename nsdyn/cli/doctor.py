@@ -82,7 +82,7 @@ def _within(version: str, bound: str) -> bool:
 def diagnose(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn doctor``."""
     from nsdyn._kernels import ahead, compiled
-    from nsdyn.recording import pictures
+    from nsdyn.recording import browser
 
     if arguments.compile:
         ahead.compile_examples("all")
@@ -97,7 +97,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
     figures: dict[str, Any] = {
         "python": {"version": sys.version.split()[0], "file": sys.executable},
         "packages": packages,
-        "chromium": pictures.chromium(),
+        "chromium": browser.chromium(),
         "cache": cache,
         "checks": checks,
         "wrong": wrong,
@@ -108,7 +108,8 @@ def diagnose(arguments: argparse.Namespace) -> int:
         return 0 if sound else 1
     for name, found in {"python": figures["python"], **packages}.items():
         print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
-    print(f"{'chromium':12} {figures['chromium'] or 'not found; only pictures (nsdyn view --png) need it'}")
+    absent = "not found; only pictures and films (nsdyn view --png, --mp4) need it"
+    print(f"{'chromium':12} {figures['chromium'] or absent}")
     none = f"none can be written: every start compiles unless {compiled.FOLDER} names a folder"
     print(f"{'cache':12} {cache or none}")
     for line in wrong:

@@ -6,12 +6,13 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
+    from nsdyn.tools.arrays import Array
 
 __all__ = [
     "OUTPUTS",
@@ -19,13 +20,16 @@ __all__ = [
     "add_json",
     "check_outputs",
     "check_picture",
+    "ledger",
     "one_line",
     "picture",
     "plain",
     "plot_to",
     "say",
     "say_json",
-    "write_csv",
+    "table",
+    "write_columns",
+    "write_rows",
 ]
 
 
@@ -88,10 +92,10 @@ def check_outputs(source: Path | None, *paths: Path | None) -> None:
 PLOTS = "png", "pdf", "svg"
 
 
-def check_picture(path: Path | None, *kinds: str) -> None:
-    """Refuse the name of a picture of another kind."""
+def check_picture(path: Path | None, *kinds: str, what: str = "picture") -> None:
+    """Refuse the name of a picture, or what it is, of another kind."""
     if path and path.suffix and path.suffix[1:].lower() not in kinds:
-        raise ValueError(f"cannot write {path}: a picture must be {' or '.join(kinds)}, got {path.suffix}")
+        raise ValueError(f"cannot write {path}: a {what} must be {' or '.join(kinds)}, got {path.suffix}")
 
 
 def plot_to(path: Path, *draw: Callable[[Any], Any]) -> None:
@@ -104,18 +108,57 @@ def plot_to(path: Path, *draw: Callable[[Any], Any]) -> None:
     picture(path, panels, (3 + 5 * len(draw), 5), 150)
 
 
-def write_csv(trajectory: Trajectory, path: Path) -> None:
-    """Write the ledger of a recording, step by step, as a table."""
+def write_columns(trajectory: Trajectory, series: Mapping[str, Array], path: Path) -> None:
+    """Write energies (n + 1,) and works (n,) of a recording, step by step, as a table."""
     import numpy as np
 
-    energy = trajectory.energy
     columns = {"t [s]": trajectory.t}
-    for name in energy.names:
-        values = getattr(energy, name)
+    for name, values in series.items():
         # A work belongs to the step that ends at t; none ends at the first time.
         columns[f"{name} [J]"] = values if values.size == trajectory.t.size else np.concatenate([[0.0], values])
     table = np.column_stack(list(columns.values()))
     np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
+
+
+def ledger(trajectory: Trajectory) -> dict[str, Any]:
+    """The energy ledger of a recording and its worst figures, as JSON has them."""
+    shares = {
+        name: {"total": total, "most": most, "share": most / trajectory.at_play if most else 0.0}
+        for name, (total, most) in trajectory.shares().items()
+    }
+    return {
+        "ledger": trajectory.ledger(),
+        "at_play": trajectory.at_play,
+        "shares": shares,
+        "worst": trajectory.worst(),
+    }
+
+
+def write_rows(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: Path) -> None:
+    """Write rows as a CSV file; what a row lacks is empty."""
+    import csv
+
+    from nsdyn.tools.files import writing
+
+    with writing(path) as part, open(part, "w", newline="") as file:
+        sink = csv.DictWriter(file, columns)
+        sink.writeheader()
+        sink.writerows(rows)
+
+
+def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
+    """Text table of some columns; what a row lacks is a dash."""
+    cells = [[_cell(row.get(name)) for name in columns] for row in rows]
+    widths = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
+    return "\n".join("  ".join(map(str.rjust, line, widths)) for line in [columns, *cells])
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    from nsdyn.scene.settings import as_text
+
+    return f"{value:.6g}" if isinstance(value, float) else as_text(value)
 
 
 def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int) -> None:

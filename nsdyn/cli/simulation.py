@@ -1,30 +1,29 @@
-"""`nsdyn scenes`, `nsdyn run` and `nsdyn sweep`."""
+"""`nsdyn scenes`, `nsdyn new` and `nsdyn run`."""
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import inspect
 import sys
 import time
 from collections import Counter
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from nsdyn.cli.output import check_outputs, one_line, say, say_json
+from nsdyn.cli.output import check_outputs, ledger, one_line, say, say_json
 
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-
-__all__ = ["add_simulation", "chosen_solver", "list_scenes", "run_scene", "sweep_scene"]
+__all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "list_scenes", "run_scene"]
 
 
 def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
-    """Options of a simulation: its time, its step, its solver, and what else than warn it may do `on_fail`."""
+    """Options of a simulation: its time, its step, and those of `add_solver`."""
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
+    add_solver(parser, *on_fail)
+
+
+def add_solver(parser: argparse.ArgumentParser, *on_fail: str) -> None:
+    """Options of the scheme and of the solver of a simulation, and what else than warn it may do `on_fail`."""
     parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
     parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
     parser.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
@@ -54,6 +53,22 @@ def list_scenes(arguments: argparse.Namespace) -> int:
     for name, scene in found.items():
         shown = ", ".join(f"{key}={settings.as_text(value)}" for key, value in scene["parameters"].items())
         print(f"{name}: {scene['summary']}\n    {shown}")
+    return 0
+
+
+def begin_scene(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn new``."""
+    from nsdyn.scene import named as scenes
+    from nsdyn.tools import files
+
+    path = arguments.file
+    if path.suffix != ".py":
+        raise ValueError(f"a scene file must end in .py, got {path}")
+    if path.exists():
+        raise ValueError(f"{path} exists, and may be your work: give another name")
+    with files.writing(path) as part:
+        part.write_text(scenes.template())
+    print(f"{path}: edit it, then nsdyn run {path} --html {path.stem}.html")
     return 0
 
 
@@ -146,7 +161,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
         "start_up_time": start_up,
         "median_step_time": median,
         "contacts": len(trajectory.columns["contacts/gap"]) / trajectory.steps if trajectory.has_contacts else None,
-        "worst": trajectory.worst(),
+        **ledger(trajectory),
         "recording": recording,
         "html": arguments.html,
     }
@@ -171,81 +186,3 @@ def run_scene(arguments: argparse.Namespace) -> int:
     if audit is not None:
         say(arguments, audit)
     return code
-
-
-def sweep_scene(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn sweep``."""
-    import nsdyn
-    from nsdyn.scene import settings
-    from nsdyn.study import sweep as ensemble
-    from nsdyn.tools.files import writing
-
-    name = arguments.scene
-    module = nsdyn.scenes.module(name)
-    parameters = settings.lists(name, arguments.set)
-    solver = chosen_solver(arguments)
-    check_outputs(None, arguments.csv)
-    with _executor(arguments) as executor:
-        members = ensemble.sweep(
-            name,
-            parameters,
-            module.DURATION if arguments.time is None else arguments.time,
-            on_fail=arguments.on_fail,
-            executor=executor,
-            keep=ensemble.figures,
-            progress=True,
-            dt=module.DT if arguments.dt is None else arguments.dt,
-            theta=arguments.theta,
-            solver=solver,
-        )
-    rows = [{**m.parameters, "failure": m.failure, **(m.result or {})} for m in members]
-    columns = list(dict.fromkeys(column for row in rows for column in row))  # a failed run has no figures
-    if arguments.csv:
-        import csv
-
-        with writing(arguments.csv) as part, open(part, "w", newline="") as file:
-            sink = csv.DictWriter(file, columns)
-            sink.writeheader()
-            sink.writerows(rows)
-    if arguments.json:
-        say_json(arguments, {"scene": name, "runs": rows})
-    else:
-        say(arguments, _columns(rows, [column for column in columns if column != "failure"]))
-    for m in members:
-        if m.failure:
-            print(f"nsdyn: not converged: {m.parameters}: {one_line(m.failure)}", file=sys.stderr)
-    return 1 if any(m.failure for m in members) else 0
-
-
-def _executor(arguments: argparse.Namespace) -> AbstractContextManager[Executor | None]:
-    """What runs the simulations, to be used in a with statement."""
-    if arguments.workers is not None:
-        from concurrent.futures import ProcessPoolExecutor
-        from multiprocessing import get_context
-
-        if arguments.workers < 1:
-            raise ValueError(f"--workers must be at least 1, got {arguments.workers}")
-        return ProcessPoolExecutor(arguments.workers, get_context("spawn"))
-    if arguments.dask is not None:
-        if importlib.util.find_spec("distributed") is None:
-            raise ValueError("--dask needs the extra `cluster`: pip install 'nsdyn[cluster]'")
-        from distributed import Client
-
-        executor: AbstractContextManager[Executor] = Client(arguments.dask).get_executor()
-        return executor
-    return nullcontext()
-
-
-def _columns(rows: list[dict[str, Any]], names: list[str]) -> str:
-    """Text table of some columns; what a row lacks is a dash."""
-    cells = [[_cell(row.get(name)) for name in names] for row in rows]
-    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
-    return "\n".join("  ".join(map(str.rjust, line, widths)) for line in [names, *cells])
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    from nsdyn.scene.settings import as_text
-
-    return f"{value:.6g}" if isinstance(value, float) else as_text(value)

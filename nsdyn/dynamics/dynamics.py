@@ -325,14 +325,17 @@ class Dynamics:
             out[tree.coordinates] = motions[-1].v
         return self._with_trees(out, force, torque, motions)
 
-    def external_works(self, forces: Forces, shift: Array, turn: Array) -> Array | float:
-        """Works of external forces and torques on free bodies that move by `shift` and `turn`, J: (nf,), or 0.
+    def external_works(
+        self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float
+    ) -> Array | float:
+        """Works of external forces and torques on the free bodies in a move of h s, J: (nf,), or 0.
 
-        Shapes (nf, 3), m in world axes, and rad in body axes.
+        Forces go with the centres of mass from `begin` to `end`, torques with the mean of the spins before and after.
         """
         if forces.force is self._no_load:
             return 0.0
-        out: Array = (shift * forces.force).sum(axis=1) + (turn * forces.torque).sum(axis=1)
+        turn = 0.5 * h * (v0 + v1)[: 6 * self.free].reshape(-1, 6)[:, 3:]
+        out: Array = ((end.x - begin.x) * forces.force).sum(axis=1) + (turn * forces.torque).sum(axis=1)
         return out
 
     def inertia(self, position: Position, v: Array) -> Forces:

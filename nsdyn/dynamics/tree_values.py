@@ -83,6 +83,8 @@ class TreeLoads(NamedTuple):
     ----------
     tau : ndarray, shape (nv,)
         Joint forces given or of external wrenches, and the part of a PD control that the motion does not change.
+    push : ndarray, shape (nv,)
+        What of it external wrenches make.
     kp, kd : ndarray, shape (nv,)
         Gains of the PD control, 0 where there is none.
     stretch : ndarray, shape (nv,)
@@ -94,6 +96,7 @@ class TreeLoads(NamedTuple):
     """
 
     tau: Array
+    push: Array
     kp: Array
     kd: Array
     stretch: Array

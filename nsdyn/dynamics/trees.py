@@ -336,7 +336,7 @@ class Tree:
         stretch = self._deviation(angle, self.rest) if self._springs else self._zero
         weight = pin.computeGeneralizedGravity(self.model, self.data, halfway.q)
         push = self._zero if applied is None else applied
-        loads = TreeLoads(tau + push, kp, kd, stretch, weight, self._implicit or isinstance(given, PD))
+        loads = TreeLoads(tau + push, push, kp, kd, stretch, weight, self._implicit or isinstance(given, PD))
         out = self._respond(halfway, t, loads)
         if limit is None:
             return out
@@ -374,7 +374,7 @@ class Tree:
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
         M = np.array(pin.crba(self.model, self.data, q)).reshape(v.size, v.size)
-        factor, loads = np.linalg.inv(np.linalg.cholesky(M)), TreeLoads(*5 * (self._zero,), False)
+        factor, loads = np.linalg.inv(np.linalg.cholesky(M)), TreeLoads(*6 * (self._zero,), False)
         if not self.constrained:
             return FreeMotion(v, loads, M, factor.T @ factor, None)
         B, P, Z = self._restrict(q, factor)

@@ -31,12 +31,15 @@ __all__ = [
     "jacobian",
     "jean_moreau",
     "natural_map",
+    "quasi_variational_gap",
     "residual_alart_curnier",
+    "residual_bipotential",
     "residual_fischer_burmeister",
     "residual_hueber_stadler_wohlmuth",
     "residual_jean_moreau",
     "residual_natural_map",
     "residual_normal_map",
+    "residual_quasi_variational_inequality",
     "residual_soccp",
     "residual_xuewen_soh_wanji",
     "xuewen_soh_wanji",
@@ -278,6 +281,51 @@ def residual_normal_map(problem: FC3D, z: Array, rho: Any = None) -> Array:
     r = cones.project(z, problem.mu)
     u = problem.velocity(r.ravel()).reshape(-1, 3)
     return (_uniform(problem, rho)[:, None] * cones.saxce(u, problem.mu) + z - r).ravel()
+
+
+def quasi_variational_gap(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """Regularised gap max over s ∈ C(r_N) of u·(r - s) - ‖r - s‖²/(2ρ) of each contact, shape (nc,), J.
+
+    C(r_N) = {s_N ≥ 0, ‖s_T‖ ≤ μ (r_N)₊} is the cylinder that moves with r. The maximum is at s = P_C(r - ρ u); it is
+    not negative for r ∈ C(r_N), and zero there if u·(s - r) ≥ 0 for all s ∈ C(r_N), and only then.
+
+    References
+    ----------
+    M. Fukushima, Equivalent differentiable optimization problems and descent methods for asymmetric variational
+    inequality problems, Math. Program. 53, 1992.
+    """
+    u, r = _state(problem, r)
+    rho = _steps(problem, rho)
+    s = r - jean_moreau(u, r, problem.mu, rho)[0]  # the projection on the half-line times the disk
+    away = r - s
+    scaled = away / np.column_stack((rho, rho[:, 1]))
+    return np.asarray((u * away).sum(axis=1) - 0.5 * (away * scaled).sum(axis=1))
+
+
+def residual_quasi_variational_inequality(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """Quasi-variational inequality r ∈ C(r_N), u·(s - r) ≥ 0 for all s ∈ C(r_N), shape (4 nc,).
+
+    Its `quasi_variational_gap` in J, then r - P_C(r) in N·s, C(r_N) = {s_N ≥ 0, ‖s_T‖ ≤ μ (r_N)₊}. The operator is
+    u = W r + q alone, affine and monotone; what is lost is that the set stands still. Its natural map r - P_C(r - ρ u)
+    is `residual_jean_moreau`.
+    """
+    feasible = jean_moreau(np.zeros((problem.nc, 3)), _state(problem, r)[1], problem.mu, np.ones((problem.nc, 2)))[0]
+    return np.concatenate((quasi_variational_gap(problem, r, rho), feasible.ravel()))
+
+
+def residual_bipotential(problem: FC3D, r: Array) -> Array:
+    """De Saxcé's bipotential b(-u, r) + u·r and its constraints, shape (5 nc,).
+
+    b(-u, r) = μ r_N ‖u_T‖ where u_N ≥ 0 and r ∈ K, else infinite; b(-u, r) + u·r ≥ 0 with equality for the pairs of
+    Coulomb's law alone. First μ r_N ‖u_T‖ + u·r = r·û in J, then (-u_N)₊ in m/s, then r - P_K(r) in N·s.
+
+    References
+    ----------
+    G. de Saxcé, Z.-Q. Feng, The bipotential method, Math. Comput. Modelling 28, 1998.
+    """
+    u, r = _state(problem, r)
+    value = (r * cones.saxce(u, problem.mu)).sum(axis=1)
+    return np.concatenate((value, np.maximum(-u[:, 0], 0.0), (r - cones.project(r, problem.mu)).ravel()))
 
 
 def jacobian(problem: FC3D, r: Array, function: str, rho: Any = None) -> sp.csr_array:

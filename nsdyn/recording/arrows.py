@@ -76,16 +76,16 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     pair = np.column_stack([keyframe, link_of[pushed], link_of[other], frame])
     if by == "point":
         pair = np.column_stack([pair, c["geom1"], c["geom2"], c["key"]])
-    groups, member = np.unique(pair, axis=0, return_inverse=True)
+    groups, member = _distinct(pair)
     weight = np.maximum(c["impulse"][:, 0], 0.0)
     n = len(groups)
 
     def total(values: Array) -> Array:
         out = np.zeros((n, 3))
-        np.add.at(out, member.ravel(), values)
+        np.add.at(out, member, values)
         return out
 
-    weights = np.maximum(np.bincount(member.ravel(), weight, n), 1e-300)[:, None]
+    weights = np.maximum(np.bincount(member, weight, n), 1e-300)[:, None]
     force, mean = total(push), total(weight[:, None] * point) / weights
     if by == "point" and n:
         _spread(groups[:, :4], mean, total(weight[:, None] * normal), force)
@@ -95,11 +95,21 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
 
 def _spread(pairs: Index, point: Array, normal: Array, impulse: Array) -> None:
     """Give the points of each pair the impulses of least norm with the same sum and moment, where none pulls."""
-    same, member = np.unique(pairs, axis=0, return_inverse=True)
+    same, member = _distinct(pairs)
     for k in range(len(same)):
-        on = np.flatnonzero(member.ravel() == k)
+        on = np.flatnonzero(member == k)
         # [I; x ×] of every point, shape (6, 3 n).
         wrench = np.concatenate([np.concatenate([np.eye(3), np.cross(x, np.eye(3)).T]) for x in point[on]], axis=1)
         least = (np.linalg.pinv(wrench, rcond=1e-9) @ (wrench @ impulse[on].ravel())).reshape(-1, 3)
         if (np.einsum("ci,ci->c", least, normal[on]) >= 0.0).all():
             impulse[on] = least
+
+
+def _distinct(rows: Index) -> tuple[Index, Index]:
+    """Distinct rows, ascending, and which of them each row is; much faster than `np.unique` of rows."""
+    order = np.lexsort(rows.T[::-1])
+    ordered = rows[order]
+    new = np.concatenate([np.ones(min(1, len(rows)), bool), (np.diff(ordered, axis=0) != 0).any(axis=1)])
+    member = np.empty(len(rows), np.int64)
+    member[order] = np.cumsum(new) - 1
+    return ordered[new], member

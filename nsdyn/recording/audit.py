@@ -26,7 +26,7 @@ from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
 
-__all__ = ["Audit", "Finding", "TOLERANCES", "check", "deepest"]
+__all__ = ["Audit", "Finding", "TOLERANCES", "check", "deepest", "separations"]
 
 TOLERANCES = {
     "overlap": 1e-7,
@@ -34,6 +34,7 @@ TOLERANCES = {
     "normal": 1e-3,
     "cone": 1e-8,
     "friction": 1e-5,
+    "slip": 1e-3,  # friction is against the mean slip of a step, whose direction differs from that at its end by O(h)
     "dissipation": 1e-4,
     "motion": 0.1,
     "momentum": 1e-9,
@@ -50,6 +51,7 @@ _MEANING = {
     "normal": "overlap along the normal of a contact with an impulse, beyond the true one / smallest extent",
     "cone": "how far an impulse is outside its friction cone / largest impulse of the step",
     "friction": "work of friction at a contact at the velocity at the end of the step / energy at play",
+    "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
     "dissipation": "work of all contacts in a step / energy at play",
     "motion": "displacement of a free body - what its velocities make, left to the projection / its smallest extent",
     "momentum": "m Δv - Σ r - h m g of a free body / momenta and impulses of which this is the sum",
@@ -218,8 +220,8 @@ def _unknown(name: str, unit: str, reason: str) -> _Found:
     return name, lambda tol: Finding(name, _MEANING[name], np.nan, tol, np.nan, unit, -1, (), 0, reason)
 
 
-def _overlaps(poses: Poses, by_size: bool = True) -> Iterator[_Found]:
-    """True overlaps in all states, the worst by size or in m."""
+def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
+    """True overlap [m], both shapes and state of every pair of shapes that may not overlap and whose boxes meet."""
     count, states = len(poses.names), poses.trajectory.steps + 1
     pairs = _tested(poses)
     found: list[tuple[Array, Index, Index, Index]] = []
@@ -233,6 +235,12 @@ def _overlaps(poses: Poses, by_size: bool = True) -> Iterator[_Found]:
             depth[some] = -separation(a, *there)
         found.append((depth, first, second, state))
     depth, first, second, state = (np.concatenate(items) for items in zip(*found, strict=True))
+    return depth, first, second, state
+
+
+def _overlaps(poses: Poses, by_size: bool = True) -> Iterator[_Found]:
+    """True overlaps in all states, the worst by size or in m."""
+    depth, first, second, state = separations(poses)
 
     def names(k: int) -> tuple[str, str]:
         return poses.names[first[k]], poses.names[second[k]]
@@ -286,7 +294,7 @@ def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, 
 def _contacts(poses: Poses) -> Iterator[_Found]:
     """Where impulses act, in which cones they are, and what friction does."""
     t = poses.trajectory
-    units = {"distance": "m", "normal": "m", "cone": "N·s", "friction": "J"}
+    units = {"distance": "m", "normal": "m", "cone": "N·s", "friction": "J", "slip": "J"}
     missing = list(units) if not t.has_contacts else ["distance", "normal"] if t.every > 1 else []
     yield from (_unknown(name, units[name], _left_out(t)) for name in missing)
     if not t.has_contacts:
@@ -310,6 +318,8 @@ def _contacts(poses: Poses) -> Iterator[_Found]:
     yield _worst("cone", outside / scale, outside, "N·s", step, names)
     power = (r[:, 1:] * c["u"][:, 1:]).sum(axis=1)
     yield _worst("friction", power / _at_play(poses), power, "J", step, names)
+    most = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(c["u"][:, 1:], axis=1) + power)
+    yield _worst("slip", most / _at_play(poses), most, "J", step, names)
 
 
 def _where(poses: Poses, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[_Found]:

@@ -22,6 +22,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /solver/error, residual, iterations, status, time
                                                    (n,)  -, m/s, -, `nd.Status`, s; error since version 3
     /wall_time                                     (n,)  s that the step took, recording apart; since version 4
+    /joints/actuation, limit, friction             (n, nv)  impulses on the coordinates of the articulations, N m s or
+                                                   N s; only in scenes with articulations; since version 5
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
                                                    rows offset[k-1] to offset[k] of
     /contacts/geom1, geom2, key                    indices of the shapes; key of the warm start
@@ -33,9 +35,9 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /state           the last states of the run, from which it can go on: see `nsdyn.recording.slots`; since version 5
 
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
-them, so that the ledger closes, as are `/solver/iterations`, `time` and `/wall_time`; `shift` and `bound` are the
-largest, `error`, `residual` and `status` those of the worst; contacts are those of the last, their impulses and works
-too. With contacts false there are none. A recording that is complete is compressed (byte shuffle and gzip).
+them, so that the ledger closes, as are `/joints`, `/solver/iterations`, `time` and `/wall_time`; `shift` and `bound`
+are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the last, their impulses and
+works too. With contacts false there are none. A recording that is complete is compressed (byte shuffle and gzip).
 
 A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
 HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file
@@ -94,6 +96,7 @@ CONTACT = {
 # Datasets of a file by their number of rows: n + 1, n, and one per contact.
 STATES = ["t", "q", "v", *(f"energy/{name}" for name in ENERGIES), "contacts/offset"]
 LINKS = ["frames/x", "frames/quat"]
+JOINTS = ["joints/actuation", "joints/limit", "joints/friction"]
 STEPS = [f"energy/{name}" for name in WORKS]
 STEPS += [f"gauss/{name}" for name in GAUSS] + [f"solver/{name}" for name in SOLVER] + ["energy/created", "wall_time"]
 # Columns that older files lack: (version, column, those that it is the sum of, its value without any).
@@ -246,7 +249,7 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     if not states:
         raise ValueError("/t has no rows")
     offset = schema.column(file, "contacts/offset", states, "i8", ())
-    names = STATES + (LINKS if "frames" in file else []) + steps + CONTACTS
+    names = STATES + (LINKS if "frames" in file else []) + steps + (JOINTS if "joints" in file else []) + CONTACTS
     rows = _rows(names, states, int(offset[-1]))
     columns = {name: schema.column(file, name, size, *_layout(name)) for name, size in rows.items()}
     for _, column, summed, value in added:
@@ -263,7 +266,9 @@ def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
         return kind, () if components == 1 else (components,)
     if group == "solver":
         return SOLVER[inner], ()
+    row: tuple[str, tuple[int | None, ...]] = ("f8", (None,))
     return {
-        "q": ("f8", (None,)), "v": ("f8", (None,)), "frames/x": ("f8", (None, 3)), "frames/quat": ("f8", (None, 4)),
+        "q": row, "v": row, **dict.fromkeys(JOINTS, row),
+        "frames/x": ("f8", (None, 3)), "frames/quat": ("f8", (None, 4)),
         "contacts/offset": ("i8", ()),
     }.get(name, ("f8", ()))  # fmt: skip

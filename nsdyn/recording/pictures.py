@@ -1,30 +1,25 @@
-"""Pictures of a page, taken by a headless Chromium."""
+"""Pictures and films of a page, taken by a headless Chromium."""
 
 from __future__ import annotations
 
-import os
+import math
 import shutil
 import subprocess
-import tempfile
 from pathlib import Path
 
+from nsdyn.recording.browser import browsing
 from nsdyn.tools import files
 
-__all__ = ["chromium", "screenshot"]
-
-
-def chromium() -> str | None:
-    """Path of Chromium or Chrome, if there is one."""
-    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+__all__ = ["check_film", "film", "screenshot"]
 
 
 def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1280, 720)) -> None:
-    """Save a picture of a page as a headless Chromium shows it.
+    """Save a picture of a page as a headless Chromium shows it: the scene, its name, its legend, the clock.
 
     Parameters
     ----------
     page : path
-        A page of this module, best one made with `at`.
+        A page of this package, best one made with `at`.
     picture : path
         PNG file to write.
     size : (int, int)
@@ -35,27 +30,57 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
     ValueError
         If there is no Chromium, or no picture came of it.
     """
-    browser = chromium()
-    if browser is None:
-        raise ValueError("pictures need Chromium or Chrome on the PATH, as from 'apt-get install chromium'")
-    with (
-        files.writing(picture) as part,
-        tempfile.TemporaryDirectory(prefix="nsdyn-", ignore_cleanup_errors=True) as folder,
-    ):
-        shot = Path(folder) / "shot.png"
-        flags = [
-            "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
-            "--enable-unsafe-swiftshader", "--hide-scrollbars", "--disable-quic", "--no-first-run",
-            "--disable-background-networking", "--disable-component-update", "--disable-sync",
-            "--virtual-time-budget=2000", "--host-resolver-rules=MAP * ~NOTFOUND",
-            f"--user-data-dir={folder}/profile", f"--screenshot={shot}", f"--window-size={size[0]},{size[1]}",
+    with browsing() as browser, files.writing(picture) as part:
+        browser.open(_as_picture(page), size)
+        part.write_bytes(browser.picture())
+
+
+def check_film() -> None:
+    """Raise a ValueError if there is no ffmpeg to make films with."""
+    if shutil.which("ffmpeg") is None:
+        raise ValueError("films need ffmpeg on the PATH, as from 'apt-get install ffmpeg'")
+
+
+def film(page: str | Path, target: str | Path, fps: float = 30.0, size: tuple[int, int] = (1280, 720)) -> None:
+    """Save a film, H.264 in MP4, of a page as it plays at speed 1.
+
+    Parameters
+    ----------
+    page : path
+        A page of this package.
+    target : path
+        MP4 file to write.
+    fps : float
+        Pictures a second.
+    size : (int, int)
+        Width and height in pixels, even numbers.
+
+    Raises
+    ------
+    ValueError
+        If there is no Chromium or no ffmpeg, or it fails.
+    """
+    check_film()
+    with browsing() as browser, files.writing(target) as part:
+        browser.open(_as_picture(page), size)
+        begin, end = browser.run("[nsdyn.clock.begin, nsdyn.clock.end]")
+        command = [
+            "ffmpeg", "-y", "-loglevel", "error",
+            "-f", "image2pipe", "-framerate", f"{fps:g}", "-c:v", "png", "-i", "-",
+            "-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(part),
         ]  # fmt: skip
-        url = Path(page).resolve().as_uri() + "#picture"
-        environment = os.environ | {"HOME": folder}
+        ffmpeg = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+        assert ffmpeg.stdin is not None
         try:
-            done = subprocess.run([browser, *flags, url], capture_output=True, timeout=120, env=environment)
-        except subprocess.TimeoutExpired:
-            raise ValueError(f"{browser} took more than two minutes over {page}") from None
-        if not shot.is_file():
-            raise ValueError(f"{browser} made no picture of {page}: {done.stderr.decode(errors='replace')[-500:]}")
-        shutil.copyfile(shot, part)
+            for k in range(math.floor((end - begin) * fps * (1.0 + 1e-12)) + 1):
+                browser.run(f"nsdyn.show({begin + k / fps!r})")
+                ffmpeg.stdin.write(browser.picture())
+        except BrokenPipeError:  # it tells why below
+            pass
+        message = ffmpeg.communicate()[1].decode(errors="replace")
+        if ffmpeg.returncode:
+            raise ValueError(f"cannot write {target}: ffmpeg fails: {message.strip()[-500:]}")
+
+
+def _as_picture(page: str | Path) -> str:
+    return Path(page).resolve().as_uri() + "#picture"

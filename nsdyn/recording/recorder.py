@@ -18,7 +18,18 @@ import numpy as np
 import nsdyn
 from nsdyn.problem.solution import Status
 from nsdyn.recording import file as recording
-from nsdyn.recording.file import ADDED_META, CONTACT, ENERGIES, FORMAT_VERSION, GAUSS, SOLVER, WORKS, Columns, Saved
+from nsdyn.recording.file import (
+    ADDED_META,
+    CONTACT,
+    ENERGIES,
+    FORMAT_VERSION,
+    GAUSS,
+    JOINTS,
+    SOLVER,
+    WORKS,
+    Columns,
+    Saved,
+)
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
@@ -36,6 +47,7 @@ _read_step = attrgetter(
     *(f"gauss.{name}" for name in GAUSS),
     *(f"solution.{name}" for name in SOLVER),
     "created",
+    "joints",
     *(path for path, _, _ in CONTACT.values()),
 )
 
@@ -87,6 +99,7 @@ class Recorder:
     u, r, tangent                 (nc, 3) each
     contact_status                (nc,), 0 open, 1 stick, 2 slip
     created                       float, J
+    joints                        (3, nv) impulses of actuation, limits and friction; None without articulations
     work_normal, work_friction    (nc,)
     ============================  =====================================================================
 
@@ -101,6 +114,8 @@ class Recorder:
     ) -> None:  # fmt: skip
         columns = _pack([_read_state(first)], [])
         columns |= {"contacts/offset": np.zeros(1, dtype=np.int64), "wall_time": np.empty(0)}
+        if trees := scene["articulations"]:
+            columns |= dict.fromkeys(JOINTS, np.empty((0, sum(tree["nv"] for tree in trees))))
         self._begin(path, _full(meta, scene), scene, columns, None if state is None else (0, state()))
 
     def _begin(
@@ -275,13 +290,14 @@ def _merged(
     states, steps, wall = zip(*parts, strict=True)
     *state, energy = states[-1]
     energy = {**energy, **{name: sum(s[-1][name] for s in states) for name in WORKS}}
-    gap, shift, bound, error, residual, iterations, status, spent, created = zip(
+    gap, shift, bound, error, residual, iterations, status, spent, created, joints = zip(
         *(step[: -len(CONTACT)] for step in steps), strict=True
     )
     fine = Status.CONVERGED, Status.LOOSE
     worst = max(range(len(steps)), key=lambda k: (status[k] not in fine, error[k]))
     did = sum(gap), max(shift), max(bound), error[worst], residual[worst], sum(iterations), status[worst], sum(spent)
-    return (*state, energy), (*did, sum(created), *steps[-1][-len(CONTACT) :]), sum(wall)
+    total = None if joints[0] is None else sum(joints)
+    return (*state, energy), (*did, sum(created), total, *steps[-1][-len(CONTACT) :]), sum(wall)
 
 
 def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Columns:
@@ -301,6 +317,8 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
     for name, kind in SOLVER.items():
         out[f"solver/{name}"] = np.array(next(columns), dtype=kind)
     out["energy/created"] = np.array(next(columns), dtype=float)
+    if (joints := next(columns)) and joints[0] is not None:
+        out |= dict(zip(JOINTS, np.stack(joints, axis=1), strict=True))
     for name, (_, kind, components) in CONTACT.items():
         empty = np.empty((0, components) if components > 1 else 0, dtype=kind)
         out[f"contacts/{name}"] = np.concatenate([empty, *next(columns)], dtype=kind, casting="same_kind")

@@ -88,6 +88,8 @@ def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     sizes = 7 * free + sum(a["nq"] for a in trees), 6 * free + sum(a["nv"] for a in trees)
     if (columns["q"].shape[1], columns["v"].shape[1]) != sizes:
         raise ValueError(f"/q and /v must have {sizes[0]} and {sizes[1]} columns like /meta/scene")
+    if any(columns[name].shape[1] != sizes[1] - 6 * free for name in columns if name.startswith("joints/")):
+        raise ValueError(f"/joints must have {sizes[1] - 6 * free} columns like the articulations of /meta/scene")
     if "frames/x" in columns and columns["frames/x"].shape[1] != moving:
         raise ValueError(f"/frames must have {moving} bodies like /meta/scene")
     if "frames/x" not in columns and moving > free:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,11 @@ class Energy:
         """Kinetic + potential, shape (n + 1,)."""
         return self.kinetic + self.potential
 
+    def __repr__(self) -> str:
+        works = ", ".join(f"{name} {getattr(self, name).sum():.4g}" for name in WORKS if getattr(self, name).any())
+        total, steps = self.total, self.defect.size
+        return f"<Energy over {steps} steps: from {total[0]:.6g} to {total[-1]:.6g} J; works {works or 'none'}>"
+
 
 @dataclass(frozen=True, eq=False)
 class Gauss:
@@ -73,6 +79,10 @@ class Gauss:
     gap: Array
     shift: Array
     bound: Array
+
+    def __repr__(self) -> str:
+        bound, shift = self.bound.max(initial=0.0), self.shift.max(initial=0.0)
+        return f"<Gauss of {self.gap.size} steps: bound up to {bound:.2e} √J, shift up to {shift:.2e} m/s>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +113,13 @@ class SolverLog:
 
         return [Status(int(s)).name for s in self.status]
 
+    def __repr__(self) -> str:
+        count = ", ".join(f"{n} {name}" for name, n in Counter(self.status_names).most_common())
+        worst, most = self.residual.max(initial=0.0), self.iterations.max(initial=0)
+        return (
+            f"<SolverLog of {self.time.size} steps: {count}, residual up to {worst:.2e} m/s, iterations up to {most}>"
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
@@ -121,6 +138,9 @@ class BodyMotion:
     position: Array
     quaternion: Array
     _twist: Array | None
+
+    def __repr__(self) -> str:
+        return f"<BodyMotion of {self.name!r}: {len(self.position)} states>"
 
     @property
     def linear_velocity(self) -> Array:

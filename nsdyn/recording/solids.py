@@ -10,7 +10,7 @@ from nsdyn.recording.commands import UPRIGHT, Json, as_buffer, as_hex, by_column
 from nsdyn.recording.stage import BEHIND_LINES, GROUND, View, halfspace_object
 from nsdyn.tools.arrays import Array
 
-__all__ = ["FIXED_COLOUR", "PALETTE", "body_path", "shape_commands"]
+__all__ = ["FIXED_COLOUR", "PALETTE", "body_path", "geom_path", "shape_commands"]
 
 # Paul Tol's "bright" scheme, which colour-blind readers can tell apart.
 PALETTE = [(68, 119, 170), (238, 102, 119), (34, 136, 51), (204, 187, 68), (102, 204, 238), (170, 51, 119)]
@@ -23,12 +23,17 @@ def body_path(frame: str) -> str:
     return f"/nsdyn/bodies/{frame.replace('/', '.')}"
 
 
+def geom_path(scene: Json, geom: Json) -> str:
+    """Path of a shape: under its moving frame, or fixed."""
+    name, k = geom["name"].replace("/", "."), geom["frame"]
+    return f"{body_path(scene['frames'][k])}/{name}" if k >= 0 else f"/nsdyn/fixed/{name}"
+
+
 def shape_commands(scene: Json, view: View) -> list[Json]:
     """Objects of all collision shapes, those that move under the node of their frame."""
     commands = []
     for geom in scene["geoms"]:
-        k, name = geom["frame"], geom["name"].replace("/", ".")
-        path = f"{body_path(scene['frames'][k])}/{name}" if k >= 0 else f"/nsdyn/fixed/{name}"
+        k, path = geom["frame"], geom_path(scene, geom)
         if geom["shape"] == "halfspace":
             colour = geom["colour"] or GROUND
             commands.append(set_object(path, halfspace_object(np.array(geom["size"]), geom["offset"], colour, view)))
@@ -53,7 +58,7 @@ def _solid(geom: Json, colour: Iterable[float]) -> list[Json]:
     kind, size = geom["shape"], geom["size"]
     if "vertices" in geom:
         return _polytope(np.array(geom["vertices"]), geom["faces"], colour)
-    quarter = np.linspace(-np.pi / 2, np.pi / 2, 25)
+    quarter = np.linspace(-np.pi / 2, np.pi / 2, 17)
     arc = np.column_stack([np.cos(quarter), np.sin(quarter)])
     arc[[0, -1], 0] = 0.0
     scale = np.eye(4)
@@ -74,7 +79,7 @@ def _solid(geom: Json, colour: Iterable[float]) -> list[Json]:
         lathe = {
             "type": "LatheGeometry",
             "points": points,
-            "segments": 24,
+            "segments": 16,
             "phiStart": half,
             "phiLength": np.pi,
         }

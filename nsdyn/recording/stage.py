@@ -24,6 +24,9 @@ GROUND = (0.83, 0.845, 0.86)
 
 FIELD_OF_VIEW = 32.0  # degrees
 
+OUTLINE = 200
+"""Directions in which the outline of a scene is taken."""
+
 BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 1.0}
 """Moves a surface back in depth, so that lines on it stay whole."""
 
@@ -36,7 +39,7 @@ class View:
         every = 1 + trajectory.steps // 1000  # enough to see where a body goes
         positions = [trajectory.body(name).position[::every] for name in scene["frames"]]
         self.planes = [(np.array(g["size"]), float(g["offset"])) for g in scene["geoms"] if g["shape"] == "halfspace"]
-        points, reach = [np.zeros((1, 3))], [np.ones(1)]
+        points, reach, sizes = [np.zeros((1, 3))], [np.ones(1)], []
         for geom in scene["geoms"]:
             if geom["shape"] != "halfspace":
                 placement = np.array(geom["placement"])
@@ -44,11 +47,14 @@ class View:
                 points.append(positions[geom["frame"]] if moves else placement[None, :3, 3])
                 ball = _radius(geom) + (float(np.linalg.norm(placement[:3, 3])) if moves else 0.0)
                 reach.append(np.full(len(points[-1]), ball))
+                sizes += [_radius(geom)] * moves
         skip = 1 if len(points) > 1 else 0  # an empty scene shows the unit ball
         x, r = np.concatenate(points[skip:]), np.concatenate(reach[skip:])[:, None]
         lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
         self.centre = 0.5 * (lower + upper)
         self.radius = 0.5 * float(np.linalg.norm(upper - lower))
+        self.body_radius = float(np.median(sizes)) if sizes else self.radius
+        self.outline = _outline(x, r)
         # From the front right, unless that is behind a half-space, which would be seen from its back.
         azimuths = np.radians([35.0, -35.0, 215.0, 145.0])
         cameras = [self._camera(a, x - self.centre, r[:, 0]) for a in azimuths]
@@ -66,6 +72,17 @@ class View:
         high, wide = (np.abs(x @ up) + r) / slope, (np.abs(x @ right) + r) / (slope * 4 / 3)
         out: Array = self.centre + 1.05 * float((x @ back + np.maximum(high, wide)).max()) * back
         return out
+
+
+def _outline(x: Array, r: Array) -> Array:
+    """Centres and radii (., 4) of the balls that reach farthest in some of many directions."""
+    k = np.arange(OUTLINE) + 0.5  # on a spiral, evenly on the sphere
+    z, turn = 1.0 - 2.0 * k / OUTLINE, np.pi * (1.0 + math.sqrt(5.0)) * k
+    flat = np.sqrt(1.0 - z * z)
+    directions = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
+    farthest = np.unique([int(np.argmax(x @ d + r[:, 0])) for d in directions])
+    out: Array = np.column_stack([x, r])[farthest]
+    return out
 
 
 def _direction(azimuth: float, elevation: float) -> Array:
@@ -141,7 +158,8 @@ def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view
     }
     shadow = {
         "type": "Mesh",
-        "geometry": {"type": "CircleGeometry", "radius": rings[-1], "segments": 32},
+        # As far as shadows reach: the sun's camera sees 1.6 R around the centre, which is at most R above.
+        "geometry": {"type": "CircleGeometry", "radius": 3.5 * R, "segments": 32},
         "material": {
             "type": "ShadowMaterial",
             "color": 0,

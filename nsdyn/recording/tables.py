@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn.recording.file import CONTACT_STATES
+from nsdyn.recording.file import CONTACT_STATES, JOINTS
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
@@ -16,7 +16,18 @@ if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
 
-__all__ = ["JointMotion", "Pair", "contact_table", "force", "joint", "need_contacts", "pair"]
+__all__ = [
+    "JointMotion",
+    "Pair",
+    "body_names",
+    "contact_rows",
+    "contact_table",
+    "force",
+    "joint",
+    "need_contacts",
+    "pair",
+    "pair_rows",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,20 +58,42 @@ class Pair:
     gap: Array
     state: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        touching = sum(state in ("stick", "slip") for state in self.state)
+        return f"<Pair {self.a!r}, {self.b!r}: {len(self.state)} steps, {touching} of them pushing>"
+
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """Motion of a joint: `position` (n + 1, nq) and `velocity` (n + 1, nv), (n + 1,) for one coordinate; rad or m."""
+    """Motion of a joint and what acts in it; without the second axis where it has one coordinate.
+
+    Attributes
+    ----------
+    name : str
+    position, velocity : ndarray, shapes (n + 1, nq), (n + 1, nv)
+        At the times t; rad or m, and per s.
+    torque : ndarray, shape (n, nv)
+        Mean actuation in each step, what the controller gave and `nsdyn.PD` made of it, N m or N.
+    limit_impulse, friction : ndarray, shape (n, nv)
+        Impulse of the limits in each step [N m s or N s], and mean dry friction [N m or N]. NaN, as `torque`, in
+        recordings that do not tell.
+    """
 
     name: str
     position: Array
     velocity: Array
+    torque: Array
+    limit_impulse: Array
+    friction: Array
+
+    def __repr__(self) -> str:
+        return f"<JointMotion of {self.name!r}: {len(self.position)} states>"
 
 
 def contact_table(trajectory: Trajectory) -> Any:
     """All contacts of all steps by columns; see `nsdyn.Trajectory.contact_table`."""
-    columns, names = trajectory.columns, _names(trajectory)
-    row, step = _rows(trajectory)
+    columns, names = trajectory.columns, body_names(trajectory)
+    row, step = contact_rows(trajectory)
     frame = _frames(columns)
     out: dict[str, NDArray[Any]] = {"step": step, "t": trajectory.t[step]}
     for side in "12":
@@ -87,12 +120,8 @@ def contact_table(trajectory: Trajectory) -> Any:
 
 def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
     """What body a does to body b; see `nsdyn.Trajectory.pair`."""
-    on_a, on_b = (_members(trajectory, name) for name in (a, b))
-    row, step = _rows(trajectory)
-    first, second = (trajectory.columns[f"contacts/geom{side}"][row] for side in "12")
-    sign = 1.0 * (on_a[first] & on_b[second]) - 1.0 * (on_b[first] & on_a[second])
-    k, n = np.flatnonzero(sign), trajectory.steps
-    row, step, sign = row[k], step[k] - 1, sign[k]
+    row, step, sign = pair_rows(trajectory, a, b)
+    step, n = step - 1, trajectory.steps
     c = {name: trajectory.columns[f"contacts/{name}"][row] for name in ("point", "gap", "status")}
     push = sign[:, None] * _impulses(trajectory.columns)[row]
     force, torque, work, gap = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
@@ -107,10 +136,20 @@ def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
     return Pair(a, b, trajectory.t[1:], force, torque, work, gap, tuple(words[s + 1] for s in state))
 
 
+def pair_rows(trajectory: Trajectory, a: str, b: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """(row, step from 1 on, 1 where body 2 is of b and -1 where it is of a) of the contacts of two bodies."""
+    on_a, on_b = (_members(trajectory, name) for name in (a, b))
+    row, step = contact_rows(trajectory)
+    first, second = (trajectory.columns[f"contacts/geom{side}"][row] for side in "12")
+    sign = 1.0 * (on_a[first] & on_b[second]) - 1.0 * (on_b[first] & on_a[second])
+    k = np.flatnonzero(sign)
+    return row[k], step[k], sign[k]
+
+
 def force(trajectory: Trajectory, name: str) -> Array:
     """Contact force on a body in each step; see `nsdyn.Trajectory.force`."""
     members = _members(trajectory, name)
-    row, step = _rows(trajectory)
+    row, step = contact_rows(trajectory)
     first, second = (members[trajectory.columns[f"contacts/geom{side}"][row]] for side in "12")
     sign = 1.0 * second - 1.0 * first
     out = np.zeros((trajectory.steps, 3))
@@ -122,7 +161,7 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
     """Motion of the joint "articulation/joint"; see `nsdyn.Trajectory.joint`."""
     scene = trajectory.scene
     free = scene["free"]
-    q, v, places = 7 * free, 6 * free, {}
+    q, v, places = 7 * free, 0, {}
     for a in scene["articulations"]:
         sizes = a.get("sizes")
         if sizes is None:
@@ -131,12 +170,17 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
             places[f"{a['name']}/{label}"] = slice(q, q + nq), slice(v, v + nv)
             q, v = q + nq, v + nv
     at, rows = places[choice(name, places, "joint")]
-    position, velocity = trajectory.q[:, at], trajectory.v[:, rows]
+    position, velocity = trajectory.q[:, at], trajectory.v[:, 6 * free :][:, rows]
+    told = (trajectory.columns.get(column) for column in JOINTS)
+    nothing = np.full((trajectory.steps, velocity.shape[1]), np.nan)
+    actuation, limit, drag = (nothing if impulses is None else impulses[:, rows] for impulses in told)
+    duration = trajectory.dt * trajectory.every
+    acts: list[Array] = [actuation / duration, limit, drag / duration]
     if velocity.shape[1] == 1 and position.shape[1] == 2:  # cos and sin of an angle, which goes on over turns
         position = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))[:, None]
     if velocity.shape[1] == 1:
-        position, velocity = position[:, 0], velocity[:, 0]
-    return JointMotion(name, position, velocity)
+        position, velocity, *acts = (values[:, 0] for values in (position, velocity, *acts))
+    return JointMotion(name, position, velocity, *acts)
 
 
 def need_contacts(trajectory: Trajectory) -> None:
@@ -145,7 +189,7 @@ def need_contacts(trajectory: Trajectory) -> None:
         raise ValueError("the recording has no contacts: it was made without them")
 
 
-def _rows(trajectory: Trajectory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def contact_rows(trajectory: Trajectory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(row, step from 1 on) of all contacts."""
     need_contacts(trajectory)
     counts = np.diff(trajectory.columns["contacts/offset"])
@@ -164,7 +208,7 @@ def _impulses(columns: dict[str, NDArray[Any]]) -> Array:
     return out
 
 
-def _names(trajectory: Trajectory) -> NDArray[Any]:
+def body_names(trajectory: Trajectory) -> NDArray[Any]:
     """Name of the body or link of every shape."""
     return np.array([geom.get("link", geom["name"]) for geom in trajectory.scene["geoms"]])
 

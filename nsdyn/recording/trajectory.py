@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from nsdyn.recording import breakdown, tables
 from nsdyn.recording import file as recording
-from nsdyn.recording import tables
 from nsdyn.recording.file import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog, rotate
 from nsdyn.tools import files
@@ -44,6 +44,11 @@ class Trajectory:
     def t(self) -> Array:
         """Times, shape (n + 1,), s."""
         return self.columns["t"]
+
+    @property
+    def t_steps(self) -> Array:
+        """Ends of the steps, shape (n,), s: the times of what belongs to steps, as works, forces and residuals."""
+        return self.t[1:]
 
     @property
     def q(self) -> Array:
@@ -160,6 +165,17 @@ class Trajectory:
         """
         return tables.pair(self, a, b)
 
+    def pair_works(self) -> dict[tuple[str, str], tuple[Array, Array]]:
+        """Works of the contacts of each pair of bodies in each step, (normal, friction) of shape (n,), J.
+
+        The pair with the largest work comes first. ValueError where not every step was recorded with its contacts.
+        """
+        return breakdown.pair_works(self)
+
+    def body_energies(self) -> dict[str, tuple[Array, Array]]:
+        """Energies (kinetic, potential) of each free body, and of all articulations together, shape (n + 1,), J."""
+        return breakdown.body_energies(self)
+
     def force(self, name: str) -> Array:
         """Net contact force on a body, "articulation/body" or articulation in each step, shape (n, 3), N, world axes.
 
@@ -168,7 +184,7 @@ class Trajectory:
         return tables.force(self, name)
 
     def joint(self, name: str) -> tables.JointMotion:
-        """Motion of a joint, "articulation/joint"; ValueError naming the known ones."""
+        """Motion of a joint, "articulation/joint", and what acts in it; ValueError naming the known ones."""
         return tables.joint(self, name)
 
     def save(self, path: str | Path) -> None:
@@ -189,7 +205,7 @@ class Trajectory:
         return cls(*recording.read(Path(path)))
 
     def to_html(self, path: str | Path, **options: Any) -> None:
-        """Write a self-contained animated page; options as in `nsdyn.recording.viewer.write_html`."""
+        """Write a self-contained page that plays the recording; options as in `nsdyn.recording.viewer.html`."""
         from nsdyn.recording.viewer import write_html
 
         write_html(self, path, **options)
@@ -222,7 +238,7 @@ class Trajectory:
         ax.set(xlabel="t [s]", ylabel="energy, work so far [J]", title=self.meta["scene_name"])
         ax.margins(x=0)
         low, high = ax.get_ylim()
-        least = 1e-6 * self._largest_energy or 1.0
+        least = 1e-6 * self.largest_energy or 1.0
         if high - low < least:
             ax.set_ylim(-0.1 * least, 0.9 * least)
             ax.text(0.5, 0.5, "at rest", transform=ax.transAxes, ha="center", va="center", size="x-large")
@@ -263,7 +279,7 @@ class Trajectory:
         return max(float(e.kinetic.max()), float(np.ptp(e.potential)), *works)
 
     @property
-    def _largest_energy(self) -> float:
+    def largest_energy(self) -> float:
         """Of the energy at play and the potential energy, which a body at rest has too, J."""
         return max(self.at_play, float(np.abs(self.energy.potential).max()))
 
@@ -292,9 +308,7 @@ class Trajectory:
     def _active_works(self) -> list[str]:
         """Works of more than round-off, without the defect."""
         works = {name: np.abs(self._cumulative(name)).max() for name in WORKS if name != "defect"}
-        return [
-            name for name, work in works.items() if work > 1e-9 * max(self._largest_energy, 1e-300, *works.values())
-        ]
+        return [name for name, work in works.items() if work > 1e-9 * max(self.largest_energy, 1e-300, *works.values())]
 
     def _cumulative(self, work: str) -> Array:
         """Work from 0 to t, shape (n + 1,)."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -220,20 +221,8 @@ def assemble(
         raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
     dropped += description.flaws
 
-    def of_joints(value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:
-        """One value per joint coordinate; those of a free base may be left out."""
-        if value is None:
-            return default.copy()
-        out, size = default.copy(), np.size(value)
-        first = lead if free and size == default.size - lead else 0
-        out[first:] = checks.vector(value, default.size - first, f"{what} of {name!r}")
-        return out
-
-    for what, flag in (("limits", limits), ("clip", clip)):
-        if not isinstance(flag, bool):
-            raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
-    if not isinstance(self_collisions, bool) and self_collisions != "apart":
-        raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
+    of_joints = partial(_of_joints, name, free)
+    _check_choices(name, limits, clip, self_collisions)
     links, bodies = _collisions(name, description, collisions)
     at = pin.SE3(
         checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),
@@ -249,14 +238,13 @@ def assemble(
     excluded = set(description.excluded)
     if srdf is not None:
         excluded |= exclusions.disabled_pairs(name, checks.path(srdf, f"srdf of {name!r}"), model, unused)
-    in_joints = {}
-    for what, given, default in (
-        ("friction", friction, np.array(model.upperDryFrictionLimit)),
-        ("damping", damping, np.array(model.damping)),
-        ("armature", armature, np.array(model.armature)),
-        ("stiffness", stiffness, description.stiffness),
-    ):
-        values = in_joints[what] = of_joints(given, what, default, 6)
+    in_joints = {
+        "friction": of_joints(friction, "friction", np.array(model.upperDryFrictionLimit), 6),
+        "damping": of_joints(damping, "damping", np.array(model.damping), 6),
+        "armature": of_joints(armature, "armature", np.array(model.armature), 6),
+        "stiffness": of_joints(stiffness, "stiffness", description.stiffness, 6),
+    }
+    for what, values in in_joints.items():
         if not ((values >= 0.0) & (values <= checks.LARGEST)).all():
             size = f", nor above {checks.LARGEST:g}" if (values >= 0.0).all() else ""
             raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
@@ -284,6 +272,25 @@ def assemble(
         excluded=apart,
         report=(*dropped, *unused),
     )  # fmt: skip
+
+
+def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | str) -> None:
+    """ValueError for what is none of the choices."""
+    for what, flag in (("limits", limits), ("clip", clip)):
+        if not isinstance(flag, bool):
+            raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
+    if not isinstance(self_collisions, bool) and self_collisions != "apart":
+        raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
+
+
+def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:
+    """One value per joint coordinate; those of a free base, `lead` of them, may be left out."""
+    if value is None:
+        return default.copy()
+    out, size = default.copy(), np.size(value)
+    first = lead if free and size == default.size - lead else 0
+    out[first:] = checks.vector(value, default.size - first, f"{what} of {name!r}")
+    return out
 
 
 def _effort(model: Any) -> Array:

@@ -1,6 +1,7 @@
 """Named scenes: one Python file each in `models`, found from the source tree and after an installation alike.
 
-To add one:
+A file of one's own, by its path with ``.py``, serves wherever a name does; ``nsdyn new my.py`` begins one. To add one
+to those that come with nsdyn:
 
 1. ``models/NAME.py`` whose docstring says in one line what it shows: ``nsdyn scenes`` prints that;
 2. ``scene(...) -> Scene`` with numbers as defaults: they are what ``--set`` changes;
@@ -12,6 +13,9 @@ To add one:
 from __future__ import annotations
 
 import importlib.util
+import inspect
+import sys
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -22,9 +26,9 @@ from typing import Any
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.naming import choice
 
-__all__ = ["Setup", "folder", "load", "module", "name_of", "names", "setup"]
+__all__ = ["Setup", "folder", "load", "module", "name_of", "names", "setup", "template"]
 
-_PREFIX = "nsdyn_models_"
+_PREFIX, _OWN = "nsdyn_models_", "nsdyn_own_"
 
 
 def folder() -> Path:
@@ -39,29 +43,84 @@ def names() -> list[str]:
     return sorted(p.stem for p in folder().glob("*.py") if not p.stem.startswith("_"))
 
 
-@cache
-def module(name: str) -> ModuleType:
-    """Module of a named scene: its function `scene`, DURATION [s], DT [s], perhaps `controller`, `external_force`.
+def template() -> str:
+    """Text of a scene file to begin with: commented, and it runs."""
+    return (folder() / "_template.py").read_text()
 
-    ValueError naming the known ones.
+
+def module(name: str) -> ModuleType:
+    """Module of a scene: its function `scene`, DURATION [s], DT [s], perhaps `controller`, `external_force`.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`, or the path of a file of one's own, which ends in ``.py``.
+
+    Raises
+    ------
+    ValueError
+        Naming the known ones; for a file that cannot be run or lacks something, naming the line or what is missing.
     """
-    choice(name, names(), "scene")
-    spec = importlib.util.spec_from_file_location(_PREFIX + name, folder() / f"{name}.py")
+    if isinstance(name, str) and name.endswith(".py"):
+        return _own(Path(name).resolve())
+    return _named(choice(name, names(), "scene"))
+
+
+@cache
+def _named(name: str) -> ModuleType:
+    return _executed(_PREFIX + name, folder() / f"{name}.py")
+
+
+@cache
+def _own(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise ValueError(f"no such scene file: {path}")
+    try:
+        out = _executed(_OWN + str(path), path)
+    except SyntaxError as error:
+        raise ValueError(f"{path.name}, line {error.lineno}: {error.msg}") from error
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if frame.filename == str(path)]
+        where = f", line {lines[-1]}" if lines else ""
+        raise ValueError(f"{path.name}{where}: {type(error).__name__}: {error}") from error
+    if not callable(getattr(out, "scene", None)):
+        raise ValueError(f"{path.name} must define a function scene(...) that returns a Scene; see 'nsdyn new'")
+    for what, unit in (("DURATION", "how long to simulate"), ("DT", "the time step")):
+        if not isinstance(getattr(out, what, None), (int, float)):
+            raise ValueError(f"{path.name} must define {what}, {unit} in s; see 'nsdyn new'")
+    for p in inspect.signature(out.scene).parameters.values():
+        if p.default is p.empty:
+            raise ValueError(f"parameter {p.name} of scene in {path.name} must have a default; see 'nsdyn new'")
+    return out
+
+
+def _executed(name: str, path: Path) -> ModuleType:
+    """Module of a file, known by its name to whatever looks its own module up, as dataclasses do."""
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
-    out = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(out)
+    out = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(out)
+    except BaseException:
+        del sys.modules[name]
+        raise
     return out
 
 
 def load(name: str) -> Callable[..., Scene]:
-    """Return the function ``scene(**parameters) -> Scene`` of a named scene."""
+    """Return the function ``scene(**parameters) -> Scene`` of a named scene, or of a file."""
     function: Callable[..., Scene] = module(name).scene
     return function
 
 
 def name_of(function: Callable[..., Scene]) -> str | None:
-    """Name of the scene whose function this is, None for any other."""
-    name = getattr(function, "__module__", "").removeprefix(_PREFIX)
+    """Name, or path of the file, of the scene whose function this is, None for any other."""
+    source = getattr(function, "__module__", "")
+    if source.startswith(_OWN):
+        name = source.removeprefix(_OWN)
+        return name if function is load(name) else None
+    name = source.removeprefix(_PREFIX)
     return name if name in names() and function is load(name) else None
 
 

@@ -70,6 +70,11 @@ class Scene:
         for argument in ("friction_rule", "restitution_rule"):
             choice(getattr(self, argument), COMBINATION_RULES, argument)
 
+    def __repr__(self) -> str:
+        free = len(self.free_bodies)
+        fixed, trees = len(self.bodies) - free, len(self.articulations)
+        return f"<Scene {self.name!r}: {free} free bodies, {fixed} fixed, {trees} articulations>"
+
     # -- bodies ------------------------------------------------------------------------------------------------
 
     def add_halfspace(

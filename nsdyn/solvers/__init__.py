@@ -21,7 +21,7 @@ from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import Auto
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Interior
-from nsdyn.solvers.momentum import Momentum
+from nsdyn.solvers.nesterov import Nesterov
 from nsdyn.solvers.newton import Newton
 from nsdyn.solvers.pgs import PGS
 from nsdyn.solvers.reference.aclm import ACLM
@@ -29,9 +29,12 @@ from nsdyn.solvers.reference.admm import ADMM
 from nsdyn.solvers.reference.bundle import Bundle
 from nsdyn.solvers.reference.extragradient import Extragradient
 from nsdyn.solvers.reference.fixed_point import FixedPoint
+from nsdyn.solvers.reference.gauss_seidel import GaussSeidel
+from nsdyn.solvers.reference.hybrid import Hybrid
 from nsdyn.solvers.reference.interior_point import InteriorPoint
 from nsdyn.solvers.reference.panagiotopoulos import Panagiotopoulos
 from nsdyn.solvers.reference.proximal import Proximal
+from nsdyn.solvers.reference.relaxation import relaxed
 from nsdyn.solvers.reference.tresca import Tresca
 from nsdyn.solvers.reference.uzawa import Uzawa
 from nsdyn.tools.arrays import Array
@@ -46,10 +49,12 @@ __all__ = [
     "Bundle",
     "Extragradient",
     "FixedPoint",
+    "GaussSeidel",
+    "Hybrid",
     "ImpulseNewton",
     "Interior",
     "InteriorPoint",
-    "Momentum",
+    "Nesterov",
     "Newton",
     "Panagiotopoulos",
     "Proximal",
@@ -58,6 +63,7 @@ __all__ = [
     "Uzawa",
     "as_solver",
     "by_name",
+    "relaxed",
     "solve",
 ]
 
@@ -80,6 +86,8 @@ SOLVERS: dict[str, type] = {
     "bundle": Bundle,
     "extragradient": Extragradient,
     "fixed_point": FixedPoint,
+    "gauss_seidel": GaussSeidel,
+    "hybrid": Hybrid,
     "impulse_newton": ImpulseNewton,
     "interior": Interior,
     "interior_point": InteriorPoint,

@@ -11,6 +11,7 @@ import scipy.linalg
 import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh, splu
 
+from nsdyn._kernels.solvers import anderson as _anderson
 from nsdyn.problem.fc3d import FC3D, _csr
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
@@ -102,24 +103,20 @@ class Anderson:
     """
 
     def __init__(self, memory: int) -> None:
-        self.memory = memory
-        self.F: list[Array] = []
-        self.G: list[Array] = []
-        self.least = np.inf
+        self.memory, self.used, self.slot, self.least = memory, 0, 0, np.inf
+        self.F = self.G = self.gram = np.empty((0, 0))
 
     def next(self, x: Array, g: Array) -> Array:
         """Next x from the pair (x, g = G(x)); the past is dropped when the defect exceeds twice its least."""
-        f = g - x
+        kept, f = self.memory + 1, g - x
         size = float(np.linalg.norm(f))
+        if not self.F.size:
+            self.F, self.G, self.gram = np.empty((kept, f.size)), np.empty((kept, f.size)), np.zeros((kept, kept))
         if size > 2.0 * self.least:
-            self.F, self.G, self.least = [], [], np.inf
-        self.least = min(self.least, size)
-        self.F, self.G = [*self.F[-self.memory :], f], [*self.G[-self.memory :], g]
-        if len(self.F) == 1:
-            return g
-        dF = np.array([f - a for a in self.F[:-1]])
-        gram = dF @ dF.T
-        gram[np.diag_indices_from(gram)] += 1e-10 * np.trace(gram) + 1e-300
-        weights = np.linalg.solve(gram, dF @ f)
-        out: Array = g - weights @ np.array([g - a for a in self.G[:-1]])
+            self.used, self.slot, self.least = 0, 0, np.inf
+        self.least, self.used = min(self.least, size), min(self.used + 1, kept)
+        self.F[self.slot], self.G[self.slot] = f, g
+        out = np.empty_like(g)
+        _anderson.mix(self.F, self.G, self.gram, self.slot, self.used, out)
+        self.slot = (self.slot + 1) % kept
         return out

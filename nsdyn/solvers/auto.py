@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
-from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import local as _local
-from nsdyn._kernels.solvers import newton as _newton
-from nsdyn._kernels.solvers import warm as _warm
+from nsdyn._kernels.solvers import start as _start
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import interior
-from nsdyn.solvers.means import ByFactors, ByMatrix, Means, Momentum
+from nsdyn.solvers.means import ByFactors, ByMatrix, Interruptible, Means
 from nsdyn.solvers.newton import DENSE, island, rows
 from nsdyn.solvers.smoothing import smoothing
 from nsdyn.solvers.tuning import TUNING
@@ -48,7 +47,7 @@ class Search:
         tols = np.array([auto.tol, max(auto.tol, auto.loose), TUNING.coarse])
         self.tol, self.loose, self.coarse = (TUNING.margin * share * tols).tolist()
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, TUNING.longest
-        self._sweeps: Momentum | None = None
+        self._sweeps: Interruptible | None = None
         self._tried: list[Callable[..., tuple[int, float]]] = []
         p = means.problem
         _, error, residual, _ = p.solved(r, self.tol)
@@ -127,7 +126,7 @@ class Search:
             return
         if self._sweeps is None or self.best < TUNING.restart * self._sweeps.best:
             self._x = self.r.copy()
-            self._sweeps = self.means.momentum(self._x)
+            self._sweeps = self.means.nesterov(self._x)
         cost, before = self.means.sweep, self._sweeps.count
         most = before + self._most(cost, factorisations * self.means.factorisation / cost)
         self._sweeps.run(tol, most, most)
@@ -188,8 +187,9 @@ class Search:
 class Auto:
     """Portfolio, island by island, to a tolerance where it buys something and with a bound on effort everywhere.
 
-    An island with one contact is solved in closed form. A warm start first gets a few Newton steps, since the contact
-    states of the last step mostly hold. Large islands, where a factorisation is worth many sweeps, then come to `loose`
+    An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
+    call. On larger ones a warm start first gets a few Newton steps, since the contact states of the last step mostly
+    hold. Large islands, where a factorisation is worth many sweeps, then come to `loose`
     in rounds of sweeps with momentum and of Newton, each twice as long as the one before. Towards `tol` there are
     accelerated Gauss–Seidel, as long as it is foreseen to suffice, the interior point method and the smoothing Newton
     method from nothing, each followed by Newton, and sweeps and Newton from the best so far. A problem given by W alone
@@ -223,12 +223,15 @@ class Auto:
         """Solve the problem from r0 (default 0)."""
         start = time.perf_counter()
         r = np.zeros(problem.q.size) if r0 is None else problem.impulse(r0).copy()
-        if problem.nc and problem.blocks is not None:
-            solution = self._given_factors(problem, problem.blocks, r, start)
-        else:
-            count = 0 if not problem.nc or problem.solved(r, self.tol)[0] else self._given_matrix(problem, r)
-            solution = self._judged(problem, r, count, start)
+        solve = self._given_matrix if problem.blocks is None else self._given_factors
+        solution = solve(problem, r, start) if problem.nc else self._judged(problem, r, 0, start)
         return solution if solution.accepted else self._explained(problem, solution)
+
+    def loosely(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem to the loose tolerance only: for what follows on a LOOSE solution and differs little."""
+        found = replace(self, tol=max(self.tol, self.loose))(problem, r0)
+        missed = found.converged and max(found.error, found.residual) > self.tol
+        return found._replace(status=Status.LOOSE) if missed else found
 
     def _judged(self, problem: FC3D, r: Array, count: int, start: float) -> Solution:
         """Solution of an impulse, since the time `start`."""
@@ -250,57 +253,47 @@ class Auto:
             return solution._replace(status=Status.NO_SLATER_POINT)
         return solution
 
-    def _given_factors(self, problem: FC3D, blocks: Blocks, r: Array, start: float) -> Solution:
+    def _given_factors(self, problem: FC3D, r: Array, start: float) -> Solution:
         """Solve a problem with factors from r, in place of r, since the time `start`."""
-        q_norm, enough, nc = problem.q_norm, TUNING.sharp(self.tol), problem.nc
+        q_norm, enough, nc, blocks = problem.q_norm, TUNING.sharp(self.tol), problem.nc, cast(Blocks, problem.blocks)
         u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
-        found, left, count, error, residual = _warm.improve(
-            blocks.arrays, problem.q, problem.mu, problem.scales, r, u, label, islands, enough,
-            TUNING.margin * self.accept * self.tol, q_norm, DENSE, *TUNING.warm,
+        given = problem.q, problem.mu, problem.scales
+        found, left, count, error, residual = _start.by_factors(
+            blocks.arrays, *given, r, u, label, islands, enough, TUNING.margin * self.accept * self.tol, q_norm, DENSE,
+            *TUNING.small,
         )  # fmt: skip
         if not left:
             return self._measured(r, u, error, residual, count, start)
         measures, share = islands[:, :found]
         for k in (~(measures <= enough)).nonzero()[0].tolist():
             contacts, part = island(blocks, label, k)
-            i = rows(contacts, problem.nc)
-            given = problem.q[i], problem.mu[contacts], problem.scales[contacts]
+            i = rows(contacts, nc)
             x = r[i].copy()
-            if part.nc == 1:
-                _cones.solve_one(part.delassus().data[0], given[0], given[1][0], x)
-                count += 1
-            else:
-                count += self._island(ByFactors(part, *given, q_norm), x, float(share[k]), part.n > DENSE)
+            means = ByFactors(part, problem.q[i], problem.mu[contacts], problem.scales[contacts], q_norm)
+            count += self._island(means, x, float(share[k]), part.n > DENSE)
             r[i] = x
         return self._judged(problem, r, count, start)
 
-    def _given_matrix(self, problem: FC3D, r: Array) -> int:
-        """Solve a problem given by W alone in place of r; iterations used."""
-        indptr, indices, data = problem.csr
-        label, found = _local.islands(indptr, indices)
-        q, mu, scales, q_norm = problem.q, problem.mu, problem.scales, problem.q_norm
-        # Shares of the tolerance by contacts, as for factors; those of small islands are solved in one call, to one.
-        sizes = np.bincount(label, minlength=found)
-        small = sizes <= TUNING.dense
-        if small.any():
-            sizes = np.where(small, sizes[small].mean(), sizes)
-        share, tol = np.sqrt(sizes / problem.nc), TUNING.margin * self.tol
-        count = int(
-            _local.solve_small(
-                indptr, indices, data, q, mu, scales, r, tol * float(share[small].max(initial=0.0)), q_norm, label,
-                found, TUNING.dense, bool(r.any()), TUNING.sweeps, TUNING.patience,
-            )
+    def _given_matrix(self, problem: FC3D, r: Array, start: float) -> Solution:
+        """Solve a problem given by W alone from r, in place of r, since the time `start`."""
+        q_norm, nc = problem.q_norm, problem.nc
+        u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
+        penalty, most = TUNING.small
+        found, left, count, error, residual = _start.by_matrix(
+            problem.csr, problem.q, problem.mu, problem.scales, r, u, label, islands, self.tol, TUNING.margin, q_norm,
+            TUNING.dense, TUNING.quick, penalty, TUNING.warm[1], most, TUNING.sweeps, TUNING.patience,
         )  # fmt: skip
-        measures = _newton.measures_of_islands(label, found, scales, q_norm, problem.velocity(r), r, mu)
-        for k in np.flatnonzero(~(measures <= tol * share)):
+        if not left:
+            return self._measured(r, u, error, residual, count, start)
+        measures, share = islands[:, :found]
+        for k in (~(measures <= self.tol * share)).nonzero()[0]:
             contacts = np.flatnonzero(label == k)
-            i = rows(contacts, problem.nc)
-            W = _local.extract(indptr, indices, data, contacts)
-            x = r[i]
-            means = ByMatrix(W, q[i], mu[contacts], scales[contacts], q_norm)
-            count += self._island(means, x, float(share[k]), contacts.size > TUNING.dense)
+            i = rows(contacts, nc)
+            x, W = r[i], _local.extract(*problem.csr, contacts)
+            means = ByMatrix(W, problem.q[i], problem.mu[contacts], problem.scales[contacts], q_norm)
+            count += self._island(means, x, float(share[k]) / TUNING.margin, contacts.size > TUNING.dense)
             r[i] = x
-        return count
+        return self._judged(problem, r, count, start)
 
     def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
         """Solve one island in place of r, to its share of the tolerances; iterations used."""

@@ -13,7 +13,7 @@ from nsdyn._kernels.solvers import pgs as _pgs
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Local, Operator, Velocity
-from nsdyn.solvers.momentum import MatrixSweeps, Sweeps
+from nsdyn.solvers.nesterov import MatrixSweeps, Sweeps
 from nsdyn.solvers.newton import solve_blocks, solve_impulses
 from nsdyn.tools.arrays import Array, Index
 
@@ -26,8 +26,8 @@ CONTACT, COUPLING, ACCELERATED = 45e-9, 12e-9, 3e-7
 contact: measured."""
 
 
-class Momentum(Protocol):
-    """Sweeps with momentum that may be interrupted: `momentum.Sweeps`."""
+class Interruptible(Protocol):
+    """Sweeps with momentum that may be interrupted: `nesterov.Sweeps`."""
 
     count: int
     best: float
@@ -61,7 +61,7 @@ class Means(Protocol):
     def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
         """Accelerated Gauss–Seidel."""
 
-    def momentum(self, r: Array) -> Momentum:
+    def nesterov(self, r: Array) -> Interruptible:
         """Sweeps with momentum from r, the best into r."""
 
     def newton(self, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
@@ -98,7 +98,7 @@ class ByFactors:
         """Accelerated Gauss–Seidel."""
         return _accelerated(_pgs.factors(self.blocks.arrays), *self._given, r, tol, self.q_norm, most, patience)
 
-    def momentum(self, r: Array) -> Momentum:
+    def nesterov(self, r: Array) -> Interruptible:
         """Sweeps with momentum from r, the best into r."""
         if self.free:
             return Sweeps(self.blocks, *self._given, r, self.q_norm)
@@ -129,7 +129,7 @@ class ByMatrix:
         """Accelerated Gauss–Seidel."""
         return _accelerated(_pgs.matrix(*self.W), *self._given, r, tol, self.q_norm, most, patience)
 
-    def momentum(self, r: Array) -> Momentum:
+    def nesterov(self, r: Array) -> Interruptible:
         """Sweeps with momentum from r, the best into r."""
         return MatrixSweeps(self.W, *self._given, r, self.q_norm)
 

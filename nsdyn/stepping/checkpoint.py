@@ -62,7 +62,7 @@ def pack(state: State) -> Arrays:
     out = dict(_parts(_plain(state), "state"))
     if state.opening is not None:
         out |= _parts(state.opening, "opening")
-    # Others are of no use: see `nsdyn.stepping.encounter.meet`.
+    # Others are of no use: see `nsdyn.stepping.encounter.Encounter.of`.
     if basis is not None and basis.contacts is state.instant.contacts and not trees:
         out |= _parts(Held(basis.rows.full, basis.frame, basis.problem.q), "basis")
     return out

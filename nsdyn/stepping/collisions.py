@@ -9,7 +9,7 @@ from nsdyn.dynamics.dynamics import Middle
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.stepping.encounter import Encounter, meet
+from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import LAWS, Impact, strike
 from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Impulses, Instant, System, account, take
@@ -26,12 +26,12 @@ def caught_impacts(s: System, met: Encounter, h: float) -> tuple[Encounter, Impa
     if not s.elastic or not met.mu.size:
         return met, None, 0.0
     fall = 2.0 * s.dt / h * np.abs((met.u_free - met.u)[0::3])
-    closes = met.end_gap + s.theta * h * (met.u_free + met.turn)[0::3] <= 0.0
+    closes = met.end_gap + s.theta * h * (met.u_free + met.drift)[0::3] <= 0.0
     struck = (met.restitution > 0.0) & (met.u_begin[0::3] < -fall) & (met.u[0::3] < 0.0) & closes
     if not struck.any():
         return met, None, 0.0
     # Rows that turn with their bodies are no approach.
-    resting = np.where(struck, fall, fall + 2.0 * np.abs(met.turn[0::3]))
+    resting = np.where(struck, fall, fall + 2.0 * np.abs(met.drift[0::3]))
     closed = struck | (met.end_gap <= s.closed)
     impact = _strike(s, met, closed, resting, resting)
     kick = met.rows.velocity_change(impact.r)
@@ -65,7 +65,7 @@ def collide(
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
     here = Middle(at.position, at.v, at.placement, ())
     start = contacts, at.position.driven_x, at.placement, at.twists, at.v, at.warm
-    met = meet(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0, 0.0)
+    met = Encounter.of(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0, 0.0)
     # What the solver's tolerance leaves of a velocity is no approach.
     resting = s.solver.tol + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
     # What was pressed before turns with its bodies: it closes a little without striking.

@@ -24,11 +24,11 @@ from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Dynamics, Forces, Middle, Placement
 from nsdyn.dynamics.joints import JointRows, Rows
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
-from nsdyn.solvers import Solver
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.solvers import Auto, Solver
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["SOLVES", "Basis", "Encounter", "Warm", "foresee", "meet", "solve"]
+__all__ = ["SOLVES", "Basis", "Encounter", "Warm", "foresee", "solve"]
 
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
@@ -100,13 +100,13 @@ class Encounter(NamedTuple):
         Of the contacts of the warm start.
     u_begin, u, u_free : ndarray, shape (3 rows,)
         u_k, u⁻ and u_f, m/s.
-    turn : ndarray, shape (3 rows,)
+    drift : ndarray, shape (3 rows,)
         c, m/s.
     end_gap : ndarray, shape (rows,)
         G, m or rad.
     guess : ndarray, shape (3 rows,)
         Last impulses, N·s.
-    drag : ndarray, shape (3 rows,)
+    transport : ndarray, shape (3 rows,)
         What surfaces that move add to u⁻ and u⁺, m/s; empty if none do.
     rebound : ndarray, shape (rows,)
         u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
@@ -126,93 +126,98 @@ class Encounter(NamedTuple):
     u_begin: Array
     u: Array
     u_free: Array
-    turn: Array
+    drift: Array
     end_gap: Array
     guess: Array
-    drag: Array
+    transport: Array
     rebound: Array = NOTHING
+
+    @classmethod
+    def of(
+        cls,
+        dynamics: Dynamics,
+        contacts: ContactSet,
+        joints: JointRows | None,
+        middle: Middle,
+        forces: Forces,
+        begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
+        reach: Array,
+        surfaces: tuple[Array, Array],
+        h: float,
+        ahead: float,
+    ) -> Encounter:
+        """Relative velocities of a step at its contacts and joint rows.
+
+        Parameters
+        ----------
+        dynamics : Dynamics
+        contacts : ContactSet
+            Where the impulses act.
+        joints : JointRows, optional
+        middle : Middle
+        forces : Forces
+        begin : (contacts, positions of driven bodies, placement, twists, velocity, warm start)
+            Where the step begins.
+        reach : ndarray, shape (frames,)
+            How far points of the frames move in about half a step, m.
+        surfaces : two ndarrays of shape (surfaces, 2, 3)
+            Twists of what moves as prescribed, when the impulses act and at the end.
+        h, ahead : float
+            The move, and h₂, s.
+        """
+        there = middle.placement
+        old, driven_x, place, twists, v_begin, warm = begin
+        basis = warm.basis
+        if basis is not None and basis.contacts is contacts and joints is None and not dynamics.trees:
+            _, rows, frame, alike = basis
+        else:
+            (rows, frame), alike = dynamics.rows(contacts, there, forces, joints), None
+        full, nc = rows.full, contacts.gap.size
+        nr = full.nc
+        u_begin, u, u_free, drift, guess = out = np.empty((5, 3 * nr))
+        end_gap = np.empty(nr)
+        transport = dynamics.surfaces.transport(contacts, frame, middle.position.driven_x, nr, *surfaces)
+        carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
+        where = _law.local_velocities(
+            full.arrays, (v_begin, middle.v, forces.v), (carried, *transport), rows.press,
+            (old.key, old.point, old.normal, place.x, *twists),
+            (contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame, contacts.gap, there.x),
+            (warm.key, warm.impulse), reach, h / warm.h, ahead, out, end_gap,
+        )  # fmt: skip
+        mu, restitution = contacts.mu, contacts.restitution
+        if joints is not None:
+            guess[3 * nc :] = h / warm.h * warm.joints[joints.slot].ravel()
+            end_gap[nc:] = joints.gap - 0.5 * ahead * drift[3 * nc :: 3]
+            mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
+        return cls(
+            contacts, joints, rows, frame, alike, mu, restitution, where, warm.status, u_begin, u, u_free, drift,
+            end_gap, guess, transport[0],
+        )  # fmt: skip
 
     def changed(self, dv: Array, struck: Bools) -> Encounter:
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
         du = self.rows.full.relative_velocity(dv)
-        turn = np.where(np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3), 0.0, self.turn)
+        drift = np.where(np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3), 0.0, self.drift)
         u = self.u + du
         end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
         return self._replace(
-            u=u, u_free=self.u_free + du, turn=turn, end_gap=end_gap,
+            u=u, u_free=self.u_free + du, drift=drift, end_gap=end_gap,
             rebound=np.where(struck, np.maximum(u[0::3], 0.0), 0.0),
         )  # fmt: skip
 
 
-def meet(
-    dynamics: Dynamics,
-    contacts: ContactSet,
-    joints: JointRows | None,
-    middle: Middle,
-    forces: Forces,
-    begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
-    reach: Array,
-    surfaces: tuple[Array, Array],
-    h: float,
-    ahead: float,
-) -> Encounter:
-    """Relative velocities of a step at its contacts and joint rows.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-    contacts : ContactSet
-        Where the impulses act.
-    joints : JointRows, optional
-    middle : Middle
-    forces : Forces
-    begin : (contacts, positions of driven bodies, placement, twists, velocity, warm start)
-        Where the step begins.
-    reach : ndarray, shape (frames,)
-        How far points of the frames move in about half a step, m.
-    surfaces : two ndarrays of shape (surfaces, 2, 3)
-        Twists of what moves as prescribed, when the impulses act and at the end.
-    h, ahead : float
-        The move, and h₂, s.
-    """
-    there = middle.placement
-    old, driven_x, place, twists, v_begin, warm = begin
-    basis = warm.basis
-    if basis is not None and basis.contacts is contacts and joints is None and not dynamics.trees:
-        _, rows, frame, alike = basis
-    else:
-        (rows, frame), alike = dynamics.rows(contacts, there, forces, joints), None
-    full, nc = rows.full, contacts.gap.size
-    nr = full.nc
-    u_begin, u, u_free, turn, guess = out = np.empty((5, 3 * nr))
-    end_gap = np.empty(nr)
-    drags = dynamics.surfaces.drags(contacts, frame, middle.position.driven_x, nr, *surfaces)
-    carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
-    where = _law.meet(
-        full.arrays, v_begin, middle.v, forces.v, carried, *drags, rows.press, warm.key, warm.impulse, old.key,
-        old.point, old.normal, place.x, *twists, reach, contacts.key, contacts.frame1, contacts.frame2, contacts.point,
-        frame, there.x, contacts.gap, h / warm.h, ahead, out, end_gap,
-    )  # fmt: skip
-    mu, restitution = contacts.mu, contacts.restitution
-    if joints is not None:
-        guess[3 * nc :] = h / warm.h * warm.joints[joints.slot].ravel()
-        end_gap[nc:] = joints.gap - 0.5 * ahead * turn[3 * nc :: 3]
-        mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
-    return Encounter(
-        contacts, joints, rows, frame, alike, mu, restitution, where, warm.status, u_begin, u, u_free, turn,
-        end_gap, guess, drags[0],
-    )  # fmt: skip
-
-
 def solve(
-    met: Encounter, solver: Solver, ahead: float, closed: float, slides: Bools, back: bool, most: int
-) -> tuple[FC3D, Solution, bool]:
+    met: Encounter, solver: Solver, last: Solution | None, ahead: float, closed: float, slides: Bools, back: bool,
+    most: int,
+) -> tuple[FC3D, Solution, bool]:  # fmt: skip
     """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
 
     Parameters
     ----------
     met : Encounter
     solver : Solver
+    last : Solution, optional
+        Of the same move with other contacts. Where `Auto` found no better than a loose one it is asked for no more.
     ahead, closed : float
         h₂ [s], and the largest gap [m] that counts as closed.
     slides : ndarray of bool, shape (nc,)
@@ -225,26 +230,33 @@ def solve(
 
     def offsets() -> Array:
         b = np.empty_like(met.u_free)
-        _law.offsets(met.u, met.u_free, met.turn, met.end_gap, met.rebound, slides, ahead, closed, b)
+        _law.offsets(met.u, met.u_free, met.drift, met.end_gap, met.rebound, slides, ahead, closed, b)
         return b
 
     alike = met.alike
     problem = alike.with_velocity(offsets()) if alike else FC3D.from_blocks(met.rows.blocks, offsets(), met.mu)
-    solution = solver(problem, met.guess)
+    solution = _again(solver, last, problem, met.guess)
     for k in range(most + 1):
-        shown = solution.r, solution.u, problem.q, met.mu, met.u_begin, met.u, met.u_free, met.turn
+        shown = solution.r, solution.u, problem.q, met.mu, met.u_begin, met.u, met.u_free, met.drift
         if not _law.reconsider(*shown, slides, back or k > 0):
             return problem, solution, False
         if k < most:
             problem = problem.with_velocity(offsets())
-            solution = solver(problem, solution.r)
+            solution = _again(solver, solution, problem, solution.r)
     return problem, solution, True
+
+
+def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array) -> Solution:
+    """Solve a problem that differs little from the last one, no better than that was."""
+    if isinstance(solver, Auto) and last is not None and last.status is Status.LOOSE:
+        return solver.loosely(problem, r)
+    return solver(problem, r)
 
 
 def foresee(met: Encounter) -> Bools:
     """Which contacts slide through the step, by the friction foreseen."""
     full, slides = met.rows.full, np.empty(met.frame.shape[0], np.bool_)
     _law.foresee(
-        full.arrays, met.mu, met.place, met.status, met.u_begin, met.u, met.u_free, met.turn, met.guess, slides
+        full.arrays, met.mu, met.place, met.status, met.u_begin, met.u, met.u_free, met.drift, met.guess, slides
     )  # fmt: skip
     return slides

@@ -155,8 +155,8 @@ class Impulses(NamedTuple):
         0 open, 1 stick, 2 slip.
     normal, friction : ndarray, shape (nc,)
         Works, J.
-    joints : ndarray, shape (n,)
-        Impulses of joint limits and dry joint friction on the coordinates, N m s or N s.
+    joints : ndarray, shape (3, n)
+        Impulses of actuation, of joint limits and of dry joint friction on the coordinates, N m s or N s.
     created : float
         Energy that impacts created, J.
     """
@@ -195,8 +195,8 @@ def account(
     if r.size:
         struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
         done = _law.outcome(
-            met.rows.full.arrays, velocities[2], met.drag, r, met.mu, met.place, met.status, struck, met.u, met.u_free,
-            met.turn, met.frame, status, normal, friction, u_end, world,
+            met.rows.full.arrays, velocities[2], met.transport, r, met.mu, (met.place, met.status), struck,
+            (met.u, met.u_free, met.drift), met.frame, (status, normal, friction, u_end, world),
         )  # fmt: skip
     struck_normal = struck_friction = 0.0
     if impact is not None:
@@ -204,7 +204,7 @@ def account(
         normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
         struck_normal, struck_friction = float(impact.normal.sum()), float(impact.friction.sum())
         _law.states(total, met.mu, status)
-    constraint = -float(met.drag @ total) if met.drag.size else 0.0
+    constraint = -float(met.transport @ total) if met.transport.size else 0.0
     works = Works(
         external, done[0] + struck_normal, done[1] + struck_friction, 0.0, constraint, beyond + done[2], 0.0
     )  # fmt: skip
@@ -212,6 +212,6 @@ def account(
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     impulses = Impulses(
         met.contacts, met.frame, u_end.reshape(-1, 3)[:nc], total.reshape(-1, 3)[:nc], status, normal[:nc],
-        friction[:nc], on_joints, created,
+        friction[:nc], np.concatenate((np.zeros((1, d.n)), on_joints)), created,
     )  # fmt: skip
     return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)

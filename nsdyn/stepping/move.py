@@ -15,7 +15,7 @@ from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.collisions import caught_impacts
-from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, meet, solve
+from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
 from nsdyn.stepping.instant import FAST, Impulses, Instant, Looked, System, account
@@ -254,14 +254,15 @@ def _respond(
     """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
     d, middle, forces = s.dynamics, half.middle, half.forces
     start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-    met = meet(d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead)
+    met = Encounter.of(d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead)
     met, impact, kick = caught_impacts(s, met, half.h)
     slides = foresee(met)
     if last is not None:
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES, last is not None)
-    problem, solution, otherwise = solve(met, s.solver, half.ahead, s.closed, slides, back, most)
+    before = None if last is None else last.solution
+    problem, solution, otherwise = solve(met, s.solver, before, half.ahead, s.closed, slides, back, most)
     v = forces.v + kick + met.rows.velocity_change(solution.r)
     impulse = None
     if d.trees:
@@ -298,6 +299,9 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         works.append(Works(projection=lifted))
     if a.impulse is not None:
         works += _tree_works(s, half, a, a.impulse, placed.position)
+        for t, before, free in zip(d.trees, half.middle.trees, half.forces.trees, strict=True):
+            actuation = t.forces(before, free, a.v[t.coordinates])[0] - free.loads.push
+            impulses.joints[0, t.coordinates] = half.h * actuation
     looked = seen.looked
     if placed.contacts is not seen.contacts:
         looked = Looked(placed.placement.x, placed.placement.R, np.zeros(d.frames))
@@ -306,8 +310,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         d.twists(placed.placement, v_end),
     )  # fmt: skip
     rate = (half.forces.v - half.middle.v) / half.h
-    turn = 0.5 * half.h * (half.middle.v + a.v)[: 6 * d.free].reshape(-1, 6)[:, 3:]
-    external = d.external_works(half.forces, placed.position.x - begin.position.x, turn)
+    external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)
     return Move(end, impulses, works, a.problem, a.solution, placed.clear, rate, external)
 
 

@@ -51,6 +51,9 @@ class State(NamedTuple):
         """Time in s."""
         return self.origin + self.count * self.dt
 
+    def __repr__(self) -> str:
+        return f"<State at t = {self.t:.6g} s, {self.instant.v.size} velocities>"
+
     @property
     def next_t(self) -> float:
         """Time at the end of the next step in s."""
@@ -78,8 +81,9 @@ class Step(NamedTuple):
         0 open, 1 stick, 2 slip.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
-    joint_impulse : ndarray, shape (n,)
-        Of joint limits and dry joint friction on each coordinate, N m s or N s.
+    joints : ndarray, shape (3, nv), or None
+        Impulses of actuation, of limits and of dry friction on the coordinates of the articulations, N m s or N s;
+        None in scenes without any.
     created : float
         Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
         chains, and Poisson's with several restitutions (`impacts`).
@@ -106,17 +110,28 @@ class Step(NamedTuple):
     contact_status: NDArray[np.int8]
     work_normal: Array
     work_friction: Array
-    joint_impulse: Array
+    joints: Array | None
     created: float
     ledger: Ledger
     gauss: gauss.Certificate
     problem: FC3D
     solution: Solution
 
+    def __repr__(self) -> str:
+        return f"<Step to t = {self.t:.6g} s: {self.gap.size} contacts, {self.solution.status.name}>"
+
     @property
     def tangent(self) -> Array:
         """First tangent t1 of every contact, shape (nc, 3); t2 = n × t1."""
         return self.frame[:, 1]
+
+    @property
+    def joint_impulse(self) -> Array:
+        """Impulses of joint limits and dry joint friction on each coordinate, shape (n,), N m s or N s."""
+        out = np.zeros(self.v.size)
+        if self.joints is not None:
+            out[self.v.size - self.joints.shape[1] :] = self.joints[1] + self.joints[2]
+        return out
 
     @property
     def energy(self) -> dict[str, float]:

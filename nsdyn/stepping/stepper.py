@@ -384,9 +384,10 @@ class Stepper:
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
         gap = self.detector.gaps(acted.contacts, end.contacts, Poses(*end.placement[:2]))
+        joints = acted.joints[:, 6 * d.free :] if d.trees else None
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
-            acted.normal, acted.friction, acted.joints, acted.created, ledger, certificate, problem, solution,
+            acted.normal, acted.friction, joints, acted.created, ledger, certificate, problem, solution,
         )  # fmt: skip
 
     def _fail(self, problem: FC3D, solution: Solution, contacts: ContactSet) -> None:

@@ -1,11 +1,15 @@
-"""Sweeps: a scene over the product of lists of parameters, run by any executor, with the same bits from each."""
+"""Sweeps: a scene over the product of lists of parameters, by any executor, with the same bits from each."""
 
 from __future__ import annotations
 
+import inspect
 import itertools
+import zlib
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +19,8 @@ from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import simulate
+from nsdyn.study.gathering import gather
+from nsdyn.study.store import Store
 
 __all__ = ["Member", "figures", "sweep"]
 
@@ -28,7 +34,7 @@ class Member:
     parameters : dict
         Of the scene.
     result : Trajectory, or what `keep` made of it
-        None for a run that did not converge.
+        None for a run that did not converge, was refused, or whose process died twice.
     failure : str
         Why there is no result, empty if there is one.
     """
@@ -42,9 +48,10 @@ def sweep(
     scene: str | Callable[..., Scene],
     parameters: Mapping[str, Sequence[Any]],
     duration: float,
-    executor: Executor | None = None,
+    executor: Executor | int | None = None,
     keep: Callable[[Trajectory], Any] | None = None,
     progress: bool = False,
+    store: str | Path | None = None,
     **options: Any,
 ) -> list[Member]:
     """Simulate a scene for every combination of parameters.
@@ -52,20 +59,24 @@ def sweep(
     Parameters
     ----------
     scene : str or callable
-        Name of a scene, which is run with its own controller if it has one, or a function ``scene(**parameters) ->
-        Scene``, which must be one that the executor can send.
+        Name or file of a scene, which is run with what drives it, or a function ``scene(**parameters) -> Scene``, which
+        must be one that the executor can send.
     parameters : mapping of str to sequence
         Values of each parameter; the last one varies fastest in the result.
     duration : float
         s.
-    executor : concurrent.futures.Executor, optional
-        Of threads, of processes, ``dask.distributed.Client(address).get_executor()``; default: one run after the other
-        in this process. Results are in the order of the product and have the same bits whatever runs them.
+    executor : int or concurrent.futures.Executor, optional
+        Number of processes, or an executor: ``dask.distributed.Client(address).get_executor()``; default: one run after
+        the other in this process. Results are in the order of the product and have the same bits whatever runs them. A
+        run whose process dies is tried once more, and the others are not touched.
     keep : callable, optional
         ``keep(trajectory)`` returns what is wanted of a run and is called where it ran, so that only this is sent and
         kept; default: the whole trajectory.
     progress : bool
         Show a progress bar on stderr when it is a terminal.
+    store : path, optional
+        File to which every run is added when it is done. Where it exists, what it has is not run again. `keep` must
+        then return what JSON holds: numbers, texts, lists and dicts.
     **options
         For `nsdyn.simulate`: dt, theta, solver, ...
 
@@ -76,7 +87,8 @@ def sweep(
     Raises
     ------
     ValueError
-        For a parameter without values, and for what the scene or `simulate` refuses.
+        For a parameter without values, a store of another sweep, and where the scene or `simulate` refuses every run;
+        where it refuses some, these have failed.
 
     Examples
     --------
@@ -85,32 +97,65 @@ def sweep(
     >>> [(run.parameters, round(run.result, 4)) for run in runs]
     [({'mu': 0.25}, 1.5095), ({'mu': 0.5}, 1.019)]
     """
-    from tqdm import tqdm
-
     for name, values in parameters.items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
             raise ValueError(f"{name} must have a list of at least one value, got {values!r}")
+    if isinstance(executor, int) and (isinstance(executor, bool) or executor < 1):
+        raise ValueError(f"executor must be a number of processes, at least 1, or an executor, got {executor!r}")
+    if store is not None and keep is None:
+        raise ValueError("keep must say what of a run is stored: whole trajectories are not")
     # A function of a named scene lives in a file that is no module for other processes: they load it by its name.
     scene = scenes.name_of(scene) or scene if callable(scene) else scene
-    combinations = [dict(zip(parameters, values, strict=True)) for values in itertools.product(*parameters.values())]
+    combinations = (dict(zip(parameters, values, strict=True)) for values in itertools.product(*parameters.values()))
     tasks = [(scene, chosen, duration, keep, options) for chosen in combinations]
-    bar = tqdm(total=len(tasks), unit="run", disable=None if progress else True)
-    with bar:
-        if executor is None:
-            out = []
-            for task in tasks:
-                out.append(_run(*task))
-                bar.update()
-            return out
-        futures: list[Future[Member]] = [executor.submit(_run, *task) for task in tasks]
-        try:
-            for future in futures:
-                future.result()
-                bar.update()
-        finally:
-            for future in futures:
-                future.cancel()
-        return [future.result() for future in futures]
+    with _opened(store, scene, duration, keep, options) as kept:
+        members, refused = _gathered(tasks, executor, kept, progress)
+    if refused == len(members):
+        raise ValueError(members[0].failure)
+    return members
+
+
+def _gathered(
+    tasks: list[tuple[Any, ...]], executor: Executor | int | None, kept: Store | None, progress: bool
+) -> tuple[list[Member], int]:
+    """Members of a sweep, those that are stored and those that are run, and how many of them were refused or lost."""
+    from tqdm import tqdm
+
+    members: dict[int, Member] = {}
+    for k, (_, chosen, *_) in enumerate(tasks):
+        if kept and (known := kept.point(chosen)):
+            members[k] = Member(chosen, known["result"], known["failure"])
+    missing = {k: task for k, task in enumerate(tasks) if k not in members}
+    refused, disable = 0, None if progress else True
+    with tqdm(total=len(tasks), initial=len(members), unit="run", disable=disable) as bar:
+        for k, outcome, lost in gather(_run, missing, executor):
+            chosen = tasks[k][1]
+            result, failure, wrong = outcome if outcome else (None, lost, True)
+            if wrong:
+                refused += 1
+            elif kept:
+                result = kept.add({"parameters": chosen, "result": result, "failure": failure})["result"]
+            members[k] = Member(chosen, result, failure)
+            bar.update()
+    return [members[k] for k in range(len(tasks))], refused
+
+
+def _opened(
+    store: str | Path | None, scene: str | Callable[..., Scene], duration: float, keep: Any, options: dict[str, Any]
+) -> AbstractContextManager[Store | None]:
+    """The store of a sweep, to be used in a with statement."""
+    if store is None:
+        return nullcontext()
+    source = Path(scenes.module(scene).__file__ or "").read_bytes() if isinstance(scene, str) else b""
+    return Store(store, {
+        "scene": _told(scene), "checksum of the scene": zlib.crc32(source), "duration": duration, "keep": _told(keep),
+        "options": {name: _told(value) for name, value in sorted(options.items())},
+    })  # fmt: skip
+
+
+def _told(value: Any) -> str:
+    """What stands for an option in a store: functions go by their names."""
+    return f"{value.__module__}.{value.__qualname__}" if inspect.isfunction(value) else str(value)
 
 
 def _run(
@@ -119,18 +164,22 @@ def _run(
     duration: float,
     keep: Callable[[Trajectory], Any] | None,
     options: dict[str, Any],
-) -> Member:
-    """One simulation, wherever it runs."""
-    if isinstance(scene, str):
-        setup = scenes.setup(scene, **parameters)
-        built, options = setup.scene, setup.options(**options)
-    else:
-        built = scene(**parameters)
+) -> tuple[Any, str, bool]:
+    """One simulation, wherever it runs: (result, why there is none, whether it was refused)."""
     try:
+        if isinstance(scene, str):
+            setup = scenes.setup(scene, **parameters)
+            built, options = setup.scene, setup.options(**options)
+        else:
+            built = scene(**parameters)
         trajectory = simulate(built, duration, **options)
+        return trajectory if keep is None else keep(trajectory), "", False
     except NotConverged as failure:
-        return Member(parameters, None, str(failure))
-    return Member(parameters, trajectory if keep is None else keep(trajectory), "")
+        return None, str(failure), False
+    except ValueError as failure:
+        return None, str(failure), True
+    except Exception as failure:  # of the scene's or the user's own code
+        return None, f"{type(failure).__name__}: {failure}", True
 
 
 def figures(trajectory: Trajectory) -> dict[str, float]:

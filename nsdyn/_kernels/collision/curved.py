@@ -3,9 +3,19 @@
 import math
 
 from nsdyn._kernels.collision.geometry import CYLINDER
-from nsdyn._kernels.collision.support import INSIDE, bend, separation
+from nsdyn._kernels.collision.support import INSIDE, curvature, separation
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, times, unit
+
+
+@kernel
+def curvatures(geometry, k, R, m, e1, e2):
+    """`curvature` of the support point of a geom in the direction m, in two tangents: (e1 e1, e1 e2, e2 e2)."""
+    return (
+        curvature(geometry, k, R, m, e1, e1),
+        curvature(geometry, k, R, m, e1, e2),
+        curvature(geometry, k, R, m, e2, e2),
+    )
 
 
 @kernel
@@ -46,39 +56,33 @@ def smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, va
         if valid1:
             a = start
         else:
-            a11 += bend(geometry, i, R, m, e1, e1)
-            a12 += bend(geometry, i, R, m, e1, e2)
-            a22 += bend(geometry, i, R, m, e2, e2)
+            c11, c12, c22 = curvatures(geometry, i, R, m, e1, e2)
+            a11, a12, a22 = a11 + c11, a12 + c12, a22 + c22
         if valid2:
             b = start
         else:
-            back = times(-1.0, m)
-            a11 += bend(geometry, j, R, back, e1, e1)
-            a12 += bend(geometry, j, R, back, e1, e2)
-            a22 += bend(geometry, j, R, back, e2, e2)
+            c11, c12, c22 = curvatures(geometry, j, R, times(-1.0, m), e1, e2)
+            a11, a12, a22 = a11 + c11, a12 + c12, a22 + c22
         delta = minus(b, a)
         f1, f2, width, trace = dot(e1, delta), dot(e2, delta), dot(m, delta), a11 + a22
         # Where the separation is not concave enough, step as if it were.
         if not (a11 + width > 0.0 and (a11 + width) * (a22 + width) - a12 * a12 > 1e-10 * trace * trace):
             width = abs(width) + 1e-5 * trace + INSIDE * size
-        a11 += width
-        a22 += width
+        a11, a22 = a11 + width, a22 + width
         det = a11 * a22 - a12 * a12
         turn = along(times((a22 * f1 - a12 * f2) / det, e1), (a11 * f2 - a12 * f1) / det, e2)
         step = math.sqrt(dot(turn, turn))
         if step < 1e-15:
             break
         scale = min(1.0, 0.2 / step)
-        better = False
         for _ in range(10):
             trial, _ = unit(along(m, scale, turn))
             value, _, _ = separation(geometry, i, j, R, t, trial)
             # Close to the maximum round-off decides which value is larger.
             if step < 1e-7 or value > best:
-                better = True
                 break
             scale *= 0.5
-        if not better:
+        else:
             break
         m = trial
     value, a, b = separation(geometry, i, j, R, t, m)

@@ -16,44 +16,36 @@ def triangle(x, y, hull, p, q, r):
 
 
 @kernel
-def reduce(poly, gap, count, n, limit, margin, close):
-    """Keep at most `limit` points: the deepest and the corners of the patch that hold most of its area.
-
-    The patch is that of the points the motion closes first: from the margin on down to `close` above the deepest point
-    the highest ones are left out, as long as `limit` points are left. The convex hull of the patch in the plane of n
-    loses corner after corner, each time the one whose triangle with its neighbours is smallest; then corners move along
-    the hull as long as the area grows. Returns the number left, in their former order.
-    """
-    lowest = math.inf
+def lowest(poly, gap, count, limit, margin, close):
+    """Leave out the highest points, of which more than `limit` are left, first, as `reduce` says; the number left."""
+    least = math.inf
     for k in range(count):
-        lowest = min(lowest, gap[k])
-    height = margin - lowest
+        least = min(least, gap[k])
+    height = margin - least
     while height > close:
         height = max(0.5 * height, close)
         low = 0
         for k in range(count):
-            low += gap[k] <= lowest + height
+            low += gap[k] <= least + height
         if low < limit:
             break
         if low < count:
             low = 0
             for k in range(count):
-                if gap[k] <= lowest + height:
+                if gap[k] <= least + height:
                     put(poly, low, row(poly, k))
                     gap[low] = gap[k]
                     low += 1
             count = low
-    if count <= limit:
-        return count
-    e1 = perpendicular(n)
-    e2 = cross(n, e1)
-    x, y = np.empty(count), np.empty(count)
+    return count
+
+
+@kernel
+def convex_hull(x, y):
+    """Corners of the convex hull of points in a plane, counterclockwise: (their indices, number)."""
+    count = x.size
     order = np.empty(count, dtype=np.int64)  # by x, then y
-    deepest = 0
     for k in range(count):
-        x[k], y[k] = dot(row(poly, k), e1), dot(row(poly, k), e2)
-        if gap[k] < gap[deepest]:
-            deepest = k
         p = k
         while p > 0 and (x[order[p - 1]] > x[k] or (x[order[p - 1]] == x[k] and y[order[p - 1]] > y[k])):
             order[p] = order[p - 1]
@@ -73,10 +65,16 @@ def reduce(poly, gap, count, n, limit, margin, close):
             hull[m] = k
             m += 1
         m -= 1  # the last of one half is the first of the other
-    # The corners kept, as positions in the hull.
-    kept = m
-    corner = np.arange(m)
-    free = limit - 1
+    return hull, m
+
+
+@kernel
+def corners_of_most_area(x, y, hull, m, deepest, limit):
+    """At most `limit` of m corners, as positions in the hull, that hold most of its area: (positions, number).
+
+    The deepest point stays, and counts where it is no corner.
+    """
+    kept, corner, free = m, np.arange(m), limit - 1
     for p in range(m):
         if hull[p] == deepest:
             free = limit
@@ -106,9 +104,34 @@ def reduce(poly, gap, count, n, limit, margin, close):
                 corner[p] = best
         if not moved:
             break
+    return corner, kept
+
+
+@kernel
+def reduce(poly, gap, count, n, limit, margin, close):
+    """Keep at most `limit` points: the deepest and the corners of the patch that hold most of its area.
+
+    The patch is that of the points the motion closes first: from the margin on down to `close` above the deepest point
+    the highest ones are left out, as long as `limit` points are left. The convex hull of the patch in the plane of n
+    loses corner after corner, each time the one whose triangle with its neighbours is smallest; then corners move along
+    the hull as long as the area grows. Returns the number left, in their former order.
+    """
+    count = lowest(poly, gap, count, limit, margin, close)
+    if count <= limit:
+        return count
+    e1 = perpendicular(n)
+    e2 = cross(n, e1)
+    x, y = np.empty(count), np.empty(count)
+    deepest = 0
+    for k in range(count):
+        x[k], y[k] = dot(row(poly, k), e1), dot(row(poly, k), e2)
+        if gap[k] < gap[deepest]:
+            deepest = k
+    hull, m = convex_hull(x, y)
+    corner, left = corners_of_most_area(x, y, hull, m, deepest, limit)
     keep = np.zeros(count, dtype=np.bool_)
     keep[deepest] = True
-    for p in range(kept):
+    for p in range(left):
         keep[hull[corner[p]]] = True
     kept = 0
     for k in range(count):

@@ -76,7 +76,7 @@ def gap_along(geometry, i, j, R, t, n):
 
 
 @kernel
-def bend(geometry, g, R, n, a, b):
+def curvature(geometry, g, R, n, a, b):
     """Form a·(dp/dn) b of the support point p of an ellipsoid or of the rim of a cylinder; else 0."""
     kind, s = geometry.kind[g], row(geometry.size, g)
     if kind == CYLINDER:

@@ -224,39 +224,50 @@ def size_of(q, mu):
 
 
 @kernel
-def delassus_scales(blocks, out):
-    """lambda_max of every diagonal block W_cc, without the rest of W, into out (nc,)."""
+def diagonal_block(blocks, c, x, y, w):
+    """W_cc of a contact, without the rest of W, into w (3, 3); x and y (3, n) are for work."""
     offset, block, start, H, m_start, _, minv = blocks
-    nc = block.shape[0]
-    widest = 0
-    for k in range(offset.size - 1):
-        widest = max(widest, offset[k + 1] - offset[k])
-    x, y = np.empty((3, widest)), np.empty((3, widest))
-    w = np.empty((3, 3))
-    for c in range(nc):
-        w[:] = 0.0
-        twice = block[c, 0] == block[c, 1]  # both sides on one block: their rows add up
-        for s in range(1 if twice else 2):
-            k = block[c, s]
-            if k < 0:
-                continue
-            n = offset[k + 1] - offset[k]
-            for i in range(3):
-                for j in range(n):
-                    x[i, j] = H[start[c, s] + i * n + j] + (H[start[c, 1] + i * n + j] if twice else 0.0)
-                    y[i, j] = 0.0
+    w[:] = 0.0
+    twice = block[c, 0] == block[c, 1]  # both sides on one block: their rows add up
+    for s in range(1 if twice else 2):
+        k = block[c, s]
+        if k < 0:
+            continue
+        n = offset[k + 1] - offset[k]
+        for i in range(3):
+            for j in range(n):
+                x[i, j] = H[start[c, s] + i * n + j] + (H[start[c, 1] + i * n + j] if twice else 0.0)
+                y[i, j] = 0.0
+            for l in range(n):
+                f, base = x[i, l], m_start[k] + l * n
+                if f != 0.0:
+                    for j in range(n):
+                        y[i, j] += f * minv[base + j]
+        for i in range(3):
+            for j in range(i, 3):
+                total = 0.0
                 for l in range(n):
-                    f, base = x[i, l], m_start[k] + l * n
-                    if f != 0.0:
-                        for j in range(n):
-                            y[i, j] += f * minv[base + j]
-            for i in range(3):
-                for j in range(i, 3):
-                    total = 0.0
-                    for l in range(n):
-                        total += y[i, l] * x[j, l]
-                    w[i, j] += total
-        w[1, 0], w[2, 0], w[2, 1] = w[0, 1], w[0, 2], w[1, 2]
+                    total += y[i, l] * x[j, l]
+                w[i, j] += total
+    w[1, 0], w[2, 0], w[2, 1] = w[0, 1], w[0, 2], w[1, 2]
+
+
+@kernel
+def widest(offset):
+    """Coordinates of the largest block."""
+    most = 0
+    for k in range(offset.size - 1):
+        most = max(most, offset[k + 1] - offset[k])
+    return most
+
+
+@kernel
+def delassus_scales(blocks, out):
+    """lambda_max of every diagonal block W_cc, into out (nc,)."""
+    most = widest(blocks[0])
+    x, y, w = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
+    for c in range(out.size):
+        diagonal_block(blocks, c, x, y, w)
         out[c] = largest_eigenvalue(w)
 
 

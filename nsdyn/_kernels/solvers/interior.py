@@ -17,6 +17,7 @@ import numpy as np
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.cones import natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
+from nsdyn._kernels.vectors import dot, row
 
 START = 100.0  # first x and z: far inside, whatever the solution of a problem of unit size
 
@@ -50,6 +51,42 @@ def defect(u, v, mu, F):
 
 
 @kernel
+def root(x):
+    """(x_0² - ‖x_T‖²)^½ of a point of the Lorentz cone, kept above round-off."""
+    t = math.sqrt(x[1] * x[1] + x[2] * x[2])
+    return math.sqrt(max(x[0] - t, 1e-16 * x[0]) * (x[0] + t))
+
+
+@kernel
+def nesterov_todd(x, z, dx, dz, T, V):
+    """Symmetric T with T z = T⁻¹ x of two points of the Lorentz cone and V = T⁻¹, into T and V (3, 3).
+
+    dx and dz are their `root`.
+    """
+    g = math.sqrt(0.5 * (1.0 + dot(x, z) / (dx * dz)))
+    w0, w1, w2 = (x[0] / dx + z[0] / dz) / (2 * g), (x[1] / dx - z[1] / dz) / (2 * g), (x[2] / dx - z[2] / dz) / (2 * g)
+    eta = math.sqrt(dx / dz)
+    k = 1.0 / (1.0 + w0)
+    for B, e, s in ((T, eta, 1.0), (V, 1.0 / eta, -1.0)):
+        B[0, 0] = e * w0
+        B[0, 1] = B[1, 0] = e * s * w1
+        B[0, 2] = B[2, 0] = e * s * w2
+        B[1, 1] = e * (1.0 + k * w1 * w1)
+        B[2, 2] = e * (1.0 + k * w2 * w2)
+        B[1, 2] = B[2, 1] = e * k * w1 * w2
+
+
+@kernel
+def scalings(x, z, T, V, lam):
+    """`nesterov_todd` of many points (n, 3), and λ = T z."""
+    for c in range(x.shape[0]):
+        a, b = row(x, c), row(z, c)
+        nesterov_todd(a, b, root(a), root(b), T[c], V[c])
+        for i in range(3):
+            lam[c, i] = dot(row(T[c], i), b)
+
+
+@kernel
 def scaling(u, z, mu, T, V, C, A, lam):
     """T, V = T⁻¹, C, A and λ = T z of every contact; returns the mean of x·z."""
     total = 0.0
@@ -58,23 +95,11 @@ def scaling(u, z, mu, T, V, C, A, lam):
         x1, x2 = (u[c, 1], u[c, 2]) if mu[c] > 0.0 else (0.0, 0.0)
         t = math.sqrt(x1 * x1 + x2 * x2)
         x0 = u[c, 0] / m + t
-        z0, z1, z2 = z[c, 0], z[c, 1], z[c, 2]
-        total += x0 * z0 + x1 * z1 + x2 * z2
-        tz = math.sqrt(z1 * z1 + z2 * z2)
-        dx, dz = math.sqrt(u[c, 0] / m * (x0 + t)), math.sqrt(max(z0 - tz, 1e-16 * z0) * (z0 + tz))
-        g = math.sqrt(0.5 * (1.0 + (x0 * z0 + x1 * z1 + x2 * z2) / (dx * dz)))
-        w0, w1, w2 = (x0 / dx + z0 / dz) / (2 * g), (x1 / dx - z1 / dz) / (2 * g), (x2 / dx - z2 / dz) / (2 * g)
-        eta = math.sqrt(dx / dz)
-        k = 1.0 / (1.0 + w0)
-        for B, e, s in ((T, eta, 1.0), (V, 1.0 / eta, -1.0)):
-            B[c, 0, 0] = e * w0
-            B[c, 0, 1] = B[c, 1, 0] = e * s * w1
-            B[c, 0, 2] = B[c, 2, 0] = e * s * w2
-            B[c, 1, 1] = e * (1.0 + k * w1 * w1)
-            B[c, 2, 2] = e * (1.0 + k * w2 * w2)
-            B[c, 1, 2] = B[c, 2, 1] = e * k * w1 * w2
+        x, y = (x0, x1, x2), row(z, c)
+        total += dot(x, y)
+        nesterov_todd(x, y, math.sqrt(u[c, 0] / m * (x0 + t)), root(y), T[c], V[c])
         for i in range(3):
-            lam[c, i] = T[c, i, 0] * z0 + T[c, i, 1] * z1 + T[c, i, 2] * z2
+            lam[c, i] = dot(row(T[c], i), y)
         C[c] = 0.0
         A[c] = 0.0
         C[c, 0, 0] = 1.0 / m

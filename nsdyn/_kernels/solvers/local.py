@@ -77,14 +77,14 @@ def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
 
 
 @kernel
-def islands(indptr, indices):
-    """Connected components of the pattern of W: (label of every contact, number), by first contact."""
+def islands(indptr, indices, label):
+    """Connected components of the pattern of W, by first contact, into label (nc,); returns their number."""
     nc = indptr.size - 1
     parent = np.arange(nc)
     for c in range(nc):
         for p in range(indptr[c], indptr[c + 1]):
             unite(parent, c, indices[p])
-    label, found = np.empty(nc, np.int64), 0
+    found = 0
     for c in range(nc):
         a = c
         while parent[a] != a:
@@ -94,7 +94,7 @@ def islands(indptr, indices):
             found += 1
         else:
             label[c] = label[a]
-    return label, found
+    return found
 
 
 @kernel
@@ -159,11 +159,15 @@ def filled(indptr, indices, data):
 
 
 @kernel
-def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, found, largest, warm, sweeps, patience):
+def solve_small(
+    indptr, indices, data, q, mu, scales, r, tol, q_norm, label, found, largest, quick, penalty, warm, most, sweeps,
+    patience,
+):  # fmt: skip
     """Every island of at most `largest` contacts in place of r; returns the iterations.
 
-    One contact: closed form. Else a warm start tries Newton; then accelerated Gauss–Seidel while its rate leaves
-    hope; then the interior point method and Newton from its states.
+    One contact: closed form. Else `warm` steps of Newton from a warm start; for at most `quick` contacts a few sweeps
+    and `most` steps of Newton; then accelerated Gauss–Seidel while its rate leaves hope; then the interior point method
+    and Newton from its states.
     """
     nc = mu.size
     end, order = np.zeros(found + 1, np.int64), np.empty(nc, np.int64)
@@ -192,21 +196,23 @@ def solve_small(indptr, indices, data, q, mu, scales, r, tol, q_norm, label, fou
             x[:] = one
             count += 1
         else:
-            best = np.inf
-            W = np.empty((0, 0))
-            if warm:
-                W = filled(*part)
-                used, best = newton(W, own_q, own_mu, own_scales, x, tol, q_norm, 1e2, 6)
+            W, best = filled(*part), np.inf
+            M, memory = pgs.matrix(*part), min(20, k + 1)
+            if x.any():
+                used, best = newton(W, own_q, own_mu, own_scales, x, tol, q_norm, penalty, warm)
                 count += used
+            if best > tol and k <= quick:
+                used, best = pgs.accelerated(M, own_q, own_mu, own_scales, x, tol, q_norm, 5, 5, memory, patience)
+                count += used
+                if best > tol:
+                    used, best = newton(W, own_q, own_mu, own_scales, x, tol, q_norm, penalty, most)
+                    count += used
             if best > tol:
-                M, memory = pgs.matrix(*part), min(20, k + 1)
                 used, best = pgs.accelerated(
                     M, own_q, own_mu, own_scales, x, tol, q_norm, sweeps, 5, memory, patience
                 )  # fmt: skip
                 count += used
             if best > tol:
-                if W.size == 0:
-                    W = filled(*part)
                 y = np.empty(3 * k)
                 used, now = interior.dense(W, own_q, own_mu, own_scales, y, tol, q_norm, 40)
                 count += used

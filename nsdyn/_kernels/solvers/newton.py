@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.problem.blocks import block_product, islands, momentum, relative_velocity
+from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity
 from nsdyn._kernels.problem.cones import natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
 
@@ -283,43 +283,3 @@ def scatter(contacts, x, r):
     for e in range(contacts.size):
         for i in range(3):
             r[3 * contacts[e] + i] = x[3 * e + i]
-
-
-@kernel
-def warm_islands(
-    blocks, q, mu, scales, r, u, label, tol, accept, q_norm, largest, penalty, max_iter
-):  # fmt: skip
-    """`dense` on every island of at most `largest` coordinates with measure above `tol`, in place of r unless r = 0.
-
-    The islands into label (nc,). Returns their measures, 0 for those of a warm start that end within `accept` times
-    their share; their shares of the tolerance by contacts, since the literature's error adds the islands up in squares
-    and the judge measures them together; and the factorisations.
-    """
-    offset, block = blocks[:2]
-    found = islands(block, offset.size - 1, label)
-    measures = measures_of_islands(label, found, scales, q_norm, u, r, mu)
-    share = np.zeros(found)
-    for c in range(label.size):
-        share[label[c]] += 1.0 / label.size
-    share[:] = np.sqrt(share)
-    count = 0
-    if not r.any():
-        return measures, share, count
-    alone = found == 1 and offset.size == 2  # one body, nothing to extract
-    for k in range(found):
-        if measures[k] <= tol:
-            continue
-        if alone and offset[-1] <= largest:
-            count, measures[k] = dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter)
-            continue
-        contacts, part = extract(blocks, label, k)
-        if part[0][-1] > largest:
-            continue
-        own_q, own_mu, own_scales, x = gather(contacts, q, mu, scales, r)
-        used, measures[k] = dense(part, own_q, own_mu, own_scales, x, tol, q_norm, penalty, max_iter)
-        count += used
-        scatter(contacts, x, r)
-    for k in range(found):
-        if measures[k] <= accept * share[k]:
-            measures[k] = 0.0
-    return measures, share, count

@@ -13,7 +13,7 @@ from numba.extending import overload
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import momentum, relative_velocity, weighted_rows
 from nsdyn._kernels.problem.cones import natural_error, natural_residual, project_all, solve_one
-from nsdyn._kernels.problem.linear import factorise, substitute
+from nsdyn._kernels.solvers.anderson import mix
 
 
 class Matrix(NamedTuple):
@@ -289,38 +289,11 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
             continue
         if used > 1 and math.sqrt(size) > 2.0 * best_f:
             F[0], G[0] = f.copy(), g.copy()
-            f, g = F[0], G[0]
             used, slot, best_f = 0, 0, np.inf
         best_f = min(best_f, math.sqrt(size))
         used = min(used + 1, m)
-        for j in range(used):
-            total = 0.0
-            for i in range(n):
-                total += F[j, i] * f[i]
-            gram[j, slot] = gram[slot, j] = total
-        x[:] = g
+        mix(F, G, gram, slot, used, x)
         if used > 1:
-            A, b = np.zeros((used - 1, used - 1)), np.empty(used - 1)
-            trace = 0.0
-            for i in range(used - 1):
-                p = i if i < slot else i + 1
-                b[i] = gram[slot, slot] - gram[p, slot]
-                for j in range(used - 1):
-                    o = j if j < slot else j + 1
-                    A[i, j] = gram[p, o] - gram[p, slot] - gram[o, slot] + gram[slot, slot]
-                trace += A[i, i]
-            for i in range(used - 1):
-                A[i, i] += 1e-10 * trace + 1e-300
-            # Sweeps that all change r alike, to round-off, are no basis: then the last one alone is taken.
-            pivot, low, end = np.empty((3, used - 1), np.int64)
-            steady = factorise(A, pivot, low, end)
-            if steady:
-                substitute(A, pivot, low, end, b)
-                steady = np.abs(b).max() <= 1e4
-            for i in range(used - 1 if steady else 0):
-                p = i if i < slot else i + 1
-                for l in range(n):
-                    x[l] += b[i] * (G[p, l] - g[l])
             project_all(x, mu, x)
         slot = (slot + 1) % m
     r[:] = best_r

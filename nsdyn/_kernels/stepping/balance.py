@@ -43,13 +43,55 @@ def gains(mass, J, gravity, external, closed, x0, v0, x, v, gain, slack, kinetic
 
 
 @kernel
+def opposing(root, whole, frame1, frame2, normal, angular, R, inverse_J):
+    """Spins that a unit of rolling resistance gives the bodies, and what it takes from each island.
+
+    Contact c turns its bodies by t and -t, t = -(1 - n nᵀ) (ω2 - ω1), or -(ω2 - ω1) on islands that are `whole`.
+
+    Returns
+    -------
+    Σ‖t‖² (nf,) at the roots, Σ L·J⁻¹ L (nf,) at the roots with L the sum of the ±t on a body, J⁻¹ L (nf, 3).
+    """
+    free = root.size
+    linear, square, moment, turn = np.zeros(free), np.zeros(free), np.zeros((free, 3)), np.zeros((free, 3))
+    for c in range(frame1.size):
+        a, b, n = frame1[c], frame2[c], row(normal, c)
+        if (a < 0 and b < 0) or a >= free or b >= free:
+            continue
+        k = root[a if a >= 0 else b]
+        t = (0.0, 0.0, 0.0)
+        if a >= 0:
+            t = along(t, 1.0, row(angular, a))
+        if b >= 0:
+            t = along(t, -1.0, row(angular, b))
+        if not whole[k]:
+            t = along(t, -dot(n, t), n)
+        linear[k] += dot(t, t)
+        for i in range(3):
+            if a >= 0:
+                moment[a, i] -= t[i]
+            if b >= 0:
+                moment[b, i] += t[i]
+    for b in range(free):
+        own = np.zeros(3)
+        for i in range(3):
+            own[i] = R[b, 0, i] * moment[b, 0] + R[b, 1, i] * moment[b, 1] + R[b, 2, i] * moment[b, 2]
+        for i in range(3):
+            for j in range(3):
+                turn[b, i] += inverse_J[b, i, j] * own[j]
+            square[root[b]] += own[i] * turn[b, i]
+    return linear, square, turn
+
+
+@kernel
 def resist(gain, slack, kinetic, owed, spare, frame1, frame2, normal, angular, R, inverse_J, v):
     """Change the spins in v so that no island of free bodies has gained energy; returns what they gained by that, J.
 
-    Contact c turns its bodies by α t and -α t, t = -(1 - n nᵀ) (ω2 - ω1), with one α for its island: what it gained is
-    α Σ‖t‖² - ½ α² Σ L·J⁻¹ L, L the sum of the ±t on a body, or if that cannot be all it can. What was taken is `owed`
-    (nf,), and given back where the island loses energy in smooth motion. Islands may gain what is to `spare`, and those
-    of which frames beyond the free bodies are a part, what they do.
+    An island turns its bodies by α of `opposing`, which takes α Σ‖t‖² - ½ α² Σ L·J⁻¹ L: what it gained, or if that
+    cannot be all it can. Where rolling resistance cannot take it and the spins about the normals can, as of a body that
+    turns about its one normal, these are resisted as well. What was taken is `owed` (nf,), and given back where the
+    island loses energy in smooth motion. Islands may gain what is to `spare`, and those of which frames beyond the free
+    bodies are a part, what they do.
     """
     free = gain.size
     root, driven = np.arange(free), np.zeros(free, np.bool_)
@@ -70,41 +112,27 @@ def resist(gain, slack, kinetic, owed, spare, frame1, frame2, normal, angular, R
             driven[root[b]] = True
         if b >= free and 0 <= a < free:
             driven[root[a]] = True
-    linear, square, moment = np.zeros(free), np.zeros(free), np.zeros((free, 3))
-    for c in range(frame1.size):
-        a, b, n = frame1[c], frame2[c], row(normal, c)
-        if (a < 0 and b < 0) or a >= free or b >= free:
+    excess, whole, some = np.zeros(free), np.zeros(free, np.bool_), False
+    linear, square, turn = opposing(root, whole, frame1, frame2, normal, angular, R, inverse_J)
+    for k in range(free):
+        if root[k] != k or driven[k]:
             continue
-        t = (0.0, 0.0, 0.0)
-        if a >= 0:
-            t = along(t, 1.0, row(angular, a))
-        if b >= 0:
-            t = along(t, -1.0, row(angular, b))
-        t = along(t, -dot(n, t), n)
-        linear[root[a if a >= 0 else b]] += dot(t, t)
-        for i in range(3):
-            if a >= 0:
-                moment[a, i] -= t[i]
-            if b >= 0:
-                moment[b, i] += t[i]
-    turn = np.zeros((free, 3))
-    for b in range(free):
-        own = np.zeros(3)
-        for i in range(3):
-            own[i] = R[b, 0, i] * moment[b, 0] + R[b, 1, i] * moment[b, 1] + R[b, 2, i] * moment[b, 2]
-        for i in range(3):
-            for j in range(3):
-                turn[b, i] += inverse_J[b, i, j] * own[j]
-            square[root[b]] += own[i] * turn[b, i]
+        excess[k] = gain[k] - spare
+        if excess[k] <= slack[k]:
+            excess[k] = -min(owed[k], -gain[k]) if -SMOOTH * kinetic[k] < gain[k] < 0.0 else 0.0
+        whole[k] = excess[k] > 0.0 and linear[k] ** 2 <= 2.0 * square[k] * excess[k]
+        some = some or whole[k]
+    if some:
+        most, cost, _ = opposing(root, whole, frame1, frame2, normal, angular, R, inverse_J)
+        for k in range(free):
+            whole[k] = whole[k] and most[k] ** 2 > 2.0 * cost[k] * excess[k]
+        linear, square, turn = opposing(root, whole, frame1, frame2, normal, angular, R, inverse_J)
     alpha, total = np.zeros(free), 0.0
     for k in range(free):
         if root[k] != k or driven[k] or linear[k] == 0.0:
             continue
-        excess = gain[k] - spare
-        if excess <= slack[k]:
-            excess = -min(owed[k], -gain[k]) if -SMOOTH * kinetic[k] < gain[k] < 0.0 else 0.0
-        rest = linear[k] ** 2 - 2.0 * square[k] * excess
-        alpha[k] = 2.0 * excess / (linear[k] + math.sqrt(rest)) if rest > 0.0 else linear[k] / square[k]
+        rest = linear[k] ** 2 - 2.0 * square[k] * excess[k]
+        alpha[k] = 2.0 * excess[k] / (linear[k] + math.sqrt(rest)) if rest > 0.0 else linear[k] / square[k]
         lost = alpha[k] * (linear[k] - 0.5 * alpha[k] * square[k])
         owed[k] = max(0.0, owed[k] + lost)
         total -= lost

@@ -54,7 +54,7 @@ def warm_start(place, impulse, factor, frame, r):
 
 @kernel
 def begin_velocities(
-    place, old_point, old_normal, x_old, linear, angular, carried, reach, frame1, frame2, point, frame, x, drag, u
+    place, old_point, old_normal, x_old, linear, angular, carried, reach, frame1, frame2, point, frame, x, transport, u
 ):  # fmt: skip
     """Relative velocities of the contacts where the step begins, with the rows that they have there, into u (3 nc,).
 
@@ -62,7 +62,7 @@ def begin_velocities(
     from which the motion may have carried it here, has that point and that normal, and its tangents are those of here
     turned by the least rotation from normal to normal; any other one has the arms and the frame of here. `reach` is how
     far points of the frames move in about half a step. Surfaces that move add `carried` (old contacts, 3) there, in
-    world axes, and `drag` (3 nc,) here, in the frames; both are empty where none do.
+    world axes, and `transport` (3 nc,) here, in the frames; both are empty where none do.
     """
     for c in range(place.size):
         f1, f2, n = frame1[c], frame2[c], row(frame[c], 0)
@@ -85,8 +85,8 @@ def begin_velocities(
             w = along(along(w, -dot(total, w) / (1.0 + dot(n, m)), total), 2.0 * dot(m, w), n)
         for i in range(3):
             u[3 * c + i] = dot(row(frame[c], i), w)
-            if not there and drag.size:
-                u[3 * c + i] += drag[3 * c + i]
+            if not there and transport.size:
+                u[3 * c + i] += transport[3 * c + i]
 
 
 @kernel
@@ -165,57 +165,62 @@ def known(key, old_key, old_gap, closed, out):
 
 
 @kernel
-def meet(
-    blocks, v_begin, v, v_free, carried, drag, drag_end, press, old_key, impulse, begin_key, begin_point, begin_normal,
-    x_begin, linear, angular, reach, key, frame1, frame2, point, frame, x, gap, longer, ahead, out,
-    end_gap,
+def local_velocities(
+    blocks, velocities, surfaces, press, begin, here, warm, reach, longer, ahead, out, end_gap
 ):  # fmt: skip
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
-    (u_begin, u, u_free, turn, warm start) into out (5, 3 rows), one array since each takes 0.1 us to hand over: u at v,
-    u_free at v_free, and u_begin at v_begin with the rows of the beginning; `turn` = u - u_begin; with surfaces that
-    move (`carried` and `drag` as in `begin_velocities`, but all of these at the twists of the impulses, and `drag_end`
-    with those of the end) and the normal velocities of joint friction (`press`, empty for none). end_gap =
-    gap - ahead/2 turn_N, but for what the twists change: the parabola whose speed at the end of the step, `ahead`
-    seconds later, is 0; of bodies that turn by more than `TURNS` nothing is foreseen. Returns the places of the
-    contacts among the old ones, whose impulses in world axes start the solver, `longer` times as large, as the move is;
-    they need not be those found where the step begins.
+    (u_begin, u, u_free, drift, warm start) into out (5, 3 rows): of the `velocities` (v_begin, v, v_free), u_begin with
+    the rows of the beginning; `drift` = u - u_begin, by which rows change though nothing acts. To them add the
+    `surfaces` that move, (carried, transport) as in `begin_velocities`, all of these at the twists of the impulses, and
+    transport with those of the end, and the normal velocities of joint friction (`press`, empty for none). end_gap =
+    gap - ahead/2 drift_N, but for what the twists change: the parabola whose speed at the end of the step, `ahead`
+    seconds later, is 0; of bodies that turn by more than `TURNS` nothing is foreseen.
+
+    `begin` has the keys, points and normals of the contacts found where the step begins, and the places and twists of
+    the frames there, `here` the keys, frames, points, directions and gaps where the impulses act, and the places of the
+    frames. Returns the places of the contacts among those of `warm`, (keys, impulses in world axes), which start the
+    solver, `longer` times as large, as the move is; they need not be those found where the step begins.
     """
+    v_begin, v, v_free = velocities
+    carried, transport, transport_end = surfaces
+    begin_key, begin_point, begin_normal, x_begin, linear, angular = begin
+    key, frame1, frame2, point, frame, gap, x = here
     nc = key.size
-    u_begin, u, u_free, turn, guess = out[0], out[1], out[2], out[3], out[4]
+    u_begin, u, u_free, drift, guess = out[0], out[1], out[2], out[3], out[4]
     relative_velocity(blocks, v, u)
     relative_velocity(blocks, v_free, u_free)
-    place = places(old_key, key)
-    warm_start(place, impulse, longer, frame, guess)
+    place = places(warm[0], key)
+    warm_start(place, warm[1], longer, frame, guess)
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(blocks, v_begin, u_begin)
     begin_velocities(
         places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, carried, reach, frame1, frame2,
-        point, frame, x, drag, u_begin,
+        point, frame, x, transport, u_begin,
     )  # fmt: skip
-    for i in range(drag.size):
-        u[i] += drag[i]
-        u_free[i] += drag[i]
+    for i in range(transport.size):
+        u[i] += transport[i]
+        u_free[i] += transport[i]
     for i in range(u.size):
-        turn[i] = u[i] - u_begin[i]
+        drift[i] = u[i] - u_begin[i]
     for c in range(nc):
         spin = 0.0
         for f in (frame1[c], frame2[c]):
             if f >= 0:
                 spin = max(spin, dot(row(angular, f), row(angular, f)))
         if ahead * ahead * spin > TURNS * TURNS:
-            turn[3 * c], turn[3 * c + 1], turn[3 * c + 2] = 0.0, 0.0, 0.0
-        end_gap[c] = gap[c] - 0.5 * ahead * turn[3 * c]
+            drift[3 * c], drift[3 * c + 1], drift[3 * c + 2] = 0.0, 0.0, 0.0
+        end_gap[c] = gap[c] - 0.5 * ahead * drift[3 * c]
     # Driven bodies go with the twist of the end all the way from here, which needs no time to be reached.
-    for i in range(drag.size):
-        turn[i] += drag_end[i] - drag[i]
+    for i in range(transport.size):
+        drift[i] += transport_end[i] - transport[i]
     for i in range(press.size):
         u_free[i] += press[i]
     return place
 
 
 @kernel
-def foresee(blocks, mu, place, old_status, u_begin, u, u_free, turn, guess, slides):
+def foresee(blocks, mu, place, old_status, u_begin, u, u_free, drift, guess, slides):
     """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
 
     What stuck begins without slip, but for what the solver's tolerance left; of what is new nothing can be foreseen.
@@ -227,7 +232,7 @@ def foresee(blocks, mu, place, old_status, u_begin, u, u_free, turn, guess, slid
         if place[c] < 0 or old_status[place[c]] != 2:
             continue
         slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
-        if slip <= 2.0 * math.sqrt(turn[i + 1] ** 2 + turn[i + 2] ** 2) or mu[c] == 0.0:
+        if slip <= 2.0 * math.sqrt(drift[i + 1] ** 2 + drift[i + 2] ** 2) or mu[c] == 0.0:
             continue
         normal, tangential = 0.0, 0.0
         for s in range(2):
@@ -246,21 +251,21 @@ def foresee(blocks, mu, place, old_status, u_begin, u, u_free, turn, guess, slid
                     normal += total
                 else:
                     tangential += total
-        press = max(0.0, -(u_free[i] + turn[i])) / normal if normal > 0.0 else 0.0
+        press = max(0.0, -(u_free[i] + drift[i])) / normal if normal > 0.0 else 0.0
         slides[c] = slip > mu[c] * max(press, guess[i]) * tangential
 
 
 @kernel
-def offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b):
+def offsets(u, u_free, drift, end_gap, rebound, slides, ahead, closed, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
-    Normal: u_free + turn, plus end_gap / ahead where it is open, minus what is kept of an impact (`rebound`, empty for
-    none). Tangential: u_free + turn for slip at the end of the step, u + u_free, twice the mean slip without impulses,
+    Normal: u_free + drift, plus end_gap / ahead where it is open, minus what is kept of an impact (`rebound`, empty for
+    none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip without impulses,
     where a contact slides through.
     """
     for c in range(end_gap.size):
         i = 3 * c
-        b[i] = u_free[i] + turn[i]
+        b[i] = u_free[i] + drift[i]
         if end_gap[c] > closed:
             b[i] += end_gap[c] / ahead
         if rebound.size > 0:
@@ -268,11 +273,11 @@ def offsets(u, u_free, turn, end_gap, rebound, slides, ahead, closed, b):
         if slides.size > c and slides[c]:
             b[i + 1], b[i + 2] = u[i + 1] + u_free[i + 1], u[i + 2] + u_free[i + 2]
         else:
-            b[i + 1], b[i + 2] = u_free[i + 1] + turn[i + 1], u_free[i + 2] + turn[i + 2]
+            b[i + 1], b[i + 2] = u_free[i + 1] + drift[i + 1], u_free[i + 2] + drift[i + 2]
 
 
 @kernel
-def reconsider(r, y, b, mu, u_begin, u, u_free, turn, slides, back):
+def reconsider(r, y, b, mu, u_begin, u, u_free, drift, slides, back):
     """Change `slides` (nc,) where the solution y = W r + b shows otherwise, and tell whether any has.
 
     One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
@@ -284,7 +289,7 @@ def reconsider(r, y, b, mu, u_begin, u, u_free, turn, slides, back):
         found = state(r, mu[c], i)
         # The relative velocities after the impulses, and at the end.
         p, q = y[i + 1] - b[i + 1] + u_free[i + 1], y[i + 2] - b[i + 2] + u_free[i + 2]
-        e, f = p + turn[i + 1], q + turn[i + 2]
+        e, f = p + drift[i + 1], q + drift[i + 2]
         if slides[c]:
             mean = (u[i + 1] + p) * e + (u[i + 2] + q) * f
             if found == 1 or (found == 2 and mean <= 0.0):
@@ -312,28 +317,30 @@ def states(r, mu, out):
 
 
 @kernel
-def outcome(
-    blocks, v_plus, drag, r, mu, place, old_status, struck, u, u_free, turn, frame, status, normal, friction, u_end,
-    world,
-):  # fmt: skip
+def outcome(blocks, v_plus, transport, r, mu, was, struck, motion, frame, out):
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
-    The states are those of `states`, the works (rows,) those of the impulses at the one configuration where they act,
-    ½ (u + u⁺)·r. Returns the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is
-    the work of a contact that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an
-    impact whose first step only closed the gap; joint rows always do work.
+    Into out = (status, normal, friction, u_end, world), from what they were, (place, status) as in `local_velocities`,
+    `struck`, the normal impulses of impacts (empty for none), and motion = (u, u_free, drift). The states are those of
+    `states`, the works (rows,) those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns the
+    sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact
+    that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first step
+    only closed the gap; joint rows always do work.
     """
+    place, old_status = was
+    u, u_free, drift = motion
+    status, normal, friction, u_end, world = out
     nc, u_plus = status.size, np.empty(u.size)
     relative_velocity(blocks, v_plus, u_plus)
-    for i in range(drag.size):
-        u_plus[i] += drag[i]
+    for i in range(transport.size):
+        u_plus[i] += transport[i]
     impact, slip, rest = 0.0, 0.0, 0.0
     for c in range(normal.size):
         i = 3 * c
         normal[c] = 0.5 * (u[i] + u_plus[i]) * r[i]
         friction[c] = 0.5 * ((u[i + 1] + u_plus[i + 1]) * r[i + 1] + (u[i + 2] + u_plus[i + 2]) * r[i + 2])
         for j in range(3):
-            u_end[i + j] = u_plus[i + j] + turn[i + j]
+            u_end[i + j] = u_plus[i + j] + drift[i + j]
         stays, sticks = False, False
         if c < nc:
             status[c] = state(r, mu[c], i)
@@ -341,7 +348,7 @@ def outcome(
                 stays = True
             elif place[c] >= 0:
                 old = old_status[place[c]]
-                rests = u[i] - turn[i] >= -2.0 * (abs(u_free[i] - u[i]) + abs(turn[i]))
+                rests = u[i] - drift[i] >= -2.0 * (abs(u_free[i] - u[i]) + abs(drift[i]))
                 stays, sticks = old > 0 and rests, old == 1 and status[c] == 1
             for j in range(3):
                 world[c, j] = frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]

@@ -9,8 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from nsdyn._kernels.problem import reference as _kernels
+from nsdyn._kernels.solvers import interior as _interior
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.formulations import _arrow, _diagonal
+from nsdyn.problem.formulations import _diagonal
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers._common import Equilibrated, factor, is_sparse
 from nsdyn.solvers.reference._frozen import freeze, shifted, slip_shift
@@ -25,29 +26,12 @@ def _times(A: Any, x: Any) -> Array:
     return np.asarray((A @ x[:, :, None])[:, :, 0])
 
 
-def _root(x: Array) -> Array:
-    """(x_N² - ‖x_T‖²)^½, kept above round-off."""
-    t = np.hypot(x[:, 1], x[:, 2])
-    return np.asarray(np.sqrt(np.maximum(x[:, 0] - t, 1e-16 * x[:, 0]) * (x[:, 0] + t))) + 1e-300
-
-
-def _nesterov_todd(s: Array, z: Array) -> tuple[Array, Array, Array]:
-    """Scaling T with T z = T⁻¹ s = λ of every contact: (T, T⁻¹, λ), T symmetric."""
-    ds, dz = _root(s), _root(z)
-    g = np.sqrt(0.5 + 0.5 * np.maximum((s * z).sum(axis=1) / (ds * dz), 1.0))
-    w = 0.5 * (s / ds[:, None] + z * (1.0, -1.0, -1.0) / dz[:, None]) / g[:, None]
-    eta = np.sqrt(ds / dz)[:, None, None]
-    T = _arrow(w)
-    T[:, 1:, 1:] = np.eye(2) + w[:, 1:, None] * w[:, None, 1:] / (1.0 + w[:, :1, None])
-    flip = np.array([1.0, -1.0, -1.0])
-    return eta * T, flip[:, None] * T * flip / eta, _times(eta * T, z)
-
-
 def _reach(x: Array, dx: Array) -> float:
     """Largest step along dx that stays in the cones."""
     a = dx[:, 0] ** 2 - dx[:, 1] ** 2 - dx[:, 2] ** 2
     b = x[:, 0] * dx[:, 0] - x[:, 1] * dx[:, 1] - x[:, 2] * dx[:, 2]
-    c = _root(x) ** 2
+    t = np.hypot(x[:, 1], x[:, 2])
+    c = np.maximum(x[:, 0] - t, 1e-16 * x[:, 0]) * (x[:, 0] + t)
     below = -b + np.sqrt(np.maximum(b * b - a * c, 0.0))
     crosses = (below > 0.0) & (b * b >= a * c)
     falls = dx[:, 0] < 0.0  # through the apex the root is double, and rounding may hide it
@@ -75,7 +59,7 @@ def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
     z = np.zeros((nc, 3))
     z[:, 0] = float(np.abs(b).max()) or 1.0
     s = z.copy()
-    e = np.array([1.0, 0.0, 0.0])
+    T, inverse, (lam, d, ds, dz) = np.empty((nc, 3, 3)), np.empty((nc, 3, 3)), np.zeros((4, nc, 3))
     rows = np.arange(3 * nc).reshape(-1, 3)
     best, least, F, P = np.zeros(3 * nc), np.inf, np.empty(3 * nc), np.empty(3 * nc)
     for k in range(FACTORISATIONS):
@@ -88,7 +72,7 @@ def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
         gap = float((s * z).sum()) / nc
         if least <= goal or not gap > 1e-30:
             return best, k
-        T, inverse, lam = _nesterov_todd(s, z)
+        _interior.scalings(s, z, T, inverse, lam)
         if sparse:
             solve = factor(A + _diagonal(T @ T))
         else:
@@ -98,17 +82,15 @@ def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
         if solve is None:
             return best, k
         defect = (A @ z.ravel()).reshape(-1, 3) + b - s
-        product = _times(_arrow(lam), lam)
-        sigma, correction = 0.0, np.zeros((nc, 3))
+        sigma = 0.0
         for stage in range(2):
-            d = np.linalg.solve(_arrow(lam), (sigma * gap * e - product - correction)[:, :, None])[:, :, 0]
+            _interior.target(lam, T, inverse, ds, dz, sigma * gap, stage == 1, d)
             dz = solve((_times(T, d) - defect).ravel()).reshape(-1, 3)
             ds = _times(T, d - _times(T, dz))
             step = min(1.0, 0.99 * min(_reach(z, dz), _reach(s, ds)))
             if stage == 0:
                 after = float(((s + step * ds) * (z + step * dz)).sum()) / nc
                 sigma = min(1.0, max(after / gap, 0.0) ** 3)
-                correction = _times(_arrow(_times(inverse, ds)), _times(T, dz))
         z, s = z + step * dz, s + step * ds
         if not (np.isfinite(z).all() and step > 1e-8):
             return best, k + 1

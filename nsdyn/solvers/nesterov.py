@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsdyn._kernels.problem import cones as _cones
-from nsdyn._kernels.solvers import momentum as _kernels
+from nsdyn._kernels.solvers import nesterov as _kernels
 from nsdyn._kernels.solvers import pgs as _pgs
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
@@ -87,7 +87,7 @@ def solve_free(
 
 
 @dataclass(frozen=True)
-class Momentum:
+class Nesterov:
     """Gauss–Seidel sweeps with Nesterov's momentum that each contact loses by itself, for free bodies.
 
     Good on random piles at loose tolerances: 50 ns per contact and sweep, no factorisation, and momentum survives

@@ -6,7 +6,7 @@ import pytest
 import nsdyn as nd
 from nsdyn._kernels.problem import sparse as _matrix
 from nsdyn.problem.solution import Status
-from nsdyn.solvers import momentum
+from nsdyn.solvers import nesterov
 
 
 def settling(steps: int = 60) -> nd.FC3D:
@@ -32,7 +32,7 @@ def pile() -> nd.FC3D:
 
 
 def test_solves_a_pile_from_nothing(pile: nd.FC3D) -> None:
-    solution = nd.solvers.Momentum(tol=1e-6)(pile)
+    solution = nd.solvers.Nesterov(tol=1e-6)(pile)
     assert solution.converged
     assert pile.nc > 80
     exact = nd.solve(pile, tol=1e-10)
@@ -40,26 +40,26 @@ def test_solves_a_pile_from_nothing(pile: nd.FC3D) -> None:
     assert np.abs(solution.u - exact.u).max() < 1e-4
 
 
-def test_momentum_beats_plain_sweeps(pile: nd.FC3D) -> None:
+def test_it_beats_plain_sweeps(pile: nd.FC3D) -> None:
     plain = nd.solvers.PGS(tol=1e-6, memory=0)(pile)
-    assert nd.solvers.Momentum(tol=1e-6)(pile).iterations < 0.5 * plain.iterations
+    assert nd.solvers.Nesterov(tol=1e-6)(pile).iterations < 0.5 * plain.iterations
 
 
 def test_a_guess_that_solves_costs_nothing(pile: nd.FC3D) -> None:
-    r = nd.solvers.Momentum(tol=1e-6)(pile).r
-    again = nd.solvers.Momentum(tol=1e-6)(pile, r)
+    r = nd.solvers.Nesterov(tol=1e-6)(pile).r
+    again = nd.solvers.Nesterov(tol=1e-6)(pile, r)
     assert again.iterations == 0
     assert np.array_equal(again.r, r)
 
 
 def test_gives_up_without_gain(pile: nd.FC3D) -> None:
-    solution = nd.solvers.Momentum(tol=1e-17, patience=500)(pile)
+    solution = nd.solvers.Nesterov(tol=1e-17, patience=500)(pile)
     assert solution.status is Status.STALLED
 
 
 def test_refuses_what_is_not_made_of_free_bodies(pile: nd.FC3D) -> None:
     with pytest.raises(ValueError, match="factors of free bodies"):
-        nd.solvers.Momentum()(nd.FC3D(pile.W, pile.q, pile.mu))
+        nd.solvers.Nesterov()(nd.FC3D(pile.W, pile.q, pile.mu))
 
 
 def graph(pairs: np.ndarray, count: int) -> float:
@@ -87,7 +87,7 @@ def test_frictionless_contacts_have_one_row(pile: nd.FC3D) -> None:
     mu = np.where(np.arange(pile.nc) % 2, 0.0, pile.mu)
     problem = nd.FC3D.from_blocks(pile.blocks, pile.q, mu)
     guess = np.ones(3 * pile.nc)  # with friction that such contacts do not have
-    solution = nd.solvers.Momentum(tol=1e-6)(problem, guess)
+    solution = nd.solvers.Nesterov(tol=1e-6)(problem, guess)
     assert solution.converged
     assert not solution.r.reshape(-1, 3)[mu == 0.0, 1:].any()
     assert np.abs(solution.u - nd.solve(problem, tol=1e-10).u).max() < 1e-4  # as above
@@ -96,8 +96,8 @@ def test_frictionless_contacts_have_one_row(pile: nd.FC3D) -> None:
 def test_sweeps_on_a_given_matrix_are_those_on_factors(pile: nd.FC3D) -> None:
     """The same method where W is given instead of its factors."""
     r, x = np.zeros_like(pile.q), np.zeros_like(pile.q)
-    free = momentum.Sweeps(pile.blocks, pile.q, pile.mu, pile.scales, r, pile.q_norm)
-    given = momentum.MatrixSweeps(pile.csr, pile.q, pile.mu, pile.scales, x, pile.q_norm)
+    free = nesterov.Sweeps(pile.blocks, pile.q, pile.mu, pile.scales, r, pile.q_norm)
+    given = nesterov.MatrixSweeps(pile.csr, pile.q, pile.mu, pile.scales, x, pile.q_norm)
     assert given.best == pytest.approx(free.best, rel=1e-12)
     for sweeps in (free, given):
         sweeps.run(1e-6, 3000, 3000)

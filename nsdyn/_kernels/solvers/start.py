@@ -1,0 +1,98 @@
+"""What a solve begins with, in one call: judge the start, solve whole what is small, judge again."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.problem import cones
+from nsdyn._kernels.solvers import local, newton, pgs
+
+
+@kernel
+def by_factors(
+    blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, largest, penalty, max_iter
+):  # fmt: skip
+    """Solve every island of at most `largest` coordinates in place of r, unless r is good `enough`.
+
+    One contact in closed form, more by `newton.dense`. The islands into label (nc,), into islands (2, nc) their
+    measures, 0 for those that end within `accept` times their share, and their shares of the tolerance by contacts,
+    since the literature's error adds the islands up in squares and the judge measures them together. Returns their
+    number, 0 if r was good enough, whether one is left, the factorisations, and the literature's error and the residual
+    of r where none is left; then its u = W r + q is in u.
+    """
+    top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
+    if top / q_norm <= enough and residual <= enough:
+        return 0, False, 0, top / q_norm, residual
+    offset, block = blocks[:2]
+    found = _blocks.islands(block, offset.size - 1, label)
+    measures, share = islands[0, :found], islands[1, :found]
+    measures[:], share[:] = newton.measures_of_islands(label, found, scales, q_norm, u, r, mu), 0.0
+    first = np.empty(found, np.int64)
+    for c in range(label.size - 1, -1, -1):
+        share[label[c]] += 1.0
+        first[label[c]] = c
+    most = _blocks.widest(offset)
+    x, y, w, one = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3)), np.empty(3)
+    alone = found == 1 and offset.size == 2  # one body, nothing to extract
+    count, left = 0, False
+    for k in range(found):
+        if measures[k] > enough and share[k] == 1.0:
+            c = first[k]
+            _blocks.diagonal_block(blocks, c, x, y, w)
+            cones.solve_one(w, q[3 * c : 3 * c + 3], mu[c], one)
+            r[3 * c : 3 * c + 3] = one
+            measures[k] = 0.0
+            count += 1
+        elif measures[k] > enough:
+            part, own_q, own_mu, own_scales, own = blocks, q, mu, scales, r
+            if not alone:
+                contacts, part = newton.extract(blocks, label, k)
+                own_q, own_mu, own_scales, own = newton.gather(contacts, q, mu, scales, r)
+            if part[0][-1] <= largest:
+                used, measures[k] = newton.dense(
+                    part, own_q, own_mu, own_scales, own, enough, q_norm, penalty, max_iter
+                )  # fmt: skip
+                count += used
+                if not alone:
+                    newton.scatter(contacts, own, r)
+        share[k] = math.sqrt(share[k] / label.size)
+        if measures[k] <= accept * share[k]:
+            measures[k] = 0.0
+        left = left or not measures[k] <= enough
+    if not left:
+        top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
+    return found, left, count, top / q_norm, residual
+
+
+@kernel
+def by_matrix(
+    W, q, mu, scales, r, u, label, islands, tol, margin, q_norm, largest, quick, penalty, warm, most, sweeps, patience
+):  # fmt: skip
+    """The same by `local.solve_small` for a block-sparse W = (indptr, indices, data), unless r meets `tol`.
+
+    Islands share `margin` of the tolerance by contacts, those of at most `largest` contacts as their mean.
+    """
+    indptr, indices, data = W
+    pgs.velocity(indptr, indices, data, q, r, u)
+    top, residual = cones.measures(scales, u, r, mu)
+    if top / q_norm <= tol and residual <= tol:
+        return 0, False, 0, top / q_norm, residual
+    found = local.islands(indptr, indices, label)
+    share = np.zeros(found)
+    for c in range(label.size):
+        share[label[c]] += 1.0 / label.size
+    small = share <= largest / label.size
+    mean = share[small].mean() if small.any() else 0.0
+    share = margin * np.sqrt(np.where(small, mean, share))
+    count = local.solve_small(
+        indptr, indices, data, q, mu, scales, r, tol * margin * np.sqrt(mean), q_norm, label, found, largest, quick,
+        penalty, warm, most, sweeps, patience,
+    )  # fmt: skip
+    pgs.velocity(indptr, indices, data, q, r, u)
+    top, residual = cones.measures(scales, u, r, mu)
+    islands[0, :found] = newton.measures_of_islands(label, found, scales, q_norm, u, r, mu)
+    islands[1, :found] = share
+    left = (islands[0, :found] > tol * share).any()
+    return found, left, count, top / q_norm, residual

@@ -1,0 +1,118 @@
+"""`nsdyn study`, `nsdyn compare` and `nsdyn check`: runs beside each other, what models and recordings are worth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from nsdyn.cli.output import add_json, check_outputs, say, say_json, write_rows
+from nsdyn.cli.simulation import add_solver, chosen_solver
+
+__all__ = ["add_check", "add_compare", "add_study", "check_anything", "compare_recordings", "study_steps"]
+
+RECORDINGS = ".h5", ".hdf5"
+
+
+def add_study(parser: argparse.ArgumentParser) -> None:
+    """The options of ``nsdyn study`` besides its scene."""
+    parser.add_argument(
+        "--dt",
+        required=True,
+        metavar="H,H,...",
+        help="time steps in s, with commas between; the least is the reference",
+    )
+    parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="parameter; may be repeated")
+    parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
+    add_solver(parser, "raise", "ignore")
+    parser.add_argument("--csv", type=Path, metavar="F.csv", help="the table")
+    add_json(parser)
+
+
+def study_steps(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn study``."""
+    import nsdyn
+    from nsdyn.scene import settings
+
+    name = arguments.scene
+    module, parameters = nsdyn.scenes.module(name), settings.values(name, arguments.set)
+    check_outputs(None, arguments.csv)
+    found = nsdyn.refine(
+        name,
+        [settings.parse(text, 0.1, "--dt") for text in arguments.dt.split(",")],
+        module.DURATION if arguments.time is None else arguments.time,
+        parameters,
+        progress=True,
+        theta=arguments.theta,
+        solver=chosen_solver(arguments),
+        on_fail=arguments.on_fail,
+    )
+    if arguments.csv:
+        rows: list[dict[str, Any]] = [
+            {name: value for name, value in run.items() if name != "orders"}
+            | {f"order_{name}": p for name, p in run["orders"].items()}
+            for run in found.as_dict()["runs"]
+        ]
+        write_rows(rows, list(dict.fromkeys(column for row in rows for column in row)), arguments.csv)
+    if arguments.json:
+        say_json(arguments, found.as_dict())
+    else:
+        say(arguments, found)
+    return 0
+
+
+def add_compare(parser: argparse.ArgumentParser) -> None:
+    """The options of ``nsdyn compare``."""
+    parser.add_argument("first", type=Path, metavar="A.h5")
+    parser.add_argument("second", type=Path, metavar="B.h5")
+    add_json(parser)
+
+
+def compare_recordings(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn compare``."""
+    import nsdyn
+
+    found = nsdyn.compare(*(nsdyn.Trajectory.load(path) for path in (arguments.first, arguments.second)))
+    if arguments.json:
+        say_json(arguments, found.as_dict())
+    else:
+        say(arguments, found)
+    return 0
+
+
+def add_check(parser: argparse.ArgumentParser) -> None:
+    """The options of ``nsdyn check``."""
+    parser.add_argument(
+        "what", metavar="ROBOT|SCENE|RUN.h5",
+        help="a robot file (.urdf, .sdf, .xml, .mjcf), a scene by its name or its file (.py), a recording (.h5)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--set", metavar="NAME=VALUE", action="append", default=[], help="parameter of the scene; may be repeated"
+    )
+    parser.add_argument(
+        "--package-dir", metavar="DIR", action="append", default=[], type=Path,
+        help="where the meshes of a robot are looked up; may be repeated",
+    )  # fmt: skip
+    add_json(parser)
+
+
+def check_anything(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn check``: 0 only if all is well."""
+    import nsdyn
+    from nsdyn.scene import settings
+    from nsdyn.study import inspection
+
+    what, suffix = arguments.what, Path(arguments.what).suffix.lower()
+    found: Any
+    if suffix in RECORDINGS:
+        found = nsdyn.check(nsdyn.Trajectory.load(what))
+    elif suffix in inspection.ROBOTS:
+        found = inspection.inspect_robot(what, arguments.package_dir)
+    else:
+        setup = nsdyn.scenes.setup(what, **settings.values(what, arguments.set))
+        found = inspection.inspect_scene(setup.scene, what)
+    if arguments.json:
+        say_json(arguments, found.as_dict())
+    else:
+        say(arguments, found)
+    return 0 if found.passed else 1

@@ -1,0 +1,98 @@
+"""`nsdyn sweep`: a scene over lists of parameters."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nsdyn.cli.output import add_json, check_outputs, one_line, say, say_json, table, write_rows
+from nsdyn.cli.simulation import add_simulation, chosen_solver
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+__all__ = ["add_sweep", "sweep_scene"]
+
+
+def add_sweep(parser: argparse.ArgumentParser) -> None:
+    """The options of ``nsdyn sweep`` besides its scene."""
+    parser.add_argument(
+        "--set", metavar="NAME=VALUE,...", action="append", default=[],
+        help="values of a parameter of the scene, with commas between; may be repeated",
+    )  # fmt: skip
+    add_simulation(parser, "raise", "ignore")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: as many as cores)")
+    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster whose workers have nsdyn")
+    parser.add_argument(
+        "--store", type=Path, metavar="S.jsonl",
+        help="file to which every run is added when it is done; what it already has is not run again",
+    )  # fmt: skip
+    parser.add_argument("--csv", type=Path, metavar="F.csv", help="the table")
+    add_json(parser)
+
+
+def sweep_scene(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn sweep``."""
+    import nsdyn
+    from nsdyn.scene import settings
+    from nsdyn.study import sweep as ensemble
+
+    name = arguments.scene
+    module = nsdyn.scenes.module(name)
+    parameters = settings.lists(name, arguments.set)
+    solver = chosen_solver(arguments)
+    check_outputs(None, arguments.store, arguments.csv)
+    with _executor(arguments) as executor:
+        members = ensemble.sweep(
+            name,
+            parameters,
+            module.DURATION if arguments.time is None else arguments.time,
+            on_fail=arguments.on_fail,
+            executor=executor,
+            keep=ensemble.figures,
+            progress=True,
+            store=arguments.store,
+            dt=module.DT if arguments.dt is None else arguments.dt,
+            theta=arguments.theta,
+            solver=solver,
+        )
+    rows = [{**m.parameters, "failure": m.failure, **(m.result or {})} for m in members]
+    columns = list(dict.fromkeys(column for row in rows for column in row))  # a failed run has no figures
+    if arguments.csv:
+        write_rows(rows, columns, arguments.csv)
+    if arguments.json:
+        say_json(arguments, {"scene": name, "runs": rows})
+    else:
+        say(arguments, table(rows, [column for column in columns if column != "failure"]))
+    for m in members:
+        if m.failure:
+            print(f"nsdyn: failed: {m.parameters}: {one_line(m.failure)}", file=sys.stderr)
+    return 1 if any(m.failure for m in members) else 0
+
+
+@contextmanager
+def _executor(arguments: argparse.Namespace) -> Iterator[Executor | int | None]:
+    """What runs the simulations."""
+    if arguments.dask is not None:
+        if importlib.util.find_spec("distributed") is None:
+            raise ValueError("--dask needs the extra `cluster`: pip install 'nsdyn[cluster]'")
+        from distributed import Client
+
+        try:
+            client = Client(arguments.dask, timeout="10s")
+        except (OSError, ValueError, TimeoutError) as error:
+            raise ValueError(f"no dask scheduler at {arguments.dask}: {one_line(error)}") from None
+        with client, client.get_executor() as executor:
+            yield executor
+        return
+    workers = len(os.sched_getaffinity(0)) if arguments.workers is None else arguments.workers
+    if workers < 1:
+        raise ValueError(f"--workers must be at least 1, got {workers}")
+    yield None if workers == 1 else workers

@@ -1,0 +1,167 @@
+"""What a page has to know of a recording: names and arrays, as one text."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import umsgpack
+from numpy.typing import NDArray
+
+from nsdyn.recording import arrows, bundle, contact_points, curves, impacts, keyframes, motion
+from nsdyn.recording.commands import Json
+from nsdyn.recording.solids import body_path, geom_path, shape_commands
+from nsdyn.recording.stage import FIELD_OF_VIEW, View, stage_commands
+from nsdyn.tools.arrays import Array, Index
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["packed"]
+
+MAX_CONTACTS = 150_000
+"""Of all frames of a page, up to 10 MB: of every other frame, every third and so on where there are more."""
+
+MAX_IMPACTS = 200
+"""Marks on the time axis, of the strongest."""
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def packed(trajectory: Trajectory, fps: float, forces: bool | str, max_frames: int, at: float | None) -> str:
+    """Text of `nsdyn.recording.bundle`; parameters and errors are those of `nsdyn.recording.viewer.html`."""
+    t = trajectory.t
+    finite = np.isfinite(trajectory.q).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"the state is not finite from t = {t[np.argmin(finite)]:g} s on")
+    hits = impacts.find(trajectory)
+    strongest = np.argsort(-hits.impulse * hits.speed, kind="stable")[:MAX_IMPACTS]
+    rows = keyframes.choose(t, fps, max_frames, hits.step[strongest].tolist())
+    if at is not None:
+        if not t[0] <= at <= t[-1]:
+            raise ValueError(f"at must lie between {t[0]:g} and {t[-1]:g} s, got {at}")
+        rows = keyframes.nearest(t, np.array([at]))
+    view = View(trajectory)
+    values, arrays = _scene(trajectory, view)
+    arrays["t"] = t[rows]
+    commands = stage_commands(view) + shape_commands(trajectory.scene, view)
+    parts = [umsgpack.packb(command) for command in commands + motion.start_commands(trajectory, int(rows[0]))]
+    arrays["commands"] = np.frombuffer(b"".join(parts), np.uint8)
+    arrays["command_ends"] = np.cumsum([len(part) for part in parts], dtype=np.uint32)
+    arrays |= {
+        f"ledger/{name}": x.astype("<f8" if name == "t" else "<f4") for name, x in curves.ledger(trajectory).items()
+    }
+    arrays |= {
+        f"motion/{name}": x.astype("<f4" if x.ndim > 1 else "<u4")
+        for name, x in motion.keys(trajectory, rows, view.radius).items()
+    }
+    arrays |= {f"bodies/{name}": bundle.rounded(x) for name, x in curves.bodies(trajectory, rows).items()}
+    ticks = np.sort(strongest)
+    arrays |= {
+        "impacts/t": t[hits.step[ticks]],
+        "impacts/speed": hits.speed[ticks].astype("<f4"),
+        "impacts/impulse": hits.impulse[ticks].astype("<f4"),
+        "impacts/geoms": hits.geoms[ticks].astype("<u4"),
+    }
+    notes = _notes(trajectory, rows.size, int(hits.step.size))
+    if trajectory.has_contacts:
+        stride = max(1, -(-int(contact_points.counts(trajectory, rows).sum()) // MAX_CONTACTS))
+        if stride > 1:
+            notes.append(f"contacts of one in {stride} of them")
+        found = contact_points.at(trajectory, rows[::stride])
+        arrays |= {"contacts/t": t[rows[::stride]]} | _contacts(found)
+        pushes, usual, left = _forces(trajectory, rows[::stride], "point" if forces == "point" else "pair")
+        if left:
+            notes.append(f"the {MAX_CONTACTS} largest of {left + MAX_CONTACTS} forces")
+        arrays |= pushes
+        units = {"forces": usual, "cones": _usual(found["r"][:, 0] / trajectory.dt)}
+        lengths = {"forces": view.radius / 5, "cones": min(view.radius / 5, view.body_radius)}
+        values |= {"forces": bool(forces), "units": units, "lengths": lengths}
+    values |= {"picture": at is not None, "notes": [] if at is not None else notes}
+    return bundle.pack(values, arrays)
+
+
+def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
+    """Names, masses and places of what is shown."""
+    scene = trajectory.scene
+    labels = [geom.get("link", geom["name"]) for geom in scene["geoms"]]
+    names = list(dict.fromkeys(labels))
+    bodies = []
+    for name in names:
+        frame = scene["geoms"][labels.index(name)]["frame"]
+        mass = scene["masses"][frame] if 0 <= frame < scene["free"] else None
+        bodies.append({"name": name, "frame": frame, "mass": mass})
+    values = {
+        "name": trajectory.meta["scene_name"],
+        "begin": float(trajectory.t[0]),
+        "end": float(trajectory.t[-1]),
+        "dt": trajectory.dt,
+        "solver": str(trajectory.meta.get("solver", "")),
+        "contacts": trajectory.has_contacts,
+        "gravity": scene["gravity"],
+        "largest": trajectory.largest_energy,
+        "bodies": bodies,
+        "frames": [body_path(name) for name in scene["frames"]],
+        "geoms": [
+            {"path": geom_path(scene, geom), "body": names.index(label)}
+            for geom, label in zip(scene["geoms"], labels, strict=True)
+        ],
+        "view": {
+            "centre": view.centre.tolist(),
+            "radius": view.radius,
+            "back": ((view.eye - view.centre) / np.linalg.norm(view.eye - view.centre)).tolist(),
+            "slope": float(np.tan(np.radians(FIELD_OF_VIEW / 2))),
+            "planes": [[*normal.tolist(), offset] for normal, offset in view.planes],
+        },
+    }
+    return values, {"outline": view.outline.astype("<f4")}
+
+
+def _contacts(found: Arrays) -> Arrays:
+    """Contacts with as many digits as are shown."""
+    whole = {"offset": "<u4", "id": "<u4", "state": "u1", "geoms": "<u4"}
+    return {
+        f"contacts/{name}": x.astype(whole[name]) if name in whole else bundle.rounded(x) for name, x in found.items()
+    }
+
+
+def _forces(trajectory: Trajectory, rows: Index, by: str) -> tuple[Arrays, float, int]:
+    """Mean forces since the state before each; what is usual among them, N, and how many are left out."""
+    since = rows if rows.size > 1 else np.array([max(0, rows[0] - 1), rows[0]])
+    found = arrows.between(trajectory, since, by)
+    size = np.linalg.norm(found.force, axis=1)
+    pushing = int((size > 0.0).sum())
+    order = np.sort(np.argsort(-size, kind="stable")[: min(MAX_CONTACTS, pushing)])  # by keyframe, as they are
+    frame = found.keyframe[order] - (since.size - rows.size)
+    arrays: Arrays = {
+        "forces/offset": np.searchsorted(frame, np.arange(rows.size + 1)).astype("<u4"),
+        "forces/frame": found.frame[order].astype("<u4"),
+        "forces/point": bundle.rounded(found.point[order]),
+        "forces/force": bundle.rounded(found.force[order]),
+    }
+    return arrays, _usual(size), pushing - order.size
+
+
+def _usual(size: Array) -> float:
+    """90 % quantile of those that are positive, 0 if none is."""
+    return float(np.quantile(size[size > 0.0], 0.9)) if (size > 0.0).any() else 0.0
+
+
+def _notes(trajectory: Trajectory, frames: int, hits: int) -> list[str]:
+    """What a reader of the page has to know of what it leaves out."""
+    states = trajectory.t.size
+    notes = [f"{frames} of {states} recorded states" if frames < states else f"all {states} recorded states"]
+    if states > curves.MAX_POINTS:
+        notes.append(f"curves of {curves.MAX_POINTS} of them, figures of checks the largest in between")
+    if trajectory.every > 1:
+        notes.append(
+            f"one step in {trajectory.every} is recorded: works are sums of {trajectory.every} steps, "
+            "contacts those of the last; impacts are not marked"
+        )
+    if not trajectory.has_contacts:
+        notes.append("recorded without contacts: no points, forces, impacts and overlaps")
+    if hits > MAX_IMPACTS:
+        notes.append(f"the {MAX_IMPACTS} strongest of {hits} steps with impacts are marked")
+    if trajectory.scene["articulations"]:
+        notes.append("masses and speeds of links are not recorded")
+    return notes

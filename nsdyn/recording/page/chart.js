@@ -1,0 +1,167 @@
+// A plot on a canvas: axes, areas, lines; and over it, on a canvas of its own, the cursor.
+
+const MARGIN = {left: 58, right: 14, top: 8, bottom: 20};
+const GAP = 11;  // between lanes
+
+class Chart {
+  // `onSeek(t)` is called where the pointer is pressed or drawn.
+  constructor(place, onSeek) {
+    this.place = place;
+    this.back = place.appendChild(element("canvas"));
+    this.front = place.appendChild(element("canvas"));
+    const seek = event => { if (event.buttons) onSeek(this.time(event.offsetX)); };
+    place.addEventListener("pointerdown", event => { place.setPointerCapture(event.pointerId); seek(event); });
+    place.addEventListener("pointermove", seek);
+    this.lanes = [];
+  }
+
+  // What is shown: {begin, end} of time, and lanes, one above the other, each {low, high, log, unit, areas, lines, note}.
+  // An area is {values: [lower, upper], colour}, a line {values, colour, dash}; all have the times `t`; `steps` where
+  // each value is of the time since the one before.
+  show(content) {
+    Object.assign(this, content);
+    this.redraw();
+  }
+
+  x(t) {
+    return MARGIN.left + (this.width - MARGIN.left - MARGIN.right) * (t - this.begin) / (this.end - this.begin || 1);
+  }
+
+  time(x) {
+    return this.begin + (this.end - this.begin) * (x - MARGIN.left) / (this.width - MARGIN.left - MARGIN.right);
+  }
+
+  box(lane) {
+    const room = (this.height - MARGIN.top - MARGIN.bottom + GAP) / this.lanes.length;
+    const top = MARGIN.top + room * this.lanes.indexOf(lane);
+    return {top, bottom: top + room - GAP};
+  }
+
+  y(lane, value) {
+    const {top, bottom} = this.box(lane);
+    const f = lane.log ? Math.log10 : x => x;
+    const part = (f(Math.max(value, lane.log ? lane.low : -Infinity)) - f(lane.low)) / (f(lane.high) - f(lane.low));
+    return bottom - (bottom - top) * Math.min(1.02, part);
+  }
+
+  redraw() {
+    this.width = this.back.clientWidth;
+    this.height = this.back.clientHeight;
+    if (!this.width || !this.height) return;
+    const context = contextOf(this.back);
+    context.font = "10.5px system-ui, sans-serif";
+    for (const lane of this.lanes) this.drawLane(context, lane);
+    context.fillStyle = "#6b7785";
+    context.textAlign = "center";
+    const times = this.end > this.begin ? ticks(this.begin, this.end, Math.max(2, this.width / 110)) : [this.begin];
+    for (const t of times) {
+      context.fillText(onAxis(t, times[1] - times[0] || 1), Math.min(this.x(t), this.width - 22), this.height - 5);
+    }
+    context.textAlign = "right";
+    context.fillText("s", this.width - 4, this.height - 5);
+    this.cursor(this.now ?? this.begin);
+  }
+
+  drawLane(context, lane) {
+    const {top, bottom} = this.box(lane);
+    const right = this.width - MARGIN.right;
+    context.fillStyle = "#6b7785";
+    context.strokeStyle = "#e4e8ec";
+    context.lineWidth = 1;
+    context.textAlign = "right";
+    const marks = lane.log ? decades(lane.low, lane.high, (bottom - top) / 16) : ticks(lane.low, lane.high, (bottom - top) / 30);
+    for (const mark of marks) {
+      const y = Math.round(this.y(lane, mark)) + 0.5;
+      context.beginPath();
+      context.moveTo(MARGIN.left, y);
+      context.lineTo(right, y);
+      context.stroke();
+      const text = lane.log ? "1e" + Math.round(Math.log10(mark)) : onAxis(mark, marks[1] - marks[0] || 1);
+      context.fillText(text, MARGIN.left - 5, y + 3.5);
+    }
+    context.save();
+    context.beginPath();
+    context.rect(MARGIN.left, top, right - MARGIN.left, bottom - top + 1);
+    context.clip();
+    for (const {values: [lower, upper], colour} of lane.areas ?? []) {
+      context.fillStyle = colour;
+      context.beginPath();
+      this.trace(context, lane, upper);
+      this.trace(context, lane, lower, true);
+      context.fill();
+    }
+    for (const {values, colour, dash, width} of lane.lines ?? []) {
+      context.strokeStyle = colour;
+      context.lineWidth = width ?? 1.5;
+      context.setLineDash(dash ?? []);
+      context.beginPath();
+      this.trace(context, lane, values);
+      context.stroke();
+      context.setLineDash([]);
+    }
+    context.restore();
+    context.textAlign = "left";
+    if (lane.label) {
+      context.fillStyle = "#ffffffc8";
+      context.fillRect(MARGIN.left + 2, top, context.measureText(lane.label).width + 7, 15);
+      context.fillStyle = "#3a444f";
+      context.fillText(lane.label, MARGIN.left + 5, top + 11);
+    }
+    context.textAlign = "center";
+    context.fillStyle = "#6b7785";
+    context.font = "12px system-ui, sans-serif";
+    if (lane.note) context.fillText(lane.note, 0.5 * (MARGIN.left + right), 0.5 * (top + bottom) + 4);
+    context.font = "10.5px system-ui, sans-serif";
+    context.save();
+    context.translate(12, 0.5 * (top + bottom));
+    context.rotate(-Math.PI / 2);
+    context.fillText(lane.unit, 0, 0);
+    context.restore();
+  }
+
+  // Add a curve to the path; what is not finite leaves a gap.
+  trace(context, lane, values, backwards = false) {
+    const count = values.length;
+    let pen = backwards;
+    for (let i = 0; i < count; i++) {
+      const k = backwards ? count - 1 - i : i;
+      if (!Number.isFinite(values[k])) {
+        pen = false;
+        continue;
+      }
+      const [x, y] = [this.x(this.t[k]), this.y(lane, values[k])];
+      if (this.steps && k > 0) {
+        const before = this.x(this.t[k - 1]);
+        for (const corner of backwards ? [x, before] : [before, x]) {
+          if (pen) context.lineTo(corner, y); else context.moveTo(corner, y);
+          pen = true;
+        }
+      } else if (!this.steps) {
+        if (pen) context.lineTo(x, y); else context.moveTo(x, y);
+        pen = true;
+      }
+    }
+  }
+
+  cursor(t) {
+    this.now = t;
+    if (!this.width) return;
+    const context = contextOf(this.front);
+    const x = Math.round(this.x(t)) + 0.5;
+    context.strokeStyle = "#0b5ea8";
+    context.lineWidth = 1.5;
+    context.beginPath();
+    context.moveTo(x, MARGIN.top - 4);
+    context.lineTo(x, this.height - MARGIN.bottom + 3);
+    context.stroke();
+  }
+}
+
+// Powers of ten in a range, so many at most.
+function decades(low, high, most) {
+  const [first, last] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];
+  const step = Math.max(1, Math.ceil((last - first + 1) / Math.max(2, most)));
+  const out = [];
+  for (let k = first; k <= last; k += step) out.push(10 ** k);
+  return out;
+}

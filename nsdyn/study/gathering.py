@@ -1,0 +1,124 @@
+"""Many calls of one function, here, in processes or by any executor; what dies with its worker is tried once more."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from multiprocessing import get_context
+from typing import Any
+
+__all__ = ["gather"]
+
+MESSAGES = 128
+"""Most messages with tasks to an executor: one to a dask scheduler and back costs 10 ms of processor time, so that many
+short tasks go together, and so few of all that a message that is lost, or comes late, does not matter."""
+
+Tasks = Mapping[int, tuple[Any, ...]]
+Outcome = tuple[int, Any, str]
+
+
+def gather(function: Callable[..., Any], tasks: Tasks, workers: int | Executor | None) -> Iterator[Outcome]:
+    """Call a function for every task and yield each outcome as it comes.
+
+    Parameters
+    ----------
+    function : callable
+    tasks : mapping of int to tuple
+        Its arguments, by numbers.
+    workers : int or Executor or None
+        Processes to start, an executor, or None for this process.
+
+    Yields
+    ------
+    (int, Any, str)
+        Number of the task, what the function returned, and why it did not: what its worker died of, twice.
+
+    Raises
+    ------
+    Exception
+        What the function raises in this process.
+    """
+    if workers is None:
+        for k, task in tasks.items():
+            yield k, function(*task), ""
+    elif isinstance(workers, int):
+        yield from _in_processes(function, tasks, workers)
+    else:
+        yield from _by_executor(function, tasks, workers)
+
+
+def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Iterator[Outcome]:
+    """In pools of one process each, so that one that dies takes only its own task along, and is replaced."""
+
+    def pool() -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(1, get_context("spawn"))
+
+    pools = [pool() for _ in range(min(count, len(tasks)))]
+    idle, waiting, tried = list(range(len(pools))), deque(tasks), set[int]()
+    running: dict[Future[Any], tuple[int, int]] = {}
+    try:
+        while waiting or running:
+            while waiting and idle:
+                k, place = waiting.popleft(), idle.pop()
+                running[pools[place].submit(function, *tasks[k])] = k, place
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                k, place = running.pop(future)
+                idle.append(place)
+                try:
+                    yield k, future.result(), ""
+                except Exception as failure:  # the process is gone, or something could not be sent
+                    if isinstance(failure, BrokenExecutor):
+                        pools[place].shutdown(wait=False)
+                        pools[place] = pool()
+                    if k in tried:
+                        yield k, None, _reason(failure)
+                    else:
+                        tried.add(k)
+                        waiting.append(k)
+    finally:
+        for one in pools:
+            one.shutdown(cancel_futures=True)
+
+
+def _by_executor(function: Callable[..., Any], tasks: Tasks, executor: Executor) -> Iterator[Outcome]:
+    """Some tasks a message; those of a message that is lost are sent again one by one."""
+    size, numbers = math.ceil(len(tasks) / MESSAGES), list(tasks)
+    running: dict[Future[list[Any]], list[int]] = {}
+    tried: set[int] = set()
+
+    def send(some: list[int]) -> None:
+        running[executor.submit(_each, function, [tasks[k] for k in some])] = some
+
+    for first in range(0, len(numbers), max(1, size)):
+        send(numbers[first : first + size])
+    try:
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                some = running.pop(future)
+                try:
+                    outcomes = future.result()
+                except Exception as failure:  # as above
+                    for k in some:
+                        if k in tried:
+                            yield k, None, _reason(failure)
+                            continue
+                        tried.add(k)
+                        try:
+                            send([k])
+                        except RuntimeError as broken:  # for good
+                            yield k, None, _reason(broken)
+                else:
+                    yield from ((k, outcome, "") for k, outcome in zip(some, outcomes, strict=True))
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _each(function: Callable[..., Any], tasks: list[tuple[Any, ...]]) -> list[Any]:
+    return [function(*task) for task in tasks]
+
+
+def _reason(failure: Exception) -> str:
+    return f"its worker was lost twice: {type(failure).__name__}: {' '.join(str(failure).split())}"

@@ -1,0 +1,105 @@
+"""The points of a sweep in a file, each written when it is there, so that a sweep that is stopped goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from nsdyn.tools import files
+
+__all__ = ["Store"]
+
+
+class Store:
+    """JSON lines: what is swept, then a line for every point; the last one of a run that was killed may be cut.
+
+    Parameters
+    ----------
+    path : path
+        A file that does not exist yet, or the store of the same sweep.
+    sweep : mapping
+        What makes the results what they are, in JSON's terms.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be written, is no store, or that of another sweep, naming the difference.
+    """
+
+    def __init__(self, path: str | Path, sweep: Mapping[str, Any]) -> None:
+        self.path = Path(path)
+        files.check_writable(self.path)
+        if files.is_special(self.path):
+            raise ValueError(f"cannot store a sweep in {path}: it is no regular file, which lines could be added to")
+        self._sweep = _read(_write({"sweep": sweep}))["sweep"]
+        self._points, whole = self._found()
+        with open(self.path, "a+b") as file:
+            file.truncate(whole)
+            if not whole:
+                file.write(_write({"sweep": sweep}))
+
+    def _found(self) -> tuple[dict[str, dict[str, Any]], int]:
+        """Points of a file by their parameters, and the bytes of its whole lines."""
+        if not self.path.exists() or not (lines := self.path.read_bytes().splitlines(keepends=True)):
+            return {}, 0
+        lines = lines if lines[-1].endswith(b"\n") else lines[:-1]
+        try:
+            head, *rows = map(_read, lines)
+            found = head["sweep"]
+            points = {_key(row["parameters"]): row for row in rows}
+        except (ValueError, KeyError, TypeError):
+            raise ValueError(f"{self.path} is not the store of a sweep: give another name, or remove it") from None
+        for name in self._sweep.keys() | found.keys():
+            if found.get(name) != self._sweep.get(name):
+                raise ValueError(
+                    f"{self.path} is the store of another sweep: its {name} is {found.get(name)!r}, "
+                    f"not {self._sweep.get(name)!r}; give another name"
+                )
+        return points, sum(map(len, lines))
+
+    def point(self, parameters: Mapping[str, Any]) -> dict[str, Any] | None:
+        """What is stored of a point: parameters, result, failure."""
+        return self._points.get(_key(parameters))
+
+    def add(self, point: Mapping[str, Any]) -> dict[str, Any]:
+        """Write a point, at once, and return it as it will be read; ValueError for what JSON cannot hold."""
+        line = _write(point)
+        self._file.write(line)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        out: dict[str, Any] = _read(line)
+        return out
+
+    def __enter__(self) -> Store:
+        self._file = open(self.path, "ab")  # closed by __exit__
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._file.close()
+
+
+def _read(line: bytes) -> Any:
+    return json.loads(line)
+
+
+def _write(value: Any) -> bytes:
+    try:
+        return json.dumps(value, default=_plain).encode() + b"\n"
+    except TypeError as error:
+        raise ValueError(f"a store holds numbers, texts, lists and dicts of them: {error}; see `keep`") from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"got {type(value).__name__}")
+
+
+def _key(parameters: Mapping[str, Any]) -> str:
+    return json.dumps(parameters, sort_keys=True, default=_plain)

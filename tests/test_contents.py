@@ -1,0 +1,190 @@
+"""What a page knows of a recording: impacts, contacts, curves, and how they are packed."""
+
+import json
+
+import numpy as np
+import pytest
+from recordings import recording
+from test_viewer import contents
+
+import nsdyn as nd
+from nsdyn.recording import bundle, contact_points, curves, impacts, keyframes, viewer
+from nsdyn.recording import contents as packing
+from nsdyn.recording.contents import packed
+
+
+@pytest.fixture(scope="module")
+def bouncing():
+    return nd.simulate(nd.scenes.load("bounce")(), 1.3, dt=1e-3)
+
+
+@pytest.fixture(scope="module")
+def sliding():
+    return nd.simulate(nd.scenes.load("slide")(), 0.2, dt=1e-2)
+
+
+def test_packed_values_come_back():
+    arrays = {
+        "small": np.array([3, 1, 2], np.uint8),
+        "whole": np.arange(5, dtype=np.uint32) << 20,
+        "real": np.array([[1.5, -np.inf], [np.nan, 1e-300]]),
+        "none": np.empty((0, 3), np.float32),
+    }
+    values, back = bundle.unpack(bundle.pack({"name": "</script> é"}, arrays))
+    assert values == {"name": "</script> é"}
+    for name, array in arrays.items():
+        assert back[name].dtype == array.dtype
+        np.testing.assert_array_equal(back[name], array.ravel())
+
+
+def test_rounding_keeps_fifteen_bits(rng):
+    values = rng.normal(size=1000) * 10.0 ** rng.integers(-20, 20, 1000)
+    kept = bundle.rounded(values)
+    np.testing.assert_allclose(kept, values, rtol=2.0**-16)
+    assert not (kept.view(np.uint32) & 0xFF).any()
+    np.testing.assert_array_equal(bundle.rounded([np.inf, -np.inf, 0.0, np.nan]), [np.inf, -np.inf, 0.0, np.nan])
+
+
+def test_keyframes_are_even_and_have_what_is_wanted():
+    t = np.linspace(0.0, 1.0, 101)
+    assert keyframes.choose(t, 10, 3000, []).tolist() == list(range(0, 101, 10))
+    assert keyframes.choose(t, 10, 3000, [7, 20]).tolist() == sorted([7, *range(0, 101, 10)])
+    assert keyframes.choose(t, 10, 12, [33, 7, 5]).tolist() == sorted([33, *range(0, 101, 10)])  # first first
+    assert keyframes.choose(t[:1], 10, 3000, []).tolist() == [0]
+    assert keyframes.thinned(10, 20).tolist() == list(range(10))
+    assert keyframes.thinned(1001, 11).tolist() == list(range(0, 1001, 100))
+
+
+def test_bounces_are_impacts(bouncing):
+    """A ball of 1 kg falls 1 m; it meets the ground at 4.43 m/s and 0.8 of it later."""
+    found = impacts.find(bouncing)
+    speed = np.sqrt(2 * 9.81)
+    assert bouncing.t[found.step] == pytest.approx([speed / 9.81, 2.6 * speed / 9.81], abs=1e-3)
+    # What gravity gives in a step is not counted.
+    np.testing.assert_allclose(found.speed, [speed, 0.8 * speed], rtol=0, atol=9.81e-3)
+    np.testing.assert_allclose(found.impulse, [1.8 * speed, 1.8 * 0.8 * speed], rtol=0, atol=2 * 9.81e-3)
+
+
+def test_what_slides_or_rests_has_no_impacts(sliding):
+    assert impacts.find(sliding).step.size == 0
+    stack = nd.simulate(nd.scenes.load("stack")(height=3), 0.1, dt=1e-2)
+    assert impacts.find(stack).step.size == 0
+
+
+def test_impacts_of_links_are_found():
+    """The feet of a robot, whose velocities are not recorded."""
+    trajectory = nd.simulate(nd.scenes.load("woodpecker")(), 0.3, dt=1e-3)
+    found = impacts.find(trajectory)
+    assert found.step.size > 2 and (found.speed > 9.81e-3).all()
+
+
+def test_sparse_recordings_have_no_impacts(bouncing):
+    every = nd.simulate(nd.scenes.load("bounce")(), 0.6, dt=1e-3, every=5)
+    assert impacts.find(every).step.size == 0
+
+
+def test_contacts_of_states_are_those_of_the_steps_before(sliding):
+    rows = np.array([0, 3, 7])
+    found = contact_points.at(sliding, rows)
+    assert found["offset"].tolist() == [0, 0, 4, 8]
+    for k, row in enumerate(rows[1:], 1):
+        part = slice(*found["offset"][k : k + 2])
+        contacts = sliding.contacts(int(row))
+        order = np.lexsort(contacts.point.T)
+        ours = np.lexsort(found["point"][part].T)
+        np.testing.assert_array_equal(found["point"][part][ours], contacts.point[order])
+        np.testing.assert_array_equal(found["gap"][part][ours], contacts.gap[order])
+        np.testing.assert_array_equal(found["state"][part][ours], contacts.status[order] + contact_points.EDGE)
+        # The impulse in axes that follow from the normal is the one in the world.
+        t1, t2 = contact_points.axes(found["normal"][part])
+        r = found["r"][part]
+        world = r[:, :1] * found["normal"][part] + r[:, 1:2] * t1 + r[:, 2:] * t2
+        np.testing.assert_allclose(world[ours], contacts.impulse_world[order], rtol=0, atol=1e-12)
+    # What the four points dissipated until then is the work of friction of the whole slide.
+    part = slice(*found["offset"][2:4])
+    assert found["taken"][part].sum() == pytest.approx(-sliding.energy.friction[:7].sum(), rel=1e-9)
+
+
+def test_axes_make_right_handed_frames(rng):
+    n = rng.normal(size=(50, 3))
+    n = np.vstack([n / np.linalg.norm(n, axis=1, keepdims=True), np.eye(3), -np.eye(3)])
+    frames = np.stack([n, *contact_points.axes(n)], axis=1)
+    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), np.tile(np.eye(3), (56, 1, 1)), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(frames), 1.0, rtol=1e-14)
+
+
+def test_curves_are_the_ledger(bouncing, monkeypatch):
+    monkeypatch.setattr(curves, "MAX_POINTS", 14)
+    found = curves.ledger(bouncing)
+    assert found["t"].tolist() == bouncing.t[::100].tolist()
+    sums = sum(found[name] for name in ("external", "normal", "friction", "damping", "constraint"))
+    sums = sums + found["integration"] + found["projection"] + found["defect"]
+    # Of 9.81 J.
+    np.testing.assert_allclose(found["kinetic"] + found["potential"] - sums, found["potential"][0], rtol=1e-12)
+    assert found["potential"].min() >= 0.0
+    worst = [bouncing.gauss.bound[k : k + 100].max() for k in range(0, 1300, 100)]
+    assert found["bound"][1:].tolist() == worst and np.isnan(found["bound"][0])
+
+
+def test_bodies_have_speed_and_energy(bouncing):
+    found = curves.bodies(bouncing, np.array([0, 400]))
+    speed = np.linalg.norm(bouncing.body("ball").linear_velocity[[0, 400]], axis=1)
+    np.testing.assert_allclose(found["speed"][:, 0], speed, rtol=1e-12)
+    np.testing.assert_allclose(found["kinetic"].sum(axis=1), bouncing.energy.kinetic[[0, 400]], rtol=1e-12)
+
+
+def test_what_is_left_out_is_told(sliding, monkeypatch):
+    monkeypatch.setattr(packing, "MAX_CONTACTS", 30)
+    monkeypatch.setattr(curves, "MAX_POINTS", 10)
+    values, arrays = bundle.unpack(packed(sliding, 100, False, 3000, None))
+    assert values["notes"] == [
+        "all 21 recorded states",
+        "curves of 10 of them, figures of checks the largest in between",
+        "contacts of one in 3 of them",
+    ]
+    assert arrays["contacts/t"].tolist() == sliding.t[::3].tolist()
+    assert arrays["contacts/id"].size == 24
+    assert bundle.unpack(packed(sliding, 10, False, 3000, None))[0]["notes"][0] == "3 of 21 recorded states"
+
+
+def test_forces_push_the_moving_body(sliding):
+    """They carry and brake the box: the mean since the state before."""
+    values, arrays = bundle.unpack(packed(sliding, 10, "pair", 3000, None))
+    force = arrays["forces/force"].reshape(-1, 3)
+    assert values["forces"] is True and arrays["forces/offset"].tolist() == [0, 0, 1, 2]
+    mean = [sliding.force("box")[k : k + 10].mean(axis=0) for k in (0, 10)]
+    np.testing.assert_allclose(force, mean, rtol=0, atol=1e-3)  # 15 bits of 10 N
+    assert values["units"]["forces"] == pytest.approx(np.linalg.norm(mean[0]), rel=1e-3)
+
+
+def test_values_are_json_of_finite_numbers(bouncing):
+    values, _ = contents(viewer.html(bouncing))
+    assert json.loads(json.dumps(values, allow_nan=False)) == values
+
+
+@pytest.mark.slow
+def test_large_pages_stay_small(rng):
+    """3000 frames of 100 bodies that all move, and 300 contacts in each, at random: the worst for a page."""
+    scene = nd.Scene(name="many")
+    scene.add_halfspace("ground")
+    for k in range(100):
+        scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, position=(k % 10, k // 10, 0.1))
+    n, m = 3000, 300 * 2999
+    place = 2.0 * np.sin(np.arange(n)[:, None, None] / 30 * rng.uniform(0.5, 3.0, (100, 3)))
+    turn = np.cumsum(rng.normal(0.0, 0.05, (n, 100, 4)), axis=0) + rng.normal(0.0, 0.01, (n, 100, 4))
+    q = np.concatenate([place, turn / np.linalg.norm(turn, axis=-1, keepdims=True)], axis=-1)
+    normal = rng.normal(size=(m, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    first = rng.integers(0, 100, m)
+    contacts = {
+        "offset": 300 * np.arange(n), "geom1": first.astype(np.int32), "geom2": first.astype(np.int32) + 1,
+        "key": rng.integers(0, 8, m), "point": rng.uniform(-2, 2, (m, 3)), "normal": normal,
+        "tangent": contact_points.axes(normal)[0], "gap": rng.normal(0, 1e-9, m), "mu": np.full(m, 0.5),
+        "restitution": np.zeros(m), "u": rng.normal(size=(m, 3)), "impulse": np.abs(rng.normal(size=(m, 3))),
+        "status": rng.integers(0, 3, m).astype(np.int8), "work_normal": -rng.uniform(size=m),
+        "work_friction": -rng.uniform(size=m),
+    }  # fmt: skip
+    trajectory = recording(scene, q.reshape(n, -1), dt=1 / 30, contacts=contacts, v=rng.normal(size=(n, 600)))
+    page = viewer.html(trajectory)
+    assert len(page) < 25e6
+    assert contents(page)[1]["t"].size == n
