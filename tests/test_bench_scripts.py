@@ -19,6 +19,10 @@ SCRIPTS = {
     "portfolio.py": (["--steps", "2"], r"mean [\d.]+ ms"),
     "regimes.py": (["{folder}", "--solver", "auto", "--bodies", "12"], r"collision, 1e-08\nsolver .*\nauto +4/4 "),
     "truth.py": (["slow_ball", "--quick"], r"slow_ball +speed +[\d.e+-]+ +1e-09"),
+    "fuzz.py": (["urdf", "--count", "20"], r"urdf +20 cases.*\n0 failures"),
+    "anything.py": (["--count", "3", "--steps", "5"], r"3 scenes: .*\nworst figures: "),
+    "kills.py": (["--count", "1", "--scene", "rolling"], r"\d+ kills in \d+ runs, 0 failures"),
+    "long.py": (["ball", "--time", "0.5"], r"ball t = +0\.5 s: .* 0 missed"),
     "sweep.py": (
         ["--runs", "40", "--time", "0.1", "--rounds", "1"],
         r"same bits: True\n.* 0 of 40 lost, same bits: True",

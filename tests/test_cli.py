@@ -1,7 +1,9 @@
 """The command: what it prints, what it writes, and how it says no."""
 
 import csv
+import importlib.metadata
 import json
+import re
 import subprocess
 import sys
 import time
@@ -124,6 +126,21 @@ def test_doctor_misses_a_package(run, monkeypatch):
     monkeypatch.setitem(doctor.PACKAGES, "no-such-distribution", "no_such_module")
     code, out, _ = run("doctor")
     assert code == 1 and "no-such-distribution MISSING" in out
+    assert "no-such-distribution is missing: its module no_such_module is not found" in out
+
+
+def test_doctor_names_what_is_mixed_or_old(monkeypatch):
+    """A module that comes from another place than its distribution, one that no distribution brought, one too old."""
+    assert not doctor.wrong_packages()
+    monkeypatch.setattr(doctor, "PACKAGES", {"numpy": "json", "no-such-distribution": "json", "scipy": "scipy"})
+    monkeypatch.setattr(
+        importlib.metadata, "requires", lambda _: ["numpy>=999", "scipy<1,>=0.1", "h5py>=1; extra == 'x'"]
+    )
+    mixed, stray, old, new = doctor.wrong_packages()
+    assert re.fullmatch(r"numpy is mixed: .* is installed in .*, .*json.* is imported", mixed)
+    assert re.fullmatch(r"no-such-distribution is not installed as a package, but json is found at .*", stray)
+    assert re.fullmatch(r"numpy is [\d.]+, >=999 is needed", old)
+    assert re.fullmatch(r"scipy is [\d.]+, <1,>=0.1 is needed", new)
 
 
 def test_run_prints_records_and_draws(run, tmp_path):

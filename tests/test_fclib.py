@@ -6,6 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.sparse as sp
 from test_problem import corner_box
 
@@ -66,7 +67,7 @@ def local(rng):
 @pytest.fixture
 def bodies(rng):
     """M of three bodies and H of four contacts between neighbours and the ground."""
-    M = sp.block_diag([a @ a.T + 6 * np.eye(6) for a in rng.normal(size=(3, 6, 6))]).toarray()
+    M = scipy.linalg.block_diag(*[a @ a.T + 6 * np.eye(6) for a in rng.normal(size=(3, 6, 6))])
     H = np.zeros((18, 12))
     for c, touched in enumerate([(0,), (0, 1), (1, 2), (2,)]):
         for k in touched:

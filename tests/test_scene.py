@@ -152,6 +152,43 @@ def test_overlap_at_the_start():
     nd.Stepper(scene(1e-10))
 
 
+def stacked(depth):
+    """Two boxes of 0.2 m, each so deep in what is below it."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    for k in range(2):
+        scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1 + 0.2 * k - (k + 1) * depth))
+    return scene
+
+
+def test_how_deep_a_scene_may_start():
+    with pytest.raises(ValueError, match=r"more than 1% of the smaller one's radius \(0\.1 m\)"):
+        nd.Stepper(stacked(2e-3), 1e-2)
+    with pytest.warns(UserWarning, match="the first step moves them apart"):
+        nd.Stepper(stacked(2e-3), 1e-2, overlap=0.05)
+    with pytest.raises(ValueError, match="more than 0% of the smaller"):
+        nd.Stepper(stacked(1e-6), 1e-2, overlap=0.0)
+    for wrong in (-0.1, 1.5, float("nan"), True, "much"):
+        with pytest.raises(ValueError, match="overlap must be a fraction"):
+            nd.Stepper(stacked(0.0), 1e-2, overlap=wrong)
+    with pytest.raises(ValueError, match="lift must be True or False"):
+        nd.Stepper(stacked(0.0), 1e-2, lift="yes")
+
+
+def test_what_overlaps_at_the_start_is_lifted(recwarn):
+    """Both boxes rise to where they touch, and neither gains any speed by it."""
+    trajectory = nd.simulate(stacked(5e-4), 0.1, dt=1e-2, lift=True)
+    np.testing.assert_allclose(trajectory.body("box0").position[0], (0, 0, 0.1), atol=1e-9)
+    np.testing.assert_allclose(trajectory.body("box1").position[0], (0, 0, 0.3), atol=1e-9)
+    assert not recwarn.list and not trajectory.v[0].any()
+    assert abs(trajectory.energy.projection).max() < 1e-12
+    assert nd.check(trajectory).passed
+    squeezed = stacked(5e-4)
+    squeezed.add_box("lid", (1, 1, 0.1), fixed=True, position=(0, 0, 0.45 - 2e-3))
+    with pytest.raises(ValueError, match=r"overlap at the start by .*nothing moves them apart: they are squeezed"):
+        nd.Stepper(squeezed, 1e-2, overlap=0.05, lift=True)
+
+
 def test_centre_of_mass_elsewhere_than_the_centroid():
     """A ball with a low centre of mass stands up; its contact is one radius below its centre, wherever that is."""
     scene = nd.Scene()

@@ -278,16 +278,20 @@ def outcome(scene: nd.Scene, how: dict[str, Any], conserves: bool, steps: int) -
     return "missed, warned of" if missed else "squeezed, told" if squeezed else "passed", figures
 
 
-def main() -> int:
-    """Exit code: 0 if every scene passed or was refused with a reason."""
+def parsed(given: list[str] | None = None) -> argparse.Namespace:
+    """Arguments of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=100, help="scenes (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="added to the number of each scene times 10 million")
     parser.add_argument("--begin", type=int, default=0, help="first scene (default: %(default)s)")
     parser.add_argument("--steps", type=int, default=25, help="of each (default: %(default)s)")
     parser.add_argument("--bad", action="store_true", help="scenes that no one should ask for")
-    arguments = parser.parse_args()
-    tally, worst, failures = campaign(arguments)
+    return parser.parse_args(given)
+
+
+def main() -> int:
+    """Exit code: 0 if every scene passed or was refused with a reason."""
+    tally, worst, failures = campaign(parsed())
     print(f"{sum(tally.values())} scenes: {dict(tally)}")
     print("worst figures: " + ", ".join(f"{name} {value:.1e} (scene {k})" for name, (value, k) in worst.items()))
     return 1 if failures else 0

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import importlib.metadata
 import importlib.util
+import re
 import sys
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from nsdyn.cli.output import one_line, say_json
 
-__all__ = ["CHECKS", "PACKAGES", "diagnose", "version_of"]
+__all__ = ["CHECKS", "PACKAGES", "diagnose", "version_of", "wrong_packages"]
 
 # Distribution: module.
 PACKAGES = {
@@ -38,6 +42,43 @@ def version_of(distribution: str) -> str | None:
         return None
 
 
+def wrong_packages() -> list[str]:
+    """What is missing, older or newer than nsdyn needs, or mixed from several places, a line each."""
+    out = []
+    for distribution, module in PACKAGES.items():
+        spec = importlib.util.find_spec(module)
+        if spec is None or spec.origin is None:
+            out.append(f"{distribution} is missing: its module {module} is not found")
+        elif distribution != "nsdyn":
+            try:
+                found = importlib.metadata.distribution(distribution)
+            except importlib.metadata.PackageNotFoundError:
+                out.append(f"{distribution} is not installed as a package, but {module} is found at {spec.origin}")
+                continue
+            home = Path(str(found.locate_file(""))).resolve()
+            if not Path(spec.origin).resolve().is_relative_to(home):
+                out.append(
+                    f"{distribution} is mixed: {found.version} is installed in {home}, {spec.origin} is imported"
+                )
+    try:
+        needed = importlib.metadata.requires("nsdyn") or []
+    except importlib.metadata.PackageNotFoundError:  # a source tree
+        needed = []
+    for requirement in needed:
+        name, bounds = re.match(r"([\w.-]+)\s*([^;]*)", requirement).groups()  # type: ignore[union-attr]
+        version = version_of(name) if "extra" not in requirement else None
+        if version and not all(map(partial(_within, version), filter(None, bounds.split(",")))):
+            out.append(f"{name} is {version}, {bounds} is needed")
+    return out
+
+
+def _within(version: str, bound: str) -> bool:
+    """Whether a version is within a bound as ``>=1.26`` or ``<5``."""
+    sign, limit = re.match(r"\s*([<>=!~]+)\s*(.*)", bound).groups()  # type: ignore[union-attr]
+    have, want = ([int(part) for part in re.findall(r"\d+", text)[:3]] for text in (version, limit))
+    return {">=": have >= want, ">": have > want, "<": have < want, "<=": have <= want}.get(sign, True)
+
+
 def diagnose(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn doctor``."""
     from nsdyn._kernels import ahead, compiled
@@ -51,13 +92,15 @@ def diagnose(arguments: argparse.Namespace) -> int:
         packages[distribution] = {"version": version_of(distribution), "file": spec.origin if spec else None}
     cache = compiled.folder()
     checks = {name: _outcome(check) for name, check in CHECKS.items()}
-    sound = all(p["version"] and p["file"] for p in packages.values()) and all(c == "ok" for c in checks.values())
+    wrong = wrong_packages()
+    sound = not wrong and all(c == "ok" for c in checks.values())
     figures: dict[str, Any] = {
         "python": {"version": sys.version.split()[0], "file": sys.executable},
         "packages": packages,
         "chromium": browser.chromium(),
         "cache": cache,
         "checks": checks,
+        "wrong": wrong,
         "ok": sound,
     }
     if arguments.json:
@@ -69,6 +112,8 @@ def diagnose(arguments: argparse.Namespace) -> int:
     print(f"{'chromium':12} {figures['chromium'] or absent}")
     none = f"none can be written: every start compiles unless {compiled.FOLDER} names a folder"
     print(f"{'cache':12} {cache or none}")
+    for line in wrong:
+        print(f"{'wrong':12} {line}")
     for name, outcome in checks.items():
         print(f"check        {name}: {outcome}")
     return 0 if sound else 1

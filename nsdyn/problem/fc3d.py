@@ -45,6 +45,10 @@ def _as_blocks3(W: Any, name: str) -> tuple[Index, Index, Array]:
     return out
 
 
+SMALLEST, LARGEST = 1e-150, 1e150
+"""Sizes of numbers whose squares are in the range of floating-point numbers."""
+
+
 class FC3D:
     """Frictional contact problem: find r with u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K.
 
@@ -80,6 +84,8 @@ class FC3D:
         if rows != self.q.size:
             raise ValueError(f"W must have {self.q.size} rows like q, got {rows}")
         self._check_scales()
+        if not (normal := self.W.diagonal()[0::3] > 0.0).all():
+            raise ValueError(f"W must have a positive normal diagonal, not at {np.flatnonzero(~normal).tolist()[:5]}")
 
     @classmethod
     def from_blocks(cls, blocks: Blocks, q: Any, mu: Any, scales: Array | None = None) -> FC3D:
@@ -125,9 +131,13 @@ class FC3D:
             raise ValueError("mu must be finite and not negative")
 
     def _check_scales(self) -> None:
-        if not (self.scales > 0).all():
-            bad = np.flatnonzero(~(self.scales > 0)).tolist()
-            raise ValueError(f"W must have a non-zero positive diagonal block at every contact, not at {bad[:5]}")
+        fine = (self.scales >= SMALLEST) & (self.scales <= LARGEST)
+        if not fine.all():
+            bad = np.flatnonzero(~fine).tolist()
+            raise ValueError(
+                f"W must have a non-zero positive diagonal block at every contact, not at {bad[:5]}, "
+                f"and none below {SMALLEST:g} or above {LARGEST:g}"
+            )
 
     @cached_property
     def W(self) -> sp.bsr_array:

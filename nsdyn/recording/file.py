@@ -49,6 +49,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -115,6 +116,9 @@ GROWING, PACKED = 1 << 16, 1 << 18
 """Bytes of a chunk of a file that grows, quick to write and so small that small files stay small, and of one that is
 complete: many steps, whose likeness compresses best."""
 
+ROOM = 1 << 17
+"""Bytes that HDF5 needs besides for its own tables when rows are added."""
+
 WORTH = 4096
 """Bytes of a dataset from which on it is compressed: smaller ones would rather grow."""
 
@@ -147,8 +151,7 @@ def create(
             options: dict[str, Any] = {}
             shape = tuple(max(1, size) for size in data.shape[1:])
             if grow:
-                rows = GROWING // (data.itemsize * math.prod(shape))
-                options = {"maxshape": (None, *data.shape[1:]), "chunks": (min(1024, max(16, rows)), *shape)}
+                options = {"maxshape": (None, *data.shape[1:]), "chunks": (_growing(data), *shape)}
             elif data.nbytes >= WORTH:
                 rows = PACKED // (data.itemsize * math.prod(shape))
                 options = {"chunks": (min(len(data), max(1, rows)), *shape), **COMPRESSED}
@@ -157,12 +160,35 @@ def create(
             slots.create(file, *state)
 
 
+def _growing(data: NDArray[Any]) -> int:
+    """Rows of a chunk of a dataset that grows."""
+    return min(1024, max(16, GROWING // (data.itemsize * max(1, math.prod(data.shape[1:])))))
+
+
+def _reserve(path: Path, columns: Columns, state: Saved | None) -> None:
+    """Have room for rows and a state at the end of a file, which HDF5 cuts off again; OSError where there is none.
+
+    HDF5 does not survive a full disk: it goes on writing what still fits, and the file no longer opens.
+    """
+    rows = sum(data.nbytes + 2 * data.nbytes // max(1, len(data)) * _growing(data) for data in columns.values())
+    arrays = [] if state is None else list(state[1].values())
+    room = rows + 2 * sum(a.nbytes for a in arrays) + ROOM
+    with open(path, "r+b") as file:
+        size = file.seek(0, os.SEEK_END)
+        try:
+            os.posix_fallocate(file.fileno(), size, room)
+        except OSError as error:
+            file.truncate(size)
+            raise OSError(error.errno, f"cannot record in {path}: {os.strerror(error.errno or 0)}") from None
+
+
 def extend(path: Path, columns: Columns, state: Saved | None = None) -> None:
     """Add rows to a file: all columns, then, when they have reached it, `/t`; and the state of a row.
 
     Rows an interrupted call left beyond the end of `/t` are written over. Locking is off, so that nobody who
     reads the file can stop the simulation; single-writer mode keeps it readable at every moment.
     """
+    _reserve(path, columns, state)
     with h5py.File(path, "r+", libver="latest", locking=False) as file:
         file.swmr_mode = True
         states = len(file["t"])

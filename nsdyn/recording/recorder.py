@@ -243,8 +243,11 @@ class Recorder:
         self.flush()
         if self.path is not None:
             contents = recording.read_state(self.path)
-            with files.writing(self.path) as part:
-                recording.create(part, *contents[:3], grow=False, state=contents[3])
+            try:
+                with files.writing(self.path) as part:
+                    recording.create(part, *contents[:3], grow=False, state=contents[3])
+            except ValueError as failure:  # for instance of a full disk
+                warnings.warn(f"{self.path} is complete, but not compressed: {failure}", stacklevel=2)
 
 
 def _full(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:

@@ -420,7 +420,7 @@ def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Arra
     if not np.isfinite(M).all():
         raise ValueError(f"{name!r} must have poses, masses and inertias whose products are finite")
     size = np.sqrt(np.where(moments > 0.0, moments, 1.0))
-    if (moments <= 0.0).any() or np.linalg.eigvalsh(M / size / size[:, None])[:1] <= 1e-12:
+    if (moments <= 0.0).any() or (np.linalg.eigvalsh(M / size / size[:, None]) <= 1e-12).any():
         joint = next((j for j in range(1, model.njoints) if moments[model.idx_vs[j]] <= 0.0), model.njoints - 1)
         raise ValueError(
             f"{name!r} has a singular mass matrix: give the bodies moved by joint {model.names[joint]!r} "

@@ -35,6 +35,8 @@ def simulate(
     every: int = 1,
     contacts: bool = True,
     resume: str | Path | None = None,
+    overlap: float = 0.01,
+    lift: bool = False,
 ) -> Trajectory:
     """Simulate a scene and return its trajectory.
 
@@ -43,7 +45,7 @@ def simulate(
     scene : Scene
     duration : float
         s; rounded up to whole steps that are recorded.
-    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact
+    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift
         As in `Stepper`.
     record : path, optional
         HDF5 file written while the simulation runs; a killed run keeps its steps.
@@ -90,7 +92,9 @@ def simulate(
 
     if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
         raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
-    stepper = Stepper(scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact)
+    stepper = Stepper(
+        scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift
+    )  # fmt: skip
     if isinstance(every, bool) or not isinstance(every, int) or every < 1:
         raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
     if resume is not None and record is not None:

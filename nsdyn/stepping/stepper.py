@@ -32,7 +32,7 @@ from nsdyn.stepping.encounter import Warm
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.instant import Impulses, Instant, Looked, System, take
 from nsdyn.stepping.move import Trial, finish, trial
-from nsdyn.stepping.projection import place
+from nsdyn.stepping.projection import place, project
 from nsdyn.stepping.sight import Unmet, others
 from nsdyn.stepping.state import Start, State, Step
 from nsdyn.tools.arrays import Array, Index
@@ -46,9 +46,6 @@ CLOSED = 1e-9
 """Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
 that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
 body at rest in every step."""
-
-DEEPEST = 0.01
-"""Initial overlap, as a fraction of the smaller body's radius, beyond which a scene is refused."""
 
 CUTS, HITS, LOCATED = 8, 16, 50
 """Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
@@ -110,6 +107,11 @@ class Stepper:
         answer as a guess in them. "failed-steps" where `on_fail` is "dump".
     impact : {"newton", "poisson", "fremond"}
         Law of contacts with restitution: see `nsdyn.stepping.impacts`.
+    overlap : float
+        Deepest initial overlap that is taken, as a fraction of the inscribed radius of the smaller body; at most 1.
+    lift : bool
+        Move bodies that overlap at the start apart before the first step, by the projection that follows every step.
+        Otherwise the first step does, its work is in the ledger, and a warning says so.
 
     Raises
     ------
@@ -143,6 +145,8 @@ class Stepper:
         max_points: int = 8,
         dump_on_fail: str | Path | None = None,
         impact: str = "newton",
+        overlap: float = 0.01,
+        lift: bool = False,
     ) -> None:
         if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
@@ -155,6 +159,10 @@ class Stepper:
             if given is not None and not callable(given):
                 raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
         choice(impact, impacts.LAWS, "impact")
+        if isinstance(overlap, bool) or not isinstance(overlap, (int, float)) or not 0.0 <= overlap <= 1.0:
+            raise ValueError(f"overlap must be a fraction in [0, 1], got {overlap!r}")
+        if not isinstance(lift, bool):
+            raise ValueError(f"lift must be True or False, got {lift!r}")
         if dump_on_fail is None and on_fail == "dump":
             dump_on_fail = DUMPS
         self.dump_on_fail = None if dump_on_fail is None else Path(dump_on_fail)
@@ -183,14 +191,21 @@ class Stepper:
                 stacklevel=2,
             )
         self._failures, self._names = 0, [g.name for g in geoms]
-        self._state = State(0.0, self.dt, 0, *self._start(geoms), np.zeros(self.dynamics.free))
+        self._state = State(0.0, self.dt, 0, *self._start(geoms, float(overlap), lift), np.zeros(self.dynamics.free))
 
-    def _start(self, geoms: list[Geom]) -> tuple[Instant, Array, tuple[float, float]]:
+    def _start(self, geoms: list[Geom], overlap: float, lift: bool) -> tuple[Instant, Array, tuple[float, float]]:
         """The initial instant, whose bodies do not overlap deeply, the free acceleration there, energies."""
         d = self.dynamics
         position, v = d.start()
         placed = place(d, self.detector, position, d.place(position), ContactMemory.empty())
-        _check_overlap(geoms, placed.contacts)
+        where = _check_overlap(geoms, placed.contacts, overlap)
+        if where and not lift:
+            warnings.warn(f"{where}; the first step moves them apart", stacklevel=4)
+        if lift:
+            placed = project(d, self.detector, placed, d.inertia(position, v), self.closed)
+            if not placed.clear:
+                raise ValueError(f"{where}, and nothing moves them apart: they are squeezed")
+            position = placed.position
         none = np.empty((0, 3))
         warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), self.dt, None)
         twists = d.twists(placed.placement, v)
@@ -443,18 +458,18 @@ def _arms(geoms: list[Geom], frames: int) -> Array:
     return out
 
 
-def _check_overlap(geoms: list[Geom], contacts: ContactSet) -> None:
-    """Refuse scenes whose bodies start deep inside each other, warn of shallow overlaps."""
+def _check_overlap(geoms: list[Geom], contacts: ContactSet, most: float) -> str:
+    """Refuse scenes whose bodies start deeper in each other than a fraction `most`; shallow overlaps in words."""
     if not contacts.gap.size:
-        return
+        return ""
     k = int(contacts.gap.argmin())
     a, b = geoms[contacts.geom1[k]], geoms[contacts.geom2[k]]
     depth = -float(contacts.gap[k])
     size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
     where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
-    if depth > DEEPEST * size:
+    if depth > most * size:
         remedy = f"; self_collisions='apart' of {a.body!r}, or an SRDF file, keeps such links from touching"
         remedy = remedy if a.body == b.body else ""
-        raise ValueError(f"{where}, more than {DEEPEST:.0%} of the smaller one's radius ({size:.3g} m){remedy}")
-    if depth > 1e-6 * size:  # less is the rounding of a user's own numbers
-        warnings.warn(f"{where}; the first step moves them apart", stacklevel=5)
+        raise ValueError(f"{where}, more than {most:.0%} of the smaller one's radius ({size:.3g} m){remedy}")
+    # Less is the rounding of a user's own numbers.
+    return where if depth > 1e-6 * size else ""

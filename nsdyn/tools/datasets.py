@@ -7,7 +7,6 @@ number of values, and HDF5 would make room for them. Fields that lead to other f
 from __future__ import annotations
 
 import math
-import mmap
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +46,10 @@ HEAP = b"GCOL\x01\0\0\0"
 """What a global heap collection, which holds texts, begins with."""
 
 
+BLOCK = 1 << 22
+"""Bytes that are looked through at once."""
+
+
 def check_heaps(path: Path) -> None:
     """Refuse files on whose texts HDF5 would not come to an end: its heaps have no checksums, and steps of no length.
 
@@ -59,16 +62,27 @@ def check_heaps(path: Path) -> None:
     ----------
     The HDF Group, HDF5 file format specification version 3.0, section III.E.
     """
-    if not path.stat().st_size:
-        return
-    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        at = data.find(HEAP)
-        while at >= 0:
-            end, item = at + int.from_bytes(data[at + 8 : at + 16], "little"), at + 16
-            while item + 16 <= min(end, len(data)):
-                size = int.from_bytes(data[item + 8 : item + 16], "little")
-                free = data[item : item + 2] == b"\0\0"
-                if item + size > end or (free and size < 16):
-                    raise ValueError(f"{path} is damaged: a heap of texts does not end")
-                item += size if free else 16 + -(-size // 8) * 8
-            at = data.find(HEAP, at + len(HEAP))
+    size = path.stat().st_size
+    with open(path, "rb") as file:  # not mapped: a map ends the process where the disk is full or the file is cut
+        for begin in range(0, size, BLOCK):
+            file.seek(begin)
+            block = file.read(BLOCK + len(HEAP) - 1)
+            found = block.find(HEAP)
+            while found >= 0:
+                _check_heap(file, begin + found, size, path)
+                found = block.find(HEAP, found + 1)
+
+
+def _check_heap(file: Any, at: int, size: int, path: Path) -> None:
+    """Walk over the objects of a heap as HDF5 does."""
+
+    def number(where: int) -> int:
+        file.seek(where)
+        return int.from_bytes(file.read(8), "little")
+
+    end, item = at + number(at + 8), at + 16
+    while item + 16 <= min(end, size):
+        length, free = number(item + 8), number(item) % 2**16 == 0
+        if item + length > end or (free and length < 16):
+            raise ValueError(f"{path} is damaged: a heap of texts does not end")
+        item += length if free else 16 + -(-length // 8) * 8
