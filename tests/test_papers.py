@@ -62,9 +62,11 @@ def test_claims_are_decided_by_the_numbers():
         return Profile(1e-8, 1.0, tuple(rows))
 
     (claim,) = coulomb.claims([])["local tolerance"]
-    for a, b, holds in (([1.0, 1.0], [1.0, math.inf], True), ([1.0, math.inf], [2.0, math.inf], True),
-                        ([2.0, 1.0], [1.0, 1.0], False)):  # fmt: skip
-        assert claim.holds({"local tolerance": [profile(b, a), profile(a, b)]})[0] is holds
+    inf = math.inf
+    cases = [([1.0] * 3, [1.0, inf, inf], "Yes"), ([1.0, 1.0, inf], [2.0, inf, inf], "Yes"),
+             ([2.0] * 3, [1.0] * 3, "No"), ([1.0] * 3, [1.1] * 3, "Undecided")]  # fmt: skip
+    for a, b, verdict in cases:
+        assert f"**{verdict}**" in claim.line({"local tolerance": [profile(b, a), profile(a, b)]})
 
 
 def test_tangent_against_differences(increments, rng):
@@ -180,5 +182,6 @@ def test_section_of_the_solvers(tmp_path):
     import coulomb
 
     text = coulomb.report([], tmp_path, limit=0.05)
-    assert text.count("**Agrees**") + text.count("**Does not agree**") == sum(map(len, coulomb.claims([]).values()))
+    verdicts = sum(text.count(f"**{word}**") for word in ("Agrees", "Does not agree", "Undecided", "Yes", "No"))
+    assert verdicts == sum(map(len, coulomb.claims([]).values()))
     assert len(list(tmp_path.glob("profile_*.png"))) == len(coulomb.groups())
