@@ -161,7 +161,7 @@ def test_partial_derivatives_of_the_bundle_s_equation(rng):
         np.full((400, 1), 0.8),
         1e-6,
     )
-    F, F_u, F_r = fm.xuewen_soh_wanji(u, r, mu, rho)
+    _, F_u, F_r = fm.xuewen_soh_wanji(u, r, mu, rho)
     cross, along = u[:, 1] * r[:, 2] - u[:, 2] * r[:, 1], (u[:, 1:] * r[:, 1:]).sum(axis=1)
     slack = mu * r[:, 0] - np.hypot(r[:, 1], r[:, 2]) - 0.8 * np.hypot(u[:, 1], u[:, 2])
     away = np.abs([cross, along, slack, 0.8 * u[:, 0] - r[:, 0]]).min(axis=0) > 1e-4

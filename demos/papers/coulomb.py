@@ -346,6 +346,10 @@ def claims(problems: Sequence[Problem]) -> dict[str, list[Claim]]:
             Claim("Alart–Curnier is the best of the equations.", more("newton", "NSN-AC", "NSN-FB"), paper=False),
         ],
         "rho": [
+            Claim(
+                "ρ_N = 1/W_NN with ρ_T = 1/λ_max(W_TT) is the rule to take, beside one ρ = 1/λ_max(W_cc).",
+                more("rho", "NSN-AC ρ split", "NSN-AC ρ spectral"),
+            ),
             Claim("ρ = 1 fails dramatically.", more("rho", "NSN-AC ρ split", "NSN-AC ρ one")),
             Claim(
                 "ρ_T = λ_min/λ_max² is usually better than 1/λ_max.",
