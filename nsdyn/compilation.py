@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from itertools import combinations_with_replacement, product
+from typing import get_args
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers.interior import interior
 from nsdyn.solvers.means import ByFactors, ByMatrix
+from nsdyn.solvers.reference.gauss_seidel import Local
 from nsdyn.solvers.smoothing import smoothing
 from nsdyn.stepping.stepper import Stepper
 
@@ -84,6 +86,8 @@ def _problems() -> None:
     matrix = FC3D(np.eye(6) + 0.1, np.array([-1.0, 2.0, 0.0, -1.0, 0.1, 0.0]), np.full(2, 0.5))
     for solver in solvers.SOLVERS:
         solvers.by_name(solver, 1e-8)(matrix)
+    for local in get_args(Local):
+        solvers.GaussSeidel(1e-8, local=local)(matrix)
     factors = Stepper(scenes.load("stack")(height=2), 5e-3).step().problem
     assert factors.blocks is not None
     given = factors.q, factors.mu, factors.scales, factors.q_norm

@@ -32,7 +32,7 @@ TOLERANCES = 1e-4, 1e-8
 """Of the paper."""
 
 LIMIT = 0.5
-"""s of processor time a solve: a hundred times the mean best time of these problems."""
+"""s of processor time a solve, of which most take milliseconds."""
 
 SMALLEST = 4
 """Contacts: problems with fewer are solved by everything at once and show nothing."""
