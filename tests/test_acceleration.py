@@ -3,14 +3,18 @@
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mechanisms import add, bricard, four_bars, pendulum, slider
 from scipy.spatial.transform import Rotation
 from test_convergence import FINE, ROUGH, arm, ellipsoid
 from test_properties import scenes
 
 import nsdyn as nd
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.loops import Closures
 from nsdyn.stepping.acceleration import Existence, accelerations, least_constraint
 
 pytest.importorskip("clarabel", reason="the extra 'acceleration' is not installed")
@@ -150,3 +154,149 @@ def test_principles_on_random_scenes(scene, count, seed):
         other = found.a + 10.0 ** rng.uniform(-4, 2) * root @ rng.normal(size=found.a.size)
         if (problem.relative(other)[:, 0] >= np.minimum(a[:, 0], 0.0)).all():
             assert problem.functional(other, force[:, 0]) >= least - 1e-6 * weight**2
+
+
+def mechanism(name):
+    """Scenes with what accelerations meet besides contacts."""
+    scene = nd.Scene()
+    if name == "loop":  # redundant rows, viscous and dry friction, all turning
+        model, loops, v = four_bars(2)
+        q = pin.integrate(model, pin.neutral(model), 0.3 * v)
+        add(scene, "m", model, loops, q=q, v=v, friction=0.2, damping=0.3)
+    elif name == "spatial loop":  # one degree of freedom that no count of rows and coordinates finds
+        model, loops = bricard()
+        along = np.linalg.svd(Closures(model, loops).at(pin.neutral(model))[1])[2][-1]
+        add(scene, "m", model, loops, v=2.0 * along, friction=0.1)
+    elif name == "driven":  # a double pendulum whose first joint follows a sine, the second slides on dry friction
+        add(scene, "m", pendulum(2), q=[0.3, 0.4], v=[0.0, 1.0], friction=[0.0, 0.3], damping=0.1)
+        scene.set_motion("m/j0", velocity=lambda t: math.sin(1.0 + 3.0 * t))
+    elif name == "held":  # dry friction that holds a link against gravity, the other link falls
+        add(scene, "m", pendulum(2), q=[0.02, 1.2], friction=[30.0, 0.5])
+    else:  # the first link is pressed on its limit by what hangs from it
+        add(scene, "m", pendulum(2, lower=-0.4), q=[-0.4, 0.8])
+    return scene
+
+
+MECHANISMS = ["loop", "spatial loop", "driven", "held", "limit"]
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_primal_against_dual(name):
+    """The same acceleration, the same least value, and none lower among admissible ones."""
+    found = accelerations(least_constraint(mechanism(name)))
+    problem, k = found.problem, found.force[:, 0]
+    a = problem.primal(k)
+    assert found.existence is Existence.SOLVED and np.abs(a).max() > 0.1
+    np.testing.assert_allclose(a, found.a, rtol=0, atol=1e-8 * (1.0 + np.abs(a).max()))
+    least = problem.functional(found.a, k)
+    assert problem.functional(a, k) == pytest.approx(least, rel=1e-8, abs=1e-8)
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        other = found.a + 10.0 ** rng.uniform(-4, 1) * problem.Z @ rng.normal(size=problem.Z.shape[1])
+        if (problem.joints.limits.T @ other >= 0.0).all():
+            assert problem.functional(other, k) >= least - 1e-9 * (1.0 + abs(least))
+
+
+@pytest.mark.parametrize("case", ["incline", "arm"])
+def test_primal_against_dual_with_contacts(case, tmp_path):
+    scene = nd.scenes.load("incline")(angle=20.0, mu=0.3) if case == "incline" else arm(tmp_path, 0.1)
+    found = accelerations(least_constraint(scene, closed=1e-4, still=1e-2))
+    assert found.existence is Existence.SOLVED and len(found.force)
+    a = found.problem.primal(found.force[:, 0])
+    # Both programs end at 1e-12 of their value, which is of second order in a.
+    np.testing.assert_allclose(a, found.a, rtol=0, atol=1e-6 * (1.0 + np.abs(a).max()))
+
+
+@pytest.mark.parametrize("name", ["loop", "spatial loop", "driven"])
+def test_steps_of_mechanisms_converge_to_the_acceleration(name):
+    """(v_k+1 - v_k)/dt, of first order in dt."""
+    scene = mechanism(name)
+    found = accelerations(least_constraint(scene))
+    ahead = []
+    for dt in (4e-4, 1e-4):
+        stepper = nd.Stepper(scene, dt=dt, solver=nd.solvers.Auto(tol=1e-12), on_fail="ignore")
+        before = stepper.get_state().instant.v.copy()
+        stepper.step()
+        ahead.append(np.abs((stepper.get_state().instant.v - before) / dt - found.a).max())
+    assert ahead[1] <= 0.05 * np.abs(found.a).max()
+    assert math.log(ahead[0] / ahead[1], 4) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["held", "limit"])
+def test_steps_from_rest_agree_with_the_acceleration(name):
+    """Nothing moves yet: gravity, dry friction and limits act as they do in a step, to what it moves in one."""
+    scene = mechanism(name)
+    found = accelerations(least_constraint(scene))
+    errors = []
+    for dt in (4e-4, 2e-4):
+        stepper = nd.Stepper(scene, dt=dt, solver=nd.solvers.Auto(tol=1e-12), on_fail="ignore")
+        stepper.step()
+        errors.append(np.abs(stepper.get_state().instant.v / dt - found.a).max())
+    assert errors[1] <= 1e-3 * np.abs(found.a).max() and errors[1] <= errors[0]
+
+
+def test_a_joint_that_friction_holds():
+    """Double pendulum, the first joint held: the torque on it is what statics and the falling link ask for."""
+    found = accelerations(least_constraint(mechanism("held")))
+    assert abs(found.a[0]) <= 1e-8 and abs(found.friction[0]) < 30.0
+    # Link of 1 m and 1 kg about its end: I = 1/3; gravity at 1.22 rad, friction 0.5 N m at its bound.
+    angle = 1.22
+    assert found.a[1] == pytest.approx(-3.0 * (g / 2 * math.sin(angle) - 0.5), rel=1e-8)
+    assert found.friction[1] == pytest.approx(0.5, rel=1e-8)
+
+
+def test_a_joint_at_its_limit():
+    """One link horizontally on its lower limit: the limit carries m g l/2, and lets go when it is pulled away."""
+    scene = nd.Scene()
+    add(scene, "m", pendulum(1, upper=math.pi / 2), q=[math.pi / 2])
+    torque = g / 2
+    # Gravity turns it back to 0: pulled on with twice that, it stays on the limit.
+    pressed = accelerations(least_constraint(scene, tau={"m": np.array([2 * torque])}))
+    assert abs(pressed.a[0]) <= 1e-9 and pressed.limit[0] == pytest.approx(torque, rel=1e-8)
+    free = accelerations(least_constraint(scene))
+    assert free.limit[0] == pytest.approx(0.0, abs=1e-9) and free.a[0] == pytest.approx(-1.5 * g, rel=1e-8)
+
+
+def test_sliders_on_paper():
+    """m v̇ = F - d v - τ_c sign v where it moves; at rest |F| ≤ τ_c holds it."""
+    for v, force, expected in ((0.5, 3.0, (3.0 - 0.4 * 0.5 - 1.0) / 2.0), (0.0, 0.9, 0.0), (0.0, -3.0, -1.0)):
+        scene = nd.Scene()
+        add(scene, "m", slider(2.0), v=[v], friction=1.0, damping=0.4)
+        found = accelerations(least_constraint(scene, tau={"m": np.array([force])}))
+        assert found.a[0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_driven_joint_has_its_acceleration():
+    found = accelerations(least_constraint(mechanism("driven")))
+    assert found.a[0] == pytest.approx(3.0 * math.cos(1.0), abs=1e-8)
+
+
+def test_drift_of_loops_against_classical_accelerations():
+    """-Ġ v by differences against Pinocchio's accelerations of the ends of the cut at v̇ = 0; Bricard's mechanism."""
+    scene = mechanism("spatial loop")
+    d = Dynamics(scene)
+    tree, (position, v) = d.trees[0], d.start()
+    q, model, (loop,) = position.trees[0], tree.model, scene.articulations["m"].loops
+    data = model.createData()
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    linear, angular = [], []
+    for joint, place in ((loop.joint1, loop.placement1), (loop.joint2, loop.placement2)):
+        motion, acceleration = place.actInv(data.v[joint]), place.actInv(data.a[joint])
+        R = data.oMi[joint].rotation @ place.rotation
+        linear.append(R @ (acceleration.linear + np.cross(motion.angular, motion.linear)))
+        angular.append(R @ acceleration.angular)
+    expected = np.concatenate((linear[1] - linear[0], angular[1] - angular[0]))
+    assert np.abs(expected).max() > 0.1
+    np.testing.assert_allclose(tree.constraint_acceleration(q, v, 0.0), expected, rtol=0, atol=1e-6)
+
+
+def test_what_has_no_acceleration():
+    scene = nd.Scene()
+    add(scene, "m", pendulum(1, upper=0.5), q=[0.5], v=[1.0])
+    with pytest.raises(ValueError, match="a joint runs into its limit at 1 rad/s"):
+        least_constraint(scene)
+    scene = nd.Scene()
+    scene.add_halfspace("belt")
+    scene.set_motion("belt", surface_velocity=(1, 0, 0))
+    with pytest.raises(ValueError, match="no driven bodies and no sliding surfaces"):
+        least_constraint(scene)

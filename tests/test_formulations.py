@@ -152,6 +152,30 @@ def test_jacobian_against_differences(name, rng):
     assert states.all()
 
 
+def test_partial_derivatives_of_the_bundle_s_equation(rng):
+    """∂F/∂u and ∂F/∂r of (3.22) against differences, where none of its three kinks is near."""
+    u, r, mu, rho, h = (
+        rng.normal(size=(400, 3)),
+        rng.normal(size=(400, 3)),
+        np.full(400, 0.6),
+        np.full((400, 1), 0.8),
+        1e-6,
+    )
+    _, F_u, F_r = fm.xuewen_soh_wanji(u, r, mu, rho)
+    cross, along = u[:, 1] * r[:, 2] - u[:, 2] * r[:, 1], (u[:, 1:] * r[:, 1:]).sum(axis=1)
+    slack = mu * r[:, 0] - np.hypot(r[:, 1], r[:, 2]) - 0.8 * np.hypot(u[:, 1], u[:, 2])
+    away = np.abs([cross, along, slack, 0.8 * u[:, 0] - r[:, 0]]).min(axis=0) > 1e-4
+    assert away.sum() > 300
+    for k, e in enumerate(np.eye(3)):
+        f = fm.xuewen_soh_wanji
+        for given, slope in (
+            (F_u, (f(u + h * e, r, mu, rho)[0] - f(u - h * e, r, mu, rho)[0]) / (2 * h)),
+            (F_r, (f(u, r + h * e, mu, rho)[0] - f(u, r - h * e, mu, rho)[0]) / (2 * h)),
+        ):
+            # Curvature 1/‖u_T‖, 1/‖r_T‖ of lengths that may be small, times h².
+            np.testing.assert_allclose(given[away, :, k], slope[away], rtol=0, atol=1e-6)
+
+
 def test_split_steps_in_the_jacobian(rng):
     A = rng.normal(size=(6, 6))
     problem = nd.FC3D(A @ A.T, rng.normal(size=6), np.array([0.3, 0.8]))

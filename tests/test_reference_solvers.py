@@ -147,14 +147,31 @@ def test_bundle_solves_one_contact(function):
 
 
 def test_bundle_on_the_paper_s_equation():
-    """The box at rest is solved; on a sliding contact φ has a stationary point that is no solution, and it says so."""
-    equation = "xuewen-soh-wanji"
-    assert nd.solvers.Bundle(tol=REACH, function=equation)(corner_box()[0]).converged
+    """A box at rest and a sliding contact, from zero and from the paper's start, where everything sticks."""
+    solver = nd.solvers.Bundle(tol=REACH, function="xuewen-soh-wanji", max_iter=500)
+    assert solver(corner_box()[0]).converged
     sliding = nd.FC3D(np.diag([1.0, 2.0, 2.0]), np.array([-1.0, 2.0, 1.0]), np.array([0.5]))
-    solution = nd.solvers.Bundle(tol=REACH, function=equation, max_iter=50)(sliding)
-    F = formulations.residual_xuewen_soh_wanji
-    assert not solution.converged
-    assert np.linalg.norm(F(sliding, solution.r)) < np.linalg.norm(F(sliding, np.zeros(3)))
+    u = nd.solve(sliding, tol=1e-12).u
+    for start in (None, np.array([1.0, -1.0, -0.5])):
+        agrees(solver(sliding, start), u)
+
+
+def test_a_stationary_point_of_clarke_from_which_it_goes_down():
+    """The paper's theorem 2.1 takes 0 ∈ ∂φ for φ'(·; h) ≥ 0; φ = ½‖F‖² of its equation is concave across r_T = 0."""
+    sliding = nd.FC3D(np.diag([1.0, 2.0, 2.0]), np.array([-1.0, 2.0, 1.0]), np.array([0.5]))
+
+    def phi(r):
+        return 0.5 * float((formulations.residual_xuewen_soh_wanji(sliding, r, 1.0) ** 2).sum())
+
+    ridge, h = np.array([0.8, 0.0, 0.0]), 1e-7
+    mean = np.zeros(3)  # of the gradients around the kink: an element of Clarke's hull
+    for angle in 2 * np.pi * np.arange(360) / 360:
+        x = ridge + 1e-5 * np.array([0.0, np.cos(angle), np.sin(angle)])
+        mean += [(phi(x + h * e) - phi(x - h * e)) / (2 * h) for e in np.eye(3)]
+    # The third line contributes of the order of the circle's radius times the slip, 3e-5; differences round to 1e-9.
+    np.testing.assert_allclose(mean / 360, 0.0, rtol=0, atol=1e-4)
+    down = np.array([0.0, -2.0, -1.0]) / np.sqrt(5.0)
+    assert (phi(ridge + h * down) - phi(ridge)) / h == pytest.approx(-0.4, abs=1e-5)
 
 
 def test_admm_and_proximal_on_redundant_contacts():

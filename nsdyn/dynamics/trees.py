@@ -43,6 +43,10 @@ def _span(places: list[int]) -> Index | slice:
     return np.array(places, dtype=np.int64)
 
 
+DIFFERENCE = 1e-5
+"""Step of central differences of smooth functions, rad, m or s: truncation and round-off are both of 1e-10."""
+
+
 class Tree:
     """One articulated tree with Pinocchio's scratch data.
 
@@ -298,6 +302,23 @@ class Tree:
         B = np.concatenate((loops, self._driven_rows))
         Z, P = admissible(B, F)
         return B, P, Z
+
+    def constraint_acceleration(self, q: Array, v: Array, t: float) -> Array:
+        """b of B v̇ = b, shape (m,): -Ġ v of the loops, then the accelerations of the driven joints at time t.
+
+        Central differences, Ġ v along the motion with v held and loops closed.
+        """
+        loops, fastest = np.empty(0), float(np.abs(v).max(initial=0.0))
+        if self._closures is not None:
+            loops = np.zeros(self._closures.size)
+            if fastest > 0.0:
+                step = DIFFERENCE / fastest
+                ahead, behind = (
+                    self._closures.at(self.close(pin.integrate(self.model, q, s * v)))[1] for s in (step, -step)
+                )
+                loops = -(ahead - behind) @ v / (2.0 * step)
+        rates = [(m.rate(t + DIFFERENCE) - m.rate(t - DIFFERENCE)) / (2.0 * DIFFERENCE) for m in self.driven]
+        return np.concatenate((loops, rates))
 
     def halfway(self, q: Array, v: Array, h: float, theta: float) -> Halfway:
         """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""

@@ -174,11 +174,16 @@ def fischer_burmeister(u: Array, r: Array, mu: Array, rho: Array) -> Element:
 
 
 def xuewen_soh_wanji(u: Array, r: Array, mu: Array, rho: Array) -> Element:
-    """The lines of `residual_xuewen_soh_wanji`; not in `ELEMENTS`, for the third makes Newton's matrix singular."""
+    """The lines of `residual_xuewen_soh_wanji`; not in `ELEMENTS`, for the third makes Newton's matrix singular.
+
+    μ r_N - ‖r_T‖ has a concave kink at r_T = 0. The mean of its gradients around it is 0, an element of Clarke's hull
+    from which no descent is seen; taken is their limit for friction that begins against the slip.
+    """
     step = rho[:, 0]
     u = step[:, None] * u
     slip, t = _direction(u[:, 1:])
     friction, d = _direction(r[:, 1:])
+    d = np.where(friction[:, None] > 0.0, d, -t)
     cross = u[:, 1] * r[:, 2] - u[:, 2] * r[:, 1]
     along = u[:, 1] * r[:, 1] + u[:, 2] * r[:, 2]
     slack = mu * r[:, 0] - friction

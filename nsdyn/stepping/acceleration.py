@@ -12,6 +12,11 @@ kinetic constraint plus the rate at which dissipation changes. Its dual is a qua
 
 and Coulomb's law asks for k = γ_N. Unlike a step, this may have no solution: Painlevé's rod.
 
+Any convex dissipation potential Φ(v) adds the rate dΦ/dt along the motion. A smooth one, as of viscous joints, gives a
+term linear in v̇: the force -∇Φ among the applied ones. Dry joint friction τ_c|v_j| gives τ_c sign(v_j) v̇_j where the
+joint turns and τ_c |v̇_j| where it is still, with constant bounds. A joint limit that is reached is ±v̇_j ≥ 0. Loops and
+driven joints are B v̇ = b, with v̇ = v̇_p + Z y and ZᵀMZ = I: the programs are in y and in the forces, with Z Zᵀ for M⁻¹.
+
 References
 ----------
 K. Yunt, On the relation of the principle of maximum dissipation to the principle of Gauss, equations 58 and 70. G. K.
@@ -64,6 +69,33 @@ class Existence(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
+class JointTerms:
+    """Limits and dry friction of joints at the level of accelerations.
+
+    Attributes
+    ----------
+    limits : ndarray, shape (n, nl)
+        Column ±e_j of every limit that is reached and not being left: its acceleration away must not be negative.
+    friction : ndarray, shape (n, nf)
+        Column e_j of every joint with dry friction.
+    bound : ndarray, shape (nf,)
+        τ_c, N m or N.
+    slip : ndarray, shape (nf,)
+        Sign of the joint's velocity, 0 where it is still.
+    """
+
+    limits: Array
+    friction: Array
+    bound: Array
+    slip: Array
+
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """Which joints with friction move, shape (nf,)."""
+        return np.asarray(self.slip != 0.0)
+
+
+@dataclass(frozen=True, eq=False)
 class LeastConstraint:
     """Extended least-constraint problem of a state.
 
@@ -81,6 +113,11 @@ class LeastConstraint:
         Ḣᵀ v, m/s².
     slip : ndarray, shape (nc, 2)
         Direction of u_T where the contact slides, 0 where it sticks.
+    Z : ndarray, shape (n, ny)
+        Accelerations that loops and driven joints leave free, ZᵀMZ = I.
+    given : ndarray, shape (n,)
+        v̇_p, what loops and driven joints ask for: all admissible accelerations are v̇_p + Z y.
+    joints : JointTerms
     """
 
     contacts: ContactSet
@@ -90,6 +127,9 @@ class LeastConstraint:
     H: Array
     p: Array
     slip: Array
+    Z: Array
+    given: Array
+    joints: JointTerms
 
     @property
     def sliding(self) -> NDArray[np.bool_]:
@@ -101,58 +141,136 @@ class LeastConstraint:
         return (self.H.T @ a + self.p).reshape(-1, 3)
 
     def functional(self, a: Array, k: Array) -> float:
-        """The functional that the motion minimises, at an acceleration v̇ with a_N ≥ 0, for frozen bounds k [N]."""
-        a_T = self.relative(a)[:, 1:]
+        """The functional that the motion minimises, at an admissible acceleration v̇, for frozen bounds k [N]."""
+        a_T, joints = self.relative(a)[:, 1:], self.joints
         change = np.where(self.sliding, (a_T * self.slip).sum(axis=1), np.linalg.norm(a_T, axis=1))
-        return float(0.5 * a @ self.M @ a - self.f @ a + (self.contacts.mu * k) @ change)
+        a_j = joints.friction.T @ a
+        turn = np.where(joints.turning, joints.slip * a_j, np.abs(a_j))
+        return float(0.5 * a @ self.M @ a - self.f @ a + (self.contacts.mu * k) @ change + joints.bound @ turn)
+
+    def primal(self, k: Array) -> Array:
+        """Acceleration v̇ (n,) that minimises `functional` for bounds k [N]: the primal program, equation 58.
+
+        A cone program in y and in bounds s of what sticks, ‖a_T‖ ≤ s and |v̇_j| ≤ s.
+
+        Raises
+        ------
+        ValueError
+            If no acceleration is admissible: contacts and driven joints contradict each other.
+        """
+        mu, nc, joints, ny = self.contacts.mu, self.p.size // 3, self.joints, self.Z.shape[1]
+        stick, still = np.flatnonzero(~self.sliding), np.flatnonzero(~joints.turning)
+        n = ny + stick.size + still.size
+        H, a0 = self.Z.T @ self.H, self.H.T @ self.given + self.p  # a = Hᵀ y + a0
+        E, e0 = self.Z.T @ joints.friction, joints.friction.T @ self.given
+        linear = self.Z.T @ (self.M @ self.given - self.f) + E @ (joints.bound * joints.slip)
+        for i in (0, 1):
+            linear = linear + H[:, 1 + i :: 3] @ (mu * k * self.slip[:, i])
+        cost = np.concatenate((linear, (mu * k)[stick], joints.bound[still]))
+        P = np.zeros((n, n))
+        P[np.arange(ny), np.arange(ny)] = 1.0
+
+        def pad(rows: Array, column: Array | None = None) -> Array:
+            out = np.zeros((rows.shape[0], n))
+            out[:, :ny] = rows
+            if column is not None:
+                out[np.arange(rows.shape[0]), column] = 1.0
+            return out
+
+        s = ny + stick.size + np.arange(still.size)
+        inequalities = np.vstack(
+            (pad(H[:, 0::3].T), pad((self.Z.T @ joints.limits).T), pad(E[:, still].T, s), pad(-E[:, still].T, s))
+        )
+        bound = np.concatenate((a0[0::3], joints.limits.T @ self.given, e0[still], -e0[still]))
+        cones = np.zeros((stick.size, 3, n))
+        cones[np.arange(stick.size), 0, ny + np.arange(stick.size)] = 1.0
+        for i in (1, 2):
+            cones[:, i, :ny] = H[:, i::3].T[stick]
+        offset = np.column_stack((np.zeros(stick.size), a0.reshape(-1, 3)[stick, 1:]))
+        A = sp.csc_matrix(-np.vstack((inequalities, cones.reshape(-1, n))))
+        y = _cone_program(P, cost, A, np.concatenate((bound, offset.ravel())), bound.size, stick.size)
+        if y is None:
+            raise ValueError(f"scene must have an admissible acceleration: its {nc} contacts contradict its joints")
+        return np.asarray(self.given + self.Z @ y[:ny])
 
     def dual(self, k: Array) -> Array:
-        """Forces (nc, 3) of the dual program for bounds k [N]: frictional ones of sliding contacts are given by k."""
-        mu, nc = self.contacts.mu, self.p.size // 3
-        given = np.zeros((nc, 3))
-        given[:, 1:] = -(mu * k)[:, None] * self.slip
-        known = np.column_stack((np.zeros(nc, bool), self.sliding, self.sliding)).ravel()
+        """Forces of the dual program for bounds k [N], shape (3 nc + nl + nf,): contacts, limits, joint friction.
+
+        Frictional ones of what slides or turns are given by the bounds.
+        """
+        mu, nc, joints = self.contacts.mu, self.p.size // 3, self.joints
+        nl = joints.limits.shape[1]
+        friction = np.zeros((nc, 3))
+        friction[:, 1:] = -(mu * k)[:, None] * self.slip
+        out = np.concatenate((friction.ravel(), np.zeros(nl), -joints.bound * joints.slip))
+        slides = np.column_stack((np.zeros(nc, bool), self.sliding, self.sliding)).ravel()
+        unknown = ~np.concatenate((slides, np.zeros(nl, bool), joints.turning))
         G, kappa = self._delassus()
-        kappa = (kappa + G @ given.ravel())[~known]
-        G = G[np.ix_(~known, ~known)]
-        # γ_N ≥ 0 first, then (μ k, γ_T) in the second-order cone for each sticking contact.
-        place = np.cumsum(~known) - 1
-        normal, stick = place[0::3], np.flatnonzero(~self.sliding)
-        rows = [sp.csc_matrix((-np.ones(nc), (np.arange(nc), normal)), shape=(nc, kappa.size))]
-        bound = [np.zeros(nc)]
+        kappa = (kappa + G @ out)[unknown]
+        G = G[np.ix_(unknown, unknown)]
+        # γ ≥ 0 of contacts and limits, |τ| ≤ τ_c, then (μ k, γ_T) in the second-order cone for each sticking contact.
+        place = np.cumsum(unknown) - 1
+        stick, still = np.flatnonzero(~self.sliding), 3 * nc + nl + np.flatnonzero(~joints.turning)
+        pushes = np.concatenate((place[0 : 3 * nc : 3], place[3 * nc : 3 * nc + nl]))
+        eye = sp.csc_matrix(np.eye(kappa.size))
+        held, limit = place[still], joints.bound[~joints.turning]
+        rows = [-eye[pushes], -eye[held], eye[held]]
+        bound = [np.zeros(nc + nl), limit, limit]
         for c in stick:
             tangents = (-np.ones(2), ([1, 2], place[3 * c + 1 : 3 * c + 3]))
             rows.append(sp.csc_matrix(tangents, shape=(3, kappa.size)))
             bound.append(np.array([mu[c] * k[c], 0.0, 0.0]))
-        gamma = _cone_program(G, kappa, sp.vstack(rows, format="csc"), np.concatenate(bound), nc, stick.size)
-        assert gamma is not None, "0 is feasible"
-        out: Array = given.ravel()
-        out[~known] = gamma
-        return out.reshape(nc, 3)
+        if kappa.size:
+            count = nc + nl + 2 * held.size
+            gamma = _cone_program(G, kappa, sp.vstack(rows, format="csc"), np.concatenate(bound), count, stick.size)
+            assert gamma is not None, "0 is feasible"
+            out[unknown] = gamma
+        return out
+
+    def acceleration(self, forces: Array) -> Array:
+        """v̇ (n,) under the forces of `dual`."""
+        pushed = self.f + self._columns() @ forces - self.M @ self.given
+        return np.asarray(self.given + self.Z @ (self.Z.T @ pushed))
 
     def impossible(self) -> bool:
-        """Whether no forces of Coulomb's cone, opposing the slip where there is any, give a_N ≥ 0 everywhere."""
-        mu, nc = self.contacts.mu, self.p.size // 3
+        """Whether no forces of the laws, friction opposing the slip where there is any, keep contacts and limits."""
+        mu, nc, joints = self.contacts.mu, self.p.size // 3, self.joints
+        nl, nf = joints.limits.shape[1], joints.bound.size
         G, kappa = self._delassus()
-        stick = np.flatnonzero(~self.sliding)
-        cone = np.zeros((3 * nc, nc + 2 * stick.size))  # γ of the unknowns: normal forces, then sticking friction
+        kappa = kappa + G[:, 3 * nc + nl :] @ (-joints.bound * joints.slip)
+        stick, still = np.flatnonzero(~self.sliding), np.flatnonzero(~joints.turning)
+        # γ of the unknowns: normal forces, sticking friction, limits, joint friction that holds.
+        cone = np.zeros((3 * nc + nl + nf, nc + 2 * stick.size + nl + still.size))
+        first = nc + 2 * stick.size
         cone[np.arange(0, 3 * nc, 3), np.arange(nc)] = 1.0
         for i in (0, 1):
             cone[np.arange(1 + i, 3 * nc, 3), np.arange(nc)] = -mu * self.slip[:, i]
             cone[3 * stick + 1 + i, nc + 2 * np.arange(stick.size) + i] = 1.0
-        apart = (G @ cone)[0::3]
+        cone[3 * nc + np.arange(nl), first + np.arange(nl)] = 1.0
+        cone[3 * nc + nl + still, first + nl + np.arange(still.size)] = 1.0
+        distances = np.concatenate((np.arange(0, 3 * nc, 3), 3 * nc + np.arange(nl)))
+        apart, eye = (G @ cone)[distances], np.eye(cone.shape[1])
         disk = np.zeros((3 * stick.size, cone.shape[1]))
-        disk[0::3] = np.eye(cone.shape[1])[stick] * mu[stick, None]
-        disk[1::3], disk[2::3] = np.eye(cone.shape[1])[nc::2], np.eye(cone.shape[1])[nc + 1 :: 2]
-        rows = sp.csc_matrix(-np.vstack((apart, np.eye(nc, cone.shape[1]), disk)))
-        bound = np.concatenate((kappa[0::3], np.zeros(nc + 3 * stick.size)))
+        disk[0::3] = eye[stick] * mu[stick, None]
+        disk[1::3], disk[2::3] = eye[nc:first:2], eye[nc + 1 : first : 2]
+        held, limit = eye[first + nl :], joints.bound[still]
+        rows = sp.csc_matrix(-np.vstack((apart, eye[:nc], eye[first : first + nl], held, -held, disk)))
+        bound = np.concatenate((kappa[distances], np.zeros(nc + nl), limit, limit, np.zeros(3 * stick.size)))
         nothing = np.zeros((cone.shape[1], cone.shape[1]))
-        return _cone_program(nothing, np.zeros(cone.shape[1]), rows, bound, 2 * nc, stick.size) is None
+        linear = 2 * (nc + nl) + 2 * still.size
+        return _cone_program(nothing, np.zeros(cone.shape[1]), rows, bound, linear, stick.size) is None
+
+    def _columns(self) -> Array:
+        """Directions of all forces, shape (n, 3 nc + nl + nf)."""
+        return np.hstack((self.H, self.joints.limits, self.joints.friction))
 
     def _delassus(self) -> tuple[Array, Array]:
-        """(G, κ) over all contacts."""
-        solved = np.linalg.solve(self.M, np.column_stack((self.H, self.f)))
-        return self.H.T @ solved[:, :-1], self.H.T @ solved[:, -1] + self.p
+        """(G, κ) over all forces: accelerations along their directions are G γ + κ."""
+        C = self._columns()
+        U = self.Z.T @ C
+        free = self.given + self.Z @ (self.Z.T @ (self.f - self.M @ self.given))
+        drift = np.concatenate((self.p, np.zeros(C.shape[1] - self.p.size)))
+        return U.T @ U, C.T @ free + drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +287,8 @@ class Acceleration:
         Contact forces γ on body 2, normal first, N.
     relative : ndarray, shape (nc, 3)
         Relative accelerations of the contacts, m/s²: ‖a_T‖ > 0 at a contact that sticks means that it starts to slip.
+    limit, friction : ndarray, shapes (nl,), (nf,)
+        Forces of joint limits and of dry joint friction, in the order of `JointTerms`, N m or N.
     problem : LeastConstraint
     """
 
@@ -176,6 +296,8 @@ class Acceleration:
     a: Array
     force: Array
     relative: Array
+    limit: Array
+    friction: Array
     problem: LeastConstraint
 
 
@@ -213,7 +335,7 @@ def least_constraint(
     closed: float = 1e-6,
     still: float = 1e-4,
 ) -> LeastConstraint:
-    """Extended least-constraint problem of a scene in a given state.
+    """Extended least-constraint problem of a scene in a given state, with its joints, loops and driven joints.
 
     Parameters
     ----------
@@ -230,12 +352,12 @@ def least_constraint(
     Raises
     ------
     ValueError
-        If a closed contact approaches faster than `still`: an impact, at which there is no acceleration. For scenes
-        with dry joint friction, closed loops or prescribed motions, and joints at their limits: not in the problem.
+        If a closed contact or a joint at its limit approaches faster than `still`: an impact, at which there is no
+        acceleration. For scenes with driven bodies or sliding surfaces: not in the problem.
     """
     d = Dynamics(scene)
-    if d.surfaces.count or any(tree.constrained for tree in d.trees):
-        raise ValueError("scene must have no closed loops or prescribed motions")
+    if d.surfaces.count:
+        raise ValueError("scene must have no driven bodies and no sliding surfaces")
     geoms = scene.geoms()
     detector = Detector(geoms, pairs.pair_material(scene, geoms), pairs.excluded(scene, geoms))
     position, v = d.start() if state is None else (state.instant.position, state.instant.v)
@@ -243,9 +365,7 @@ def least_constraint(
     twists = d.surfaces.twists(t)
     middle = d.halfway(position, v, 0.0, 0.5, twists)
     forces = d.forces(middle, t, 0.0, wrenches, tau)
-    joints = d.joint_rows(position, v, v, 0.0)
-    if joints is not None and (joints.mu.any() or joints.gap.min() <= closed):
-        raise ValueError("scene must have no dry joint friction, and no joint at its limit")
+    joints = _joint_terms(d, position, v, closed, still)
     reach = np.full(d.frames, closed)
     found, memory = detector.find(*middle.placement[:2], reach, ContactMemory.empty())
     rows, frame = d.rows(found, middle.placement, forces, None)
@@ -283,7 +403,43 @@ def least_constraint(
     slip /= np.linalg.norm(slip, axis=1, keepdims=True) + (slip == 0.0).all(axis=1, keepdims=True)
     columns = (3 * keep[:, None] + np.arange(3)).ravel()
     chosen = ContactSet(*(getattr(found, name)[keep] for name in ContactSet._fields))
-    return LeastConstraint(chosen, frame[keep], M, f, H[:, columns], p[keep].ravel(), slip[keep])
+    Z, given = _admissible(d, position, v, t, M, forces)
+    return LeastConstraint(chosen, frame[keep], M, f, H[:, columns], p[keep].ravel(), slip[keep], Z, given, joints)
+
+
+def _joint_terms(d: Dynamics, position: Position, v: Array, closed: float, still: float) -> JointTerms:
+    """Limits that are reached and joints with dry friction; ValueError for a joint that runs into its limit."""
+    rows, e = d.joint_rows(position, v, v, 0.0), np.eye(d.n)
+    if rows is None:
+        return JointTerms(np.empty((d.n, 0)), np.empty((d.n, 0)), np.empty(0), np.empty(0))
+    friction, rate = rows.mu > 0.0, d.joints.rates(rows.slot, v)
+    reached = ~friction & (rows.gap <= closed)
+    if (reached & (rate < -still)).any():
+        fastest = float(rate[reached].min())
+        raise ValueError(f"a joint runs into its limit at {-fastest:.3g} rad/s or m/s: an impact, no acceleration")
+    at = rows.slot[reached & (rate <= still)]
+    on = rows.slot[friction]
+    speed, coordinate = v[d.joints.coordinate[on]], d.joints.coordinate[at]
+    slip = np.where(np.abs(speed) > still, np.sign(speed), 0.0)
+    columns = e[:, coordinate] * d.joints.sign[at], e[:, d.joints.coordinate[on]]
+    return JointTerms(*columns, d.joints.bound[on], slip)
+
+
+def _admissible(d: Dynamics, position: Position, v: Array, t: float, M: Array, forces: Forces) -> tuple[Array, Array]:
+    """(Z, v̇_p) of loops and driven joints, Z the inverse root of M where there are none."""
+    given, Z, column = np.zeros(d.n), np.zeros((d.n, d.n)), 6 * d.free
+    first = slice(0, column)
+    Z[first, first] = np.linalg.inv(np.linalg.cholesky(M[first, first])).T
+    for tree, q, free in zip(d.trees, position.trees, forces.trees, strict=True):
+        rows = tree.coordinates
+        if free.constraints is None:
+            root = np.linalg.inv(np.linalg.cholesky(M[rows, rows])).T
+        else:
+            root = free.constraints.Z
+            given[rows] = free.constraints.P @ tree.constraint_acceleration(q, v[rows], t)
+        Z[rows, column : column + root.shape[1]] = root
+        column += root.shape[1]
+    return Z[:, :column], given
 
 
 def _along(
@@ -320,11 +476,12 @@ def accelerations(problem: LeastConstraint, tol: float = 1e-9) -> Acceleration:
     """
     nc = problem.p.size // 3
     k, omega = np.zeros(nc), 1.0
-    force, last, settled = np.zeros((nc, 3)), np.zeros(nc), nc == 0
-    for _ in range(PASSES if nc else 0):
-        force = problem.dual(k)
+    last, settled = np.zeros(nc), False
+    for _ in range(PASSES):
+        forces = problem.dual(k)
+        force = forces[: 3 * nc].reshape(nc, 3)
         change = force[:, 0] - k
-        if np.abs(change).max() <= tol * np.abs(force[:, 0]).max():
+        if np.abs(change).max(initial=0.0) <= tol * np.abs(force[:, 0]).max(initial=0.0):
             settled = True
             break
         difference = change - last
@@ -332,8 +489,9 @@ def accelerations(problem: LeastConstraint, tol: float = 1e-9) -> Acceleration:
             omega *= -float(last @ difference) / float(difference @ difference)
         last = change
         k = np.maximum(k + omega * change, 0.0)
-    a: Array = np.linalg.solve(problem.M, problem.f + problem.H @ force.ravel()).astype(float)
+    a, others = problem.acceleration(forces), forces[3 * nc :]
+    split = problem.joints.limits.shape[1]
     existence = Existence.SOLVED
     if not settled:
         existence = Existence.NO_SOLUTION if problem.impossible() else Existence.NOT_FOUND
-    return Acceleration(existence, a, force, problem.relative(a), problem)
+    return Acceleration(existence, a, force, problem.relative(a), others[:split], others[split:], problem)
