@@ -188,7 +188,7 @@ class ContactTable:
     key : ndarray of int64, shape (nc,)
         The same for the same features of the same pair of shapes in the next step.
     status : ndarray of int8, shape (nc,)
-        0 open, 1 stick, 2 slip.
+        0 open, 1 stick, 2 slip, faster than the solver's tolerance.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
     """

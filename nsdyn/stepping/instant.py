@@ -196,7 +196,7 @@ def account(
         struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
         done = _law.outcome(
             met.rows.full.arrays, velocities[2], met.transport, r, met.mu, (met.place, met.status), struck,
-            (met.u, met.u_free, met.drift), met.frame, (status, normal, friction, u_end, world),
+            (met.u, met.u_free, met.drift), met.frame, s.solver.tol, (status, normal, friction, u_end, world),
         )  # fmt: skip
     struck_normal = struck_friction = 0.0
     if impact is not None:

@@ -78,7 +78,7 @@ class Step(NamedTuple):
     u, r : ndarray, shape (nc, 3)
         Relative velocity at the end of the step [m/s], or after the impact, and impulse on body 2 [N·s], normal first.
     contact_status : ndarray of int8, shape (nc,)
-        0 open, 1 stick, 2 slip.
+        0 open, 1 stick, 2 slip, faster than the solver's tolerance.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
     joints : ndarray, shape (3, nv), or None

@@ -317,15 +317,16 @@ def states(r, mu, out):
 
 
 @kernel
-def outcome(blocks, v_plus, transport, r, mu, was, struck, motion, frame, out):
+def outcome(blocks, v_plus, transport, r, mu, was, struck, motion, frame, slow, out):
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
     Into out = (status, normal, friction, u_end, world), from what they were, (place, status) as in `local_velocities`,
     `struck`, the normal impulses of impacts (empty for none), and motion = (u, u_free, drift). The states are those of
-    `states`, the works (rows,) those of the impulses at the one configuration where they act, ½ (u + u⁺)·r. Returns the
-    sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact
-    that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first step
-    only closed the gap; joint rows always do work.
+    `states`, but what ends no faster than `slow` sticks: impulses that redundant contacts share may lie anywhere in
+    their cones. The works (rows,) are those of the impulses at the one configuration where they act, ½ (u + u⁺)·r.
+    Returns the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a
+    contact that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first
+    step only closed the gap; joint rows always do work.
     """
     place, old_status = was
     u, u_free, drift = motion
@@ -344,6 +345,8 @@ def outcome(blocks, v_plus, transport, r, mu, was, struck, motion, frame, out):
         stays, sticks = False, False
         if c < nc:
             status[c] = state(r, mu[c], i)
+            if status[c] == 2 and mu[c] > 0.0 and u_end[i + 1] ** 2 + u_end[i + 2] ** 2 <= slow * slow:
+                status[c] = 1
             if struck.size > c and struck[c] > 0.0:
                 stays = True
             elif place[c] >= 0:
