@@ -51,6 +51,9 @@ CUTS, HITS, LOCATED = 8, 16, 50
 """Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
 effort is bounded; beyond, impacts are caught within the step."""
 
+CLOSER = 50
+"""Most times that a move is shortened so as not to go much farther than to what it touches; two or three are usual."""
+
 WORST = 1e-3
 """Error above which an answer is none."""
 
@@ -305,7 +308,7 @@ class Stepper:
             solution = solution._replace(status=Status.OVERLAP)
         return self._record(done, ledger, certificate, problem, solution)
 
-    def _until_impact(self, begin: Instant, t: float, h: float) -> tuple[float, Trial]:
+    def _until_impact(self, begin: Instant, t: float, h: float, looks: int = CLOSER) -> tuple[float, Trial]:
         """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
         s = self.system
         if begin.contacts.gap.size > LOCATED:
@@ -315,8 +318,8 @@ class Stepper:
             # Not much farther, so that what is hit is seen from the side where it is.
             far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
             within = m.touched + 0.05 * h * s.smallest / float(far.max())
-            if within < h:
-                return self._until_impact(begin, t, within)
+            if within < h and looks:
+                return self._until_impact(begin, t, within, looks - 1)
         if m.unmet is None:
             return h, m
         hit = m.unmet.gap < -m.unmet.limit
