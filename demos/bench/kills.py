@@ -71,7 +71,8 @@ def killed_run(name: str, whole: recording.Columns, took: float, folder: Path, r
     while True:
         process = multiprocessing.get_context("fork").Process(target=run, args=(name, how, path, flush))
         process.start()
-        process.join(float(rng.uniform(0.0, 0.5) * took))
+        # Longer after each kill, so that the run comes to its end however seldom it flushes and slow the machine is.
+        process.join(float(rng.uniform(0.0, 0.5) * took * 1.1**kills))
         if not process.is_alive():
             if process.exitcode:
                 wrong.append(f"exit code {process.exitcode}")
