@@ -19,7 +19,7 @@ technical report 444, 2014.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,10 +27,9 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.condensation import condensed, embedded, factors, is_symmetric, planar, solver_of
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools import files
@@ -38,9 +37,6 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.datasets import check_heaps, dataset
 
 __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
-
-LARGEST_BLOCK = 200
-"""Coordinates of one block of M beyond which its dense inverse costs more than condensing the problem to W."""
 
 
 class Stored(NamedTuple):
@@ -60,9 +56,6 @@ class Stored(NamedTuple):
     r: Array
     v: Array | None
     l: Array | None
-
-
-# -- reading ---------------------------------------------------------------------------------------------------
 
 
 def read(path: str | Path) -> FC3D:
@@ -89,13 +82,13 @@ def read(path: str | Path) -> FC3D:
             w = _array(group, "vectors/w", size=H.shape[1])
             if H.shape[1] != dim * mu.size:
                 raise ValueError(f"fclib_global/H must have {dim} columns per contact, got {H.shape[1]} for {mu.size}")
-            solve = _factor(K, "fclib_global/M")
+            solve = solver_of(K, "fclib_global/M")
             q = B.T @ solve(c) + w
-            blocks = _blocks(M, H) if dim == 3 and K is M else None
+            blocks = factors(M, H) if dim == 3 and K is M else None
             if blocks is not None:
                 return FC3D.from_blocks(blocks, q, mu)
-            W = _condensed(B, solve, symmetric=_is_symmetric(M))
-        return FC3D(*((W, q) if dim == 3 else _embedded(W, q)), mu)
+            W = condensed(B, solve, symmetric=is_symmetric(M))
+        return FC3D(*((W, q) if dim == 3 else embedded(W, q)), mu)
 
 
 def read_solution(path: str | Path) -> Stored | None:
@@ -187,17 +180,6 @@ def _matrix(group: Any, name: str) -> Any:
     return kind((x, i, p), shape=(m, n)).tocsr()
 
 
-def _factor(K: Any, where: str) -> Callable[[Array], Array]:
-    """Solve with K by sparse factorisation."""
-    if K.shape[0] != K.shape[1]:
-        raise ValueError(f"{where} must be square, got shape {K.shape}")
-    try:
-        solve: Callable[[Array], Array] = splu(K.tocsc()).solve
-    except RuntimeError:
-        raise ValueError(f"{where} must be regular, is singular") from None
-    return solve
-
-
 def _local(group: Any, rows: int) -> tuple[Any, Array]:
     """(W, q) of a local problem without its bilateral impulses, W - V R⁻¹ Vᵀ and q - V R⁻¹ s."""
     W, q = _matrix(group, "W"), _array(group, "vectors/q", size=rows)
@@ -205,7 +187,7 @@ def _local(group: Any, rows: int) -> tuple[Any, Array]:
         raise ValueError(f"fclib_local/W must have shape {(rows, rows)} like q and mu, got {W.shape}")
     if "V" in group or "R" in group:
         V, R, s = _bilateral(group, rows)
-        solve = _factor(R, "fclib_local/R")
+        solve = solver_of(R, "fclib_local/R")
         W, q = sp.csr_array(W - V @ solve(V.T.toarray())), q - V @ solve(s)
     return W, q
 
@@ -233,97 +215,15 @@ def _system(group: Any, M: Any, H: Any) -> tuple[Any, Any, Array]:
     return K, B, np.concatenate((f, -_array(group, "vectors/b", size=G.shape[1])))
 
 
-def _condensed(B: Any, solve: Callable[[Array], Array], symmetric: bool) -> Any:
-    """W = Bᵀ K⁻¹ B."""
-    columns = B.tocsc()
-    step = 256  # dense columns at a time: all of them may not fit into memory
-    W = np.hstack([B.T @ solve(columns[:, k : k + step].toarray()) for k in range(0, B.shape[1], step)])
-    if symmetric:
-        W = 0.5 * (W + W.T)
-    W[abs(W) < 1e-14 * abs(W).max(initial=0.0)] = 0.0  # round-off, which would fill a block-sparse W
-    return sp.csr_array(W)
-
-
-def _is_symmetric(M: Any) -> bool:
-    return bool(abs(M - M.T).max() <= 1e-12 * abs(M).max())  # the round-off of assembled matrices
-
-
-def _blocks(M: Any, H: Any) -> Blocks | None:
-    """Factors in blocks of coordinates, permuted to be contiguous, or None where M and H do not fall into such blocks.
-
-    Coordinates that M couples belong together. Where M is so diagonal that a contact touches more than two such groups,
-    neighbours are joined: 6 coordinates of a body, 3 of a node.
-    """
-    n, nc = M.shape[0], H.shape[1] // 3
-    if not n or not nc or not _is_symmetric(M):
-        return None
-    H = H.tocoo()
-    pattern = abs(M)
-    pattern.eliminate_zeros()
-    for run in (1, 6, 3):
-        if n % run:
-            continue
-        count, label = connected_components(pattern + sp.kron(sp.eye_array(n // run), np.ones((run, run))), False)
-        key, pair = np.unique(H.col // 3 * count + label[H.row], return_inverse=True)
-        contact, touched = np.divmod(key, count)
-        first = np.searchsorted(contact, contact)
-        slot = np.arange(key.size) - first
-        if slot.max(initial=0) < 2 and np.bincount(label).max() <= LARGEST_BLOCK:
-            break
-    else:
-        return None
-    size = np.bincount(label, minlength=count)
-    offset = np.concatenate(([0], np.cumsum(size)))
-    inside = np.empty(n, np.int64)  # place of a coordinate in its block
-    inside[np.argsort(label, kind="stable")] = np.arange(n) - np.repeat(offset[:-1], size)
-    block, start = np.full((nc, 2), -1), np.zeros((nc, 2), np.int64)
-    begin = np.concatenate(([0], np.cumsum(3 * size[touched])))
-    block[contact, slot], start[contact, slot] = touched, begin[:-1]
-    rows = np.zeros(begin[-1])
-    rows[begin[pair] + H.col % 3 * size[label[H.row]] + inside[H.row]] = H.data
-    M = M.tocoo()
-    m_start = np.concatenate(([0], np.cumsum(size**2)))
-    m = np.zeros(m_start[-1])
-    m[m_start[label[M.row]] + inside[M.row] * size[label[M.row]] + inside[M.col]] = M.data
-    minv = np.empty_like(m)
-    for a, b, k in zip(m_start[:-1], m_start[1:], size, strict=True):
-        part = m[a:b].reshape(k, k)
-        try:
-            np.linalg.cholesky(part)
-        except np.linalg.LinAlgError:
-            return None
-        inverse = np.linalg.inv(part)
-        minv[a:b] = (0.5 * (inverse + inverse.T)).ravel()
-    return Blocks(offset, block, start, rows, m_start[:-1], m, minv)
-
-
-def _embedded(W: Any, q: Array) -> tuple[Any, Array]:
-    """(W, q) of a planar problem in 3D; W_T2 is the mean of W_N and W_T, which leaves the scale of the contact."""
-    nc = q.size // 2
-    rows = _planar(nc)
-    E = sp.csr_array((np.ones(2 * nc), (rows, np.arange(2 * nc))), shape=(3 * nc, 2 * nc))
-    diagonal = np.zeros(3 * nc)
-    diagonal[2::3] = W.diagonal().reshape(nc, 2).mean(axis=1)
-    return E @ W @ E.T + sp.diags_array(diagonal), E @ q
-
-
-def _planar(nc: int) -> Any:
-    """Rows N and T1 of vectors with 3 entries per contact."""
-    return np.arange(3 * nc).reshape(nc, 3)[:, :2].ravel()
-
-
 def _stored(file: Any, name: str) -> Stored:
     group, dim = _group(file)
     nc = _array(group, "vectors/mu").size
     u, r = np.zeros(3 * nc), np.zeros(3 * nc)
-    rows = slice(None) if dim == 3 else _planar(nc)
+    rows = slice(None) if dim == 3 else planar(nc)
     u[rows] = _array(file, f"{name}/u", size=dim * nc)
     r[rows] = _array(file, f"{name}/r", size=dim * nc)
     v, l = (_array(file, f"{name}/{key}") if f"{name}/{key}" in file else None for key in ("v", "l"))
     return Stored(u, r, v, l)
-
-
-# -- writing ---------------------------------------------------------------------------------------------------
 
 
 def write(
@@ -375,7 +275,7 @@ def write(
     [-1.0, 0.2, 0.0]
     """
     blocks = problem.blocks
-    rows = slice(None) if spacedim == 3 else _planar(problem.nc)
+    rows = slice(None) if spacedim == 3 else planar(problem.nc)
     if spacedim != 3:
         _check_planar(problem, spacedim)
     for guess in guesses:
@@ -461,20 +361,20 @@ def _put_text(group: Any, name: str, text: str) -> None:
 def _put_answer(file: Any, name: str, r: Array, u: Array) -> None:
     """Solution or guess of the problem that is already in the file, with its v and λ."""
     group, dim = _group(file)
-    rows = slice(None) if dim == 3 else _planar(_array(group, "vectors/mu").size)
+    rows = slice(None) if dim == 3 else planar(_array(group, "vectors/mu").size)
     r, u = r[rows], u[rows]
     _put(file, f"{name}/u", u)
     _put(file, f"{name}/r", r)
     if group.name == "/fclib_global":
         M = _matrix(group, "M")
         K, B, c = _system(group, M, _matrix(group, "H"))
-        x = _factor(K, "fclib_global/M")(B @ r + c)
+        x = solver_of(K, "fclib_global/M")(B @ r + c)
         _put(file, f"{name}/v", x[: M.shape[0]])
         if K is not M:
             _put(file, f"{name}/l", x[M.shape[0] :])
     elif "R" in group:
         V, R, s = _bilateral(group, r.size)
-        _put(file, f"{name}/l", _factor(R, "fclib_local/R")(-(V.T @ r) - s))
+        _put(file, f"{name}/l", solver_of(R, "fclib_local/R")(-(V.T @ r) - s))
 
 
 def _check_planar(problem: FC3D, spacedim: int) -> None:
