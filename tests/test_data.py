@@ -10,7 +10,8 @@ import nsdyn as nd
 FILES = {path.stem: path for path in sorted((Path(__file__).parent / "data").glob("*.hdf5"))}
 CANNOT = {
     ("bundle", "arch"), ("bundle", "capstan"), ("bundle", "pile"), ("extragradient", "capstan"),
-    ("fixed_point", "capstan"), ("gauss_seidel", "capstan"), ("impulse_newton", "capstan"), ("panagiotopoulos", "capstan"),
+    ("fixed_point", "capstan"), ("gauss_seidel", "capstan"), ("impulse_newton", "capstan"),
+    ("panagiotopoulos", "capstan"),
 }  # fmt: skip
 """Where a method fails at 1e-4: with blocks of 10 g between weights of 100 N and more, or redundant contacts."""
 
