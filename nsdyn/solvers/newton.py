@@ -181,7 +181,7 @@ def solve_blocks(
 ) -> tuple[int, float]:
     """Newton on one connected problem, dense or sparse by its size, in place of r; (factorisations, measure)."""
     if blocks.n <= DENSE:
-        count, best = _kernels.dense(blocks.arrays, q, mu, scales, r, tol, q_norm, penalty, max_iter, 0.0, 0)
+        count, best = _kernels.dense(blocks.arrays, q, mu, scales, r, tol, q_norm, penalty, max_iter)
         return int(count), float(best)
     return _multipliers(Velocities(blocks, q, mu, scales, q_norm), mu, scales, r, tol, penalty, max_iter)
 

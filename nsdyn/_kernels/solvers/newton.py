@@ -169,10 +169,8 @@ def settled(blocks, scales, y, P, estimate, F, work):
 
 
 @kernel
-def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter, good, few):
+def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
-
-    From the first impulse on that is `good` it has a `few` steps to improve it towards the tolerance.
 
     Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and where F
     has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, doubles with
@@ -188,10 +186,9 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter, good, few):
     best = measure_of(blocks, q, mu, scales, q_norm, r, y, u, work)
     estimate = r.copy()
     count, inner = 0, 0
-    last = few if best <= good else max_iter
     rho = penalty / scales
     projected(u, estimate, rho, mu, P)
-    while best > tol and count < last and penalty > 1e-3:
+    while best > tol and count < max_iter and penalty > 1e-3:
         defect(blocks, y, P, F, work)
         stiffness(u, estimate, rho, mu, A)
         assemble_dense(blocks, A, K)
@@ -206,8 +203,6 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter, good, few):
         projected(u, estimate, rho, mu, P)
         measure = measure_of(blocks, q, mu, scales, q_norm, P, own_y, own_u, work)
         if measure < best:
-            if best > good >= measure:
-                last = min(max_iter, count + few)
             best = measure
             r[:] = P
         if settled(blocks, scales, y, P, estimate, F, work):

@@ -53,10 +53,16 @@ def by_factors(
                 own_q, own_mu, own_scales, own = newton.gather(contacts, q, mu, scales, r)
             if part[0][-1] <= largest:
                 good = accept * math.sqrt(share[k] / label.size)
-                used, measures[k] = newton.dense(
-                    part, own_q, own_mu, own_scales, own, enough, q_norm, penalty, max_iter, good, few
-                )  # fmt: skip
-                count += used
+                # A few steps from a warm start; if they do not suffice, or from nothing, many, and then a few with a
+                # new penalty: the one that has grown on the way would lose the last digits.
+                for attempt in range(0 if own.any() else 1, 3):
+                    if (attempt == 1 and measures[k] <= good) or (attempt == 2 and measures[k] > good):
+                        break
+                    used, measures[k] = newton.dense(
+                        part, own_q, own_mu, own_scales, own, enough, q_norm, penalty,
+                        max_iter if attempt == 1 else few,
+                    )  # fmt: skip
+                    count += used
                 if not alone:
                     newton.scatter(contacts, own, r)
         share[k] = math.sqrt(share[k] / label.size)
