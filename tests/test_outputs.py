@@ -140,6 +140,14 @@ def test_plots_draw_what_is_recorded(trajectory):
         plots.pair(trajectory, "ball", "ground", "u")
 
 
+def test_round_off_is_not_drawn_as_dissipation():
+    """A stack at rest: works of 1e-16 J."""
+    resting = nd.simulate(nd.scenes.load("stack")(height=2), 0.05, dt=0.01)
+    ax = plots.dissipation(resting, Figure().subplots())
+    assert [text.get_text() for text in ax.texts] == ["nothing is dissipated"]
+    assert ax.get_ylim()[1] >= 1e-10 * resting.largest_energy > 0.0
+
+
 def test_plot_on_the_command_line(trajectory, run, tmp_path):
     trajectory.save("run.h5")
     assert run("plot", "run.h5")[:2] == (0, "run.png\n") and (tmp_path / "run.png").stat().st_size > 20_000

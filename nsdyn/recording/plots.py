@@ -20,6 +20,9 @@ __all__ = ["QUANTITIES", "certificate", "dissipation", "friction", "pair", "pene
 QUANTITIES = {"gap": "smallest gap [m]", "u_N": "normal velocity there [m/s]", "r_N": "normal impulse, sum [N·s]"}
 """What `pair` draws, and what its axis says."""
 
+NOTHING = 1e-9
+"""Work of a step that is round-off or the solver's tolerance, over the largest energy: drawn as nothing."""
+
 SHOWN = 8
 """Pairs with the largest works that are drawn one by one."""
 
@@ -40,6 +43,11 @@ def dissipation(trajectory: Trajectory, ax: Any = None) -> Any:
             ax.stackplot(trajectory.t_steps, layers, labels=[n for n, _ in works] if sign > 0 else [], colors=colours)
     ax.set(xlabel="t [s]", ylabel="dissipated in a step [J]", title="dissipation")
     ax.margins(x=0)
+    low, high = ax.get_ylim()
+    least = NOTHING * trajectory.largest_energy or 1.0
+    if high - low < least:
+        ax.set_ylim(-0.1 * least, 0.9 * least)
+        ax.text(0.5, 0.5, "nothing is dissipated", transform=ax.transAxes, ha="center", va="center", size="x-large")
     if works:
         ax.legend(loc="best", frameon=False, fontsize="small")
     return ax
