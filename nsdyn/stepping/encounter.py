@@ -25,7 +25,7 @@ from nsdyn.dynamics.dynamics import Dynamics, Forces, Middle, Placement
 from nsdyn.dynamics.joints import JointRows, Rows
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.solvers import Auto, Solver
+from nsdyn.solvers import Solver
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["SOLVES", "Basis", "Encounter", "Warm", "foresee", "solve"]
@@ -217,7 +217,7 @@ def solve(
     met : Encounter
     solver : Solver
     last : Solution, optional
-        Of the same move with other contacts. Where `Auto` found no better than a loose one it is asked for no more.
+        Of the same move with other contacts. Where it is no better than loose, `Auto.loosely` is asked for no more.
     ahead, closed : float
         h₂ [s], and the largest gap [m] that counts as closed.
     slides : ndarray of bool, shape (nc,)
@@ -247,9 +247,10 @@ def solve(
 
 
 def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array) -> Solution:
-    """Solve a problem that differs little from the last one, no better than that was."""
-    if isinstance(solver, Auto) and last is not None and last.status is Status.LOOSE:
-        return solver.loosely(problem, r)
+    """Solve a problem that differs little from the last one, by solvers that can no better than that was."""
+    loosely: Solver | None = getattr(solver, "loosely", None)
+    if loosely is not None and last is not None and last.status is Status.LOOSE:
+        return loosely(problem, r)
     return solver(problem, r)
 
 
