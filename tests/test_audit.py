@@ -8,7 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
-from nsdyn.recording.audit import TOLERANCES, deepest
+from nsdyn.recording.audit import deepest
+from nsdyn.recording.findings import TOLERANCES
 
 K = 30
 """A step in which the box slides and the ball rests on it."""

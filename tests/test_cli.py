@@ -18,7 +18,7 @@ import nsdyn as nd
 from nsdyn import cli
 from nsdyn.cli import doctor
 from nsdyn.recording import browser, viewer
-from nsdyn.recording.audit import TOLERANCES
+from nsdyn.recording.findings import TOLERANCES
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import settings
 

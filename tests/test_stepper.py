@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn.stepping import stepper as stepper_module
+from nsdyn.stepping import failures
 
 
 @pytest.mark.parametrize("name", nd.scenes.names())
@@ -164,9 +164,9 @@ def test_the_worst_of_a_step_is_recorded():
         return problem, exact._replace(status=status, error=error)
 
     loose, stalled = solved(nd.Status.LOOSE, 9e-5), solved(nd.Status.STALLED, 2e-6)
-    assert stepper_module._worst([solved(nd.Status.CONVERGED, 1e-9), stalled, loose]) == 1
-    assert stepper_module._worst([loose, stalled, solved(nd.Status.NO_SLATER_POINT, 1e-7)]) == 2
-    assert stepper_module._worst([solved(nd.Status.CONVERGED, 2e-9), solved(nd.Status.CONVERGED, 1e-9)]) == 1
+    assert failures.worst([solved(nd.Status.CONVERGED, 1e-9), stalled, loose]) == 1
+    assert failures.worst([loose, stalled, solved(nd.Status.NO_SLATER_POINT, 1e-7)]) == 2
+    assert failures.worst([solved(nd.Status.CONVERGED, 2e-9), solved(nd.Status.CONVERGED, 1e-9)]) == 1
 
 
 def test_what_is_no_answer_stops_a_run(tmp_path):

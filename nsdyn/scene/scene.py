@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from nsdyn.scene import articulations, checks, description, robot_files, shapes
+from nsdyn.scene import assembly, checks, description, robot_files, shapes
 from nsdyn.scene.articulations import Articulation, Description
 from nsdyn.scene.bodies import Body, BodyOptions, Geom, make_body
 from nsdyn.scene.materials import COMBINATION_RULES, Material
@@ -304,19 +304,17 @@ class Scene:
             Hold the points together, or points and axes.
         """
         choice(articulation, self.articulations, "articulation")
-        self.articulations[articulation] = articulations.close_loop(
+        self.articulations[articulation] = assembly.close_loop(
             self.articulations[articulation], name, frame1, frame2, position, quaternion, kind
         )
 
     def _add_articulation(self, name: str, description: Description, keywords: dict[str, Any]) -> None:
         self._check_name(name)
-        known = [
-            p.name for p in inspect.signature(articulations.assemble).parameters.values() if p.kind == p.KEYWORD_ONLY
-        ]
+        known = [p.name for p in inspect.signature(assembly.assemble).parameters.values() if p.kind == p.KEYWORD_ONLY]
         unknown = sorted(set(keywords) - set(known))
         if unknown:
             raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}{meant(unknown[0], known)}")
-        articulation = articulations.assemble(name, description, **keywords)
+        articulation = assembly.assemble(name, description, **keywords)
         articulation.model.gravity = pin.Motion(self.gravity, np.zeros(3))
         self.articulations[name] = articulation
 

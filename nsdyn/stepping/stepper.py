@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses
+from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Position
-from nsdyn.problem import cones, fclib, gauss
+from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import NotConverged, Solution, Status
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.scene import pairs
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.scene import Scene
@@ -28,11 +28,11 @@ from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping import impacts
 from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
-from nsdyn.stepping.encounter import Warm
 from nsdyn.stepping.energy import Ledger, Works
-from nsdyn.stepping.instant import Impulses, Instant, Looked, System, take
+from nsdyn.stepping.failures import Failures, worst
+from nsdyn.stepping.initial import begin
+from nsdyn.stepping.instant import Impulses, Instant, System, take
 from nsdyn.stepping.move import Trial, finish, trial
-from nsdyn.stepping.projection import place, project
 from nsdyn.stepping.sight import Unmet, others
 from nsdyn.stepping.state import Start, State, Step
 from nsdyn.tools.arrays import Array, Index
@@ -53,16 +53,6 @@ effort is bounded; beyond, impacts are caught within the step."""
 
 CLOSER = 50
 """Most times that a move is shortened so as not to go much farther than to what it touches; two or three are usual."""
-
-WORST = 1e-3
-"""Error above which an answer is none."""
-
-ON_FAIL = "warn", "raise", "dump", "ignore"
-DUMPS = "failed-steps"
-"""Folder of the problems of failing steps where none is given."""
-
-NAMED = 3
-"""Most pairs of bodies that a message names."""
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
@@ -157,7 +147,6 @@ class Stepper:
             raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
         if not isinstance(scene, Scene):
             raise ValueError(f"scene must be a nsdyn.Scene, got {scene!r}; nsdyn.scenes.load(name)() makes a named one")
-        choice(on_fail, ON_FAIL, "on_fail")
         for what, given in (("controller", controller), ("external_force", external_force)):
             if given is not None and not callable(given):
                 raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
@@ -166,15 +155,12 @@ class Stepper:
             raise ValueError(f"overlap must be a fraction in [0, 1], got {overlap!r}")
         if not isinstance(lift, bool):
             raise ValueError(f"lift must be True or False, got {lift!r}")
-        if dump_on_fail is None and on_fail == "dump":
-            dump_on_fail = DUMPS
-        self.dump_on_fail = None if dump_on_fail is None else Path(dump_on_fail)
-        if self.dump_on_fail is not None and self.dump_on_fail.is_file():
-            raise ValueError(f"dump_on_fail must be a folder, got the file {dump_on_fail}")
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
         solver = Auto() if solver in (None, "auto") else as_solver(solver)
-        self.controller, self.external_force, self.on_fail = controller, external_force, on_fail
-        self.dynamics, geoms = Dynamics(scene), scene.geoms()
+        self.controller, self.external_force = controller, external_force
+        geoms = scene.geoms()
+        self.failures = Failures(on_fail, dump_on_fail, [g.name for g in geoms])
+        self.dynamics = Dynamics(scene)
         self.detector = Detector(geoms, pairs.pair_material(scene, geoms), pairs.excluded(scene, geoms), max_points)
         # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
         closed = CLOSED * min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
@@ -193,29 +179,9 @@ class Stepper:
                 f"got {several}",
                 stacklevel=2,
             )
-        self._failures, self._names = 0, [g.name for g in geoms]
-        self._state = State(0.0, self.dt, 0, *self._start(geoms, float(overlap), lift), np.zeros(self.dynamics.free))
-
-    def _start(self, geoms: list[Geom], overlap: float, lift: bool) -> tuple[Instant, Array, tuple[float, float]]:
-        """The initial instant, whose bodies do not overlap deeply, the free acceleration there, energies."""
-        d = self.dynamics
-        position, v = d.start()
-        placed = place(d, self.detector, position, d.place(position), ContactMemory.empty())
-        where = _check_overlap(geoms, placed.contacts, overlap)
-        if where and not lift:
-            warnings.warn(f"{where}; the first step moves them apart", stacklevel=4)
-        if lift:
-            placed = project(d, self.detector, placed, d.inertia(position, v), self.closed)
-            if not placed.clear:
-                raise ValueError(f"{where}, and nothing moves them apart: they are squeezed")
-            position = placed.position
-        none = np.empty((0, 3))
-        warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), self.dt, None)
-        twists = d.twists(placed.placement, v)
-        placement, contacts = placed.placement, placed.contacts
-        looked = Looked(placement.x, placement.R, np.zeros(d.frames))
-        instant = Instant(position, v, placement, contacts, placed.limits, placed.memory, looked, warm, twists)
-        return instant, np.zeros(d.n), d.energies(position, v)
+        instant, d = begin(self.system, geoms, float(overlap), lift), self.dynamics
+        energies = d.energies(instant.position, instant.v)
+        self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies, np.zeros(d.free))
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -294,16 +260,16 @@ class Stepper:
         now, gained, owed = balance(self.system, s.instant, now, done, external, s.owed)
         if gained:
             works.append(Works(projection=gained))
-        worst = _worst(solved)
-        if not solved[worst][1].accepted:
-            self._fail(*solved[worst], done[worst].contacts)
+        k = worst(solved)
+        if not solved[k][1].accepted:
+            self.failures.tell(*solved[k], done[k].contacts, s, self.solver.tol)
         certificate, opening = self._certify(solved, s.opening)
         energies = self.dynamics.energies(now.position, now.v)
         if not math.isfinite(sum(energies)):
             raise ArithmeticError("positions or velocities are no longer finite")
         self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, owed, opening)
         ledger = Ledger.of(s.energies, energies, Works.total(works))
-        problem, solution = solved[worst]
+        problem, solution = solved[k]
         if solution.accepted and not clear:
             solution = solution._replace(status=Status.OVERLAP)
         return self._record(done, ledger, certificate, problem, solution)
@@ -393,56 +359,6 @@ class Stepper:
             acted.normal, acted.friction, joints, acted.created, ledger, certificate, problem, solution,
         )  # fmt: skip
 
-    def _fail(self, problem: FC3D, solution: Solution, contacts: ContactSet) -> None:
-        """Warn of a step that misses its tolerance, write its problem, or stop."""
-        step = self._state.count + 1
-        message = (
-            f"step {step} from t = {self.t:.6g} s did not converge: error {solution.error:.2e}, residual "
-            f"{solution.residual:.2e} m/s, tolerance {self.solver.tol:.1e} ({solution.status.message})"
-            f"{self._culprits(problem, solution, contacts)}"
-        )
-        if self.dump_on_fail is not None:
-            self.dump_on_fail.mkdir(parents=True, exist_ok=True)
-            path = self.dump_on_fail / f"step-{step:06d}.hdf5"
-            fclib.write(path, problem, guesses=[solution.r], description=message, overwrite=True)
-            message += f"; its problem is in {path}"
-        none = _is_none(solution)
-        if self.on_fail == "raise" or (self.on_fail in ("warn", "dump") and none):
-            if none and solution.status is not Status.NO_SLATER_POINT:  # which says what to look for
-                message += "; no answer is near: try a smaller dt"
-            raise NotConverged(message, problem, solution, self._state, step)
-        if self.on_fail != "ignore" and not self._failures:
-            warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=3)
-        self._failures += 1
-
-    def _culprits(self, problem: FC3D, solution: Solution, contacts: ContactSet) -> str:
-        """The bodies between which a problem is furthest from being solved, in words."""
-        u, r = solution.u.reshape(-1, 3), solution.r.reshape(-1, 3)
-        wrong = r - cones.project(r - cones.saxce(u, problem.mu) / problem.scales[:, None], problem.mu)
-        size = problem.scales * np.linalg.norm(wrong, axis=1)
-        if problem.nc < contacts.gap.size:  # an impact of some of them
-            size = np.ones(contacts.gap.size)
-        names = [(self._names[i], self._names[j]) for i, j in zip(contacts.geom1, contacts.geom2, strict=True)]
-        worst = [names[k] for k in np.argsort(-size[: len(names)], kind="stable")]
-        pairs = [f"{a!r} and {b!r}" for a, b in list(dict.fromkeys(worst))[:NAMED]]
-        return f"; worst between {', '.join(pairs)}" if pairs else ""
-
-
-def _is_none(solution: Solution) -> bool:
-    """Whether an answer is none that a simulation could go on with."""
-    return solution.status is Status.NO_SLATER_POINT or not solution.error <= WORST
-
-
-def _worst(solved: list[tuple[FC3D, Solution]]) -> int:
-    """The last problem of a step, or the one furthest from its tolerance where any missed it."""
-
-    def badness(k: int) -> tuple[bool, bool, float]:
-        solution = solved[k][1]
-        return not solution.accepted, _is_none(solution), solution.error
-
-    missed = [k for k, (_, solution) in enumerate(solved) if not solution.converged]
-    return max(missed, key=badness) if missed else len(solved) - 1
-
 
 def _joined(done: list[Impulses]) -> Impulses:
     """All that acted in a step, one after the other."""
@@ -459,20 +375,3 @@ def _arms(geoms: list[Geom], frames: int) -> Array:
         if g.frame >= 0:
             out[g.frame] = max(out[g.frame], float(np.linalg.norm(g.placement_t)) + g.shape.bounding_radius)
     return out
-
-
-def _check_overlap(geoms: list[Geom], contacts: ContactSet, most: float) -> str:
-    """Refuse scenes whose bodies start deeper in each other than a fraction `most`; shallow overlaps in words."""
-    if not contacts.gap.size:
-        return ""
-    k = int(contacts.gap.argmin())
-    a, b = geoms[contacts.geom1[k]], geoms[contacts.geom2[k]]
-    depth = -float(contacts.gap[k])
-    size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
-    where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
-    if depth > most * size:
-        remedy = f"; self_collisions='apart' of {a.body!r}, or an SRDF file, keeps such links from touching"
-        remedy = remedy if a.body == b.body else ""
-        raise ValueError(f"{where}, more than {most:.0%} of the smaller one's radius ({size:.3g} m){remedy}")
-    # Less is the rounding of a user's own numbers.
-    return where if depth > 1e-6 * size else ""

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.recording.audit import TOLERANCES, separations
+from nsdyn.recording.findings import TOLERANCES
 from nsdyn.recording.poses import Poses
+from nsdyn.recording.touching import separations
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.scene import Scene

@@ -1,0 +1,130 @@
+"""One item of an audit: what it means, what passes, and the worst figure that was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nsdyn.recording.poses import Poses
+from nsdyn.recording.trajectory import Trajectory
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["MEANING", "TOLERANCES", "Finding", "Found", "at_play", "left_out", "not_audited", "of_bodies", "worst_of"]
+
+TOLERANCES = {
+    "overlap": 1e-7,
+    "distance": 1e-3,
+    "normal": 1e-3,
+    "cone": 1e-8,
+    "friction": 1e-5,
+    "slip": 1e-3,  # friction is against the mean slip of a step, whose direction differs from that at its end by O(h)
+    "dissipation": 1e-4,
+    "motion": 0.1,
+    "momentum": 1e-9,
+    "spin": 1e-3,
+    "energy": 1e-9,
+    "works": 1e-9,
+    "balance": 1e-9,
+}
+"""Largest figure of each finding that passes."""
+
+MEANING = {
+    "overlap": "true overlap of two bodies / smallest extent of the smaller one",
+    "distance": "distance over which an impulse acts, beyond what the bodies move in the step / smallest extent",
+    "normal": "overlap along the normal of a contact with an impulse, beyond the true one / smallest extent",
+    "cone": "how far an impulse is outside its friction cone / largest impulse of the step",
+    "friction": "work of friction at a contact at the velocity at the end of the step / energy at play",
+    "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
+    "dissipation": "work of all contacts in a step / energy at play",
+    "motion": "displacement of a free body - what its velocities make, left to the projection / its smallest extent",
+    "momentum": "m Δv - Σ r - h m g of a free body / momenta and impulses of which this is the sum",
+    "spin": "ΔL - Σ (p - x) × r of a free body / angular momenta and impulses times the radius",
+    "energy": "energy as recorded - energy of q and v / energy at play",
+    "works": "work of contacts as the ledger has it - sum of those of the contacts / energy at play",
+    "balance": "change of energy - sum of the works of the ledger / energy at play",
+}
+"""What each finding is a number of."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The worst figure of one item of an audit.
+
+    Attributes
+    ----------
+    name, meaning : str
+    worst, tol : float
+        Largest violation found, without unit, and the largest that passes. NaN if `reason` says why there is none.
+    amount, unit : float, str
+        The same violation as a quantity.
+    step : int
+        Step that ends in, or has, the worst figure; 0 is the initial state; -1 if there was nothing to look at.
+    bodies : tuple of str
+        Whose.
+    looked_at : int
+        Pairs, contacts, bodies or steps that were looked at.
+    reason : str
+        Why this was not audited.
+    """
+
+    name: str
+    meaning: str
+    worst: float
+    tol: float
+    amount: float
+    unit: str
+    step: int
+    bodies: tuple[str, ...]
+    looked_at: int
+    reason: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the figure is within its tolerance, or not audited."""
+        return bool(self.reason) or self.worst <= self.tol
+
+
+Found = tuple[str, Callable[[float], Finding]]
+
+
+def worst_of(name: str, figure: Array, amount: Array, unit: str, step: Index, bodies: Callable[[int], Any]) -> Found:
+    """The largest of some figures; NaN is the largest."""
+    if not figure.size:
+        return name, lambda tol: Finding(name, MEANING[name], 0.0, tol, 0.0, unit, -1, (), 0)
+    k = int(np.argmax(np.where(np.isnan(figure), np.inf, figure)))
+    found = max(0.0, float(figure[k])), max(0.0, float(amount[k])), int(step[k]), tuple(bodies(k)), figure.size
+    worst, size, at, who, count = found if not np.isnan(figure[k]) else (np.nan, np.nan, *found[2:])
+    return name, lambda tol: Finding(name, MEANING[name], worst, tol, size, unit, at, who, count)
+
+
+def left_out(t: Trajectory) -> str:
+    """What contacts are not recorded, in words; empty where all are."""
+    if not t.has_contacts:
+        return "contacts are not recorded"
+    return "" if t.every == 1 else f"of every {t.every} steps one is recorded"
+
+
+def not_audited(name: str, unit: str, reason: str) -> Found:
+    """An item that there is no figure of, and why."""
+    return name, lambda tol: Finding(name, MEANING[name], np.nan, tol, np.nan, unit, -1, (), 0, reason)
+
+
+def of_bodies(poses: Poses, name: str, amount: Array, scale: Array, unit: str) -> Found:
+    """The worst of free bodies and steps, from arrays (n, bodies)."""
+    steps, bodies = np.indices(amount.shape)
+    figure = (amount / np.maximum(scale, 1e-300)).ravel()
+    return worst_of(
+        name, figure, amount.ravel(), unit, steps.ravel() + 1, lambda k: [poses.scene["frames"][bodies.ravel()[k]]]
+    )
+
+
+def at_play(poses: Poses) -> float:
+    """Energy at play, J; where next to nothing moves, what lifts the free bodies by their size."""
+    t, scene = poses.trajectory, poses.scene
+    lift = 0.0
+    for k in np.flatnonzero((poses.frame >= 0) & (poses.frame < poses.free)):
+        lift += scene["masses"][poses.frame[k]] * float(np.linalg.norm(scene["gravity"])) * float(poses.extent[k])
+    return max(t.at_play, lift, 1e-9 * float(np.abs(t.energy.potential).max()), 1e-300)

@@ -1,0 +1,158 @@
+"""Audit of shapes and contacts: true overlaps, where impulses act, in which cones, and what friction does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.recording.findings import Found, at_play, left_out, not_audited, worst_of
+from nsdyn.recording.overlap import Solid, separation
+from nsdyn.recording.poses import MIDDLE, Poses
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["contacts", "overlaps", "separations"]
+
+STATES = 200_000
+"""Most poses of shapes that are looked at together."""
+
+
+def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
+    """True overlap [m], both shapes and state of every pair of shapes that may not overlap and whose boxes meet."""
+    count, states = len(poses.names), poses.trajectory.steps + 1
+    pairs = _tested(poses)
+    found: list[tuple[Array, Index, Index, Index]] = []
+    block = max(1, STATES // max(1, count))
+    for begin in range(0, states, block):
+        rows = np.arange(begin, min(begin + block, states))
+        first, second, state = _close(poses, pairs, rows)
+        depth = np.empty(first.size)
+        for a, b, some in poses.by_kind(first, second):
+            there = (*poses.of(first[some], state[some]), b, *poses.of(second[some], state[some]))
+            depth[some] = -separation(a, *there)
+        found.append((depth, first, second, state))
+    depth, first, second, state = (np.concatenate(items) for items in zip(*found, strict=True))
+    return depth, first, second, state
+
+
+def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
+    """True overlaps in all states, the worst by size or in m."""
+    depth, first, second, state = separations(poses)
+
+    def names(k: int) -> tuple[str, str]:
+        return poses.names[first[k]], poses.names[second[k]]
+
+    figure = depth / poses.size(first, second) if by_size else depth
+    yield worst_of("overlap", figure, depth, "m", state, names)
+
+
+def _tested(poses: Poses) -> NDArray[np.bool_]:
+    """Pairs of shapes that must not overlap, each once, shape (shapes, shapes)."""
+    frame, scene = poses.frame, poses.scene
+    out = (frame[:, None] != frame) & ((frame[:, None] >= 0) | (frame >= 0))
+    if "excluded" in scene:
+        for i, j in scene["excluded"]:
+            out[i, j] = out[j, i] = False
+    else:  # of older recordings: what may overlap in an articulation is not known
+        names = {a["name"] for a in scene["articulations"]}
+        body = np.array([geom["body"] if geom["body"] in names else "" for geom in scene["geoms"]])
+        out &= (body[:, None] != body) | (body == "")
+    return np.triu(out, 1)
+
+
+def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, Index, Index]:
+    """Pairs of shapes whose boxes along the world's axes meet: (first, second, state)."""
+    count = len(poses.names)
+    low, high = np.empty((2, count, rows.size, 3))
+    flat = np.zeros(count, np.bool_)
+    for k in range(count):
+        solid = poses.solids[poses.kind[k]]
+        R, x = poses.of(np.full(rows.size, k), rows)
+        flat[k] = solid.kind == "halfspace"
+        if not flat[k]:
+            high[k] = x + solid.support(np.swapaxes(R, 1, 2).swapaxes(1, 2))
+            low[k] = x - solid.support(-R)
+    first, second, state = [], [], []
+    for i in range(count):
+        others = np.flatnonzero(pairs[i])
+        solid = others[~flat[others]] if not flat[i] else others[:0]
+        near = ((low[i] <= high[solid]) & (low[solid] <= high[i])).all(axis=2)
+        some = [(solid[near.nonzero()[0]], near.nonzero()[1])]
+        plane = np.setdiff1d(others, solid)
+        some.append((np.repeat(plane, rows.size), np.tile(np.arange(rows.size), plane.size)))
+        for other, at in some:
+            first.append(np.full(other.size, i))
+            second.append(other)
+            state.append(rows[at])
+    empty = np.empty(0, np.int64)
+    return tuple(np.concatenate([empty, *items]) for items in (first, second, state))  # type: ignore[return-value]
+
+
+def contacts(poses: Poses) -> Iterator[Found]:
+    """Where impulses act, in which cones they are, and what friction does."""
+    t = poses.trajectory
+    units = {"distance": "m", "normal": "m", "cone": "N·s", "friction": "J", "slip": "J"}
+    missing = list(units) if not t.has_contacts else ["distance", "normal"] if t.every > 1 else []
+    yield from (not_audited(name, units[name], left_out(t)) for name in missing)
+    if not t.has_contacts:
+        return
+    c = {name.removeprefix("contacts/"): values for name, values in t.columns.items() if name.startswith("contacts/")}
+    step = np.repeat(np.arange(1, t.steps + 1), np.diff(c["offset"]))
+    first, second = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
+    r, mu = c["impulse"], c["mu"]
+    drag = np.linalg.norm(r[:, 1:], axis=1)
+
+    def names(k: int) -> tuple[str, str]:
+        return poses.names[first[k]], poses.names[second[k]]
+
+    largest = np.zeros(t.steps + 1)
+    np.maximum.at(largest, step, np.linalg.norm(r, axis=1))
+
+    if not missing:
+        yield from _where(poses, c, step, largest)
+    outside = np.maximum(-r[:, 0], drag - mu * np.maximum(r[:, 0], 0.0))
+    scale = np.maximum(largest[step], 1e-300)
+    yield worst_of("cone", outside / scale, outside, "N·s", step, names)
+    power = (r[:, 1:] * c["u"][:, 1:]).sum(axis=1)
+    yield worst_of("friction", power / at_play(poses), power, "J", step, names)
+    most = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(c["u"][:, 1:], axis=1) + power)
+    yield worst_of("slip", most / at_play(poses), most, "J", step, names)
+
+
+def _where(poses: Poses, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[Found]:
+    """Where pairs are that push each other: along the normal, from a step before to a step after."""
+    t, r = poses.trajectory, c["impulse"]
+    push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
+    i, j, k, n = c["geom1"][push].astype(np.int64), c["geom2"][push].astype(np.int64), step[push], c["normal"][push]
+    n = n / np.linalg.norm(n, axis=1)[:, None]
+    moments = [(k - 2).clip(0), k - 1, k - 1, k, (k + 1).clip(None, t.steps)]
+    along, free = np.empty((2, len(moments), push.size))
+    for a, b, some in poses.by_kind(i, j):
+        for moment, row in enumerate(moments):
+            pose1 = poses.of(i[some], row[some], middle=moment == MIDDLE)
+            pose2 = poses.of(j[some], row[some], middle=moment == MIDDLE)
+            along[moment, some] = _along(a, *pose1, b, *pose2, n[some])
+            free[moment, some] = separation(a, *pose1, b, *pose2)
+    size = poses.size(i, j)
+    travel = np.abs(np.diff(along, axis=0)).sum(axis=0)
+    # A contact and its normal are those of some time within the step.
+    apart, skew = along[1:4].min(axis=0) - travel, (np.minimum(free, 0.0) - along)[1:4].min(axis=0) - travel
+
+    def pushing(row: int) -> tuple[str, str]:
+        return poses.names[i[row]], poses.names[j[row]]
+
+    yield worst_of("distance", apart / size, apart, "m", k, pushing)
+    yield worst_of("normal", skew / size, skew, "m", k, pushing)
+
+
+def _along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Array) -> Array:
+    """Separation along given normals from a to b, shape (m,)."""
+    if a.kind == "halfspace":
+        return _along(b, R2, x2, a, R1, x1, -n)
+    if b.kind == "halfspace":  # along any other normal it would be infinitely deep: the other shape's tilt will do
+        out: Array = separation(a, R1, x1, b, R2, x2) - a.reach * np.linalg.norm(n + R2 @ b.size, axis=1)
+        return out
+    out = (n * (x2 - x1)).sum(axis=1) - a.support((n[:, None] @ R1)[:, 0]) - b.support(-(n[:, None] @ R2)[:, 0])
+    return out

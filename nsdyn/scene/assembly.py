@@ -1,0 +1,304 @@
+"""Articulations of what a robot file describes: checked, placed in the world, with what the user adds."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from nsdyn.scene import checks, exclusions
+from nsdyn.scene.articulations import Articulation, Description, Link, Loop, check_size
+from nsdyn.scene.exclusions import FREE
+from nsdyn.scene.materials import Material
+from nsdyn.scene.shapes import Shape
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+
+__all__ = ["assemble", "close_loop"]
+
+NORMALISED = 1e-6
+"""Error of norm of a quaternion or of a pair (cos, sin) in q that a user's rounding may leave."""
+
+SHOWN = 4
+"""Most notes of what is left out that a warning shows."""
+
+
+def assemble(
+    name: str,
+    description: Description,
+    *,
+    position: ArrayLike = (0.0, 0.0, 0.0),
+    quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+    q: ArrayLike | None = None,
+    v: ArrayLike | None = None,
+    material: Material | Mapping[str, Material] | None = None,
+    collisions: bool | Mapping[str, Sequence[Any]] = True,
+    self_collisions: bool | str = True,
+    srdf: str | Path | None = None,
+    limits: bool = True,
+    clip: bool = False,
+    restitution: float = 0.0,
+    friction: ArrayLike | None = None,
+    damping: ArrayLike | None = None,
+    armature: ArrayLike | None = None,
+    stiffness: ArrayLike | None = None,
+    rest: ArrayLike | None = None,
+    inertias: str = "check",
+) -> Articulation:
+    """Articulation of a description, placed in the world; the parameters are those of `nsdyn.Scene.add_model`."""
+    check_size(name, description.model)
+    model = description.model.copy()
+    free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
+    dropped, unused = list(description.dropped), list(description.unused)
+    if description.flaws and choice(inertias, ("check", "trust"), f"inertias of {name!r}") == "check":
+        raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
+    dropped += description.flaws
+
+    of_joints = partial(_of_joints, name, free)
+    _check_choices(name, limits, clip, self_collisions)
+    links, bodies = _collisions(name, description, collisions)
+    at = pin.SE3(
+        checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),
+        checks.vector(position, 3, f"position of {name!r}"),
+    )
+    q0 = of_joints(q, "q", description.q, 7)
+    if not pin.isNormalized(model, q0, NORMALISED):
+        raise ValueError(f"q of {name!r} must have unit quaternions and unit pairs (cos, sin), got {q0.tolist()}")
+    q0 = np.array(pin.normalize(model, q0))
+    if clip:
+        _clip(model, q0)
+    links, loops = _place(model, q0, links, description.loops, at)
+    excluded = set(description.excluded)
+    if srdf is not None:
+        excluded |= exclusions.disabled_pairs(name, checks.path(srdf, f"srdf of {name!r}"), model, unused)
+    in_joints = {
+        "friction": of_joints(friction, "friction", np.array(model.upperDryFrictionLimit), 6),
+        "damping": of_joints(damping, "damping", np.array(model.damping), 6),
+        "armature": of_joints(armature, "armature", np.array(model.armature), 6),
+        "stiffness": of_joints(stiffness, "stiffness", description.stiffness, 6),
+    }
+    for what, values in in_joints.items():
+        if not ((values >= 0.0) & (values <= checks.LARGEST)).all():
+            size = f", nor above {checks.LARGEST:g}" if (values >= 0.0).all() else ""
+            raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
+    model.armature = in_joints["armature"]
+    Material(restitution=restitution)
+    v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
+    materials = _materials(name, material, links, bodies, description.materials)
+    _check_joints(name, model, q0, limits, in_joints["stiffness"])
+    named = {
+        (i, j)
+        for i, j in combinations(range(len(links)), 2)
+        if not self_collisions
+        or {bodies[i], bodies[j]} in excluded
+        or {links[i].name, links[j].name} in description.filtered
+    }
+    if dropped:
+        more = [f"{len(dropped) - SHOWN} more, in its report"] if len(dropped) > SHOWN else []
+        warnings.warn(f"{name!r} leaves out: {'; '.join(dropped[:SHOWN] + more)}", stacklevel=4)
+    apart = exclusions.joined(links, exclusions.neighbours(model, loops, description.world_touches)) | named
+    if self_collisions == "apart":
+        apart |= exclusions.overlapping(model, q0, links, apart)
+    return Articulation(
+        name, model, links, bodies, q0, v0, materials, limits,
+        float(restitution), **in_joints, rest=rest0, effort=_effort(model), loops=loops,
+        excluded=apart,
+        report=(*dropped, *unused),
+    )  # fmt: skip
+
+
+def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | str) -> None:
+    """ValueError for what is none of the choices."""
+    for what, flag in (("limits", limits), ("clip", clip)):
+        if not isinstance(flag, bool):
+            raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
+    if not isinstance(self_collisions, bool) and self_collisions != "apart":
+        raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
+
+
+def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:
+    """One value per joint coordinate; those of a free base, `lead` of them, may be left out."""
+    if value is None:
+        return default.copy()
+    out, size = default.copy(), np.size(value)
+    first = lead if free and size == default.size - lead else 0
+    out[first:] = checks.vector(value, default.size - first, f"{what} of {name!r}")
+    return out
+
+
+def _effort(model: Any) -> Array:
+    """Most joint forces, (nv,), N m or N; files write 0 or the largest float for none, and none is of free joints."""
+    out = np.array(model.upperEffortLimit)
+    for joint in range(1, model.njoints):
+        if model.nvs[joint] > 1:
+            out[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = np.inf
+    out[~(out > 0.0) | (out > 1e300)] = np.inf
+    return out
+
+
+def _clip(model: Any, q: Array) -> None:
+    """Move the joint coordinates in q that have limits into them."""
+    for joint in range(1, model.njoints):
+        if model.nqs[joint] == model.nvs[joint]:
+            part = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
+            q[part] = np.clip(q[part], model.lowerPositionLimit[part], model.upperPositionLimit[part])
+
+
+def _collisions(
+    name: str, description: Description, collisions: bool | Mapping[str, Sequence[Any]]
+) -> tuple[tuple[Link, ...], tuple[str, ...]]:
+    """Links and the bodies they belong to, after the user's choice of shapes."""
+    if isinstance(collisions, bool):
+        return (description.links, description.bodies) if collisions else ((), ())
+    if not isinstance(collisions, Mapping):
+        raise ValueError(f"collisions of {name!r} must be True, False or {{body: shapes}}, got {collisions!r}")
+    model, kept = description.model, []
+    known = {f.name: f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT)}
+    for body, link in zip(description.bodies, description.links, strict=True):
+        if body not in collisions:
+            kept.append((body, link))
+    for body, given in collisions.items():
+        if body not in known:
+            raise ValueError(f"collisions of {name!r} names {body!r}, which is no body; they are {sorted(known)}")
+        for k, item in enumerate(given):
+            shape, placement = item if isinstance(item, tuple) else (item, pin.SE3.Identity())
+            if not isinstance(shape, Shape) or not isinstance(placement, pin.SE3):
+                raise ValueError(f"collisions of {name!r} must be shapes or (Shape, SE3) for {body!r}, got {item!r}")
+            frame = known[body]
+            kept.append((body, Link(f"{body}_{k}", int(frame.parentJoint), frame.placement * placement, shape)))
+    return tuple(link for _, link in kept), tuple(body for body, _ in kept)
+
+
+def _materials(
+    name: str,
+    material: Material | Mapping[str, Material] | None,
+    links: Sequence[Link],
+    bodies: Sequence[str],
+    told: Mapping[str, Material],
+) -> tuple[Material, ...]:
+    """Material of every link: that of its body or of all bodies as the user says, else that told by the file."""
+    of = material if isinstance(material, Mapping) else {}
+    rest: Any = Material() if material is None or isinstance(material, Mapping) else material
+    for body, given in [*of.items(), (None, rest)]:
+        if body is not None and body not in bodies:
+            raise ValueError(f"material of {name!r} names {body!r}; the bodies with shapes are {sorted(set(bodies))}")
+        if not isinstance(given, Material):
+            raise ValueError(f"material of {name!r} must be a nsdyn.Material, got {given!r}")
+    if isinstance(material, Material):
+        told = {}
+    return tuple(of.get(body, told.get(link.name, rest)) for link, body in zip(links, bodies, strict=True))
+
+
+def _place(
+    model: Any, q: Array, links: tuple[Link, ...], loops: tuple[Loop, ...], at: Any
+) -> tuple[tuple[Link, ...], tuple[Loop, ...]]:
+    """Move a model by `at`: a free base by its coordinates in `q`, everything else that hangs on the world by its pose.
+
+    `model` and `q` are changed; the links and loops in the new place are returned.
+    """
+    for joint in range(1, model.njoints):
+        if model.parents[joint] != 0:
+            continue
+        own = model.jointPlacements[joint]
+        if model.joints[joint].shortname() == FREE:
+            k = model.idx_qs[joint]
+            q[k : k + 7] = pin.SE3ToXYZQUAT(own.inverse() * at * own * pin.XYZQUATToSE3(q[k : k + 7]))
+        else:
+            model.jointPlacements[joint] = at * own
+    for k, frame in enumerate(model.frames):
+        if frame.parentJoint == 0 and k > 0:  # frame 0 is the world itself
+            frame.placement = at * frame.placement
+
+    def moved(joint: int, placement: Any) -> Any:
+        return at * placement if joint == 0 else placement
+
+    return (
+        tuple(link._replace(placement=moved(link.joint, link.placement)) for link in links),
+        tuple(
+            Loop(c.name, c.joint1, moved(c.joint1, c.placement1), c.joint2, moved(c.joint2, c.placement2), c.kind)
+            for c in loops
+        ),
+    )
+
+
+def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Array) -> None:
+    """Refuse joints that move no mass, configurations beyond a limit, springs where q is no angle or length.
+
+    Limits of the model become infinite where a coordinate has none: in quaternions and pairs (cos, sin).
+    """
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    for joint in range(1, model.njoints):
+        nq, nv = model.nqs[joint], model.nvs[joint]
+        at, rows = model.idx_qs[joint], slice(model.idx_vs[joint], model.idx_vs[joint] + nv)
+        if nq != nv:
+            lower[at : at + nq], upper[at : at + nq] = -np.inf, np.inf
+            if nv > 1 and stiffness[rows].any():
+                raise ValueError(f"stiffness of {name!r} must be 0 in joint {model.names[joint]!r}: it has no angle")
+    # Pinocchio writes "no limit" as the largest float.
+    lower[lower < -1e300], upper[upper > 1e300] = -np.inf, np.inf
+    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+    for joint in range(1, model.njoints):
+        for k in range(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint]):
+            if lower[k] > upper[k]:
+                raise ValueError(
+                    f"limits of {name!r}: joint {model.names[joint]!r} has lower {lower[k]:g} above upper {upper[k]:g}"
+                )
+            if limits and not lower[k] - 1e-9 <= q[k] <= upper[k] + 1e-9:  # the rounding of a user's own numbers
+                raise ValueError(
+                    f"q of {name!r} must respect the limits: joint {model.names[joint]!r} is at {q[k]:g}, "
+                    f"its limits are {lower[k]:g} and {upper[k]:g}; give another q, or clip=True to move it into them"
+                )
+    M = np.array(pin.crba(model, model.createData(), q))
+    moments = np.diag(M)
+    if not np.isfinite(M).all():
+        raise ValueError(f"{name!r} must have poses, masses and inertias whose products are finite")
+    size = np.sqrt(np.where(moments > 0.0, moments, 1.0))
+    if (moments <= 0.0).any() or (np.linalg.eigvalsh(M / size / size[:, None]) <= 1e-12).any():
+        joint = next((j for j in range(1, model.njoints) if moments[model.idx_vs[j]] <= 0.0), model.njoints - 1)
+        raise ValueError(
+            f"{name!r} has a singular mass matrix: give the bodies moved by joint {model.names[joint]!r} "
+            "a mass and an inertia, or the joint an armature"
+        )
+
+
+def close_loop(
+    articulation: Articulation,
+    name: str,
+    frame1: str,
+    frame2: str,
+    position: ArrayLike,
+    quaternion: ArrayLike,
+    kind: str,
+) -> Articulation:
+    """Articulation with one more loop, closed in its initial configuration; see `nsdyn.Scene.add_loop`."""
+    model = articulation.model
+    if kind not in ("point", "frame"):
+        raise ValueError(f"kind of {name!r} must be 'point' or 'frame', got {kind!r}")
+    if any(loop.name == name for loop in articulation.loops):
+        raise ValueError(f"name must be unique among the loops of {articulation.name!r}, {name!r} is taken")
+    known = {f.name: f for f in model.frames}
+    for what, frame in (("frame1", frame1), ("frame2", frame2)):
+        if frame not in known:
+            raise ValueError(f"{what} of {name!r} must be a frame of {articulation.name!r}, got {frame!r}")
+    first, second = known[frame1], known[frame2]
+    placement1 = first.placement * pin.SE3(
+        checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),
+        checks.vector(position, 3, f"position of {name!r}"),
+    )
+    data = model.createData()
+    pin.forwardKinematics(model, data, articulation.q)
+    joint1, joint2 = int(first.parentJoint), int(second.parentJoint)
+    loop = Loop(name, joint1, placement1, joint2, data.oMi[joint2].actInv(data.oMi[joint1] * placement1), kind)
+    return replace(
+        articulation,
+        loops=(*articulation.loops, loop),
+        excluded=articulation.excluded | exclusions.joined(articulation.links, {frozenset((joint1, joint2))}),
+    )

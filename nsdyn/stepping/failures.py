@@ -1,0 +1,104 @@
+"""What is done where a step misses its tolerance: warned of, written, or raised."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.problem import cones, fclib
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import NotConverged, Solution, Status
+from nsdyn.stepping.state import State
+from nsdyn.tools.naming import choice
+
+__all__ = ["Failures", "worst"]
+
+WORST = 1e-3
+"""Error above which an answer is none."""
+
+ON_FAIL = "warn", "raise", "dump", "ignore"
+DUMPS = "failed-steps"
+"""Folder of the problems of failing steps where none is given."""
+
+NAMED = 3
+"""Most pairs of bodies that a message names."""
+
+
+class Failures:
+    """Failing steps of a run, and what is done of each.
+
+    Parameters
+    ----------
+    on_fail : {"warn", "raise", "dump", "ignore"}
+    folder : path, optional
+        Where the problems of failing steps are written, FCLIB files; None writes none, unless `on_fail` is "dump".
+    names : list of str
+        Of the shapes.
+
+    Raises
+    ------
+    ValueError
+        For what is none of the choices, and where the folder is a file.
+    """
+
+    def __init__(self, on_fail: str, folder: str | Path | None, names: list[str]) -> None:
+        choice(on_fail, ON_FAIL, "on_fail")
+        if folder is None and on_fail == "dump":
+            folder = DUMPS
+        self.on_fail, self.folder, self.names = on_fail, None if folder is None else Path(folder), names
+        if self.folder is not None and self.folder.is_file():
+            raise ValueError(f"dump_on_fail must be a folder, got the file {folder}")
+        self.count = 0
+
+    def tell(self, problem: FC3D, solution: Solution, contacts: ContactSet, state: State, tol: float) -> None:
+        """Warn of a step from a state that missed its tolerance, write its problem, or raise `NotConverged`."""
+        step = state.count + 1
+        message = (
+            f"step {step} from t = {state.t:.6g} s did not converge: error {solution.error:.2e}, residual "
+            f"{solution.residual:.2e} m/s, tolerance {tol:.1e} ({solution.status.message})"
+            f"{self._culprits(problem, solution, contacts)}"
+        )
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            path = self.folder / f"step-{step:06d}.hdf5"
+            fclib.write(path, problem, guesses=[solution.r], description=message, overwrite=True)
+            message += f"; its problem is in {path}"
+        none = _is_none(solution)
+        if self.on_fail == "raise" or (self.on_fail in ("warn", "dump") and none):
+            if none and solution.status is not Status.NO_SLATER_POINT:  # which says what to look for
+                message += "; no answer is near: try a smaller dt"
+            raise NotConverged(message, problem, solution, state, step)
+        if self.on_fail != "ignore" and not self.count:
+            warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=4)
+        self.count += 1
+
+    def _culprits(self, problem: FC3D, solution: Solution, contacts: ContactSet) -> str:
+        """The bodies between which a problem is furthest from being solved, in words."""
+        u, r = solution.u.reshape(-1, 3), solution.r.reshape(-1, 3)
+        wrong = r - cones.project(r - cones.saxce(u, problem.mu) / problem.scales[:, None], problem.mu)
+        size = problem.scales * np.linalg.norm(wrong, axis=1)
+        if problem.nc < contacts.gap.size:  # an impact of some of them
+            size = np.ones(contacts.gap.size)
+        names = [(self.names[i], self.names[j]) for i, j in zip(contacts.geom1, contacts.geom2, strict=True)]
+        order = [names[k] for k in np.argsort(-size[: len(names)], kind="stable")]
+        pairs = [f"{a!r} and {b!r}" for a, b in list(dict.fromkeys(order))[:NAMED]]
+        return f"; worst between {', '.join(pairs)}" if pairs else ""
+
+
+def _is_none(solution: Solution) -> bool:
+    """Whether an answer is none that a simulation could go on with."""
+    return solution.status is Status.NO_SLATER_POINT or not solution.error <= WORST
+
+
+def worst(solved: list[tuple[FC3D, Solution]]) -> int:
+    """Which problem of a step stands for it: the last, or the one furthest from its tolerance where any missed it."""
+
+    def badness(k: int) -> tuple[bool, bool, float]:
+        solution = solved[k][1]
+        return not solution.accepted, _is_none(solution), solution.error
+
+    missed = [k for k, (_, solution) in enumerate(solved) if not solution.converged]
+    return max(missed, key=badness) if missed else len(solved) - 1

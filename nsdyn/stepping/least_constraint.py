@@ -1,0 +1,350 @@
+"""Gauss's principle at the level of accelerations: the extended least constraint and its dual.
+
+At a state without impact, contacts that are closed and do not move apart either slide (u_T ≠ 0) or stick, with
+relative accelerations a = Hᵀ v̇ + p, p = Ḣᵀ v. With bounds k on the normal forces frozen (Tresca's friction) the motion
+minimises
+
+    ½ v̇ᵀ M v̇ - fᵀ v̇ + Σ_slide μ k a_T·u_T/‖u_T‖ + Σ_stick μ k ‖a_T‖   under a_N ≥ 0,
+
+kinetic constraint plus the rate at which dissipation changes. Its dual is a quadratic program in the contact forces γ,
+
+    min ½ γᵀ G γ + κᵀ γ   over γ_N ≥ 0, ‖γ_T‖ ≤ μ k where it sticks,   G = Hᵀ M⁻¹ H,
+
+and Coulomb's law asks for k = γ_N. Unlike a step, this may have no solution: Painlevé's rod.
+
+Any convex dissipation potential Φ(v) adds the rate dΦ/dt along the motion. A smooth one, as of viscous joints, gives a
+term linear in v̇: the force -∇Φ among the applied ones. Dry joint friction τ_c|v_j| gives τ_c sign(v_j) v̇_j where the
+joint turns and τ_c |v̇_j| where it is still, with constant bounds. A joint limit that is reached is ±v̇_j ≥ 0. Loops and
+driven joints are B v̇ = b, with v̇ = v̇_p + Z y and ZᵀMZ = I: the programs are in y and in the forces, with Z Zᵀ for M⁻¹.
+
+References
+----------
+K. Yunt, On the relation of the principle of maximum dissipation to the principle of Gauss, equations 58 and 70. G. K.
+Pozharitskii, Extension of the principle of Gauss to systems with dry friction, PMM 25, 1961.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Acceleration", "Existence", "JointTerms", "LeastConstraint", "accelerations"]
+
+PASSES = 100
+"""Most updates of the bounds k."""
+
+
+class Existence(IntEnum):
+    """Whether Coulomb's law has an answer; `message` says it in words."""
+
+    SOLVED = 0
+    NO_SOLUTION = 1
+    NOT_FOUND = 2
+
+    @property
+    def message(self) -> str:
+        """One sentence for a person."""
+        return {
+            Existence.SOLVED: "forces and accelerations satisfy Coulomb's law",
+            Existence.NO_SOLUTION: "no contact forces keep the bodies apart: an impact without collision (Painlevé)",
+            Existence.NOT_FOUND: "the normal forces did not settle",
+        }[self]
+
+
+@dataclass(frozen=True, eq=False)
+class JointTerms:
+    """Limits and dry friction of joints at the level of accelerations.
+
+    Attributes
+    ----------
+    limits : ndarray, shape (n, nl)
+        Column ±e_j of every limit that is reached and not being left: its acceleration away must not be negative.
+    friction : ndarray, shape (n, nf)
+        Column e_j of every joint with dry friction.
+    bound : ndarray, shape (nf,)
+        τ_c, N m or N.
+    slip : ndarray, shape (nf,)
+        Sign of the joint's velocity, 0 where it is still.
+    """
+
+    limits: Array
+    friction: Array
+    bound: Array
+    slip: Array
+
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """Which joints with friction move, shape (nf,)."""
+        return np.asarray(self.slip != 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class LeastConstraint:
+    """Extended least-constraint problem of a state.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+        The closed ones.
+    frame : ndarray, shape (nc, 3, 3)
+        Contact frames, rows (n, t1, t2), world axes.
+    M : ndarray, shape (n, n)
+    f : ndarray, shape (n,)
+        Applied, gyroscopic and Coriolis forces.
+    H : ndarray, shape (n, 3 nc)
+    p : ndarray, shape (3 nc,)
+        Ḣᵀ v, m/s².
+    slip : ndarray, shape (nc, 2)
+        Direction of u_T where the contact slides, 0 where it sticks.
+    Z : ndarray, shape (n, ny)
+        Accelerations that loops and driven joints leave free, ZᵀMZ = I.
+    given : ndarray, shape (n,)
+        v̇_p, what loops and driven joints ask for: all admissible accelerations are v̇_p + Z y.
+    joints : JointTerms
+    """
+
+    contacts: ContactSet
+    frame: Array
+    M: Array
+    f: Array
+    H: Array
+    p: Array
+    slip: Array
+    Z: Array
+    given: Array
+    joints: JointTerms
+
+    @property
+    def sliding(self) -> NDArray[np.bool_]:
+        """Which contacts slide, shape (nc,)."""
+        return np.asarray(self.slip.any(axis=1))
+
+    def relative(self, a: Array) -> Array:
+        """Relative accelerations Hᵀ v̇ + p, shape (nc, 3)."""
+        return (self.H.T @ a + self.p).reshape(-1, 3)
+
+    def functional(self, a: Array, k: Array) -> float:
+        """The functional that the motion minimises, at an admissible acceleration v̇, for frozen bounds k [N]."""
+        a_T, joints = self.relative(a)[:, 1:], self.joints
+        change = np.where(self.sliding, (a_T * self.slip).sum(axis=1), np.linalg.norm(a_T, axis=1))
+        a_j = joints.friction.T @ a
+        turn = np.where(joints.turning, joints.slip * a_j, np.abs(a_j))
+        return float(0.5 * a @ self.M @ a - self.f @ a + (self.contacts.mu * k) @ change + joints.bound @ turn)
+
+    def primal(self, k: Array) -> Array:
+        """Acceleration v̇ (n,) that minimises `functional` for bounds k [N]: the primal program, equation 58.
+
+        A cone program in y and in bounds s of what sticks, ‖a_T‖ ≤ s and |v̇_j| ≤ s.
+
+        Raises
+        ------
+        ValueError
+            If no acceleration is admissible: contacts and driven joints contradict each other.
+        """
+        mu, nc, joints, ny = self.contacts.mu, self.p.size // 3, self.joints, self.Z.shape[1]
+        stick, still = np.flatnonzero(~self.sliding), np.flatnonzero(~joints.turning)
+        n = ny + stick.size + still.size
+        H, a0 = self.Z.T @ self.H, self.H.T @ self.given + self.p  # a = Hᵀ y + a0
+        E, e0 = self.Z.T @ joints.friction, joints.friction.T @ self.given
+        linear = self.Z.T @ (self.M @ self.given - self.f) + E @ (joints.bound * joints.slip)
+        for i in (0, 1):
+            linear = linear + H[:, 1 + i :: 3] @ (mu * k * self.slip[:, i])
+        cost = np.concatenate((linear, (mu * k)[stick], joints.bound[still]))
+        P = np.zeros((n, n))
+        P[np.arange(ny), np.arange(ny)] = 1.0
+
+        def pad(rows: Array, column: Array | None = None) -> Array:
+            out = np.zeros((rows.shape[0], n))
+            out[:, :ny] = rows
+            if column is not None:
+                out[np.arange(rows.shape[0]), column] = 1.0
+            return out
+
+        s = ny + stick.size + np.arange(still.size)
+        inequalities = np.vstack(
+            (pad(H[:, 0::3].T), pad((self.Z.T @ joints.limits).T), pad(E[:, still].T, s), pad(-E[:, still].T, s))
+        )
+        bound = np.concatenate((a0[0::3], joints.limits.T @ self.given, e0[still], -e0[still]))
+        cones = np.zeros((stick.size, 3, n))
+        cones[np.arange(stick.size), 0, ny + np.arange(stick.size)] = 1.0
+        for i in (1, 2):
+            cones[:, i, :ny] = H[:, i::3].T[stick]
+        offset = np.column_stack((np.zeros(stick.size), a0.reshape(-1, 3)[stick, 1:]))
+        A = sp.csc_matrix(-np.vstack((inequalities, cones.reshape(-1, n))))
+        y = _cone_program(P, cost, A, np.concatenate((bound, offset.ravel())), bound.size, stick.size)
+        if y is None:
+            raise ValueError(f"scene must have an admissible acceleration: its {nc} contacts contradict its joints")
+        return np.asarray(self.given + self.Z @ y[:ny])
+
+    def dual(self, k: Array) -> Array:
+        """Forces of the dual program for bounds k [N], shape (3 nc + nl + nf,): contacts, limits, joint friction.
+
+        Frictional ones of what slides or turns are given by the bounds.
+        """
+        mu, nc, joints = self.contacts.mu, self.p.size // 3, self.joints
+        nl = joints.limits.shape[1]
+        friction = np.zeros((nc, 3))
+        friction[:, 1:] = -(mu * k)[:, None] * self.slip
+        out = np.concatenate((friction.ravel(), np.zeros(nl), -joints.bound * joints.slip))
+        slides = np.column_stack((np.zeros(nc, bool), self.sliding, self.sliding)).ravel()
+        unknown = ~np.concatenate((slides, np.zeros(nl, bool), joints.turning))
+        G, kappa = self._delassus()
+        kappa = (kappa + G @ out)[unknown]
+        G = G[np.ix_(unknown, unknown)]
+        # γ ≥ 0 of contacts and limits, |τ| ≤ τ_c, then (μ k, γ_T) in the second-order cone for each sticking contact.
+        place = np.cumsum(unknown) - 1
+        stick, still = np.flatnonzero(~self.sliding), 3 * nc + nl + np.flatnonzero(~joints.turning)
+        pushes = np.concatenate((place[0 : 3 * nc : 3], place[3 * nc : 3 * nc + nl]))
+        eye = sp.csc_matrix(np.eye(kappa.size))
+        held, limit = place[still], joints.bound[~joints.turning]
+        rows = [-eye[pushes], -eye[held], eye[held]]
+        bound = [np.zeros(nc + nl), limit, limit]
+        for c in stick:
+            tangents = (-np.ones(2), ([1, 2], place[3 * c + 1 : 3 * c + 3]))
+            rows.append(sp.csc_matrix(tangents, shape=(3, kappa.size)))
+            bound.append(np.array([mu[c] * k[c], 0.0, 0.0]))
+        if kappa.size:
+            count = nc + nl + 2 * held.size
+            gamma = _cone_program(G, kappa, sp.vstack(rows, format="csc"), np.concatenate(bound), count, stick.size)
+            assert gamma is not None, "0 is feasible"
+            out[unknown] = gamma
+        return out
+
+    def acceleration(self, forces: Array) -> Array:
+        """v̇ (n,) under the forces of `dual`."""
+        pushed = self.f + self._columns() @ forces - self.M @ self.given
+        return np.asarray(self.given + self.Z @ (self.Z.T @ pushed))
+
+    def impossible(self) -> bool:
+        """Whether no forces of the laws, friction opposing the slip where there is any, keep contacts and limits."""
+        mu, nc, joints = self.contacts.mu, self.p.size // 3, self.joints
+        nl, nf = joints.limits.shape[1], joints.bound.size
+        G, kappa = self._delassus()
+        kappa = kappa + G[:, 3 * nc + nl :] @ (-joints.bound * joints.slip)
+        stick, still = np.flatnonzero(~self.sliding), np.flatnonzero(~joints.turning)
+        # γ of the unknowns: normal forces, sticking friction, limits, joint friction that holds.
+        cone = np.zeros((3 * nc + nl + nf, nc + 2 * stick.size + nl + still.size))
+        first = nc + 2 * stick.size
+        cone[np.arange(0, 3 * nc, 3), np.arange(nc)] = 1.0
+        for i in (0, 1):
+            cone[np.arange(1 + i, 3 * nc, 3), np.arange(nc)] = -mu * self.slip[:, i]
+            cone[3 * stick + 1 + i, nc + 2 * np.arange(stick.size) + i] = 1.0
+        cone[3 * nc + np.arange(nl), first + np.arange(nl)] = 1.0
+        cone[3 * nc + nl + still, first + nl + np.arange(still.size)] = 1.0
+        distances = np.concatenate((np.arange(0, 3 * nc, 3), 3 * nc + np.arange(nl)))
+        apart, eye = (G @ cone)[distances], np.eye(cone.shape[1])
+        disk = np.zeros((3 * stick.size, cone.shape[1]))
+        disk[0::3] = eye[stick] * mu[stick, None]
+        disk[1::3], disk[2::3] = eye[nc:first:2], eye[nc + 1 : first : 2]
+        held, limit = eye[first + nl :], joints.bound[still]
+        rows = sp.csc_matrix(-np.vstack((apart, eye[:nc], eye[first : first + nl], held, -held, disk)))
+        bound = np.concatenate((kappa[distances], np.zeros(nc + nl), limit, limit, np.zeros(3 * stick.size)))
+        nothing = np.zeros((cone.shape[1], cone.shape[1]))
+        linear = 2 * (nc + nl) + 2 * still.size
+        return _cone_program(nothing, np.zeros(cone.shape[1]), rows, bound, linear, stick.size) is None
+
+    def _columns(self) -> Array:
+        """Directions of all forces, shape (n, 3 nc + nl + nf)."""
+        return np.hstack((self.H, self.joints.limits, self.joints.friction))
+
+    def _delassus(self) -> tuple[Array, Array]:
+        """(G, κ) over all forces: accelerations along their directions are G γ + κ."""
+        C = self._columns()
+        U = self.Z.T @ C
+        free = self.given + self.Z @ (self.Z.T @ (self.f - self.M @ self.given))
+        drift = np.concatenate((self.p, np.zeros(C.shape[1] - self.p.size)))
+        return U.T @ U, C.T @ free + drift
+
+
+@dataclass(frozen=True, eq=False)
+class Acceleration:
+    """Accelerations and contact forces of a state.
+
+    Attributes
+    ----------
+    existence : Existence
+        Unless it is SOLVED, the numbers below are the last bounds' answer.
+    a : ndarray, shape (n,)
+        v̇ in the coordinates of `Dynamics`.
+    force : ndarray, shape (nc, 3)
+        Contact forces γ on body 2, normal first, N.
+    relative : ndarray, shape (nc, 3)
+        Relative accelerations of the contacts, m/s²: ‖a_T‖ > 0 at a contact that sticks means that it starts to slip.
+    limit, friction : ndarray, shapes (nl,), (nf,)
+        Forces of joint limits and of dry joint friction, in the order of `JointTerms`, N m or N.
+    problem : LeastConstraint
+    """
+
+    existence: Existence
+    a: Array
+    force: Array
+    relative: Array
+    limit: Array
+    friction: Array
+    problem: LeastConstraint
+
+
+def _cone_program(P: Array, q: Array, A: Any, b: Array, linear: int, cones: int) -> Array | None:
+    """min ½ xᵀ P x + qᵀ x under b - A x ≥ 0 for `linear` rows, then in second-order cones; None if infeasible."""
+    try:
+        import clarabel
+    except ImportError as error:
+        raise ImportError("accelerations need the solver clarabel: pip install 'nsdyn[acceleration]'") from error
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+    # In units in which the matrix and the right side are 1.
+    size = np.abs(P).max(initial=0.0) or 1.0
+    load = max(np.abs(q).max(initial=0.0), np.abs(b).max(initial=0.0)) or 1.0
+    unit = load / size if q.any() else load
+    spaces = [clarabel.NonnegativeConeT(linear)] + [clarabel.SecondOrderConeT(3)] * cones
+    upper = sp.triu(sp.csc_matrix(P / size), format="csc")
+    solution = clarabel.DefaultSolver(upper, q / load, A, b / unit, spaces, settings).solve()
+    status = clarabel.SolverStatus
+    if solution.status in (status.PrimalInfeasible, status.AlmostPrimalInfeasible):
+        return None
+    # With a tolerance of round-off the method may stop a digit or two before it.
+    if solution.status not in (status.Solved, status.AlmostSolved, status.InsufficientProgress):
+        raise RuntimeError(f"the quadratic program was not solved: {solution.status}")
+    return unit * np.array(solution.x)
+
+
+def accelerations(problem: LeastConstraint, tol: float = 1e-9) -> Acceleration:
+    """Accelerations under Coulomb's law: bounds k = γ_N by fixed point with Aitken's relaxation.
+
+    Parameters
+    ----------
+    problem : LeastConstraint
+    tol : float
+        Relative change of the normal forces at which they have settled.
+    """
+    nc = problem.p.size // 3
+    k, omega = np.zeros(nc), 1.0
+    last, settled = np.zeros(nc), False
+    for _ in range(PASSES):
+        forces = problem.dual(k)
+        force = forces[: 3 * nc].reshape(nc, 3)
+        change = force[:, 0] - k
+        if np.abs(change).max(initial=0.0) <= tol * np.abs(force[:, 0]).max(initial=0.0):
+            settled = True
+            break
+        difference = change - last
+        if last.any() and difference.any():
+            omega *= -float(last @ difference) / float(difference @ difference)
+        last = change
+        k = np.maximum(k + omega * change, 0.0)
+    a, others = problem.acceleration(forces), forces[3 * nc :]
+    split = problem.joints.limits.shape[1]
+    existence = Existence.SOLVED
+    if not settled:
+        existence = Existence.NO_SOLUTION if problem.impossible() else Existence.NOT_FOUND
+    return Acceleration(existence, a, force, problem.relative(a), others[:split], others[split:], problem)
