@@ -105,3 +105,15 @@ def test_several_processes_compile_each_kernel_once(tmp_path, monkeypatch):
     ahead.compile_examples("contact")
     names = [path.name.rpartition("-")[0] for path in tmp_path.glob("*.nbc")]
     assert len(names) == len(set(names)) >= 2
+
+
+def test_machine_code_is_made_of_what_python_calls(package, tmp_path):
+    """Of a callee with its callers only, until Python calls it; the second time all is from the cache."""
+    kernels, environment = package / "nsdyn" / "_kernels", {"PYTHONPATH": str(package)}
+    environment["NSDYN_CACHE_DIR"] = str(tmp_path / "cache")
+    (kernels / "caller.py").write_text(CALLER)
+    (kernels / "callee.py").write_text(CALLEE)
+    command = "from nsdyn._kernels.caller import callee; f = callee.given; print(f.signatures, f(1.0), f.signatures)"
+    for misses in (1, 0):
+        done = python("-c", command, **environment)
+        assert done.stdout == f"2.0 {misses}\n[] 1.0 [(float64,)]\n"

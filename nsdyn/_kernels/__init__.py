@@ -2,7 +2,7 @@
 
 They are in folders like those of the package, whose modules call them. Each gives the same numbers as plain Python,
 with ``NUMBA_DISABLE_JIT=1``. The first use on a machine compiles them and keeps the machine code in a folder of the
-user, as `nsdyn._kernels.compiled` tells; the logger "nsdyn" says so, at INFO also which.
+user, as `nsdyn._kernels.cache` tells; the logger "nsdyn" says so, at INFO also which.
 """
 
 import logging

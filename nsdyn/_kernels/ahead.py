@@ -7,7 +7,8 @@ import sys
 from contextlib import suppress
 from functools import lru_cache
 
-from nsdyn._kernels.compiled import Kernel, alone, folder
+from nsdyn._kernels.cache import alone, folder
+from nsdyn._kernels.compiled import Kernel
 
 PROCESSES = "NSDYN_COMPILE_PROCESSES"
 """Environment variable: how many processes compile; 1 for this one alone, by default one per core."""

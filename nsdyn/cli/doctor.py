@@ -81,7 +81,7 @@ def _within(version: str, bound: str) -> bool:
 
 def diagnose(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn doctor``."""
-    from nsdyn._kernels import ahead, compiled
+    from nsdyn._kernels import ahead, cache
     from nsdyn.recording import browser
 
     if arguments.compile:
@@ -90,7 +90,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
     for distribution, module in PACKAGES.items():
         spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server
         packages[distribution] = {"version": version_of(distribution), "file": spec.origin if spec else None}
-    cache = compiled.folder()
+    place = cache.folder()
     checks = {name: _outcome(check) for name, check in CHECKS.items()}
     wrong = wrong_packages()
     sound = not wrong and all(c == "ok" for c in checks.values())
@@ -98,7 +98,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
         "python": {"version": sys.version.split()[0], "file": sys.executable},
         "packages": packages,
         "chromium": browser.chromium(),
-        "cache": cache,
+        "cache": place,
         "checks": checks,
         "wrong": wrong,
         "ok": sound,
@@ -110,8 +110,8 @@ def diagnose(arguments: argparse.Namespace) -> int:
         print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
     absent = "not found; only pictures and films (nsdyn view --png, --mp4) need it"
     print(f"{'chromium':12} {figures['chromium'] or absent}")
-    none = f"none can be written: every start compiles unless {compiled.FOLDER} names a folder"
-    print(f"{'cache':12} {cache or none}")
+    none = f"none can be written: every start compiles unless {cache.FOLDER} names a folder"
+    print(f"{'cache':12} {place or none}")
     for line in wrong:
         print(f"{'wrong':12} {line}")
     for name, outcome in checks.items():
