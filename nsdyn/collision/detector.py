@@ -316,7 +316,7 @@ class Detector:
         names = np.concatenate((memory.names[:, others], names), axis=1)
         points = np.concatenate((memory.points[:, others], points), axis=1)
         order = np.argsort(names[0] * n + names[1], kind="stable")
-        remembered = ContactMemory(names[:, order], points[:, order], next_key)
+        remembered = ContactMemory(names.take(order, axis=1), points.take(order, axis=1), next_key)
         return Touches(found._replace(key=names[4, -count:].copy()), np.concatenate(fractions), remembered)
 
     def _ask(self, x: Array, R: Array, reach: Array) -> None:
