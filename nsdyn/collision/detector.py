@@ -14,8 +14,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from nsdyn._kernels.collision import advancement, broadphase, keys, manifold
+from nsdyn._kernels.collision import advancement, broadphase, keys, manifold, search
 from nsdyn._kernels.collision.geometry import Geometry
+from nsdyn._kernels.packing import pack
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches, carry
 from nsdyn.collision.distances import SHRINK, Batch, core, distance_request, empty_model, split
 from nsdyn.scene.bodies import Geom
@@ -113,6 +114,7 @@ class Detector:
         faces = int(np.diff(self._geometry.face_ptr).max(initial=2))
         points = np.empty((faces * room, 3)), np.empty(faces * room)
         self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room), *points
+        self._pack_geoms()
         self._set_pairs(np.empty(0, dtype=np.int64))
 
     @property
@@ -143,12 +145,21 @@ class Detector:
         ContactMemory
             To go on from these contacts.
         """
-        self._renew(x, R, reach)
-        for batch in self._batches:
-            batch.run(self._R, self._t)
-        count = manifold.manifolds(*self._search)
-        names, points, scalars = np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))
-        next_key = keys.collect(*self._found, memory.names, memory.points, memory.next_key, names, points, scalars)
+        poses, placed = (x, R, reach), bool(self._batches)
+        if placed:
+            self._ask(*poses)
+        # Mostly there are as many contacts as before.
+        out, before = _room(memory.names.shape[1]), (memory.names, memory.points)
+        count, next_key = search.search(*self._search, placed, poses, before, memory.next_key, out)
+        if count == search.LEFT:
+            self._ask(*poses)
+            count, next_key = search.search(*self._search, True, poses, before, memory.next_key, out)
+        elif not placed:
+            self._served += 1
+        names, points, scalars = out
+        if count != names.shape[1]:
+            names, points, scalars = _room(count)
+            next_key = keys.collect(*self._found, memory.names, memory.points, memory.next_key, names, points, scalars)
         # By index: to unpack an array takes twice as long.
         found = ContactSet(
             names[0], names[1], names[2], names[3], points[0], points[1], scalars[0], scalars[1], scalars[2], names[4]
@@ -164,6 +175,8 @@ class Detector:
         if contacts is found:
             return contacts.gap
         c, out = contacts, np.empty(contacts.gap.size)
+        if keys.kept(c.key, found.key, found.gap, out):
+            return out
         pose, room = (poses.x, poses.R), (self._R, self._t)
         old, new = (c.geom1, c.geom2, c.normal, c.key), (found.geom1, found.geom2, found.key, found.gap)
         keys.gaps(self._fields, *pose, *room, *old, *new, out)
@@ -303,8 +316,14 @@ class Detector:
         names = np.concatenate((memory.names[:, others], names), axis=1)
         points = np.concatenate((memory.points[:, others], points), axis=1)
         order = np.argsort(names[0] * n + names[1], kind="stable")
-        remembered = ContactMemory(names[:, order], points[:, order], next_key)
+        remembered = ContactMemory(names.take(order, axis=1), points.take(order, axis=1), next_key)
         return Touches(found._replace(key=names[4, -count:].copy()), np.concatenate(fractions), remembered)
+
+    def _ask(self, x: Array, R: Array, reach: Array) -> None:
+        """Place the geoms, and ask Coal for the distances of the candidate pairs."""
+        self._renew(x, R, reach)
+        for batch in self._batches:
+            batch.run(self._R, self._t)
 
     def _renew(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and renew the candidate pairs if one has left its fat box."""
@@ -330,27 +349,37 @@ class Detector:
         slot = np.where(asked, np.cumsum(asked) - 1, -1)
         radius = np.where(self._moving, self._geometry.radius, np.inf)
         self._pair_base = base = MARGIN * np.minimum(radius[first], radius[second])
-        self._coal = np.empty((int(asked.sum()), 10))
-        self._batches = []
+        room, material = len(codes) * self._max_points, self._pair_material(first, second)
+        found, asks = (np.empty((room, 3)), np.empty((room, 3)), np.empty(room)), np.empty((int(asked.sum()), 10))
+        floats, integers, f, i = pack([*found, asks, base, *material], [np.empty(room, np.int64), first, second, slot])
+        self._search = (self._packed, (floats, integers), self._max_points, TOLERANCE)
+        self._found = i[0], first, second, self._frame, *material, *f[:3], *self._placed_geoms
+        self._coal, self._batches = f[3], []
         for k, (lo, hi) in enumerate(split(first[asked], second[asked])):
             if k == len(self._models):
                 self._models.append(empty_model(len(self._cores)))
             pairs = first[asked][lo:hi], second[asked][lo:hi]
             self._batches.append(Batch(self._models[k], self._cores, *pairs, self._coal[lo:hi]))
-        room = len(codes) * self._max_points
-        point, normal, gap = np.empty((room, 3)), np.empty((room, 3)), np.empty(room)
-        pair = np.empty(room, dtype=np.int64)
-        # What the kernels get in every step.
-        mu, restitution = self._pair_material(first, second)
-        pose = self._R, self._t
-        self._search = (
-            self._fields, *pose, self._slack, first, second, slot, self._coal, base, self._reach, self._max_points,
-            *self._scratch, point, normal, gap, pair,
-        )  # fmt: skip
-        self._found = (
-            pair, first, second, self._frame, mu, restitution, point, normal, gap, self._geometry.radius, *pose,
-            TOLERANCE, self._reach,
-        )  # fmt: skip
+
+    def _pack_geoms(self) -> None:
+        """What does not change with the candidates, as `search` takes it; the arrays become views of that."""
+        g, pose = self._geometry, (self._R, self._t, self._reach, self._slack, self._base)
+        boxes = self._lower, self._upper, self._fat_lower, self._fat_upper
+        shapes = g.size, g.offset, g.radius, g.vertices, g.face_normals, g.face_offsets, g.placement_R, g.placement_t
+        *packed, f, _ = pack(
+            [*shapes, *pose, *boxes, *self._scratch],
+            [g.kind, g.vertex_ptr, g.face_ptr, g.loop_ptr, g.loop, g.frame],
+        )
+        self._packed = tuple(packed)
+        self._R, self._t, self._reach, self._slack, self._base = f[8:13]
+        self._lower, self._upper, self._fat_lower, self._fat_upper = f[13:17]
+        self._scratch = tuple(f[17:])
+        self._placed_geoms = g.radius, self._R, self._t, TOLERANCE, self._reach
+
+
+def _room(count: int) -> tuple[Index, Array, Array]:
+    """Room for so many contacts, as `keys.collect` fills it."""
+    return np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))
 
 
 def _flatten(geoms: Sequence[Geom]) -> Geometry:

@@ -23,12 +23,12 @@ from nsdyn.dynamics.tree_values import FreeMotion, Halfway, Links, TreeEnd
 from nsdyn.dynamics.trees import Tree
 from nsdyn.problem.blocks import Blocks
 from nsdyn.scene.scene import Scene
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["Dynamics", "Forces", "Middle", "Placement", "Position"]
 
 NOTHING: Mapping[Any, Any] = {}
-NONE = np.empty(0)
+NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
 
 NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
 
@@ -136,8 +136,9 @@ class Dynamics:
         self.gravity: Array = np.array(scene.gravity)
         self.free = len(bodies)
         self.frames = self.free + len(frames) + len(driven)
+        self.nowhere, self.no_works = np.zeros(self.frames), np.zeros(self.free)
         self.mass = np.array([b.mass for b in bodies])
-        self._inverse_mass, self._no_load = 1.0 / self.mass, np.zeros((self.free, 3))
+        self._inverse_mass, self.no_load = 1.0 / self.mass, np.zeros((self.free, 3))
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
         self._principal = principal(self.J)
         self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
@@ -167,10 +168,13 @@ class Dynamics:
             minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / self.mass[k], 0.5 * (inverse + inverse.T)
         self._m, self._minv = m.ravel(), minv.ravel()
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
+        self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
         self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
-        self._fall = float(np.linalg.norm(self.gravity))
+        self.weight = float(np.linalg.norm(self.gravity))
+        self.no_impulses = NO_VECTORS, np.zeros((3, self.n))
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
         self.surfaces = Surfaces(scene)
+        self.alone = self.frames == self.free and not self.trees and not self.surfaces.count
         starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]
         self._start = (
             Position(
@@ -281,7 +285,7 @@ class Dynamics:
         Driven bodies move with `twist` (surfaces, 2, 3).
         """
         out = np.zeros(self.frames)
-        fall = h * dt * self._fall
+        fall = h * dt * self.weight
         _motion.reach(v, h, fall, self.radius, out)
         for t, links in zip(self.trees, place.links, strict=True):
             at = links.x, t.support, links.J, v[t.coordinates], h, t.radius, fall
@@ -308,7 +312,7 @@ class Dynamics:
         tau : mapping, optional
             Articulation name to its joint forces (nv,), or to a `PD`.
         """
-        force, torque, applied, given = self._no_load, self._no_load, NOTHING, NOTHING
+        force, torque, applied, given = self.no_load, self.no_load, NOTHING, NOTHING
         if wrenches is not None:
             force, torque, applied = self._applied(middle.position, _mapping(wrenches, "external_force"))
         if tau is not None:
@@ -325,23 +329,25 @@ class Dynamics:
             out[tree.coordinates] = motions[-1].v
         return self._with_trees(out, force, torque, motions)
 
-    def external_works(
-        self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float
-    ) -> Array | float:
-        """Works of external forces and torques on the free bodies in a move of h s, J: (nf,), or 0.
+    def external_works(self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float) -> Array:
+        """Works of external forces and torques on the free bodies in a move of h s, shape (nf,), J.
 
         Forces go with the centres of mass from `begin` to `end`, torques with the mean of the spins before and after.
         """
-        if forces.force is self._no_load:
-            return 0.0
+        if forces.force is self.no_load:
+            return self.no_works
         turn = 0.5 * h * (v0 + v1)[: 6 * self.free].reshape(-1, 6)[:, 3:]
         out: Array = ((end.x - begin.x) * forces.force).sum(axis=1) + (turn * forces.torque).sum(axis=1)
         return out
 
+    def free_forces(self, v: Array) -> Forces:
+        """What acts in a step on free bodies alone, which gravity gives the velocity v."""
+        return Forces(v, self.no_load, self.no_load, self._m, self._minv, ())
+
     def inertia(self, position: Position, v: Array) -> Forces:
         """Mass matrices at a position, where no forces act: what impacts meet."""
         motions = [t.inertia(q, v[t.coordinates]) for t, q in zip(self.trees, position.trees, strict=True)]
-        return self._with_trees(v, self._no_load, self._no_load, motions)
+        return self._with_trees(v, self.no_load, self.no_load, motions)
 
     def _with_trees(self, v: Array, force: Array, torque: Array, motions: list[FreeMotion]) -> Forces:
         m = np.concatenate([self._m, *(motion.m.ravel() for motion in motions)])
@@ -411,11 +417,17 @@ class Dynamics:
         pressed = np.flatnonzero(joints.press)
         return Rows(self.joints.append(joints, full), bases, nc + pressed, joints.press[pressed]), frame
 
+    def free_rows(self, block: Index, start: Index, H: Array) -> Rows:
+        """Factors of contacts of free bodies alone, as of `Blocks`."""
+        return Rows(Blocks(self.offset, block, start, H, self.m_start, self._m, self._minv), NOTHING, *NOT_PRESSED)
+
     # -- what is shown -----------------------------------------------------------------------------------------
 
     def energies(self, position: Position, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy, J; potential energy is 0 at the world's origin."""
         kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
+        if not self.trees:
+            return kinetic, potential
         for t, q in zip(self.trees, position.trees, strict=True):
             more = t.energies(q, v[t.coordinates])
             kinetic, potential = kinetic + more[0], potential + more[1]

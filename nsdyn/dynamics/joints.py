@@ -116,16 +116,16 @@ class JointLaws:
         return out
 
     def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:
-        """Impulses r (nj, 3) by slot, shape (slots, 3), and of limits and of friction on the coordinates, (2, n)."""
-        on_coordinates = np.zeros((2, n))
+        """Impulses r (nj, 3) by slot, (slots, 3), and zeros, those of limits and of friction on coordinates, (3, n)."""
+        on_coordinates = np.zeros((3, n))
         if not self.size:
             return NO_IMPULSES, on_coordinates
         by_slot = np.zeros((self.size, 3))
         if rows is not None:
             by_slot[rows.slot] = r
             j = self.coordinate[rows.slot]
-            np.add.at(on_coordinates[0], j, self.sign[rows.slot] * r[:, 0])
-            np.add.at(on_coordinates[1], j, rows.mu * r[:, 1])
+            np.add.at(on_coordinates[1], j, self.sign[rows.slot] * r[:, 0])
+            np.add.at(on_coordinates[2], j, rows.mu * r[:, 1])
         return by_slot, on_coordinates
 
     def append(self, rows: JointRows, full: Blocks) -> Blocks:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,17 +42,17 @@ class Blocks(_Arrays):
         Blocks of M [kg, kg m²] and of M⁻¹, row by row.
     """
 
-    @cached_property
+    @property
     def arrays(self) -> tuple[Any, ...]:
         """All of them in a plain tuple, as kernels take them: it saves 0.5 us a call over a named one."""
         return tuple(self)
 
-    @cached_property
+    @property
     def n(self) -> int:
         """Number of coordinates."""
         return int(self.offset[-1])
 
-    @cached_property
+    @property
     def nc(self) -> int:
         """Number of contacts."""
         return len(self.block)

@@ -107,6 +107,13 @@ class FC3D:
         problem.q_norm = q_norm or 1.0
         return problem
 
+    @classmethod
+    def prepared(cls, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> FC3D:
+        """Problem as of `from_blocks`, from arrays that have been looked at, and the norm of q."""
+        problem = cls.__new__(cls)
+        problem.blocks, problem.q, problem.mu, problem.scales, problem.q_norm = blocks, q, mu, scales, q_norm or 1.0
+        return problem
+
     def with_velocity(self, q: Any, mu: Any = None) -> FC3D:
         """The same contacts with another q (and μ), without looking at W again."""
         problem = FC3D.__new__(FC3D)

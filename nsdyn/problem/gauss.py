@@ -137,10 +137,14 @@ def certify(
     J. J. Moreau, Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
     """
     mu, impulse = problem.mu, np.empty_like(problem.q)
-    if _kernels.into_cones(r, mu, impulse) or u is None:
-        u = problem.velocity(impulse)
-    d = opening.d if opening else NOTHING
-    gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
+    b, d = problem.blocks, opening.d if opening else NOTHING
+    found = None if b is None or u is None else _kernels.certificate_of(b.arrays, u, r, mu, d, impulse)
+    if u is None or found is None or found[0]:
+        if _kernels.into_cones(r, mu, impulse) or u is None:
+            u = problem.velocity(impulse)
+        gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
+    else:
+        _, gap, shift, speed, step, total, square = found
     if not math.isfinite(gap + shift):
         return Certificate(gap, shift, math.inf), opening
     if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):

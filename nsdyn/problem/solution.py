@@ -39,6 +39,9 @@ class Status(IntEnum):
         }[self]
 
 
+ACCEPTED = Status.CONVERGED, Status.LOOSE
+
+
 class Solution(NamedTuple):
     """What a solver returns, measured by the problem itself.
 
@@ -75,7 +78,7 @@ class Solution(NamedTuple):
     @property
     def accepted(self) -> bool:
         """Whether a simulation goes on with it: converged, or within a loose tolerance where that was given."""
-        return self.status in (Status.CONVERGED, Status.LOOSE)
+        return self.status in ACCEPTED
 
     @staticmethod
     def judge(

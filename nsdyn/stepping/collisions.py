@@ -25,13 +25,14 @@ def caught_impacts(s: System, met: Encounter, h: float) -> tuple[Encounter, Impa
     """
     if not s.elastic or not met.mu.size:
         return met, None, 0.0
-    fall = 2.0 * s.dt / h * np.abs((met.u_free - met.u)[0::3])
-    closes = met.end_gap + s.theta * h * (met.u_free + met.drift)[0::3] <= 0.0
-    struck = (met.restitution > 0.0) & (met.u_begin[0::3] < -fall) & (met.u[0::3] < 0.0) & closes
+    u_begin, u, u_free, drift = met.local[:4, 0::3]
+    fall = 2.0 * s.dt / h * np.abs(u_free - u)
+    closes = met.end_gap + s.theta * h * (u_free + drift) <= 0.0
+    struck = (met.restitution > 0.0) & (u_begin < -fall) & (u < 0.0) & closes
     if not struck.any():
         return met, None, 0.0
     # Rows that turn with their bodies are no approach.
-    resting = np.where(struck, fall, fall + 2.0 * np.abs(met.drift[0::3]))
+    resting = np.where(struck, fall, fall + 2.0 * np.abs(drift))
     closed = struck | (met.end_gap <= s.closed)
     impact = _strike(s, met, closed, resting, resting)
     kick = met.rows.velocity_change(impact.r)
@@ -88,7 +89,9 @@ def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Arra
     """Impacts of the closed contacts and joint limits; dry friction of joints has no impulse in no time."""
     if met.rows.press.size:
         closed = closed & (met.rows.press[0::3] == 0.0)
-    return strike(LAWS[s.impact], s.solver, met.rows.blocks, met.u, met.mu, met.restitution, closed, resting, slow)
+    return strike(
+        LAWS[s.impact], s.solver, met.rows.blocks, met.local[1], met.mu, met.restitution, closed, resting, slow
+    )
 
 
 def _hits(s: System, joints: JointRows, v: Array, h: float) -> bool:

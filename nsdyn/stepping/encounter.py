@@ -98,20 +98,20 @@ class Encounter(NamedTuple):
         Where the contacts stand in the warm start, -1 for new ones.
     status : ndarray of int8
         Of the contacts of the warm start.
-    u_begin, u, u_free : ndarray, shape (3 rows,)
-        u_k, u⁻ and u_f, m/s.
-    drift : ndarray, shape (3 rows,)
-        c, m/s.
+    local : ndarray, shape (5, 3 rows)
+        u_k, u⁻, u_f and c [m/s], and the last impulses [N·s].
     end_gap : ndarray, shape (rows,)
         G, m or rad.
-    guess : ndarray, shape (3 rows,)
-        Last impulses, N·s.
     transport : ndarray, shape (3 rows,)
         What surfaces that move add to u⁻ and u⁺, m/s; empty if none do.
     rebound : ndarray, shape (rows,)
         u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
         Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
         after it would be one too many, and an elastic ball would lose m g h v.
+    slides : ndarray of bool, shape (nc,), optional
+        Which contacts slide through the step, where that is foreseen already.
+    posed : FC3D, optional
+        The problem of that, where it is posed already.
     """
 
     contacts: ContactSet
@@ -123,14 +123,12 @@ class Encounter(NamedTuple):
     restitution: Array
     place: Index
     status: NDArray[np.int8]
-    u_begin: Array
-    u: Array
-    u_free: Array
-    drift: Array
+    local: Array
     end_gap: Array
-    guess: Array
-    transport: Array
+    transport: Array = NOTHING
     rebound: Array = NOTHING
+    slides: Bools | None = None
+    posed: FC3D | None = None
 
     @classmethod
     def of(
@@ -174,36 +172,42 @@ class Encounter(NamedTuple):
             (rows, frame), alike = dynamics.rows(contacts, there, forces, joints), None
         full, nc = rows.full, contacts.gap.size
         nr = full.nc
-        u_begin, u, u_free, drift, guess = out = np.empty((5, 3 * nr))
-        end_gap = np.empty(nr)
+        local, end_gap = np.empty((5, 3 * nr)), np.empty(nr)
         transport = dynamics.surfaces.transport(contacts, frame, middle.position.driven_x, nr, *surfaces)
         carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
         where = _law.local_velocities(
             full.arrays, (v_begin, middle.v, forces.v), (carried, *transport), rows.press,
             (old.key, old.point, old.normal, place.x, *twists),
             (contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame, contacts.gap, there.x),
-            (warm.key, warm.impulse), reach, h / warm.h, ahead, out, end_gap,
+            (warm.key, warm.impulse), reach, h / warm.h, ahead, local, end_gap,
         )  # fmt: skip
         mu, restitution = contacts.mu, contacts.restitution
         if joints is not None:
-            guess[3 * nc :] = h / warm.h * warm.joints[joints.slot].ravel()
-            end_gap[nc:] = joints.gap - 0.5 * ahead * drift[3 * nc :: 3]
+            local[4, 3 * nc :] = h / warm.h * warm.joints[joints.slot].ravel()
+            end_gap[nc:] = joints.gap - 0.5 * ahead * local[3, 3 * nc :: 3]
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
         return cls(
-            contacts, joints, rows, frame, alike, mu, restitution, where, warm.status, u_begin, u, u_free, drift,
-            end_gap, guess, transport[0],
+            contacts, joints, rows, frame, alike, mu, restitution, where, warm.status, local, end_gap, transport[0],
         )  # fmt: skip
 
     def changed(self, dv: Array, struck: Bools) -> Encounter:
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
-        du = self.rows.full.relative_velocity(dv)
-        drift = np.where(np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3), 0.0, self.drift)
-        u = self.u + du
+        du, local = self.rows.full.relative_velocity(dv), self.local.copy()
+        local[1:3] += du
+        local[3, np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3)] = 0.0
         end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
-        return self._replace(
-            u=u, u_free=self.u_free + du, drift=drift, end_gap=end_gap,
-            rebound=np.where(struck, np.maximum(u[0::3], 0.0), 0.0),
-        )  # fmt: skip
+        rebound = np.where(struck, np.maximum(local[1, 0::3], 0.0), 0.0)
+        return self.otherwise()._replace(local=local, end_gap=end_gap, rebound=rebound, slides=None)
+
+    def offsets(self, slides: Bools, ahead: float, closed: float) -> Array:
+        """b, shape (3 rows,), m/s, where the contacts `slides` (nc,) slide through."""
+        b = np.empty(self.local.shape[1])
+        _law.offsets(self.local, self.end_gap, self.rebound, slides, ahead, closed, b)
+        return b
+
+    def otherwise(self) -> Encounter:
+        """The same where the problem is not as it was posed."""
+        return self._replace(alike=self.posed or self.alike, posed=None)
 
 
 def solve(
@@ -227,37 +231,34 @@ def solve(
     most : int
         Most solves more for them.
     """
-
-    def offsets() -> Array:
-        b = np.empty_like(met.u_free)
-        _law.offsets(met.u, met.u_free, met.drift, met.end_gap, met.rebound, slides, ahead, closed, b)
-        return b
-
-    alike = met.alike
-    problem = alike.with_velocity(offsets()) if alike else FC3D.from_blocks(met.rows.blocks, offsets(), met.mu)
-    solution = _again(solver, last, problem, met.guess)
+    if met.posed is not None:
+        problem = met.posed
+    elif met.alike is not None:
+        problem = met.alike.with_velocity(met.offsets(slides, ahead, closed))
+    else:
+        problem = FC3D.from_blocks(met.rows.blocks, met.offsets(slides, ahead, closed), met.mu)
+    solution = _again(solver, last, problem, met.local[4])
     for k in range(most + 1):
-        shown = solution.r, solution.u, problem.q, met.mu, met.u_begin, met.u, met.u_free, met.drift
-        if not _law.reconsider(*shown, slides, back or k > 0):
+        shown = solution.r, solution.u, problem.q
+        if not _law.reconsider(*shown, met.mu, met.local, slides, back or k > 0):
             return problem, solution, False
         if k < most:
-            problem = problem.with_velocity(offsets())
+            problem = problem.with_velocity(met.offsets(slides, ahead, closed))
             solution = _again(solver, solution, problem, solution.r)
     return problem, solution, True
 
 
 def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array) -> Solution:
     """Solve a problem that differs little from the last one, by solvers that can no better than that was."""
-    loosely: Solver | None = getattr(solver, "loosely", None)
-    if loosely is not None and last is not None and last.status is Status.LOOSE:
-        return loosely(problem, r)
+    if last is not None and last.status is Status.LOOSE:
+        solver = getattr(solver, "loosely", solver)
     return solver(problem, r)
 
 
 def foresee(met: Encounter) -> Bools:
     """Which contacts slide through the step, by the friction foreseen."""
-    full, slides = met.rows.full, np.empty(met.frame.shape[0], np.bool_)
-    _law.foresee(
-        full.arrays, met.mu, met.place, met.status, met.u_begin, met.u, met.u_free, met.drift, met.guess, slides
-    )  # fmt: skip
+    if met.slides is not None:
+        return met.slides
+    slides = np.empty(met.frame.shape[0], np.bool_)
+    _law.foresee(met.rows.full.arrays, met.mu, met.place, met.status, met.local, slides)
     return slides

@@ -100,5 +100,7 @@ def worst(solved: list[tuple[FC3D, Solution]]) -> int:
         solution = solved[k][1]
         return not solution.accepted, _is_none(solution), solution.error
 
+    if len(solved) == 1:
+        return 0
     missed = [k for k, (_, solution) in enumerate(solved) if not solution.converged]
     return max(missed, key=badness) if missed else len(solved) - 1

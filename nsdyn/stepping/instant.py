@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn._kernels.dynamics import motion as _motion
+from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches
 from nsdyn.collision.detector import Detector
@@ -186,32 +186,33 @@ def account(
     The velocities are those before the impacts, after them, and after r, which solves the problem.
     """
     d, nc, nr = s.dynamics, met.frame.shape[0], met.mu.size
-    normal, friction, total, u_end = np.zeros(nr), np.zeros(nr), r, met.u if impact is None else impact.u
-    status, world, created = np.zeros(nc, np.int8), np.zeros((nc, 3)), 0.0
-    external = beyond = 0.0
-    done = 0.0, 0.0, 0.0
+    external = beyond = normal_work = friction_work = rest = created = 0.0
+    struck = NOTHING if impact is None else impact.r[0::3]
     if h > 0.0:
-        external, beyond = _motion.free_works(d.mass, d.gravity, forces.force, forces.torque, h, s.theta, *velocities)
-    if r.size:
-        struck, u_end = NOTHING if impact is None else impact.r[0::3], np.empty(3 * nr)
-        done = _law.outcome(
-            met.rows.full.arrays, velocities[2], met.transport, r, met.mu, (met.place, met.status), struck,
-            (met.u, met.u_free, met.drift), met.frame, s.solver.tol, (status, normal, friction, u_end, world),
+        out = status, normal, friction, u_end, world = (
+            np.empty(nc, np.int8), np.empty(nr), np.empty(nr), np.empty(3 * nr), np.empty((nc, 3))
         )  # fmt: skip
-    struck_normal = struck_friction = 0.0
+        bodies, loads, was = (d.mass, d.gravity), (forces.force, forces.torque), (met.place, met.status)
+        external, beyond, normal_work, friction_work, rest = _account.account(
+            met.rows.full.arrays, bodies, loads, h, s.theta, velocities, r, met.mu, met.transport, was, struck,
+            met.local, met.frame, s.solver.tol, out,
+        )  # fmt: skip
+        total = r
+    else:
+        status, normal, friction, world = np.empty(nc, np.int8), np.zeros(nr), np.zeros(nr), np.zeros((nc, 3))
+        total, u_end = np.zeros(3 * nr), met.local[1]
     if impact is not None:
-        total = total + impact.r if r.size else impact.r
+        total, u_end = total + impact.r, u_end if h > 0.0 else impact.u
         normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
-        struck_normal, struck_friction = float(impact.normal.sum()), float(impact.friction.sum())
+        normal_work += float(impact.normal.sum())
+        friction_work += float(impact.friction.sum())
         _law.states(total, met.mu, status)
     constraint = -float(met.transport @ total) if met.transport.size else 0.0
-    works = Works(
-        external, done[0] + struck_normal, done[1] + struck_friction, 0.0, constraint, beyond + done[2], 0.0
-    )  # fmt: skip
-    slots, on_joints = d.joints.impulses(met.joints, total.reshape(-1, 3)[nc:], d.n)
+    works = Works(external, normal_work, friction_work, 0.0, constraint, beyond + rest, 0.0)
+    u, impulse = u_end.reshape(-1, 3), total.reshape(-1, 3)
+    slots, on_joints = d.joints.impulses(met.joints, impulse[nc:], d.n) if d.trees else d.no_impulses
+    if nr > nc:
+        u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
-    impulses = Impulses(
-        met.contacts, met.frame, u_end.reshape(-1, 3)[:nc], total.reshape(-1, 3)[:nc], status, normal[:nc],
-        friction[:nc], np.concatenate((np.zeros((1, d.n)), on_joints)), created,
-    )  # fmt: skip
+    impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created)
     return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)

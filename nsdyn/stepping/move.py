@@ -14,6 +14,7 @@ from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
+from nsdyn.stepping import free as _free
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
@@ -26,11 +27,12 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["Move", "Trial", "finish", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
+STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
 
-Callbacks = Callable[[Position, Array], tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]]
+Callbacks = Callable[[Position, Array], tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]] | None
 
 
 class Move(NamedTuple):
@@ -49,7 +51,7 @@ class Move(NamedTuple):
         Whether the end is without overlap.
     rate : ndarray, shape (n,)
         Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
-    external : ndarray, shape (nf,), or 0
+    external : ndarray, shape (nf,)
         Works of external forces on the free bodies, J.
     """
 
@@ -60,7 +62,7 @@ class Move(NamedTuple):
     solution: Solution
     clear: bool
     rate: Array
-    external: Array | float
+    external: Array
 
 
 class Seen(NamedTuple):
@@ -88,10 +90,14 @@ class Half(NamedTuple):
     middle : Middle
         Where the forces and impulses act.
     forces : Forces
+    rate : ndarray, shape (n,)
+        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
     reach : ndarray, shape (frames,)
         How far points of the frames may move in the second half, m.
     fast : bool
         Whether that is so far that it might go unseen.
+    same : bool
+        Whether the contacts found where the move begins are those of there.
     surfaces : three ndarrays of shape (surfaces, 2, 3)
         Twists of what moves as prescribed: at the beginning, when the impulses act, at the end.
     """
@@ -100,8 +106,10 @@ class Half(NamedTuple):
     ahead: float
     middle: Middle
     forces: Forces
+    rate: Array
     reach: Array
     fast: bool
+    same: bool
     surfaces: tuple[Array, Array, Array]
 
 
@@ -127,6 +135,8 @@ class Response(NamedTuple):
         H r of all, where there are trees.
     v_end : ndarray, shape (n,)
     trees : tuple of TreeEnd
+    twists : two ndarrays of shape (frames, 3)
+        Of the frames, where the motion ends.
     moved : Placed
         Where the motion ends, whatever overlaps there.
     """
@@ -142,6 +152,7 @@ class Response(NamedTuple):
     impulse: Array | None
     v_end: Array
     trees: tuple[TreeEnd, ...]
+    twists: tuple[Array, Array]
     moved: Placed
 
 
@@ -184,7 +195,7 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
     begin : Instant
     t, h : float
         s.
-    callbacks : callable
+    callbacks : callable, optional
         (wrenches, joint forces) at a position and a velocity.
     barred : ndarray of int, optional
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
@@ -193,7 +204,7 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
     half = _half(s, begin, t, h, callbacks)
     contacts, joints, seen = _reachable(s, begin, half, barred)
     response = _respond(s, begin, half, contacts, joints, seen, barred, None)
-    missed = np.empty(0, np.int64)
+    missed = NO_SLOTS
     for look in range(LOOKS - 1 if barred is None else 0):
         places = half.middle.placement, response.moved.placement
         found = response.moved.contacts
@@ -207,7 +218,9 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
     unmet, until = None, h
     if barred is not None:
         moved = response.moved
-        limits = moved.limits if barred.size or _law.least(moved.limits) < -s.closed else NOTHING
+        limits = moved.limits
+        if limits.size and not barred.size and _law.least(limits) >= -s.closed:
+            limits = NOTHING
         unmet = others(s, moved.contacts, response.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
         if half.fast:
             until = touched(s, begin, half.middle.placement, moved.placement, seen.memory, h)
@@ -217,12 +230,18 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
 def _half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
     """Half a free flow, and the forces there."""
     d, ahead = s.dynamics, s.theta * h
+    if d.alone and callbacks is None:
+        middle, forces, rate, reach, far, same = _free.half(s, begin, h)
+        return Half(h, ahead, middle, forces, rate, reach, far > FAST * s.smallest, same, STILL_SURFACES)
     begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
     middle = d.halfway(begin.position, begin.v, h, s.theta, begun)
-    forces = d.forces(middle, t + h, h, *callbacks(middle.position, begin.v))
+    given = (None, None) if callbacks is None else callbacks(middle.position, begin.v)
+    forces = d.forces(middle, t + h, h, *given)
     reach = d.reach(middle.placement, forces.v, ahead, h, ended)
     fast = _law.most(reach) > FAST * s.smallest
-    return Half(h, ahead, middle, forces, reach, fast, (begun, d.surfaces.mean(begun, ended, 0.5), ended))
+    same = s.unmoved(begin.looked, middle.placement, reach)
+    rate = (forces.v - middle.v) / h
+    return Half(h, ahead, middle, forces, rate, reach, fast, same, (begun, d.surfaces.mean(begun, ended, 0.5), ended))
 
 
 def _reachable(
@@ -231,7 +250,7 @@ def _reachable(
     """Contacts and joint rows that the second half may need, but for what is to be left alone; all that was found."""
     middle, v = half.middle, half.forces.v
     x, R, _ = middle.placement
-    if s.unmoved(begin.looked, middle.placement, half.reach):
+    if half.same:
         seen = Seen(begin.contacts, begin.memory, begin.looked)
     else:
         seen = Seen(*s.detector.find(x, R, half.reach, begin.memory), Looked(x, R, half.reach))
@@ -253,34 +272,49 @@ def _respond(
 ) -> Response:  # fmt: skip
     """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
     d, middle, forces = s.dynamics, half.middle, half.forces
-    start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-    met = Encounter.of(d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead)
+    if d.alone and not (begin.warm.basis is not None and begin.warm.basis.contacts is contacts):
+        met = _free.meet(s, contacts, middle, forces, begin, half.reach, half.h)
+    else:
+        start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
+        met = Encounter.of(
+            d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead
+        )
     met, impact, kick = caught_impacts(s, met, half.h)
     slides = foresee(met)
     if last is not None:
+        met = met.otherwise()
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES, last is not None)
     before = None if last is None else last.solution
     problem, solution, otherwise = solve(met, s.solver, before, half.ahead, s.closed, slides, back, most)
-    v = forces.v + kick + met.rows.velocity_change(solution.r)
-    impulse = None
-    if d.trees:
-        impulse = met.rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
-    end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
-    near = 2.0 * half.reach if barred is not None and barred.size else np.zeros(d.frames)
-    if s.unmoved(seen.looked, there, near):
+    v, near = forces.v if impact is None else forces.v + kick, d.nowhere
+    if barred is not None and barred.size:
+        near = 2.0 * half.reach
+    impulse: Array | None = None
+    trees: tuple[TreeEnd, ...] = ()
+    if d.alone:
+        end, v, v_end, there, twists, same = _free.end(
+            s, middle, met.rows, solution.r, v, half.ahead, seen.looked, near
+        )
+    else:
+        v = v + met.rows.velocity_change(solution.r)
+        if d.trees:
+            impulse = met.rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
+        end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
+        twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
+    if same:
         moved = Placed(end, there, seen.contacts, d.limits(end), seen.memory, True)
     else:
         moved = place(d, s.detector, end, there, seen.memory, near)
-    return Response(met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, moved)
+    return Response(met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, twists, moved)
 
 
 def _resume(met: Encounter, slides: Bools, last: Response) -> None:
     """Start from what the last look has left: impulses and slip of contacts that are still there, and joint rows."""
     key, r = last.met.contacts.key, last.solution.r.reshape(-1, 3)
     where, nc = _law.places(key, met.contacts.key), met.contacts.gap.size
-    known, guess = where >= 0, met.guess.reshape(-1, 3)
+    known, guess = where >= 0, met.local[4].reshape(-1, 3)
     guess[:nc][known] = r[where[known]]
     slides[known] = last.slides[where[known]]
     guess[nc:] = r[key.size :]
@@ -290,12 +324,14 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
     """The move to a position without overlap, and what was done on its way."""
     d, half, seen, a = s.dynamics, tried.half, tried.seen, tried.response
     placed = project(d, s.detector, a.moved, half.forces, s.closed)
-    velocities = half.middle.v, half.middle.v + a.kick, a.v
+    v = half.middle.v
+    velocities = v, v if a.impact is None else v + a.kick, a.v
     impulses, own, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem)
     works = [own]
-    v_end = a.v_end
+    v_end, twists = a.v_end, a.twists
     if placed is not a.moved:
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
+        twists = d.twists(placed.placement, v_end)
         works.append(Works(projection=lifted))
     if a.impulse is not None:
         works += _tree_works(s, half, a, a.impulse, placed.position)
@@ -304,14 +340,13 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
             impulses.joints[0, t.coordinates] = half.h * actuation
     looked = seen.looked
     if placed.contacts is not seen.contacts:
-        looked = Looked(placed.placement.x, placed.placement.R, np.zeros(d.frames))
+        looked = Looked(placed.placement.x, placed.placement.R, d.nowhere)
     end = Instant(
         placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, looked, warm,
-        d.twists(placed.placement, v_end),
+        twists,
     )  # fmt: skip
-    rate = (half.forces.v - half.middle.v) / half.h
     external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)
-    return Move(end, impulses, works, a.problem, a.solution, placed.clear, rate, external)
+    return Move(end, impulses, works, a.problem, a.solution, placed.clear, half.rate, external)
 
 
 def _tree_works(s: System, half: Half, a: Response, impulse: Array, lifted: Position) -> list[Works]:

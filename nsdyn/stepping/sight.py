@@ -52,11 +52,11 @@ def caught(
     pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
     that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
     """
-    if not contacts.gap.size:
+    before, parted = begin.contacts, _parted(s, begin, v, ahead) if s.elastic else NONE
+    if not parted.size and _law.all_known(contacts.key, before.key, before.gap, s.closed):
         return contacts
-    held, parted = np.empty(contacts.gap.size, np.bool_), _parted(s, begin, v, ahead)
-    if _law.known(contacts.key, begin.contacts.key, begin.contacts.gap, s.closed, held) and not parted.size:
-        return contacts
+    held = np.empty(contacts.gap.size, np.bool_)
+    _law.known(contacts.key, before.key, before.gap, s.closed, held)
     held &= ~np.isin(contacts.key, parted)
     warm = begin.warm
     pressed = np.isin(contacts.key, warm.key[warm.status > 0])
@@ -69,7 +69,7 @@ def caught(
 def _parted(s: System, begin: Instant, v: Array, ahead: float) -> Index:
     """Keys of elastic contacts that are closed where a move begins, but part faster than forces make them rest."""
     c = begin.contacts
-    if not s.elastic or not c.gap.size:
+    if not c.gap.size:
         return NONE
     parts, free = (approach(s.dynamics, c, begin.placement, w) for w in (begin.v, v))
     rests = s.solver.tol + 2.0 * s.dt * s.theta / ahead * np.abs(free - parts)
@@ -102,11 +102,10 @@ def others(s: System, found: ContactSet, met: ContactSet, limits: Array, slot: I
     slot : ndarray of int
         Joint rows that are met.
     """
-    if found is met and not limits.size:
+    if not limits.size and (found is met or _law.all_known(found.key, met.key, met.gap, np.inf)):
         return None
     same = np.empty(found.gap.size, np.bool_)
-    if _law.known(found.key, met.key, met.gap, np.inf, same) and not limits.size:
-        return None
+    _law.known(found.key, met.key, met.gap, np.inf, same)
     left = take(found, ~same)
     code, gap, limit = s.detector.codes(left), left.gap, np.where(left.restitution > 0.0, s.closed, s.deep(left))
     if limits.size:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -244,17 +245,22 @@ class Stepper:
         done: list[Impulses] = []
         solved: list[tuple[FC3D, Solution]] = []
         works: list[Works] = []
-        clear, external = True, np.zeros(self.dynamics.free)
+        clear, external = True, self.dynamics.no_works
         for cut in range(2 * CUTS):
             t = s.next_t - left
             if (struck := collide(self.system, now, t, left, rate)) is not None:
                 now, impulses, more, pair = struck
-                done, solved, works = [*done, impulses], [*solved, pair], [*works, more]
+                done.append(impulses)
+                solved.append(pair)
+                works.append(more)
             length, tried = self._until_impact(now, t, left) if cut < CUTS else (left, self._try(now, t, left, None))
             m = finish(self.system, now, tried)
             now, rate, left, clear = m.end, m.rate, left - length, m.clear
-            done, solved, works = [*done, m.impulses], [*solved, (m.problem, m.solution)], works + m.works
-            external = external + m.external
+            done.append(m.impulses)
+            solved.append((m.problem, m.solution))
+            works += m.works
+            if m.external is not self.dynamics.no_works:
+                external = external + m.external
             if left <= 1e-12 * self.dt:
                 break
         now, gained, owed = balance(self.system, s.instant, now, done, external, s.owed)
@@ -322,17 +328,18 @@ class Stepper:
 
     def _try(self, begin: Instant, t: float, h: float, barred: Index | None) -> Trial:
         """A move of h seconds, with the user's callbacks."""
-
-        def callbacks(middle: Position, v: Array) -> tuple[Any, Any]:
-            if self.external_force is None and self.controller is None:
-                return None, None
-            at = t + (1.0 - self.theta) * h, *self.dynamics.pinocchio_state(middle, v)
-            return (
-                self.external_force(*at) if self.external_force else None,
-                self.controller(*at) if self.controller else None,
-            )
-
+        callbacks = None
+        if self.external_force is not None or self.controller is not None:
+            callbacks = partial(self._callbacks, t + (1.0 - self.theta) * h)
         return trial(self.system, begin, t, h, callbacks, barred)
+
+    def _callbacks(self, t: float, middle: Position, v: Array) -> tuple[Any, Any]:
+        """(wrenches, joint forces) of the user at a time, a position and a velocity."""
+        at = t, *self.dynamics.pinocchio_state(middle, v)
+        return (
+            self.external_force(*at) if self.external_force else None,
+            self.controller(*at) if self.controller else None,
+        )
 
     def _certify(
         self, solved: list[tuple[FC3D, Solution]], opening: gauss.Opening | None
@@ -341,6 +348,8 @@ class Stepper:
         gap = shift = bound = 0.0
         for problem, solution in solved:
             c, opening = gauss.certify(problem, solution.r, solution.u, opening)
+            if len(solved) == 1:
+                return c, opening
             gap, shift, bound = gap + c.gap, max(shift, c.shift), max(bound, c.bound)
         return gauss.Certificate(gap, shift, bound), opening
 
@@ -352,7 +361,7 @@ class Stepper:
         acted = done[0] if len(done) == 1 else _joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
-        gap = self.detector.gaps(acted.contacts, end.contacts, Poses(*end.placement[:2]))
+        gap = self.detector.gaps(acted.contacts, end.contacts, Poses(end.placement.x, end.placement.R))
         joints = acted.joints[:, 6 * d.free :] if d.trees else None
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,

@@ -87,6 +87,18 @@ def collect(
 
 
 @kernel
+def kept(key, found_key, found_gap, out):
+    """Whether contacts are found again, all of them and no others; then their gaps, into out."""
+    if key.size != found_key.size:
+        return False
+    for c in range(key.size):
+        if key[c] != found_key[c]:
+            return False
+        out[c] = found_gap[c]
+    return True
+
+
+@kernel
 def gaps(
     fields, x, R_frames, R, t, geom1, geom2, normal, key, found1, found2, found_key, found_gap, out
 ):  # fmt: skip

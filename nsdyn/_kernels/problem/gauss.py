@@ -93,6 +93,15 @@ def along_blocks(blocks, d, o):
 
 
 @kernel
+def certificate_of(blocks, u, r, mu, d, out):
+    """`into_cones`, and the certificate of `certificate_along` if r is in K."""
+    if into_cones(r, mu, out):
+        return True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    gap, shift, speed, step, total, square = certificate_along(blocks, u, out, mu, d)
+    return False, gap, shift, speed, step, total, square
+
+
+@kernel
 def certificate_along(blocks, u, r, mu, d):
     """`certificate` with o = Hᵀ d, and ‖d‖²_M; a d of other coordinates opens nothing."""
     offset = blocks[0]

@@ -155,13 +155,21 @@ def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
 
 
 @kernel
+def all_known(key, old_key, old_gap, closed):
+    """Whether all contacts are among old ones that are closed."""
+    place = places(old_key, key)
+    for c in range(key.size):
+        if place[c] < 0 or not old_gap[place[c]] <= closed:
+            return False
+    return True
+
+
+@kernel
 def known(key, old_key, old_gap, closed, out):
-    """Which contacts are among old ones that are closed, into out (nc,); whether all are."""
-    place, every = places(old_key, key), True
+    """Which contacts are among old ones that are closed, into out (nc,)."""
+    place = places(old_key, key)
     for c in range(key.size):
         out[c] = place[c] >= 0 and old_gap[place[c]] <= closed
-        every = every and out[c]
-    return every
 
 
 @kernel
@@ -220,11 +228,13 @@ def local_velocities(
 
 
 @kernel
-def foresee(blocks, mu, place, old_status, u_begin, u, u_free, drift, guess, slides):
+def foresee(blocks, mu, place, old_status, local, slides):
     """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
 
     What stuck begins without slip, but for what the solver's tolerance left; of what is new nothing can be foreseen.
+    `local` is what `local_velocities` gives.
     """
+    u_begin, u_free, drift, guess = local[0], local[2], local[3], local[4]
     offset, block, start, H, m_start, _, minv = blocks
     for c in range(slides.size):
         i = 3 * c
@@ -256,13 +266,14 @@ def foresee(blocks, mu, place, old_status, u_begin, u, u_free, drift, guess, sli
 
 
 @kernel
-def offsets(u, u_free, drift, end_gap, rebound, slides, ahead, closed, b):
+def offsets(local, end_gap, rebound, slides, ahead, closed, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
     Normal: u_free + drift, plus end_gap / ahead where it is open, minus what is kept of an impact (`rebound`, empty for
     none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip without impulses,
-    where a contact slides through.
+    where a contact slides through. `local` is what `local_velocities` gives.
     """
+    u, u_free, drift = local[1], local[2], local[3]
     for c in range(end_gap.size):
         i = 3 * c
         b[i] = u_free[i] + drift[i]
@@ -277,12 +288,13 @@ def offsets(u, u_free, drift, end_gap, rebound, slides, ahead, closed, b):
 
 
 @kernel
-def reconsider(r, y, b, mu, u_begin, u, u_free, drift, slides, back):
+def reconsider(r, y, b, mu, local, slides, back):
     """Change `slides` (nc,) where the solution y = W r + b shows otherwise, and tell whether any has.
 
     One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
     stop but slips on in the direction it had slides through, unless it is only looked `back`.
     """
+    u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
     some = False
     for c in range(slides.size):
         i = 3 * c
@@ -317,19 +329,19 @@ def states(r, mu, out):
 
 
 @kernel
-def outcome(blocks, v_plus, transport, r, mu, was, struck, motion, frame, slow, out):
+def outcome(blocks, v_plus, transport, r, mu, was, struck, local, frame, slow, out):
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
     Into out = (status, normal, friction, u_end, world), from what they were, (place, status) as in `local_velocities`,
-    `struck`, the normal impulses of impacts (empty for none), and motion = (u, u_free, drift). The states are those of
-    `states`, but what ends no faster than `slow` sticks: impulses that redundant contacts share may lie anywhere in
+    `struck`, the normal impulses of impacts (empty for none), and what `local_velocities` gives. The states are those
+    of `states`, but what ends no faster than `slow` sticks: impulses that redundant contacts share may lie anywhere in
     their cones. The works (rows,) are those of the impulses at the one configuration where they act, ½ (u + u⁺)·r.
     Returns the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a
     contact that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first
     step only closed the gap; joint rows always do work.
     """
     place, old_status = was
-    u, u_free, drift = motion
+    u, u_free, drift = local[1], local[2], local[3]
     status, normal, friction, u_end, world = out
     nc, u_plus = status.size, np.empty(u.size)
     relative_velocity(blocks, v_plus, u_plus)
