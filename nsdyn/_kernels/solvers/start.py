@@ -75,32 +75,53 @@ def by_factors(
 
 
 @kernel
-def by_matrix(
-    W, q, mu, scales, r, u, label, islands, tol, margin, q_norm, largest, quick, penalty, warm, most, sweeps, patience
-):  # fmt: skip
-    """The same by `local.solve_small` for a block-sparse W = (indptr, indices, data), unless r meets `tol`.
+def alone(W, q, mu, scales, q_norm, out):
+    """The only contact of a problem in closed form, W (1, 3, 3): r and u into out (2, 3); its error and residual."""
+    r, u = out[0], out[1]
+    r[0], r[1], r[2] = cones.coulomb(W[0], q[0], q[1], q[2], mu[0])
+    for i in range(3):
+        u[i] = W[0, i, 0] * r[0] + W[0, i, 1] * r[1] + W[0, i, 2] * r[2] + q[i]
+    top, residual = cones.measures(scales, u, r, mu)
+    return top / q_norm, residual
 
-    Islands share `margin` of the tolerance by contacts, those of at most `largest` contacts as their mean.
+
+@kernel
+def by_matrix(W, q, mu, scales, out, tol, q_norm, margin, largest, limits):
+    """Islands of a block-sparse W by `local.solve_small` in place of r = out[0], unless it meets `tol`; u into out[1].
+
+    Islands share `margin` of the tolerance by contacts, those of at most `largest` contacts as their mean. Returns the
+    iterations, the literature's error and the residual.
     """
-    indptr, indices, data = W
-    pgs.velocity(indptr, indices, data, q, r, u)
-    top, residual = cones.measures(scales, u, r, mu)
-    if top / q_norm <= tol and residual <= tol:
-        return 0, False, 0, top / q_norm, residual
-    found = local.islands(indptr, indices, label)
-    share = np.zeros(found)
+    r, u = out[0], out[1]
+    if r.any():
+        pgs.velocity(W[0], W[1], W[2], q, r, u)
+        top, residual = cones.measures(scales, u, r, mu)
+        if top / q_norm <= tol and residual <= tol:
+            return 0, top / q_norm, residual
+    label = np.empty(mu.size, np.int64)
+    found = local.islands(W[0], W[1], label)
+    size, small, total = np.zeros(found, np.int64), 0, 0
     for c in range(label.size):
-        share[label[c]] += 1.0 / label.size
-    small = share <= largest / label.size
-    mean = share[small].mean() if small.any() else 0.0
-    share = margin * np.sqrt(np.where(small, mean, share))
-    count = local.solve_small(
-        indptr, indices, data, q, mu, scales, r, tol * margin * np.sqrt(mean), q_norm, label, found, largest, quick,
-        penalty, warm, most, sweeps, patience,
-    )  # fmt: skip
-    pgs.velocity(indptr, indices, data, q, r, u)
+        size[label[c]] += 1
+    for k in range(found):
+        if size[k] <= largest:
+            small, total = small + 1, total + size[k]
+    count = 0
+    if small > 0:
+        share = margin * math.sqrt(total / small / label.size)
+        count = local.solve_small(W, (q, mu, scales), r, tol * share, q_norm, label, found, largest, limits)
+    pgs.velocity(W[0], W[1], W[2], q, r, u)
     top, residual = cones.measures(scales, u, r, mu)
-    islands[0, :found] = newton.measures_of_islands(label, found, scales, q_norm, u, r, mu)
-    islands[1, :found] = share
-    left = (islands[0, :found] > tol * share).any()
-    return found, left, count, top / q_norm, residual
+    return count, top / q_norm, residual
+
+
+@kernel
+def left_by_matrix(W, q, mu, scales, out, q_norm, label, islands):
+    """Islands of W into label (nc,), their measures and shares of the tolerance into islands (2, nc); how many."""
+    found = local.islands(W[0], W[1], label)
+    islands[0, :found] = newton.measures_of_islands(label, found, scales, q_norm, out[1], out[0], mu)
+    islands[1, :found] = 0.0
+    for c in range(label.size):
+        islands[1, label[c]] += 1.0 / label.size
+    islands[1, :found] = np.sqrt(islands[1, :found])
+    return found
