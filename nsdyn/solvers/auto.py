@@ -24,7 +24,10 @@ from nsdyn.tools.arrays import Array
 
 CONVERGED, ACCEPTED = Status.CONVERGED, (Status.CONVERGED, Status.LOOSE)  # a look-up of an enumeration takes 70 ns
 
-LIMITS = (TUNING.small[0], TUNING.warm[1], TUNING.small[1], TUNING.quick, TUNING.sweeps, TUNING.patience)
+LIMITS = (DENSE, *TUNING.small, TUNING.warm[1])
+"""What `_start.by_factors` takes."""
+
+MATRIX_LIMITS = (TUNING.small[0], TUNING.warm[1], TUNING.small[1], TUNING.quick, TUNING.sweeps, TUNING.patience)
 """What `_local.solve_island` takes."""
 
 
@@ -266,8 +269,7 @@ class Auto:
         u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
         given = problem.q, problem.mu, problem.scales
         found, left, count, error, residual = _start.by_factors(
-            blocks.arrays, *given, r, u, label, islands, enough, TUNING.margin * self.accept * self.tol, q_norm, DENSE,
-            *TUNING.small, TUNING.warm[1],
+            blocks.arrays, *given, r, u, label, islands, enough, TUNING.margin * self.accept * self.tol, q_norm, LIMITS
         )  # fmt: skip
         if not left:
             return self._measured(r, u, error, residual, count, start)
@@ -291,14 +293,15 @@ class Auto:
         if nc == 1:
             count, (error, residual) = 1, _start.alone(W[2], q, mu, scales, q_norm, out)
         else:
-            limits = TUNING.margin, TUNING.dense, LIMITS
+            limits = TUNING.margin, TUNING.dense, MATRIX_LIMITS
             count, error, residual = _start.by_matrix(W, q, mu, scales, out, self.tol, q_norm, *limits)
         r, u = out
         if error <= self.tol and residual <= self.tol:
-            return Solution(r, u, CONVERGED, error, residual, count, time.perf_counter() - start)
+            # As `Solution.measured`, in a third of the time
+            found = r, u, CONVERGED, error, residual, count, time.perf_counter() - start
+            return tuple.__new__(Solution, found)
         label, islands = np.empty(nc, np.int64), np.empty((2, nc))
-        found = _start.left_by_matrix(W, q, mu, scales, out, q_norm, label, islands)
-        measures, share = islands[:, :found]
+        measures, share = islands[:, : _start.left_by_matrix(W, q, mu, scales, out, q_norm, label, islands)]
         for k in (~(measures <= TUNING.margin * self.tol * share)).nonzero()[0]:
             contacts = np.flatnonzero(label == k)
             i = rows(contacts, nc)

@@ -44,7 +44,7 @@ def factorise(S, pivot, low, end):
     return True
 
 
-@kernel
+@kernel(fastmath={"contract", "reassoc"})  # sums in any order, so that they are vectorised
 def substitute(S, pivot, low, end, b):
     """Solution of the factorised system in place of b."""
     n = pivot.size

@@ -1,5 +1,7 @@
 """Problems given by W alone: Newton on impulses, and whole islands solved in one call."""
 
+import math
+
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
@@ -166,15 +168,12 @@ def filled(W):
 def solve_island(W, given, r, tol, q_norm, limits):
     """One island of a block-sparse W = (indptr, indices, data), given = (q, mu, scales), in place of r; iterations.
 
-    One contact: closed form. Else `warm` steps of Newton from a warm start; accelerated Gauss–Seidel while its rate
-    leaves hope; where a step costs little, `most` of Newton; then the interior point method and Newton from its states.
-    limits = (penalty, warm, most, quick, sweeps, patience).
+    From a warm start `warm` steps of Newton; accelerated Gauss–Seidel while its rate leaves hope; where a step costs
+    little, `most` of Newton; then the interior point method and Newton from its states. limits = (penalty, warm, most,
+    quick, sweeps, patience).
     """
     q, mu, scales = given
     penalty, warm, most, quick, sweeps, patience = limits
-    if mu.size == 1:
-        r[0], r[1], r[2] = coulomb(W[2][0], q[0], q[1], q[2], mu[0])
-        return 1
     M, memory = pgs.matrix(W[0], W[1], W[2]), min(20, mu.size + 1)
     count, best = 0, np.inf
     if r.any():
@@ -207,12 +206,19 @@ def solve_island(W, given, r, tol, q_norm, limits):
 
 
 @kernel
-def solve_small(W, given, r, tol, q_norm, label, found, largest, limits):
-    """`solve_island` for every island of at most `largest` contacts, in place of r; returns the iterations."""
-    nc = label.size
-    if found == 1 and nc <= NARROW:  # nothing to extract
+def solve_small(W, given, r, tol, q_norm, largest, limits):
+    """Every island of at most `largest` contacts in place of r: one contact in closed form, more by `solve_island`.
+
+    They share the tolerance by contacts. Returns the iterations.
+    """
+    indptr, indices, data = W
+    q, mu, scales = given
+    nc = mu.size
+    if indptr[1] == nc and nc <= min(largest, NARROW):  # one island, nothing to extract
         return solve_island(W, given, r, tol, q_norm, limits)
-    end, order = np.zeros(found + 2, np.int64), np.empty(nc, np.int64)
+    label, order = np.empty(nc, np.int64), np.empty(nc, np.int64)
+    found = islands(indptr, indices, label)
+    end = np.zeros(found + 2, np.int64)
     for c in range(nc):
         end[label[c] + 2] += 1
     for e in range(found):
@@ -221,15 +227,18 @@ def solve_small(W, given, r, tol, q_norm, label, found, largest, limits):
         order[end[label[c] + 1]] = c
         end[label[c] + 1] += 1
     count = 0
-    q, mu, scales = given
     for e in range(found):
         contacts = order[end[e] : end[e + 1]]
-        k = contacts.size
-        if k > largest:
-            continue
-        if k > NARROW:
-            contacts = narrow(W[0], W[1], contacts)
-        own_q, own_mu, own_scales, x = gather(contacts, q, mu, scales, r)
-        count += solve_island(extract(W, contacts), (own_q, own_mu, own_scales), x, tol, q_norm, limits)
-        scatter(contacts, x, r)
+        if contacts.size == 1:
+            c = 3 * contacts[0]
+            own = data[indptr[contacts[0]]]
+            r[c], r[c + 1], r[c + 2] = coulomb(own, q[c], q[c + 1], q[c + 2], mu[contacts[0]])
+            count += 1
+        elif contacts.size <= largest:
+            if contacts.size > NARROW:
+                contacts = narrow(indptr, indices, contacts)
+            own_q, own_mu, own_scales, x = gather(contacts, q, mu, scales, r)
+            part, share = extract(W, contacts), math.sqrt(contacts.size / nc)
+            count += solve_island(part, (own_q, own_mu, own_scales), x, share * tol, q_norm, limits)
+            scatter(contacts, x, r)
     return count

@@ -11,18 +11,17 @@ from nsdyn._kernels.solvers import local, newton, pgs
 
 
 @kernel
-def by_factors(
-    blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, largest, penalty, max_iter, few
-):  # fmt: skip
-    """Solve every island of at most `largest` coordinates in place of r, unless r is good `enough`.
+def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, limits):
+    """Solve every island of few coordinates in place of r, unless r is good `enough`.
 
     One contact in closed form, more by `newton.dense`, to be `enough` or at least `accept` times their share, and then
     by a `few` steps better. The islands into label (nc,), into islands (2, nc) their measures, 0 for those that end
     within `accept` times their share, and their shares of the tolerance by contacts, since the literature's error adds
     the islands up in squares and the judge measures them together. Returns their number, 0 if r was good enough,
     whether one is left, the factorisations, and the literature's error and the residual of r where none is left; then
-    its u = W r + q is in u.
+    its u = W r + q is in u. limits = (most coordinates, penalty, most steps, a few steps).
     """
+    largest, penalty, max_iter, few = limits
     top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
     if top / q_norm <= enough and residual <= enough:
         return 0, False, 0, top / q_norm, residual
@@ -87,31 +86,18 @@ def alone(W, q, mu, scales, q_norm, out):
 
 @kernel
 def by_matrix(W, q, mu, scales, out, tol, q_norm, margin, largest, limits):
-    """Islands of a block-sparse W by `local.solve_small` in place of r = out[0], unless it meets `tol`; u into out[1].
+    """Small islands of a block-sparse W by `local.solve_small` in place of r = out[0], unless it meets `tol`.
 
-    Islands share `margin` of the tolerance by contacts, those of at most `largest` contacts as their mean. Returns the
-    iterations, the literature's error and the residual.
+    For `margin` of the tolerance. Returns the iterations, the literature's error and the residual; u into out[1].
     """
-    r, u = out[0], out[1]
-    if r.any():
+    r, u, count, top, residual = out[0], out[1], 0, np.inf, np.inf
+    if r.any() or (q[::3] >= 0.0).all():
         pgs.velocity(W[0], W[1], W[2], q, r, u)
         top, residual = cones.measures(scales, u, r, mu)
-        if top / q_norm <= tol and residual <= tol:
-            return 0, top / q_norm, residual
-    label = np.empty(mu.size, np.int64)
-    found = local.islands(W[0], W[1], label)
-    size, small, total = np.zeros(found, np.int64), 0, 0
-    for c in range(label.size):
-        size[label[c]] += 1
-    for k in range(found):
-        if size[k] <= largest:
-            small, total = small + 1, total + size[k]
-    count = 0
-    if small > 0:
-        share = margin * math.sqrt(total / small / label.size)
-        count = local.solve_small(W, (q, mu, scales), r, tol * share, q_norm, label, found, largest, limits)
-    pgs.velocity(W[0], W[1], W[2], q, r, u)
-    top, residual = cones.measures(scales, u, r, mu)
+    if not (top / q_norm <= tol and residual <= tol):
+        count = local.solve_small(W, (q, mu, scales), r, margin * tol, q_norm, largest, limits)
+        pgs.velocity(W[0], W[1], W[2], q, r, u)
+        top, residual = cones.measures(scales, u, r, mu)
     return count, top / q_norm, residual
 
 
