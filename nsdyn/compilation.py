@@ -19,6 +19,7 @@ import numpy as np
 from nsdyn import solvers
 from nsdyn._kernels.compiled import Kernel, Notes
 from nsdyn._kernels.problem import cones
+from nsdyn._kernels.solvers import start
 from nsdyn.collision.contacts import ContactMemory, Poses, carry
 from nsdyn.collision.detector import Detector
 from nsdyn.problem import gauss
@@ -86,6 +87,7 @@ def _problems() -> None:
     matrix = FC3D(np.eye(6) + 0.1, np.array([-1.0, 2.0, 0.0, -1.0, 0.1, 0.0]), np.full(2, 0.5))
     for solver in solvers.SOLVERS:
         solvers.by_name(solver, 1e-8)(matrix)
+    solvers.by_name("auto")(FC3D(np.eye(3), np.array([-1.0, 2.0, 0.0]), np.full(1, 0.5)))
     for local in get_args(Local):
         solvers.GaussSeidel(1e-8, local=local)(matrix)
     factors = Stepper(scenes.load("stack")(height=2), 5e-3).step().problem
@@ -103,6 +105,8 @@ def _problems() -> None:
     # Where sweeps do not suffice.
     heavy = Stepper(scenes.load("heavy_on_light")(ratio=1e4), 5e-3).step().problem
     solvers.by_name("auto")(FC3D(heavy.W, heavy.q, heavy.mu))
+    label, islands = np.empty(factors.nc, np.int64), np.empty((2, factors.nc))
+    start.left_by_matrix(factors.csr, *given[:3], np.zeros((2, r.size)), factors.q_norm, label, islands)
     gauss.certify(factors, 0.9 * r, factors.q, gauss.Opening(np.zeros(factors.blocks.n), factors.nc, 1.0))
 
 

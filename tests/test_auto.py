@@ -221,3 +221,33 @@ def test_every_problem_of_the_literature(path):
     solution = nd.solve(problem, tol=1e-8)
     assert solution.converged, (solution.error, solution.residual)
     assert (nd.solve(problem, tol=1e-8).r == solution.r).all(), "not reproducible to the last bit"
+
+
+def test_one_contact_by_its_matrix(rng):
+    """Take-off, stick and slip in closed form, from whatever start."""
+    for q in ((1.0, 2.0, 0.0), (-1.0, 0.1, 0.0), (-1.0, 3.0, -2.0)):
+        A = rng.normal(size=(3, 6))
+        problem = nd.FC3D(A @ A.T, q, [0.3])
+        solution = nd.solve(problem, r0=rng.normal(size=3))
+        assert solution.converged and problem.error(solution.r) <= 1e-13  # round-off of W r, W of order 10
+        np.testing.assert_allclose(solution.u, problem.velocity(solution.r), rtol=0, atol=1e-14)  # sums may be fused
+        np.testing.assert_array_equal(solution.r, nd.solve(problem).r)
+    with pytest.raises(ValueError, match="r must have shape"):
+        nd.solve(problem, r0=np.zeros(6))
+
+
+def test_contacts_that_take_off_cost_nothing():
+    problem = nd.FC3D(np.eye(9) + 0.1, np.tile([1.0, 2.0, 0.0], 3), np.full(3, 0.5))
+    solution = nd.solve(problem)
+    assert solution.converged and solution.iterations == 0 and not solution.r.any()
+
+
+def test_many_small_islands_and_a_large_one(rng):
+    """By W alone, contacts of all islands mixed: each is solved, and the whole is judged."""
+    blocks = [A @ A.T for A in (rng.normal(size=(3 * k, 3 * k + 2)) for k in (1, 4, 1, 2, 7, 1, 40))]
+    W, nc = scipy.linalg.block_diag(*blocks), 56
+    rows = (3 * rng.permutation(nc)[:, None] + np.arange(3)).ravel()
+    q = rng.normal(size=3 * nc)
+    q[::3] -= 0.5
+    solution = nd.solve(nd.FC3D(W[np.ix_(rows, rows)], q, np.full(nc, 0.3)))
+    assert solution.converged and solution.error <= 1e-8 and solution.residual <= 1e-8

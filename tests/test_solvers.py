@@ -8,6 +8,7 @@ from test_problem import corner_box
 
 import nsdyn as nd
 from nsdyn._kernels.problem import sparse as matrix
+from nsdyn._kernels.solvers import anderson
 from nsdyn._kernels.solvers import newton as kernels
 from nsdyn._kernels.solvers import pgs as sweeps
 
@@ -149,3 +150,15 @@ def test_unknown_solver_and_tolerance():
 def test_problems_of_the_literature(name):
     problem = nd.fclib.read(FILES / f"{name}.hdf5")
     assert nd.solve(problem, tol=1e-8).converged
+
+
+def test_mixture_of_anderson_is_the_least_squares_one(rng):
+    """The weights of the past, which sum to one, of the least combined defect, against a dense least-squares solve."""
+    F, G, gram, x = rng.normal(size=(4, 9)), rng.normal(size=(4, 9)), np.zeros((4, 4)), np.empty(9)
+    for used, slot in ((1, 0), (2, 1), (3, 2), (4, 3), (4, 0)):
+        F[slot], G[slot] = rng.normal(size=(2, 9))
+        anderson.mix(F, G, gram, slot, used, x)
+        others = [j for j in range(used) if j != slot]
+        weights = np.linalg.lstsq((F[others] - F[slot]).T, -F[slot], rcond=None)[0]
+        # The ridge of 1e-10 of the trace moves weights of order one by no more than that times the condition.
+        np.testing.assert_allclose(x, G[slot] + weights @ (G[others] - G[slot]), rtol=0, atol=1e-7)

@@ -107,62 +107,67 @@ def duality_gap(u, r, mu):
 
 
 @kernel
-def _slip(W, q, alpha):
+def _slip(W, q0, q1, q2, alpha):
     """Impulse with u_N = 0 and u_T = -alpha r_T: returns r_N, r_T1, r_T2."""
     a, b, c, d = W[1, 1] + alpha, W[1, 2], W[2, 1], W[2, 2] + alpha
     det = max(a * d - b * c, ROUNDING * a * d)
     # r_T = x + y r_N solves (W_TT + alpha I) r_T = -(q_T + W_TN r_N)
-    x1, x2 = -(d * q[1] - b * q[2]) / det, -(a * q[2] - c * q[1]) / det
+    x1, x2 = -(d * q1 - b * q2) / det, -(a * q2 - c * q1) / det
     y1, y2 = -(d * W[1, 0] - b * W[2, 0]) / det, -(a * W[2, 0] - c * W[1, 0]) / det
     # What is left of W_NN is 0 where one coordinate moves the point, whatever its direction.
     left = max(W[0, 0] + W[0, 1] * y1 + W[0, 2] * y2, ROUNDING * W[0, 0])
-    rn = -(q[0] + W[0, 1] * x1 + W[0, 2] * x2) / left
+    rn = -(q0 + W[0, 1] * x1 + W[0, 2] * x2) / left
     return rn, x1 + y1 * rn, x2 + y2 * rn
 
 
 @kernel
-def solve_one(W, q, mu, r):
-    """Exact solution of the one-contact problem u = W r + q, K* ∋ u_hat ⟂ r ∈ K, into r (3,).
+def _quartic(W, q0, q1, q2, mu):
+    """Root alpha of |r_T| = mu r_N along `_slip` by Newton's method, not to be relied on.
 
-    Take-off if q_N >= 0; else stick if the impulse that stops the contact lies in the cone; else slip, the root of
-    |r_T| = mu r_N along the curve u_N = 0, u_T = -alpha r_T, bracketed in beta = alpha / (alpha + tau) in [0, 1)
-    (at beta = 0 the impulse is outside the cone, at beta = 1 it is normal).
+    By Cramer's rule r_N = P / D and r_T = T / D with P quadratic and T linear in alpha. Newton is for 1 - mu P / |T|,
+    which is linear where the contact is isotropic, from the root of its asymptote.
     """
-    if q[0] >= 0.0:
-        r[0] = r[1] = r[2] = 0.0
-        return
-    tau = 0.5 * (W[1, 1] + W[2, 2])
-    if mu == 0.0 or tau == 0.0:
-        r[0], r[1], r[2] = -q[0] / W[0, 0], 0.0, 0.0
-        return
-    # A point that cannot move in a tangential direction has a singular W_TT.
-    singular = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1] <= 1e-14 * tau * tau
-    rn, r1, r2 = _slip(W, q, 1e-14 * tau if singular else 0.0)
-    t = math.sqrt(r1 * r1 + r2 * r2)
-    if t <= mu * rn:
-        r[0], r[1], r[2] = rn, r1, r2
-        return
-    # 1 - mu r_N / |r_T| is linear in alpha where the contact is isotropic: secants from the root of that line.
-    alpha, f = 0.0, 1.0 - mu * rn / t if t > 0.0 else 1.0
-    old, f_old = -tau, 1.0
-    for _ in range(12):
-        if f == f_old:
+    p1 = W[0, 1] * q1 + W[0, 2] * q2 - q0 * (W[1, 1] + W[2, 2])
+    p0 = (
+        q1 * (W[0, 1] * W[2, 2] - W[0, 2] * W[2, 1])
+        + q2 * (W[0, 2] * W[1, 1] - W[0, 1] * W[1, 2])
+        - q0 * (W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1])
+    )
+    across = W[1, 0] * q2 - W[2, 0] * q1
+    b1, b2 = W[1, 0] * q0 - W[0, 0] * q1, W[2, 0] * q0 - W[0, 0] * q2
+    a1 = W[2, 2] * b1 - W[1, 2] * b2 - W[0, 2] * across
+    a2 = W[1, 1] * b2 - W[2, 1] * b1 + W[0, 1] * across
+    size, along = b1 * b1 + b2 * b2, a1 * b1 + a2 * b2
+    alpha = max(0.0, (p1 - math.sqrt(size) / mu) / q0 + along / size) if size > 0.0 else 0.0
+    for _ in range(8):
+        P, T1, T2 = p0 + alpha * (p1 - alpha * q0), a1 + alpha * b1, a2 + alpha * b2
+        square = T1 * T1 + T2 * T2
+        turn = mu * (P * (T1 * b1 + T2 * b2) - square * (p1 - 2.0 * alpha * q0))
+        if turn == 0.0:
             break
-        step = -f * (alpha - old) / (f - f_old)
-        old, f_old = alpha, f
-        alpha += step
-        if not 0.0 <= alpha < 1e300:
+        step = square * (math.sqrt(square) - mu * P) / turn
+        alpha -= step
+        if not abs(step) > 1e-9 * alpha:  # its square is round-off
             break
-        rn, r1, r2 = _slip(W, q, alpha)
+    return alpha
+
+
+@kernel
+def slide(W, q0, q1, q2, mu):
+    """`coulomb` of a contact that neither takes off nor sticks: the root of |r_T| = mu r_N along `_slip`.
+
+    Where Newton does not find it, it is bracketed in beta = alpha / (alpha + tau) in [0, 1): at beta = 0 the impulse is
+    outside the cone, at beta = 1 it is normal.
+    """
+    alpha = _quartic(W, q0, q1, q2, mu)
+    if 0.0 < alpha < 1e300:
+        rn, r1, r2 = _slip(W, q0, q1, q2, alpha)
         t = math.sqrt(r1 * r1 + r2 * r2)
-        if t == 0.0:
-            break
-        f = 1.0 - mu * rn / t
-        if abs(f) <= 1e-15:
+        if abs(t - mu * rn) <= 1e-14 * t and t > 0.0:
             s = mu * rn / t
-            r[0], r[1], r[2] = rn, s * r1, s * r2
-            return
-    rn, r1, r2 = _slip(W, q, 1e-14 * tau if singular else 0.0)
+            return rn, s * r1, s * r2
+    tau = 0.5 * (W[1, 1] + W[2, 2])
+    rn, r1, r2 = _slip(W, q0, q1, q2, 1e-14 * tau if _singular(W) else 0.0)
     t = math.sqrt(r1 * r1 + r2 * r2)
     # f = (|r_T| - mu r_N) / (|r_T| + mu |r_N|) falls from f_lo in (0, 1] at lo to -1 at hi.
     lo, f_lo, hi, f_hi = 0.0, (t - mu * rn) / (t + mu * abs(rn)), 1.0, -1.0
@@ -174,7 +179,7 @@ def solve_one(W, q, mu, r):
             beta = 0.5 * (lo + hi)
             if not lo < beta < hi:
                 break
-        rn, r1, r2 = _slip(W, q, tau * beta / (1.0 - beta))
+        rn, r1, r2 = _slip(W, q0, q1, q2, tau * beta / (1.0 - beta))
         t = math.sqrt(r1 * r1 + r2 * r2)
         f = (t - mu * rn) / (t + mu * abs(rn))
         if abs(f) <= 4e-16:
@@ -191,7 +196,38 @@ def solve_one(W, q, mu, r):
             side = -1
     t = math.sqrt(r1 * r1 + r2 * r2)
     s = mu * rn / t if t > 0.0 else 0.0
-    r[0], r[1], r[2] = rn, s * r1, s * r2
+    return rn, s * r1, s * r2
+
+
+@kernel
+def _singular(W):
+    """Whether W_TT is singular: the point cannot move in a tangential direction."""
+    tau = 0.5 * (W[1, 1] + W[2, 2])
+    return W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1] <= 1e-14 * tau * tau
+
+
+@kernel
+def coulomb(W, q0, q1, q2, mu):
+    """Exact solution of the one-contact problem u = W r + q, K* ∋ u_hat ⟂ r ∈ K: returns r_N, r_T1, r_T2.
+
+    Take-off if q_N >= 0; else stick if the impulse that stops the contact lies in the cone; else slip, the root of
+    |r_T| = mu r_N along the curve u_N = 0, u_T = -alpha r_T.
+    """
+    if q0 >= 0.0:
+        return 0.0, 0.0, 0.0
+    tau = 0.5 * (W[1, 1] + W[2, 2])
+    if mu == 0.0 or tau == 0.0:
+        return -q0 / W[0, 0], 0.0, 0.0
+    rn, r1, r2 = _slip(W, q0, q1, q2, 1e-14 * tau if _singular(W) else 0.0)
+    if math.sqrt(r1 * r1 + r2 * r2) <= mu * rn:
+        return rn, r1, r2
+    return slide(W, q0, q1, q2, mu)
+
+
+@kernel
+def solve_one(W, q, mu, r):
+    """`coulomb` into r (3,)."""
+    r[0], r[1], r[2] = coulomb(W, q[0], q[1], q[2], mu)
 
 
 @kernel

@@ -5,7 +5,7 @@ import numpy as np
 from nsdyn._kernels.compiled import kernel
 
 
-@kernel
+@kernel(fastmath={"contract"})  # products and sums in one instruction
 def factorise(S, pivot, low, end):
     """LU with partial pivoting in place of S (n, n); False when S is singular or not finite.
 
@@ -33,10 +33,10 @@ def factorise(S, pivot, low, end):
             end[k], end[p] = max(end[k], end[p]), max(end[k], end[p])
             for j in range(k, end[k]):
                 S[k, j], S[p, j] = S[p, j], S[k, j]
-        last = end[k]
+        last, inverse = end[k], 1.0 / S[k, k]
         for i in range(k + 1, low[k]):
             if S[i, k] != 0.0:
-                f = S[i, k] / S[k, k]
+                f = S[i, k] * inverse
                 S[i, k] = f
                 end[i] = max(end[i], last)
                 for j in range(k + 1, last):
@@ -44,7 +44,7 @@ def factorise(S, pivot, low, end):
     return True
 
 
-@kernel
+@kernel(fastmath={"contract", "reassoc"})  # sums in any order, so that they are vectorised
 def substitute(S, pivot, low, end, b):
     """Solution of the factorised system in place of b."""
     n = pivot.size

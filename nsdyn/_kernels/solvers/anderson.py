@@ -3,7 +3,16 @@
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.problem.linear import factorise, substitute
+
+
+@kernel(fastmath={"reassoc", "contract"})  # sums in any order, so that they are vectorised
+def products(F, f, used, out):
+    """F_j · f of the first `used` rows of F, into out."""
+    for j in range(used):
+        total = 0.0
+        for i in range(f.size):
+            total += F[j, i] * f[i]
+        out[j] = total
 
 
 @kernel
@@ -13,33 +22,42 @@ def mix(F, G, gram, slot, used, x):
     The first `used` rows of F and G (m, n) hold them, the newest in row `slot`; gram (m, m) keeps F Fᵀ, of which row
     and column `slot` are renewed. Where they all changed alike, to round-off, they are no basis: x = G of the newest.
     """
-    f, g = F[slot], G[slot]
+    g, own = G[slot], gram[slot]
+    products(F, F[slot], used, own)
     for j in range(used):
-        total = 0.0
-        for i in range(f.size):
-            total += F[j, i] * f[i]
-        gram[j, slot] = gram[slot, j] = total
+        gram[j, slot] = own[j]
     x[:] = g
     if used < 2:
         return
-    A, b = np.zeros((used - 1, used - 1)), np.empty(used - 1)
+    # Normal equations of the differences from the newest, the right side in the last column
+    n = used - 1
+    A = np.empty((n, used))
     trace = 0.0
-    for i in range(used - 1):
+    for i in range(n):
         p = i if i < slot else i + 1
-        b[i] = gram[slot, slot] - gram[p, slot]
-        for j in range(used - 1):
+        A[i, n] = own[slot] - own[p]
+        for j in range(i, n):
             o = j if j < slot else j + 1
-            A[i, j] = gram[p, o] - gram[p, slot] - gram[o, slot] + gram[slot, slot]
+            A[i, j] = gram[p, o] - own[p] - own[o] + own[slot]
         trace += A[i, i]
-    for i in range(used - 1):
+    for i in range(n):
         A[i, i] += 1e-10 * trace + 1e-300
-    pivot, low, end = np.empty((3, used - 1), np.int64)
-    if not factorise(A, pivot, low, end):
-        return
-    substitute(A, pivot, low, end, b)
-    if np.abs(b).max() > 1e4:
-        return
-    for i in range(used - 1):
+    # Cholesky's elimination in the upper half
+    for k in range(n):
+        if not A[k, k] > 0.0:
+            return
+        for i in range(k + 1, n):
+            f = A[k, i] / A[k, k]
+            for j in range(i, used):
+                A[i, j] -= f * A[k, j]
+    for k in range(n - 1, -1, -1):
+        b = A[k, n]
+        for j in range(k + 1, n):
+            b -= A[k, j] * A[j, n]
+        A[k, n] = b / A[k, k]
+        if not abs(A[k, n]) <= 1e4:
+            return
+    for i in range(n):
         p = i if i < slot else i + 1
-        for l in range(f.size):
-            x[l] += b[i] * (G[p, l] - g[l])
+        for l in range(g.size):
+            x[l] += A[i, n] * (G[p, l] - g[l])

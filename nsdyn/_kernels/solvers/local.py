@@ -1,13 +1,17 @@
 """Problems given by W alone: Newton on impulses, and whole islands solved in one call."""
 
+import math
+
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import unite
-from nsdyn._kernels.problem.cones import solve_one
+from nsdyn._kernels.problem.cones import coulomb
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.solvers import interior, pgs
 from nsdyn._kernels.solvers.newton import PATIENCE, gather, grown, projected, scatter, stiffness
+
+NARROW = 30  # contacts from which on an island is worth an order
 
 
 @kernel
@@ -30,10 +34,10 @@ def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     300.
     """
     n = q.size
-    x, estimate, u, own_u, P = r.copy(), r.copy(), np.empty(n), np.empty(n), np.empty(n)
-    f, d, Wf, Wd = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    x, estimate, u, own_u, P, f, d, Wf, Wd = np.empty((9, n))
     A, S = np.empty((mu.size, 3, 3)), np.empty((n, n))
-    pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    pivot, low, end = np.empty((3, n), np.int64)
+    x[:] = estimate[:] = r
     best = interior.measure(W, q, mu, scales, q_norm, r, u)
     count, inner = 0, 0
     rho = penalty / scales
@@ -126,8 +130,9 @@ def narrow(indptr, indices, contacts):
 
 
 @kernel
-def extract(indptr, indices, data, contacts):
-    """Block-sparse W of some contacts that nothing connects with others: (indptr, indices, data)."""
+def extract(W, contacts):
+    """Block-sparse W = (indptr, indices, data) of some contacts that nothing connects with others."""
+    indptr, indices, data = W
     new = np.empty(indptr.size - 1, np.int64)
     start = np.zeros(contacts.size + 1, np.int64)
     for e in range(contacts.size):
@@ -145,87 +150,95 @@ def extract(indptr, indices, data, contacts):
 
 
 @kernel
-def filled(indptr, indices, data):
+def filled(W):
     """Dense W of a block-sparse one."""
+    indptr, indices, data = W
     n = 3 * (indptr.size - 1)
-    W = np.zeros((n, n))
+    out = np.zeros((n, n))
     for c in range(indptr.size - 1):
         for p in range(indptr[c], indptr[c + 1]):
             d = indices[p]
             for i in range(3):
                 for j in range(3):
-                    W[3 * c + i, 3 * d + j] += data[p, i, j]
-    return W
+                    out[3 * c + i, 3 * d + j] += data[p, i, j]
+    return out
 
 
 @kernel
-def solve_small(
-    indptr, indices, data, q, mu, scales, r, tol, q_norm, label, found, largest, quick, penalty, warm, most, sweeps,
-    patience,
-):  # fmt: skip
-    """Every island of at most `largest` contacts in place of r; returns the iterations.
+def solve_island(W, given, r, tol, q_norm, limits):
+    """One island of a block-sparse W = (indptr, indices, data), given = (q, mu, scales), in place of r; iterations.
 
-    One contact: closed form. Else `warm` steps of Newton from a warm start; for at most `quick` contacts a few sweeps
-    and `most` steps of Newton; then accelerated Gauss–Seidel while its rate leaves hope; then the interior point method
-    and Newton from its states.
+    From a warm start `warm` steps of Newton; accelerated Gauss–Seidel while its rate leaves hope; where a step costs
+    little, `most` of Newton; then the interior point method and Newton from its states. limits = (penalty, warm, most,
+    quick, sweeps, patience).
     """
+    q, mu, scales = given
+    penalty, warm, most, quick, sweeps, patience = limits
+    M, memory = pgs.matrix(W[0], W[1], W[2]), min(20, mu.size + 1)
+    count, best = 0, np.inf
+    if r.any():
+        used, best = newton(filled(W), q, mu, scales, r, tol, q_norm, penalty, warm)
+        count += used
+    if best > tol:
+        used, best = pgs.accelerated(M, q, mu, scales, r, tol, q_norm, sweeps, 5, memory, patience)
+        count += used
+    if best <= tol:
+        return count
+    full = filled(W)
+    if mu.size <= quick:
+        used, best = newton(full, q, mu, scales, r, tol, q_norm, penalty, most)
+        count += used
+        if best <= tol:
+            return count
+    x = np.empty(q.size)
+    used, now = interior.dense(full, q, mu, scales, x, tol, q_norm, 40)
+    count += used
+    if now > tol:
+        used, now = newton(full, q, mu, scales, x, tol, q_norm, 1e3, 400)
+        count += used
+    if now > tol:
+        # Near the solution the sweeps reach the last digits that factorisations lose.
+        used, now = pgs.accelerated(M, q, mu, scales, x, tol, q_norm, sweeps, 5, memory, sweeps)
+        count += used
+    if now < best:
+        r[:] = x
+    return count
+
+
+@kernel
+def solve_small(W, given, r, tol, q_norm, largest, limits):
+    """Every island of at most `largest` contacts in place of r: one contact in closed form, more by `solve_island`.
+
+    They share the tolerance by contacts. Returns the iterations.
+    """
+    indptr, indices, data = W
+    q, mu, scales = given
     nc = mu.size
-    end, order = np.zeros(found + 1, np.int64), np.empty(nc, np.int64)
+    if indptr[1] == nc and nc <= min(largest, NARROW):  # one island, nothing to extract
+        return solve_island(W, given, r, tol, q_norm, limits)
+    label, order = np.empty(nc, np.int64), np.empty(nc, np.int64)
+    found = islands(indptr, indices, label)
+    end = np.zeros(found + 2, np.int64)
     for c in range(nc):
-        end[label[c] + 1] += 1
+        end[label[c] + 2] += 1
     for e in range(found):
-        end[e + 1] += end[e]
-    fill = end[:-1].copy()
+        end[e + 2] += end[e + 1]
     for c in range(nc):
-        order[fill[label[c]]] = c
-        fill[label[c]] += 1
+        order[end[label[c] + 1]] = c
+        end[label[c] + 1] += 1
     count = 0
-    one, b = np.empty(3), np.empty(3)
     for e in range(found):
         contacts = order[end[e] : end[e + 1]]
-        k = contacts.size
-        if k > largest:
-            continue
-        if k > 30:
-            contacts = narrow(indptr, indices, contacts)
-        part = extract(indptr, indices, data, contacts)
-        own_q, own_mu, own_scales, x = gather(contacts, q, mu, scales, r)
-        if k == 1:
-            b[:] = own_q
-            solve_one(part[2][0], b, own_mu[0], one)
-            x[:] = one
+        if contacts.size == 1:
+            c = 3 * contacts[0]
+            own = data[indptr[contacts[0]]]
+            r[c], r[c + 1], r[c + 2] = coulomb(own, q[c], q[c + 1], q[c + 2], mu[contacts[0]])
             count += 1
-        else:
-            W, best = filled(*part), np.inf
-            M, memory = pgs.matrix(*part), min(20, k + 1)
-            if x.any():
-                used, best = newton(W, own_q, own_mu, own_scales, x, tol, q_norm, penalty, warm)
-                count += used
-            if best > tol and k <= quick:
-                used, best = pgs.accelerated(M, own_q, own_mu, own_scales, x, tol, q_norm, 5, 5, memory, patience)
-                count += used
-                if best > tol:
-                    used, best = newton(W, own_q, own_mu, own_scales, x, tol, q_norm, penalty, most)
-                    count += used
-            if best > tol:
-                used, best = pgs.accelerated(
-                    M, own_q, own_mu, own_scales, x, tol, q_norm, sweeps, 5, memory, patience
-                )  # fmt: skip
-                count += used
-            if best > tol:
-                y = np.empty(3 * k)
-                used, now = interior.dense(W, own_q, own_mu, own_scales, y, tol, q_norm, 40)
-                count += used
-                if now > tol:
-                    used, now = newton(W, own_q, own_mu, own_scales, y, tol, q_norm, 1e3, 400)
-                    count += used
-                if now > tol:
-                    # Near the solution the sweeps reach the last digits that factorisations lose.
-                    used, now = pgs.accelerated(
-                        M, own_q, own_mu, own_scales, y, tol, q_norm, sweeps, 5, memory, sweeps
-                    )  # fmt: skip
-                    count += used
-                if now < best:
-                    x[:] = y
-        scatter(contacts, x, r)
+        elif contacts.size <= largest:
+            if contacts.size > NARROW:
+                contacts = narrow(indptr, indices, contacts)
+            own_q, own_mu, own_scales, x = gather(contacts, q, mu, scales, r)
+            part, share = extract(W, contacts), math.sqrt(contacts.size / nc)
+            count += solve_island(part, (own_q, own_mu, own_scales), x, share * tol, q_norm, limits)
+            scatter(contacts, x, r)
     return count

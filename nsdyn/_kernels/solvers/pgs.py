@@ -12,8 +12,10 @@ from numba.extending import overload
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import momentum, relative_velocity, weighted_rows
-from nsdyn._kernels.problem.cones import natural_error, natural_residual, project_all, solve_one
+from nsdyn._kernels.problem.cones import coulomb, natural_error, natural_residual, project_all, slide
 from nsdyn._kernels.solvers.anderson import mix
+
+FUSED = {"contract"}  # products and sums in one instruction
 
 
 class Matrix(NamedTuple):
@@ -87,49 +89,47 @@ def factors(blocks):
     return Factors(blocks, y, D, S)
 
 
-@kernel
-def solve_contact(W, S, b0, b1, b2, mu, b, x):
-    """Impulse of one contact with free velocity b: the cheap cases here, slip by `solve_one`; b and x are scratch."""
+@kernel(fastmath=FUSED)
+def solve_contact(W, own, S, c, b0, b1, b2, mu):
+    """Impulse of contact c with free velocity b, three scalars; its block is W[own], S[c] its inverse, 0 without."""
     if b0 >= 0.0:
         return 0.0, 0.0, 0.0
-    x0 = -(S[0, 0] * b0 + S[0, 1] * b1 + S[0, 2] * b2)
-    x1 = -(S[1, 0] * b0 + S[1, 1] * b1 + S[1, 2] * b2)
-    x2 = -(S[2, 0] * b0 + S[2, 1] * b1 + S[2, 2] * b2)
+    x0 = -(S[c, 0, 0] * b0 + S[c, 0, 1] * b1 + S[c, 0, 2] * b2)
+    x1 = -(S[c, 1, 0] * b0 + S[c, 1, 1] * b1 + S[c, 1, 2] * b2)
+    x2 = -(S[c, 2, 0] * b0 + S[c, 2, 1] * b1 + S[c, 2, 2] * b2)
     if x0 > 0.0 and x1 * x1 + x2 * x2 <= (mu * x0) ** 2:
         return x0, x1, x2
-    b[0], b[1], b[2] = b0, b1, b2
-    solve_one(W, b, mu, x)
-    return x[0], x[1], x[2]
+    if S[c, 0, 0] == 0.0 or mu == 0.0:
+        return coulomb(W[own], b0, b1, b2, mu)
+    return slide(W[own], b0, b1, b2, mu)
 
 
-@kernel
+@kernel(fastmath=FUSED)
 def sweep_matrix(W, q, mu, r):
     """One Gauss–Seidel sweep in place: each contact solved exactly with the others frozen."""
     indptr, indices, data, inverse = W
-    b, x = np.empty(3), np.empty(3)
     for c in range(mu.size):
-        i = 3 * c
-        b0, b1, b2 = q[i], q[i + 1], q[i + 2]
-        own = indptr[c]
+        # Unsigned: the compiler need not ask whether an index counts from the end.
+        k = np.uint64(c)
+        i, own = np.uint64(3) * k, k
+        b0, b1, b2 = q[i], q[i + np.uint64(1)], q[i + np.uint64(2)]
         for p in range(indptr[c], indptr[c + 1]):
-            if indices[p] == c:
-                own = p
-                continue
-            # Unsigned: the compiler need not ask whether an index counts from the end.
             e, d = np.uint64(p), np.uint64(3 * indices[p])
+            if d == i:
+                own = e
+                continue
             x0, x1, x2 = r[d], r[d + np.uint64(1)], r[d + np.uint64(2)]
             b0 += data[e, 0, 0] * x0 + data[e, 0, 1] * x1 + data[e, 0, 2] * x2
             b1 += data[e, 1, 0] * x0 + data[e, 1, 1] * x1 + data[e, 1, 2] * x2
             b2 += data[e, 2, 0] * x0 + data[e, 2, 1] * x1 + data[e, 2, 2] * x2
-        r[i], r[i + 1], r[i + 2] = solve_contact(data[own], inverse[c], b0, b1, b2, mu[c], b, x)
+        r[3 * c], r[3 * c + 1], r[3 * c + 2] = solve_contact(data, own, inverse, k, b0, b1, b2, mu[c])
 
 
-@kernel
+@kernel(fastmath=FUSED)
 def sweep_factors(W, q, mu, v, r):
     """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
     blocks, y, diagonal, inverse = W
     offset, block, start, H = blocks[:4]
-    b, x = np.empty(3), np.empty(3)
     for c in range(mu.size):
         i = 3 * c
         b0, b1, b2 = q[i], q[i + 1], q[i + 2]
@@ -144,11 +144,11 @@ def sweep_factors(W, q, mu, v, r):
                     b0 += H[a + l] * z
                     b1 += H[d + l] * z
                     b2 += H[e + l] * z
-        D, r0, r1, r2 = diagonal[c], r[i], r[i + 1], r[i + 2]
-        b0 -= D[0, 0] * r0 + D[0, 1] * r1 + D[0, 2] * r2
-        b1 -= D[1, 0] * r0 + D[1, 1] * r1 + D[1, 2] * r2
-        b2 -= D[2, 0] * r0 + D[2, 1] * r1 + D[2, 2] * r2
-        x0, x1, x2 = solve_contact(D, inverse[c], b0, b1, b2, mu[c], b, x)
+        D, r0, r1, r2 = diagonal, r[i], r[i + 1], r[i + 2]
+        b0 -= D[c, 0, 0] * r0 + D[c, 0, 1] * r1 + D[c, 0, 2] * r2
+        b1 -= D[c, 1, 0] * r0 + D[c, 1, 1] * r1 + D[c, 1, 2] * r2
+        b2 -= D[c, 2, 0] * r0 + D[c, 2, 1] * r1 + D[c, 2, 2] * r2
+        x0, x1, x2 = solve_contact(D, c, inverse, c, b0, b1, b2, mu[c])
         r[i], r[i + 1], r[i + 2] = x0, x1, x2
         x0, x1, x2 = x0 - r0, x1 - r1, x2 - r2
         if x0 != 0.0 or x1 != 0.0 or x2 != 0.0:
@@ -170,31 +170,19 @@ def change_of(W, r):
     return v
 
 
-def _sweep(W, q, mu, v, r):
-    """A sweep in place of r, and of v = M⁻¹ H r where W is given by its factors."""
+def _sweep(W, q, mu, r):
+    """A sweep in place of r."""
     if isinstance(W, Matrix):
         sweep_matrix(W, q, mu, r)
     else:
-        sweep_factors(W, q, mu, v, r)
+        sweep_factors(W, q, mu, change_of(W, r), r)
 
 
 @overload(_sweep)
-def _sweep_of(W, q, mu, v, r):
+def _sweep_of(W, q, mu, r):
     if W.instance_class is Matrix:
-        return lambda W, q, mu, v, r: sweep_matrix(W, q, mu, r)
-    return lambda W, q, mu, v, r: sweep_factors(W, q, mu, v, r)
-
-
-def _change(W, r):
-    """v = M⁻¹ H r where W is given by its factors, nothing for a matrix."""
-    return np.empty(0) if isinstance(W, Matrix) else change_of(W, r)
-
-
-@overload(_change)
-def _change_of(W, r):
-    if W.instance_class is Matrix:
-        return lambda W, r: np.empty(0)
-    return lambda W, r: change_of(W, r)
+        return lambda W, q, mu, r: sweep_matrix(W, q, mu, r)
+    return lambda W, q, mu, r: sweep_factors(W, q, mu, change_of(W, r), r)
 
 
 def _velocity(W, q, r, u):
@@ -218,7 +206,7 @@ def _velocity_of(W, q, r, u):
     return by_factors
 
 
-@kernel
+@kernel(fastmath=FUSED)
 def velocity_of(indptr, indices, data, q, r, c):
     """u_c = (W r + q)_c of contact c: three scalars."""
     u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
@@ -231,7 +219,7 @@ def velocity_of(indptr, indices, data, q, r, c):
     return u0, u1, u2
 
 
-@kernel
+@kernel(fastmath=FUSED)
 def velocity(indptr, indices, data, q, r, u):
     """u = W r + q, into u (3 nc,)."""
     for c in range(indptr.size - 1):
@@ -244,42 +232,44 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
 
     The fixed point is r = sweep(r). Differences f = sweep(r) - r are scaled by sqrt(lambda_max(W_cc)); the new
     iterate is the combination of the last `memory` sweeps whose combined f is least, projected on the cones; the
-    memory is dropped when |f| exceeds twice its best. Every `check` sweeps both measures are tested; r keeps the
-    best iterate seen by a test. From `patience` sweeps on the method gives up when, at the rate of the later half of
-    the sweeps so far, the tolerance lies beyond `max_sweeps`. Returns (sweeps, measure of r).
+    memory is dropped when |f| exceeds twice its best. Every `check` sweeps both measures are tested, and where a sweep
+    moves velocities by less than the tolerance; r keeps the best iterate seen by a test. From `patience` sweeps on the
+    method gives up when, at the rate of the later half of the sweeps so far, the tolerance lies beyond `max_sweeps`.
+    Returns (sweeps, measure of r).
     """
     n, m = r.size, max(memory, 1)
-    weight = np.empty(n)
+    F, G = np.empty((2, m, n))
+    x, u, weight = np.empty((3, n))
     for c in range(mu.size):
         weight[3 * c] = weight[3 * c + 1] = weight[3 * c + 2] = math.sqrt(scales[c])
-    F, G = np.empty((m, n)), np.empty((m, n))
     gram = np.zeros((m, m))
-    x, u, best_r = r.copy(), np.empty(n), r.copy()
+    x[:] = r
     _velocity(W, q, x, u)
     best = max(natural_residual(scales, u, x, mu), natural_error(u, x, mu) / q_norm)
     best_f = np.inf
     history = np.full(max_sweeps // check + 2, best)
     used, slot, k = 0, 0, 0
     for k in range(1, max_sweeps + 1):
-        g = G[slot]
+        g, f = G[slot], F[slot]
         g[:] = x
-        _sweep(W, q, mu, _change(W, g), g)
-        f = F[slot]
-        size = 0.0
+        _sweep(W, q, mu, g)
+        size, moved = 0.0, 0.0
         for i in range(n):
             f[i] = (g[i] - x[i]) * weight[i]
             size += f[i] * f[i]
-        if k % check == 0 or k == max_sweeps or size == 0.0:
+            moved += (f[i] * weight[i]) ** 2
+        due = k % check == 0 or k == max_sweeps or size == 0.0
+        if due or math.sqrt(moved) * max(1.0, 1.0 / q_norm) <= tol:
             _velocity(W, q, g, u)
-            residual = natural_residual(scales, u, g, mu)
-            error = natural_error(u, g, mu) / q_norm
-            if max(residual, error) < best:
-                best = max(residual, error)
-                best_r[:] = g
-            done = (k + check - 1) // check
-            history[done] = best
+            now = max(natural_residual(scales, u, g, mu), natural_error(u, g, mu) / q_norm)
+            if now < best:
+                best = now
+                r[:] = g
             if best <= tol or size == 0.0:
                 break
+        if due:
+            done = (k + check - 1) // check
+            history[done] = best
             if k >= patience:
                 rate = math.log(history[done // 2] / best) / (k - done // 2 * check)
                 if math.log(best / tol) > rate * (max_sweeps - k):
@@ -288,7 +278,8 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
             x[:] = g
             continue
         if used > 1 and math.sqrt(size) > 2.0 * best_f:
-            F[0], G[0] = f.copy(), g.copy()
+            if slot > 0:
+                F[0], G[0] = f, g
             used, slot, best_f = 0, 0, np.inf
         best_f = min(best_f, math.sqrt(size))
         used = min(used + 1, m)
@@ -296,5 +287,4 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
         if used > 1:
             project_all(x, mu, x)
         slot = (slot + 1) % m
-    r[:] = best_r
     return k, best

@@ -11,18 +11,17 @@ from nsdyn._kernels.solvers import local, newton, pgs
 
 
 @kernel
-def by_factors(
-    blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, largest, penalty, max_iter, few
-):  # fmt: skip
-    """Solve every island of at most `largest` coordinates in place of r, unless r is good `enough`.
+def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, limits):
+    """Solve every island of few coordinates in place of r, unless r is good `enough`.
 
     One contact in closed form, more by `newton.dense`, to be `enough` or at least `accept` times their share, and then
     by a `few` steps better. The islands into label (nc,), into islands (2, nc) their measures, 0 for those that end
     within `accept` times their share, and their shares of the tolerance by contacts, since the literature's error adds
     the islands up in squares and the judge measures them together. Returns their number, 0 if r was good enough,
     whether one is left, the factorisations, and the literature's error and the residual of r where none is left; then
-    its u = W r + q is in u.
+    its u = W r + q is in u. limits = (most coordinates, penalty, most steps, a few steps).
     """
+    largest, penalty, max_iter, few = limits
     top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
     if top / q_norm <= enough and residual <= enough:
         return 0, False, 0, top / q_norm, residual
@@ -75,32 +74,40 @@ def by_factors(
 
 
 @kernel
-def by_matrix(
-    W, q, mu, scales, r, u, label, islands, tol, margin, q_norm, largest, quick, penalty, warm, most, sweeps, patience
-):  # fmt: skip
-    """The same by `local.solve_small` for a block-sparse W = (indptr, indices, data), unless r meets `tol`.
+def alone(W, q, mu, scales, q_norm, out):
+    """The only contact of a problem in closed form, W (1, 3, 3): r and u into out (2, 3); its error and residual."""
+    r, u = out[0], out[1]
+    r[0], r[1], r[2] = cones.coulomb(W[0], q[0], q[1], q[2], mu[0])
+    for i in range(3):
+        u[i] = W[0, i, 0] * r[0] + W[0, i, 1] * r[1] + W[0, i, 2] * r[2] + q[i]
+    top, residual = cones.measures(scales, u, r, mu)
+    return top / q_norm, residual
 
-    Islands share `margin` of the tolerance by contacts, those of at most `largest` contacts as their mean.
+
+@kernel
+def by_matrix(W, q, mu, scales, out, tol, q_norm, margin, largest, limits):
+    """Small islands of a block-sparse W by `local.solve_small` in place of r = out[0], unless it meets `tol`.
+
+    For `margin` of the tolerance. Returns the iterations, the literature's error and the residual; u into out[1].
     """
-    indptr, indices, data = W
-    pgs.velocity(indptr, indices, data, q, r, u)
-    top, residual = cones.measures(scales, u, r, mu)
-    if top / q_norm <= tol and residual <= tol:
-        return 0, False, 0, top / q_norm, residual
-    found = local.islands(indptr, indices, label)
-    share = np.zeros(found)
+    r, u, count, top, residual = out[0], out[1], 0, np.inf, np.inf
+    if r.any() or (q[::3] >= 0.0).all():
+        pgs.velocity(W[0], W[1], W[2], q, r, u)
+        top, residual = cones.measures(scales, u, r, mu)
+    if not (top / q_norm <= tol and residual <= tol):
+        count = local.solve_small(W, (q, mu, scales), r, margin * tol, q_norm, largest, limits)
+        pgs.velocity(W[0], W[1], W[2], q, r, u)
+        top, residual = cones.measures(scales, u, r, mu)
+    return count, top / q_norm, residual
+
+
+@kernel
+def left_by_matrix(W, q, mu, scales, out, q_norm, label, islands):
+    """Islands of W into label (nc,), their measures and shares of the tolerance into islands (2, nc); how many."""
+    found = local.islands(W[0], W[1], label)
+    islands[0, :found] = newton.measures_of_islands(label, found, scales, q_norm, out[1], out[0], mu)
+    islands[1, :found] = 0.0
     for c in range(label.size):
-        share[label[c]] += 1.0 / label.size
-    small = share <= largest / label.size
-    mean = share[small].mean() if small.any() else 0.0
-    share = margin * np.sqrt(np.where(small, mean, share))
-    count = local.solve_small(
-        indptr, indices, data, q, mu, scales, r, tol * margin * np.sqrt(mean), q_norm, label, found, largest, quick,
-        penalty, warm, most, sweeps, patience,
-    )  # fmt: skip
-    pgs.velocity(indptr, indices, data, q, r, u)
-    top, residual = cones.measures(scales, u, r, mu)
-    islands[0, :found] = newton.measures_of_islands(label, found, scales, q_norm, u, r, mu)
-    islands[1, :found] = share
-    left = (islands[0, :found] > tol * share).any()
-    return found, left, count, top / q_norm, residual
+        islands[1, label[c]] += 1.0 / label.size
+    islands[1, :found] = np.sqrt(islands[1, :found])
+    return found
