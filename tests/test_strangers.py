@@ -132,6 +132,8 @@ def test_a_mesh_is_written_as_it_is_read(tmp_path):
             "it has 80000000 of vertex and only .* left",
         ),
         ("a.ply", fuzz.ply(False).replace(b"\n3 0", b"\n99 0"), "must have as many values as there are, got 99"),
+        ("a.ply", fuzz.ply(False).replace(b"\n3 0 1", b"\n3 0 1.5"), "corners of its faces must be whole numbers"),
+        ("a.dae", fuzz.dae().replace(b"<p>0 1", b"<p>0 1.5"), "<p> must be whole numbers"),
         ("a.dae", fuzz.dae().replace(b'url="#g"', b'url="#s"'), "names '#s', which is no <geometry> of the file"),
         ("a.dae", fuzz.dae().replace(b"<instance_geometry", b'<instance_node url="#n"/><instance_geometry'), "deep"),
     ],
