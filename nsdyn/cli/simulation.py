@@ -125,11 +125,14 @@ def run_scene(arguments: argparse.Namespace) -> int:
 
     import nsdyn
     from nsdyn.scene import settings
+    from nsdyn.tools import files
 
     name = arguments.scene
     parameters = settings.values(name, arguments.set)
     solver = chosen_solver(arguments)
     check_outputs(None, arguments.output, arguments.resume, arguments.html)
+    if arguments.dump_on_fail:
+        files.check_folder(arguments.dump_on_fail)
     setup = nsdyn.scenes.setup(name, **parameters)
     recording = arguments.output or arguments.resume
     start = time.perf_counter()
