@@ -1,6 +1,8 @@
 """Shared fixtures: seeded randomness, the solvers, a step of a small mixed scene."""
 
+import shutil
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,24 +36,7 @@ def penetration(trajectory: nd.Trajectory) -> float:
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>'
 
-ROBOT = f"""<robot name="r">
-<link name="base">{INERTIAL}<collision><geometry><box size="0.4 0.2 0.1"/></geometry></collision></link>
-<link name="a">{INERTIAL}<visual><geometry><sphere radius="1"/></geometry></visual>
-  <collision name="c"><origin xyz="0 0 0.5" rpy="0 0.3 0"/>
-    <geometry><capsule radius="0.1" length="0.3"/></geometry></collision>
-  <collision name="c"><geometry><sphere radius="0.1"/></geometry></collision></link>
-<link name="b">{INERTIAL}<collision><geometry><cylinder radius="0.1" length="0.2"/></geometry></collision></link>
-<link name="c">{INERTIAL}<collision>
-    <geometry><mesh filename="package://thing/box.stl" scale="1 -2 1"/></geometry></collision></link>
-<link name="tip"><collision><origin xyz="0 0 2"/><geometry><sphere radius="0.1"/></geometry></collision></link>
-<joint name="ja" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
-  <limit lower="-1" upper="2" effort="9" velocity="3"/><dynamics damping="0.5" friction="0.7"/></joint>
-<joint name="jb" type="continuous"><parent link="a"/><child link="b"/><origin xyz="0 0 1"/><axis xyz="1 0 0"/></joint>
-<joint name="jc" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/>
-  <limit lower="0" upper="0.4" effort="9" velocity="3"/><mimic joint="ja"/></joint>
-<joint name="jt" type="fixed"><parent link="c"/><child link="tip"/></joint>
-<transmission name="t"/>
-</robot>"""
+DATA = Path(__file__).parent / "data"
 
 
 def write_stl(path, size):
@@ -68,6 +53,5 @@ def robot(tmp_path):
     """A robot with a bit of everything, and the folder that holds its package."""
     (tmp_path / "share" / "thing").mkdir(parents=True)
     write_stl(tmp_path / "share" / "thing" / "box.stl", (0.1, 0.2, 0.3))
-    path = tmp_path / "robot.urdf"
-    path.write_text(ROBOT)
+    path = Path(shutil.copy(DATA / "robot.urdf", tmp_path))
     return path, [tmp_path / "share"]

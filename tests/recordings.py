@@ -22,8 +22,8 @@ def recording(scene, q, dt=0.01, contacts=None, **columns):
     return Trajectory({"dt": dt, "scene_name": scene.name}, scene.describe(), known | columns)
 
 
-def falling():
-    """One second of a falling box, a box at rest and a turning sphere."""
+def falling(shaking=0.0):
+    """One second of a falling box, a box at rest, but for a `shaking` in m along x, and a turning sphere."""
     scene = nd.Scene(name="<three> & more")
     scene.add_halfspace("ground")
     for name, x in (("falling", 0.0), ("<i>resting", 1.0)):
@@ -32,5 +32,6 @@ def falling():
     t = np.linspace(0.0, 1.0, 101)
     q = np.tile([0, 0, 5, 0, 0, 0, 1, 1, 0, 0.1, 0, 0, 0, 1, 2, 0, 0.1, 0, 0, 0, 1.0], (101, 1))
     q[:, 2] -= 0.5 * 9.81 * t**2
+    q[:, 7] += shaking * np.sin(50 * t)
     q[:, 19], q[:, 20] = np.sin(t), np.cos(t)
     return recording(scene, q)

@@ -147,6 +147,14 @@ def storeys(trajectory, dt):
     return np.bincount(owner, weights=contacts.impulse[:, 0]) / dt
 
 
+def costs(scene, tol):
+    """Sweeps of plain Gauss–Seidel to a tolerance, and iterations of Newton, on the problem of the first step."""
+    problem = nd.Stepper(scene, dt=1e-2).step().problem
+    plain = nd.solvers.PGS(tol=tol, max_iter=1_000_000, memory=0)(problem)
+    assert plain.converged
+    return plain.iterations, nd.solvers.by_name("newton", 1e-8)(problem).iterations
+
+
 @pytest.mark.case(37)
 @pytest.mark.parametrize("below", [1, 2, 3, 4])
 def test_weights_under_a_thousandfold_mass(below):
@@ -157,13 +165,8 @@ def test_weights_under_a_thousandfold_mass(below):
 
 @pytest.mark.case(37)
 def test_mass_ratio_costs_gauss_seidel_not_newton():
-    sweeps, newton = [], []
-    for ratio in (1.0, 10.0, 100.0):
-        problem = nd.Stepper(nd.scenes.load("heavy_on_light")(ratio=ratio), dt=1e-2).step().problem
-        plain = nd.solvers.PGS(tol=1e-8, max_iter=1_000_000, memory=0)(problem)
-        assert plain.converged
-        sweeps.append(plain.iterations)
-        newton.append(nd.solvers.by_name("newton", 1e-8)(problem).iterations)
+    load = nd.scenes.load("heavy_on_light")
+    sweeps, newton = zip(*(costs(load(ratio=ratio), 1e-8) for ratio in (1.0, 10.0, 100.0)), strict=True)
     # Sweeps are counted in fives; in proportion to the ratio.
     assert 5 <= sweeps[1] / sweeps[0] <= 15 and 5 <= sweeps[2] / sweeps[1] <= 15
     assert max(newton) <= 20
@@ -182,12 +185,7 @@ def test_weights_in_a_tall_column(height):
 
 @pytest.mark.case(38)
 def test_height_costs_gauss_seidel_its_square():
-    sweeps, newton = [], []
-    for height in (2, 4, 8):
-        problem = nd.Stepper(nd.scenes.load("stack")(height=height), dt=1e-2).step().problem
-        plain = nd.solvers.PGS(tol=1e-6, max_iter=1_000_000, memory=0)(problem)
-        assert plain.converged
-        sweeps.append(plain.iterations)
-        newton.append(nd.solvers.by_name("newton", 1e-8)(problem).iterations)
+    load = nd.scenes.load("stack")
+    sweeps, newton = zip(*(costs(load(height=height), 1e-6) for height in (2, 4, 8)), strict=True)
     assert sweeps[1] >= 4 * sweeps[0] and sweeps[2] >= 4 * sweeps[1]
     assert max(newton) <= 30

@@ -307,7 +307,7 @@ def test_slip_is_rubbed_against(trajectory):
 
 
 def test_check_of_a_robot(robot, run):
-    """`conftest.ROBOT`: a tag that is not used, links whose shapes overlap, a joint outside its limits."""
+    """`robot.urdf`: a tag that is not used, links whose shapes overlap, a joint outside its limits."""
     path, (share,) = robot
     code, out, _ = run("check", path, "--package-dir", share, "--json")
     found = json.loads(out)

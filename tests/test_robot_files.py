@@ -1,15 +1,18 @@
 """Readers of robot files: what they find, what they leave out, and what they refuse."""
 
 import importlib.metadata
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import INERTIAL, ROBOT, write_stl
+from conftest import DATA, INERTIAL, write_stl
 
 import nsdyn as nd
 from nsdyn.scene import shapes
+
+ROBOT, MJCF, SDF = ((DATA / f"robot.{suffix}").read_text() for suffix in ("urdf", "xml", "sdf"))
 
 
 def test_urdf(robot):
@@ -216,44 +219,12 @@ def test_bad_mass_of_a_model():
         nd.Scene().add_model("r", model)
 
 
-MJCF = """<mujoco model="m"><compiler angle="degree"/><option gravity="0 0 -9"/>
-<default><joint damping="0.3" armature="0.01"/><geom density="500"/>
-  <default class="c"><joint stiffness="5" springref="0.1" frictionloss="0.2"/>
-    <geom contype="0" conaffinity="0"/></default></default>
-<include file="assets.xml"/>
-<worldbody><light pos="0 0 1"/><geom name="floor" type="plane" size="1 1 .1"/>
-  <body name="torso" pos="0 0 1" euler="10 20 30"><freejoint name="root"/><geom name="t" type="box" size=".1 .2 .3"/>
-    <body name="a" pos="0 0 -.3"><joint name="ja" axis="0 1 0" range="-30 60" ref="10" pos="0 .1 0"/>
-      <geom name="ga" type="capsule" fromto="0 0 0 0 .1 -.3" size=".05"/>
-      <body name="b" pos="0 0 -.3" childclass="c"><joint name="jb" type="slide" axis="0 0 1" range="-.1 .2"/>
-        <geom type="ellipsoid" size=".05 .06 .07"/>
-        <geom name="gb" class="main" type="sphere" size=".05"/><site name="s"/></body></body>
-    <body name="c" pos="0.2 0 0"><joint name="jc" type="ball" range="0 30" damping="0.4"/>
-      <geom name="gc" type="cylinder" size=".05 .06" contype="2" conaffinity="4"/></body>
-    <body name="d" pos="0.4 0 0"><joint name="jd1" axis="1 0 0"/>
-      <joint name="jd2" axis="0 1 0" stiffness="2" springref="90"/>
-      <inertial pos="0 0 .1" mass="1.5" diaginertia=".1 .2 .15" quat="1 .1 0 0"/>
-      <geom type="mesh" mesh="box"/></body></body>
-  <body pos="2 0 0"><freejoint/><geom name="g2" size=".1"/></body>
-  <body name="e" pos="3 0 0"><joint name="je" axis="0 1 0"/>
-    <geom name="ge" type="box" size=".1 .2 .3" pos=".1 0 0"/></body></worldbody>
-<contact><exclude body1="torso" body2="b"/><pair geom1="ga" geom2="gb"/></contact>
-<equality><connect name="loop" body1="b" body2="c" anchor="0 0 .1"/><weld body1="a" body2="d"/>
-  <joint joint1="ja" joint2="jb"/>
-  <weld body1="e" active="false"/></equality>
-<actuator><motor joint="ja"/></actuator><sensor><jointpos joint="ja"/></sensor>
-<keyframe><key name="home" qpos="0 0 2 .6 0 0 .8  .3 .05  .6 0 .8 0  .1 .2  2 0 3 1 0 0 0  .5"/></keyframe>
-</mujoco>"""
-
-
 @pytest.fixture
 def mjcf(tmp_path):
     """A file with three trees, classes, an included file, a mesh, loops, masks and a keyframe."""
     write_stl(tmp_path / "box.stl", (0.1, 0.2, 0.3))
-    (tmp_path / "assets.xml").write_text('<mujoco><asset><mesh name="box" file="box.stl"/></asset></mujoco>')
-    path = tmp_path / "robot.xml"
-    path.write_text(MJCF)
-    return path
+    shutil.copy(DATA / "assets.xml", tmp_path)
+    return Path(shutil.copy(DATA / "robot.xml", tmp_path))
 
 
 def loaded_mjcf(path, **keywords):
@@ -405,36 +376,9 @@ def sdf_inertial(mass, xyz="0 0 0"):
     )
 
 
-SDF = f"""<sdf version="1.9"><model name="m"><pose>1 2 3 0.1 0.2 0.3</pose><self_collide>true</self_collide>
-<frame name="mount" attached_to="base"><pose degrees="true">0 0 1 0 90 0</pose></frame>
-<link name="base">{sdf_inertial(2)}
-  <collision name="c"><geometry><box><size>.4 .2 .1</size></box></geometry></collision></link>
-<link name="a"><pose relative_to="mount">0 0 0.5 0 0 0</pose>{sdf_inertial(1, "0 0 0.2")}<visual name="v"/>
-  <collision name="c"><pose>0 0 .1 0 .3 0</pose>
-    <geometry><capsule><radius>.1</radius><length>.3</length></capsule></geometry></collision>
-  <collision name="h"><geometry><heightmap/></geometry></collision></link>
-<link name="b"><pose relative_to="a">0 0.1 0.7 0 0 0</pose>{sdf_inertial(1.5)}<collision name="c">
-  <geometry><mesh><uri>model://thing/box.stl</uri><scale>1 2 1</scale></mesh></geometry></collision></link>
-<link name="tip"><pose relative_to="b" rotation_format="quat_xyzw">0 0 0.2 0 0.6 0 0.8</pose>{sdf_inertial(0.3)}
-  <collision name="c"><geometry><ellipsoid><radii>.1 .2 .3</radii></ellipsoid></geometry></collision></link>
-<link name="ball"><pose relative_to="tip">0 0 0.2 0 0 0</pose>{sdf_inertial(0.3)}</link>
-<joint name="ja" type="revolute"><parent>mount</parent><child>a</child><pose>0 0 -.1 0 0 0.4</pose>
-  <axis><xyz expressed_in="__model__">0 0 2</xyz><limit><lower>-1</lower><upper>2</upper><effort>5</effort></limit>
-  <dynamics><damping>0.5</damping><friction>0.7</friction><spring_stiffness>3</spring_stiffness>
-  <spring_reference>.2</spring_reference>
-  </dynamics></axis></joint>
-<joint name="jb" type="prismatic"><parent>a</parent><child>b</child><axis><xyz>0 1 0</xyz>
-  <limit><lower>-1e16</lower><upper>0.4</upper></limit></axis></joint>
-<joint name="jt" type="fixed"><parent>b</parent><child>tip</child></joint>
-<joint name="jc" type="ball"><parent>tip</parent><child>ball</child></joint>
-<plugin name="p"/></model></sdf>"""
-
-
 @pytest.fixture
 def sdf(robot, tmp_path):
-    path = tmp_path / "robot.sdf"
-    path.write_text(SDF)
-    return path, robot[1]
+    return Path(shutil.copy(DATA / "robot.sdf", tmp_path)), robot[1]
 
 
 def test_sdf_warns_of_what_changes_the_motion(tmp_path):

@@ -132,6 +132,8 @@ def test_a_mesh_is_written_as_it_is_read(tmp_path):
             "it has 80000000 of vertex and only .* left",
         ),
         ("a.ply", fuzz.ply(False).replace(b"\n3 0", b"\n99 0"), "must have as many values as there are, got 99"),
+        ("a.ply", fuzz.ply(False).replace(b"\n3 0 1", b"\n3 0 1.5"), "corners of its faces must be whole numbers"),
+        ("a.dae", fuzz.dae().replace(b"<p>0 1", b"<p>0 1.5"), "<p> must be whole numbers"),
         ("a.dae", fuzz.dae().replace(b'url="#g"', b'url="#s"'), "names '#s', which is no <geometry> of the file"),
         ("a.dae", fuzz.dae().replace(b"<instance_geometry", b'<instance_node url="#n"/><instance_geometry'), "deep"),
     ],
@@ -302,6 +304,37 @@ def test_a_full_disk_leaves_what_fitted(tmp_path):
     assert left.q.tobytes() == whole.q[: left.steps + 1].tobytes()
     resumed = nd.simulate(nd.scenes.load("slide")(), 2.0, dt=0.01, resume=path)
     assert resumed.q.tobytes() == whole.q.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        ("nd.simulate(scene, 0.01, record=path)", "ValueError: cannot write {}: File too large"),
+        ("nd.fclib.write(path, problem)", "ValueError: cannot write {}: File too large"),
+        ("trajectory.save(path)", "ValueError: cannot write {}: File too large"),
+        ("Store(path, {'options': 'x' * 5000})", "OSError: [Errno 27] cannot store the sweep in {}: File too large"),
+    ],
+)
+def test_what_does_not_fit_on_a_disk_is_told_and_leaves_nothing(call, words, tmp_path):
+    """HDF5 alone would end the process by a signal."""
+    lines = [
+        "import resource, signal, sys",
+        "import nsdyn as nd",
+        "from nsdyn.study.store import Store",
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)",
+        "scene, path = nd.scenes.load('slide')(), sys.argv[1]",
+        "trajectory = nd.simulate(scene, 0.01)",
+        "problem = nd.Stepper(scene).step().problem",
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))",
+        call,
+    ]
+    path = tmp_path / "out.h5"
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines), str(path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1 and done.stderr.splitlines()[-1] == words.format(path)
+    left = [file.read_bytes() for file in tmp_path.iterdir()]
+    assert not left or (call.startswith("Store") and len(left[0]) <= 1000)  # a line that is cut is left out
 
 
 # -- scenes ---------------------------------------------------------------------------------------------------------

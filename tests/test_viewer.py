@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import recordings
 import umsgpack
-from recordings import recording
 
 import nsdyn as nd
 from nsdyn.recording import bundle, solids, stage, viewer
@@ -55,18 +55,7 @@ def keyframes(page):
 
 @pytest.fixture(scope="module")
 def falling():
-    """One second of a falling box, a box at rest and a turning sphere."""
-    scene = nd.Scene(name="<three> & more")
-    scene.add_halfspace("ground")
-    for name, x in (("falling", 0.0), ("resting", 1.0)):
-        scene.add_box(name, (0.2, 0.2, 0.2), 1.0, position=(x, 0, 0.1))
-    scene.add_sphere("turning", 0.1, 1.0, position=(2, 0, 0.1))
-    t = np.linspace(0.0, 1.0, 101)
-    q = np.tile([0, 0, 5, 0, 0, 0, 1, 1, 0, 0.1, 0, 0, 0, 1, 2, 0, 0.1, 0, 0, 0, 1.0], (101, 1))
-    q[:, 2] -= 0.5 * 9.81 * t**2
-    q[:, 7] += 1e-9 * np.sin(50 * t)  # far below what can be seen
-    q[:, 19], q[:, 20] = np.sin(t), np.cos(t)
-    return recording(scene, q)
+    return recordings.falling(shaking=1e-9)  # far below what can be seen
 
 
 def test_page_asks_for_nothing(falling):
@@ -188,7 +177,7 @@ def extent(object_):
 def test_shapes_have_their_size(add, arguments, half):
     scene = nd.Scene()
     getattr(scene, f"add_{add}")("thing", mass=1.0, position=(1, 2, 3), **arguments)
-    objects = by_path(viewer.html(recording(scene, np.tile([1, 2, 3, 0, 0, 0, 1.0], (3, 1)))), "set_object")
+    objects = by_path(viewer.html(recordings.recording(scene, np.tile([1, 2, 3, 0, 0, 0, 1.0], (3, 1)))), "set_object")
     lower, upper = extent(objects["/nsdyn/bodies/thing/thing"]["object"])
     # float32; radii of lathes are met at their 32 segments, which include the axes.
     np.testing.assert_allclose(upper, half, rtol=1e-6)
@@ -198,7 +187,7 @@ def test_shapes_have_their_size(add, arguments, half):
 def test_faces_look_outwards():
     scene = nd.Scene()
     scene.add_box("box", (1, 1, 1), 1.0)
-    objects = by_path(viewer.html(recording(scene, [[0, 0, 0, 0, 0, 0, 1.0]] * 2)), "set_object")
+    objects = by_path(viewer.html(recordings.recording(scene, [[0, 0, 0, 0, 0, 0, 1.0]] * 2)), "set_object")
     object_ = objects["/nsdyn/bodies/box/box"]["object"]
     attributes = object_["geometries"][0]["data"]["attributes"]
     x, n = (floats(attributes[name]["array"], 3).reshape(-1, 3, 3) for name in ("position", "normal"))
@@ -213,7 +202,7 @@ def test_fixed_bodies_and_halfspaces_stand_where_they_are():
     scene.add_halfspace("slope", normal=n, offset=0.5)
     scene.add_box("step", (1, 1, 1), position=(1, 2, 3), fixed=True)
     scene.add_sphere("ball", 0.1, 1.0)
-    objects = by_path(viewer.html(recording(scene, [[0, 0, 2, 0, 0, 0, 1.0]] * 2)), "set_object")
+    objects = by_path(viewer.html(recordings.recording(scene, [[0, 0, 2, 0, 0, 0, 1.0]] * 2)), "set_object")
     lower, upper = extent(objects["/nsdyn/fixed/step"]["object"])
     np.testing.assert_allclose((lower, upper), [(0.5, 1.5, 2.5), (1.5, 2.5, 3.5)], rtol=1e-6)  # float32
     matrix = np.array(objects["/nsdyn/fixed/slope"]["object"]["object"]["matrix"]).reshape(4, 4).T
@@ -225,7 +214,7 @@ def test_fixed_bodies_and_halfspaces_stand_where_they_are():
 def test_given_colour_is_used():
     scene = nd.Scene()
     scene.add_sphere("ball", 0.1, 1.0, colour=(1.0, 0.5, 0.0, 0.4))
-    objects = by_path(viewer.html(recording(scene, [[0, 0, 0, 0, 0, 0, 1.0]] * 2)), "set_object")
+    objects = by_path(viewer.html(recordings.recording(scene, [[0, 0, 0, 0, 0, 0, 1.0]] * 2)), "set_object")
     material = objects["/nsdyn/bodies/ball/ball"]["object"]["materials"][0]
     assert material["color"] == 0xFF8000 and material["opacity"] == 0.4 and material["transparent"]
 

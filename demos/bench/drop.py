@@ -11,10 +11,10 @@ import time
 
 import numpy as np
 from scaling import spheres
+from step_time import mujoco_steps
 
 import nsdyn as nd
 from nsdyn.recording import audit
-from nsdyn.study import bench
 
 
 def line(name: str, times: list[float], deepest: float, more: str = "") -> float:
@@ -46,17 +46,7 @@ def peer(scene: nd.Scene, dt: float, steps: int) -> float:
     """Mean seconds of MuJoCo's step."""
     import mujoco
 
-    from nsdyn.study._peers.bench_mujoco import MUJOCO_XYZW, mjcf
-
-    model = mujoco.MjModel.from_xml_string(mjcf(bench.describe(scene), "default", dt))
-    data = mujoco.MjData(model)
-    times, poses = [], []
-    for _ in range(steps):
-        start = time.perf_counter()
-        mujoco.mj_step(model, data)
-        times.append(time.perf_counter() - start)
-        poses.append(data.qpos.reshape(-1, 7)[:, [0, 1, 2, *MUJOCO_XYZW]].ravel())
-    return line(f"MuJoCo {mujoco.__version__}", times, audit.deepest(scene.describe(), np.array(poses)))
+    return line(f"MuJoCo {mujoco.__version__}", *mujoco_steps(scene, "default", dt, 0, steps))
 
 
 def main() -> None:

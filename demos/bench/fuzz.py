@@ -20,6 +20,7 @@ import os
 import re
 import resource
 import select
+import shutil
 import signal
 import struct
 import sys
@@ -50,73 +51,9 @@ BATCH = 500
 """Cases of one child, so that what a library leaks does not count."""
 
 ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT / "tests" / "data"
 
 # -- good files ----------------------------------------------------------------------------------------------------
-
-INERTIAL = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>'
-
-URDF = f"""<?xml version="1.0"?>
-<robot name="r">
-<link name="base">{INERTIAL}<collision><geometry><box size="0.4 0.2 0.1"/></geometry></collision></link>
-<link name="a">{INERTIAL}<visual><geometry><sphere radius="1"/></geometry></visual>
-  <collision name="c"><origin xyz="0 0 0.5" rpy="0 0.3 0"/>
-    <geometry><capsule radius="0.1" length="0.3"/></geometry></collision></link>
-<link name="b">{INERTIAL}<collision><geometry><cylinder radius="0.1" length="0.2"/></geometry></collision></link>
-<link name="c">{INERTIAL}<collision>
-    <geometry><mesh filename="package://thing/box.stl" scale="1 -2 1"/></geometry></collision></link>
-<link name="tip"><collision><origin xyz="0 0 2"/><geometry><sphere radius="0.1"/></geometry></collision></link>
-<joint name="ja" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
-  <limit lower="-1" upper="2" effort="9" velocity="3"/><dynamics damping="0.5" friction="0.7"/></joint>
-<joint name="jb" type="continuous"><parent link="a"/><child link="b"/><origin xyz="0 0 1"/><axis xyz="1 0 0"/></joint>
-<joint name="jc" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/>
-  <limit lower="0" upper="0.4" effort="9" velocity="3"/><mimic joint="ja"/></joint>
-<joint name="jt" type="fixed"><parent link="c"/><child link="tip"/></joint>
-<transmission name="t"/>
-</robot>
-"""
-
-MJCF = """<mujoco model="m"><compiler angle="degree" meshdir="thing"/><option gravity="0 0 -9"/>
-<default><joint damping="0.3" armature="0.01"/><geom density="500"/>
-  <default class="c"><joint stiffness="5" springref="0.1" frictionloss="0.2"/>
-    <geom contype="0" conaffinity="0"/></default></default>
-<asset><mesh name="box" file="box.stl"/></asset>
-<worldbody><light pos="0 0 1"/><geom name="floor" type="plane" size="1 1 .1"/>
-  <body name="torso" pos="0 0 2" euler="10 20 30"><freejoint name="root"/><geom name="t" type="box" size=".1 .2 .3"/>
-    <body name="a" pos="0 0 -.3"><joint name="ja" axis="0 1 0" range="-30 60" ref="10" pos="0 .1 0"/>
-      <geom name="ga" type="capsule" fromto="0 0 0 0 .1 -.3" size=".05"/>
-      <body name="b" pos="0 0 -.3" childclass="c"><joint name="jb" type="slide" axis="0 0 1" range="-.1 .2"/>
-        <geom type="ellipsoid" size=".05 .06 .07"/>
-        <geom name="gb" class="main" type="sphere" size=".05"/><site name="s"/></body></body>
-    <body name="c" pos="0.2 0 0"><joint name="jc" type="ball" damping="0.4"/>
-      <geom name="gc" type="cylinder" size=".05 .06" contype="2" conaffinity="4"/></body>
-    <body name="d" pos="0.4 0 0"><joint name="jd" axis="1 0 0" stiffness="2" springref="90"/>
-      <inertial pos="0 0 .1" mass="1.5" diaginertia=".1 .2 .15" quat="1 .1 0 0"/>
-      <geom type="mesh" mesh="box"/></body></body>
-  <body pos="2 0 3"><freejoint/><geom name="g2" size=".1"/></body></worldbody>
-<contact><exclude body1="torso" body2="b"/></contact>
-<equality><connect name="loop" body1="b" body2="c" anchor="0 0 .1"/></equality>
-<keyframe><key name="home" qpos="0 0 2 .6 0 0 .8  .3 .05  .6 0 .8 0  .1 2  0 3 1 0 0 0"/></keyframe>
-</mujoco>
-"""
-
-MASS = "<inertial><mass>1</mass><inertia><ixx>.1</ixx><iyy>.1</iyy><izz>.1</izz></inertia></inertial>"
-
-SDF = f"""<?xml version="1.0"?>
-<sdf version="1.9"><model name="m"><pose>1 2 3 0.1 0.2 0.3</pose><self_collide>true</self_collide>
-<frame name="mount" attached_to="base"><pose degrees="true">0 0 1 0 90 0</pose></frame>
-<link name="base">{MASS}<collision name="c"><geometry><box><size>.4 .2 .1</size></box></geometry></collision></link>
-<link name="a"><pose relative_to="mount">0 0 0.5 0 0 0</pose>{MASS}<visual name="v"/>
-  <collision name="c"><pose>0 0 .1 0 .3 0</pose><geometry><capsule><radius>.1</radius><length>.2</length></capsule>
-  </geometry><surface><friction><ode><mu>0.3</mu></ode></friction></surface></collision></link>
-<link name="b"><pose relative_to="a">0 0 1 0 0 0</pose>{MASS}<collision name="c"><geometry>
-  <mesh><uri>model://thing/box.stl</uri><scale>1 1 2</scale></mesh></geometry></collision></link>
-<joint name="ja" type="revolute"><parent>base</parent><child>a</child><axis><xyz>0 1 0</xyz>
-  <limit><lower>-1</lower><upper>2</upper></limit><dynamics><damping>.1</damping><friction>.2</friction></dynamics>
-  </axis></joint>
-<joint name="jb" type="prismatic"><parent>a</parent><child>b</child><axis><xyz expressed_in="__model__">0 0 1</xyz>
-  <dynamics><spring_stiffness>3</spring_stiffness><spring_reference>.1</spring_reference></dynamics></axis></joint>
-</model></sdf>
-"""
 
 CORNERS = np.array(list(np.ndindex(2, 2, 2))) * (0.1, 0.2, 0.3)
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -191,7 +128,7 @@ def recordings(folder: Path) -> list[bytes]:
 
 def problems(folder: Path) -> list[bytes]:
     """Local and global, the latter beside a solution and a guess."""
-    out = [(ROOT / "tests" / "data" / name).read_bytes() for name in ("rod.hdf5", "stack.hdf5", "quadruped.hdf5")]
+    out = [(DATA / name).read_bytes() for name in ("rod.hdf5", "stack.hdf5", "quadruped.hdf5")]
     W = np.eye(6) + 0.1
     problem = nd.FC3D(W, np.array([-1.0, 2.0, 0.0, -1.0, 0.1, 0.0]), np.full(2, 0.5))
     solution = nd.solve(problem)
@@ -278,11 +215,11 @@ READERS = {
     "fclib": Reader(".hdf5", problems, use_problem),
     "urdf": Reader(
         ".urdf",
-        lambda _: [URDF.encode(), *(path.read_bytes() for path in sorted((ROOT / "models").glob("*.urdf")))],
+        lambda _: [path.read_bytes() for path in (DATA / "robot.urdf", *sorted((ROOT / "models").glob("*.urdf")))],
         use_robot("add_urdf"),
     ),
-    "mjcf": Reader(".xml", lambda _: [MJCF.encode()], use_robot("add_mjcf")),
-    "sdf": Reader(".sdf", lambda _: [SDF.encode()], use_robot("add_sdf")),
+    "mjcf": Reader(".xml", lambda _: [(DATA / "robot.xml").read_bytes()], use_robot("add_mjcf")),
+    "sdf": Reader(".sdf", lambda _: [(DATA / "robot.sdf").read_bytes()], use_robot("add_sdf")),
     "stl": Reader(".stl", lambda _: [binary_stl(), text_stl()], use_mesh),
     "obj": Reader(".obj", lambda _: [obj()], use_mesh),
     "ply": Reader(".ply", lambda _: [ply(False), ply(True)], use_mesh),
@@ -523,6 +460,7 @@ def run(name: str, count: int, seed: int, keep: Path | None, begin: int = 0) -> 
         (folder / "thing").mkdir()
         (folder / "thing" / "box.stl").write_bytes(binary_stl())
         (folder / "box.stl").write_bytes(binary_stl())
+        shutil.copy(DATA / "assets.xml", folder)
         path, begin, end = folder / f"case{reader.suffix}", begin, begin + count
         nd.Scene()  # what is imported late is imported before the limit on memory
         path.write_bytes(good[0])

@@ -61,23 +61,19 @@ def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> tuple[list[float
     return [statistics.median(phase) for phase in zip(*split, strict=True)], deepest, drift
 
 
-def peer(scene: nd.Scene, dt: float, steps: int, stiff: bool) -> tuple[float, float]:
-    """Median seconds of MuJoCo's step and its deepest overlap [m], after the same settling."""
-    import mujoco
+def mujoco_steps(scene: nd.Scene, variant: str, dt: float, settling: int, steps: int) -> tuple[list[float], float]:
+    """Seconds of each of MuJoCo's steps and its deepest overlap [m], after steps that are not looked at."""
+    from nsdyn.study._peers.bench_mujoco import Simulation
 
-    from nsdyn.study._peers.bench_mujoco import MUJOCO_XYZW, mjcf
-
-    model = mujoco.MjModel.from_xml_string(mjcf(bench.describe(scene), "stiff" if stiff else "default", dt))
-    data = mujoco.MjData(model)
-    for _ in range(round(0.25 / dt)):
-        mujoco.mj_step(model, data)
+    simulation = Simulation(bench.describe(scene), variant, dt)
+    simulation.advance(settling)
     times, poses = [], []
     for _ in range(steps):
-        t = time.perf_counter()
-        mujoco.mj_step(model, data)
-        times.append(time.perf_counter() - t)
-        poses.append(data.qpos.reshape(-1, 7)[:, [0, 1, 2, *MUJOCO_XYZW]].ravel())
-    return statistics.median(times), audit.deepest(scene.describe(), np.array(poses))
+        begin = time.perf_counter()
+        simulation.advance(1)
+        times.append(time.perf_counter() - begin)
+        poses.append(simulation.poses().ravel())
+    return times, audit.deepest(scene.describe(), np.array(poses))
 
 
 def main() -> None:
@@ -100,9 +96,9 @@ def main() -> None:
     except ImportError:
         print("MuJoCo is not installed: pip install 'nsdyn[peers]'")
         return
-    for stiff in (False, True):
-        seconds, sunk = peer(scene, arguments.dt, arguments.steps, stiff)
-        name = "stiff" if stiff else "default"
+    for name in ("default", "stiff"):
+        times, sunk = mujoco_steps(scene, name, arguments.dt, round(0.25 / arguments.dt), arguments.steps)
+        seconds = statistics.median(times)
         print(
             f"MuJoCo {mujoco.__version__} {name}: {1e6 * seconds:8.0f} us   penetration {sunk:.1e} m   "
             f"nsdyn/MuJoCo time {total / seconds:.2f}, penetration {deepest / sunk if sunk else float('nan'):.1e}"

@@ -441,12 +441,15 @@ def early(spin: np.ndarray, t: np.ndarray, start: float, angle: float) -> float:
     return max(0.0, angle - start - spin[0] * t[struck[0]]) if struck.size else 0.0
 
 
-@bar(
-    "the tip of a link",
+TURNING = (
     {"ghost": UNTOUCHED, "early": 1e-6, "through": 0.0, "overlap": 1e-6},
     product(speed=(*FEW, 10.0, 75.0), phase=range(8), hits=(True, False)),
     product(speed=FEW, phase=(0, 3), hits=(True, False)),
 )
+"""Bars and cases of what turns, and strikes a post or passes it."""
+
+
+@bar("the tip of a link", *TURNING)
 def link_tips(speed: float, phase: int, hits: bool, dt: float = 1e-2) -> Figures:
     """A rod of 1 m on a hinge: a wall of 1 cm stops its tip, and one 1 cm beyond its tip does nothing to it."""
     scene = nd.Scene(gravity=(0, 0, 0))
@@ -468,12 +471,7 @@ def link_tips(speed: float, phase: int, hits: bool, dt: float = 1e-2) -> Figures
     }
 
 
-@bar(
-    "the tip of a spinning blade",
-    {"ghost": UNTOUCHED, "early": 1e-6, "through": 0.0, "overlap": 1e-6},
-    product(speed=(*FEW, 10.0, 75.0), phase=range(8), hits=(True, False)),
-    product(speed=FEW, phase=(0, 3), hits=(True, False)),
-)
+@bar("the tip of a spinning blade", *TURNING)
 def blades(speed: float, phase: int, hits: bool, dt: float = 1e-2) -> Figures:
     """A blade of 2 m that flies and spins: a thin post slows its spin and throws it back, one beyond does nothing."""
     scene = nd.Scene(gravity=(0, 0, 0))

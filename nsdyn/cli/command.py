@@ -46,7 +46,9 @@ def main(argv: list[str] | None = None) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1
         except (ValueError, OSError) as error:
-            print(f"nsdyn: error: {one_line(error)}", file=sys.stderr)
+            # Of ours, which name the file in their words, the words alone.
+            ours = isinstance(error, OSError) and error.filename is None and error.strerror
+            print(f"nsdyn: error: {one_line(ours or error)}", file=sys.stderr)
             return 2
         except KeyboardInterrupt:
             print("nsdyn: interrupted", file=sys.stderr)

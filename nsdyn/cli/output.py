@@ -26,6 +26,7 @@ __all__ = [
     "plain",
     "plot_to",
     "say",
+    "say_found",
     "say_json",
     "table",
     "write_columns",
@@ -60,6 +61,14 @@ def say(arguments: argparse.Namespace, text: object) -> None:
 def say_json(arguments: argparse.Namespace, figures: Any) -> None:
     """Print figures as JSON."""
     say(arguments, json.dumps(plain(figures), indent=2))
+
+
+def say_found(arguments: argparse.Namespace, found: Any) -> None:
+    """Print what a study found, as JSON where that is asked for."""
+    if arguments.json:
+        say_json(arguments, found.as_dict())
+    else:
+        say(arguments, found)
 
 
 def plain(value: Any) -> Any:

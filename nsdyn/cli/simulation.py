@@ -12,7 +12,7 @@ from typing import Any
 
 from nsdyn.cli.output import check_outputs, ledger, one_line, say, say_json
 
-__all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "list_scenes", "run_scene"]
+__all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "chosen_steps", "list_scenes", "run_scene"]
 
 
 def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
@@ -87,6 +87,16 @@ def chosen_solver(arguments: argparse.Namespace) -> Any:
     return replace(solver, loose=max(loose, solver.tol))
 
 
+def chosen_steps(arguments: argparse.Namespace, duration: float, dt: float) -> dict[str, Any]:
+    """What is simulated, in keywords of `nsdyn.simulate`: the scene's own duration and dt unless others are given."""
+    return {
+        "duration": duration if arguments.time is None else arguments.time,
+        "dt": dt if arguments.dt is None else arguments.dt,
+        "theta": arguments.theta,
+        "on_fail": arguments.on_fail,
+    }
+
+
 def _met(trajectory: Any, solver: Any) -> str:
     """How many steps, or groups of them that are recorded as one, met which tolerance, in words."""
     import numpy as np
@@ -115,24 +125,23 @@ def run_scene(arguments: argparse.Namespace) -> int:
 
     import nsdyn
     from nsdyn.scene import settings
+    from nsdyn.tools import files
 
     name = arguments.scene
     parameters = settings.values(name, arguments.set)
     solver = chosen_solver(arguments)
     check_outputs(None, arguments.output, arguments.resume, arguments.html)
+    if arguments.dump_on_fail:
+        files.check_folder(arguments.dump_on_fail)
     setup = nsdyn.scenes.setup(name, **parameters)
     recording = arguments.output or arguments.resume
     start = time.perf_counter()
     try:
         trajectory = nsdyn.simulate(
             setup.scene,
-            setup.duration if arguments.time is None else arguments.time,
-            **setup.options(dt=setup.dt if arguments.dt is None else arguments.dt),
-            theta=arguments.theta,
-            solver=solver,
+            **setup.options(**chosen_steps(arguments, setup.duration, setup.dt), solver=solver),
             record=arguments.output,
             progress=True,
-            on_fail=arguments.on_fail,
             dump_on_fail=arguments.dump_on_fail,
             every=arguments.every,
             contacts=not arguments.no_contacts,

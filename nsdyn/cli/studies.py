@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from nsdyn.cli.output import add_json, check_outputs, say, say_json, write_rows
+from nsdyn.cli.output import add_json, check_outputs, say_found, write_rows
 from nsdyn.cli.simulation import add_solver, chosen_solver
 
 __all__ = ["add_check", "add_compare", "add_study", "check_anything", "compare_recordings", "study_steps"]
@@ -54,10 +54,7 @@ def study_steps(arguments: argparse.Namespace) -> int:
             for run in found.as_dict()["runs"]
         ]
         write_rows(rows, list(dict.fromkeys(column for row in rows for column in row)), arguments.csv)
-    if arguments.json:
-        say_json(arguments, found.as_dict())
-    else:
-        say(arguments, found)
+    say_found(arguments, found)
     return 0
 
 
@@ -73,10 +70,7 @@ def compare_recordings(arguments: argparse.Namespace) -> int:
     import nsdyn
 
     found = nsdyn.compare(*(nsdyn.Trajectory.load(path) for path in (arguments.first, arguments.second)))
-    if arguments.json:
-        say_json(arguments, found.as_dict())
-    else:
-        say(arguments, found)
+    say_found(arguments, found)
     return 0
 
 
@@ -111,8 +105,5 @@ def check_anything(arguments: argparse.Namespace) -> int:
     else:
         setup = nsdyn.scenes.setup(what, **settings.values(what, arguments.set))
         found = inspection.inspect_scene(setup.scene, what)
-    if arguments.json:
-        say_json(arguments, found.as_dict())
-    else:
-        say(arguments, found)
+    say_found(arguments, found)
     return 0 if found.passed else 1

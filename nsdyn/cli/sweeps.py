@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nsdyn.cli.output import add_json, check_outputs, one_line, say, say_json, table, write_rows
-from nsdyn.cli.simulation import add_simulation, chosen_solver
+from nsdyn.cli.simulation import add_simulation, chosen_solver, chosen_steps
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -53,14 +53,11 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
         members = ensemble.sweep(
             name,
             parameters,
-            module.DURATION if arguments.time is None else arguments.time,
-            on_fail=arguments.on_fail,
+            **chosen_steps(arguments, module.DURATION, module.DT),
             executor=executor,
             keep=ensemble.figures,
             progress=True,
             store=arguments.store,
-            dt=module.DT if arguments.dt is None else arguments.dt,
-            theta=arguments.theta,
             solver=solver,
         )
     rows = [{**m.parameters, "failure": m.failure, **(m.result or {})} for m in members]

@@ -34,7 +34,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.datasets import check_heaps, dataset
+from nsdyn.tools.datasets import check_heaps, created, dataset
 
 __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
 
@@ -328,7 +328,7 @@ def _created(path: str | Path, overwrite: bool) -> Iterator[Any]:
     """Create a file that takes its place when the block succeeds; else nothing is left."""
     if Path(path).exists() and not overwrite:
         raise ValueError(f"cannot write {path}: it exists")
-    with files.writing(path) as part, h5py.File(part, "w") as file:
+    with files.writing(path) as part, created(part) as file:
         yield file
 
 

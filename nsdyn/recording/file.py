@@ -59,7 +59,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording import schema, slots
-from nsdyn.tools.datasets import check_heaps, dataset
+from nsdyn.tools.datasets import check_heaps, created, dataset
 from nsdyn.tools.unfinished import open_to_read
 
 __all__ = ["create", "extend", "read", "read_state", "until"]
@@ -144,7 +144,7 @@ def create(
     state: Saved | None = None,
 ) -> None:  # fmt: skip
     """Write a new file, its datasets of fixed size or ready to grow; a state, the row it belongs to and its arrays."""
-    with h5py.File(path, "w", libver="latest", locking=False) as file:
+    with created(path, libver="latest") as file:
         file.create_group("meta").attrs.update(meta)
         file["meta/scene"] = json.dumps(scene)
         for name, data in columns.items():

@@ -69,10 +69,7 @@ def assemble(
         checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),
         checks.vector(position, 3, f"position of {name!r}"),
     )
-    q0 = of_joints(q, "q", description.q, 7)
-    if not pin.isNormalized(model, q0, NORMALISED):
-        raise ValueError(f"q of {name!r} must have unit quaternions and unit pairs (cos, sin), got {q0.tolist()}")
-    q0 = np.array(pin.normalize(model, q0))
+    q0 = _normalized(name, model, of_joints(q, "q", description.q, 7))
     if clip:
         _clip(model, q0)
     links, loops = _place(model, q0, links, description.loops, at)
@@ -85,10 +82,7 @@ def assemble(
         "armature": of_joints(armature, "armature", np.array(model.armature), 6),
         "stiffness": of_joints(stiffness, "stiffness", description.stiffness, 6),
     }
-    for what, values in in_joints.items():
-        if not ((values >= 0.0) & (values <= checks.LARGEST)).all():
-            size = f", nor above {checks.LARGEST:g}" if (values >= 0.0).all() else ""
-            raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
+    _check_magnitudes(name, in_joints)
     model.armature = in_joints["armature"]
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
@@ -122,6 +116,21 @@ def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | 
             raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
     if not isinstance(self_collisions, bool) and self_collisions != "apart":
         raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
+
+
+def _normalized(name: str, model: Any, q: Array) -> Array:
+    """A configuration with quaternions and pairs (cos, sin) of norm 1; ValueError where they are far from it."""
+    if not pin.isNormalized(model, q, NORMALISED):
+        raise ValueError(f"q of {name!r} must have unit quaternions and unit pairs (cos, sin), got {q.tolist()}")
+    return np.array(pin.normalize(model, q))
+
+
+def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:
+    """ValueError for what acts in joints and is negative or beyond all use."""
+    for what, values in in_joints.items():
+        if not ((values >= 0.0) & (values <= checks.LARGEST)).all():
+            size = f", nor above {checks.LARGEST:g}" if (values >= 0.0).all() else ""
+            raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
 
 
 def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -30,6 +31,8 @@ class Store:
     ------
     ValueError
         If the file cannot be written, is no store, or that of another sweep, naming the difference.
+    OSError
+        Naming the file, of a full disk, then or when a point is added.
     """
 
     def __init__(self, path: str | Path, sweep: Mapping[str, Any]) -> None:
@@ -39,7 +42,7 @@ class Store:
             raise ValueError(f"cannot store a sweep in {path}: it is no regular file, which lines could be added to")
         self._sweep = _read(_write({"sweep": sweep}))["sweep"]
         self._points, whole = self._found()
-        with open(self.path, "a+b") as file:
+        with self._told(), open(self.path, "a+b") as file:
             file.truncate(whole)
             if not whole:
                 file.write(_write({"sweep": sweep}))
@@ -70,18 +73,28 @@ class Store:
     def add(self, point: Mapping[str, Any]) -> dict[str, Any]:
         """Write a point, at once, and return it as it will be read; ValueError for what JSON cannot hold."""
         line = _write(point)
-        self._file.write(line)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        with self._told():
+            self._file.write(line)
+            self._file.flush()
+            os.fsync(self._file.fileno())
         out: dict[str, Any] = _read(line)
         return out
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Name the file in what goes wrong with it."""
+        try:
+            yield
+        except OSError as error:
+            raise OSError(error.errno, f"cannot store the sweep in {self.path}: {error.strerror}") from None
 
     def __enter__(self) -> Store:
         self._file = open(self.path, "ab")  # closed by __exit__
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._file.close()
+        with self._told():  # it tries once more what a full disk did not take
+            self._file.close()
 
 
 def _read(line: bytes) -> Any:

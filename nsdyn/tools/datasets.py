@@ -1,4 +1,4 @@
-"""Fields of HDF5 files that strangers made.
+"""HDF5 files: new ones that survive a full disk, and fields of those that strangers made.
 
 Sizes that a file declares are compared with the bytes it holds before anything is read: a few bytes may declare any
 number of values, and HDF5 would make room for them. Fields that lead to other files are refused.
@@ -6,16 +6,31 @@ number of values, and HDF5 would make room for them. Fields that lead to other f
 
 from __future__ import annotations
 
+import io
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import h5py
 
-__all__ = ["MULTIPLE", "check_heaps", "dataset"]
+__all__ = ["MULTIPLE", "check_heaps", "created", "dataset"]
 
 MULTIPLE = 1100
 """Bytes that a byte of a file may stand for: gzip makes 1032 of one."""
+
+
+@contextmanager
+def created(path: Path, **options: Any) -> Iterator[Any]:
+    """A new file with `options` of h5py, written as a whole when the block succeeds; OSError where it cannot be.
+
+    It is made in memory: HDF5 itself ends the process where the disk is full.
+    """
+    image = io.BytesIO()
+    with h5py.File(image, "w", **options) as file:
+        yield file
+    path.write_bytes(image.getbuffer())
 
 
 def dataset(group: Any, name: str, rows: int | None = None) -> Any:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["STDOUT", "check_writable", "is_special", "resolved", "writing"]
+__all__ = ["STDOUT", "check_folder", "check_writable", "is_special", "resolved", "writing"]
 
 STDOUT = Path("-")
 """Stands for standard output."""
@@ -31,13 +31,29 @@ def is_special(path: str | Path) -> bool:
         return True
     # /dev/stdout may lead to a regular file, which the shell has open and would lose.
     opened = str(path.absolute()).startswith(("/dev/", "/proc/"))
-    return path.exists() and not path.is_dir() and (opened or not path.is_file())
+    return os.path.exists(path) and not path.is_dir() and (opened or not path.is_file())
 
 
 def check_writable(path: str | Path) -> None:
     """Raise a ValueError that names a path `writing` could not write, as far as one can tell before."""
     if path == STDOUT:
         return
+    try:
+        _check_writable(path)
+    except PermissionError:  # of a folder on the way, which hides what is in it
+        raise ValueError(f"cannot write {path}: permission denied") from None
+
+
+def check_folder(path: str | Path) -> None:
+    """Raise a ValueError that names a folder that is not there and cannot be made, or that nothing can be added to."""
+    there = resolved(path)
+    while not os.path.lexists(there):
+        there = there.parent
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise ValueError(f"cannot write in {path}: {'permission denied' if there.is_dir() else f'{there} is a file'}")
+
+
+def _check_writable(path: str | Path) -> None:
     target = resolved(path)
     special = is_special(path)
     if target.is_dir():

@@ -1,0 +1,129 @@
+"""Where one does not look every day: folders that are locked, thousands of contacts, far away, in the same place."""
+
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+from nsdyn.cli import main
+from nsdyn.study.store import Store
+
+NOBODY = 65534
+
+
+@pytest.fixture
+def locked():
+    """A folder that can be read only, with a recording in it; root, who may write anywhere, becomes nobody."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        nd.simulate(nd.scenes.load("slide")(), 0.02, dt=0.01, record=folder / "run.h5").to_html(folder / "run.html")
+        folder.chmod(0o555)
+        root = os.geteuid() == 0
+        if root:
+            os.setresuid(NOBODY, NOBODY, 0)
+        yield folder
+        if root:
+            os.setresuid(0, 0, 0)
+        folder.chmod(0o755)
+
+
+def test_what_cannot_be_written_is_told_and_left(locked, capsys):
+    before = {file.name: file.read_bytes() for file in locked.iterdir()}
+    scene = nd.scenes.load("slide")()
+    problem = nd.Stepper(scene).step().problem
+    trajectory = nd.Trajectory.load(locked / "run.h5")
+    for write in (
+        lambda: nd.simulate(scene, 0.02, dt=0.01, record=locked / "new.h5"),
+        lambda: nd.simulate(scene, 0.04, dt=0.01, resume=locked / "run.h5"),
+        lambda: trajectory.save(locked / "new.h5"),
+        lambda: trajectory.to_html(locked / "run.html"),
+        lambda: nd.fclib.write(locked / "new.hdf5", problem),
+        lambda: Store(locked / "new.jsonl", {}),
+    ):
+        with pytest.raises(ValueError, match=f"cannot write {locked}.*: permission denied"):
+            write()
+    for command in (
+        ["run", "slide", "-o", "new.h5"], ["run", "slide", "--html", "new.html"], ["new", "mine.py"],
+        ["run", "slide", "--dump-on-fail", "new/failed"],
+        ["energy", f"{locked}/run.h5", "--plot", "new.png"], ["view", f"{locked}/run.h5", "-o", "new.html"],
+    ):  # fmt: skip
+        assert main([*command[:-1], f"{locked}/{command[-1]}"]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("nsdyn: error: cannot write") and line.endswith("permission denied")
+    assert {file.name: file.read_bytes() for file in locked.iterdir()} == before
+
+
+def test_a_folder_that_hides_what_is_in_it(locked):
+    """Nobody may look into a folder of root's own."""
+    if os.getresuid()[2] != 0:
+        pytest.skip("only root has folders that are hidden from nobody")
+    os.seteuid(0)
+    hidden = locked / "hidden"
+    hidden.mkdir(mode=0o700)
+    os.seteuid(NOBODY)
+    with pytest.raises(ValueError, match=r"cannot write .*run\.h5: permission denied"):
+        nd.simulate(nd.scenes.load("slide")(), 0.02, dt=0.01, record=hidden / "run.h5")
+
+
+@pytest.mark.parametrize("across", [10, pytest.param(60, marks=pytest.mark.slow)])
+def test_a_plate_on_many_spheres(across):
+    """20 m x 20 m and 1000 kg on `across`² spheres: nothing moves, and the ground carries all of it."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    places = (np.arange(across) + 0.5) * 20.0 / across - 10.0
+    for k, (x, y) in enumerate(np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)):
+        scene.add_sphere(f"ball{k}", 0.1, 0.05, position=(x, y, 0.1))
+    scene.add_box("plate", (20.0, 20.0, 0.2), 1000.0, position=(0, 0, 0.3))
+    stepper = nd.Stepper(scene, dt=1e-2)
+    for _ in range(3):
+        step = stepper.step()
+    assert step.gap.size == 2 * across**2 and step.solution.converged
+    assert np.abs(step.v).max() <= 1e-8  # the solver's tolerance
+    ground = [geom.name for geom in scene.geoms()].index("ground")
+    carried = step.r[(step.contacts.geom1 == ground) | (step.contacts.geom2 == ground), 0].sum()
+    assert carried == pytest.approx(9.81 * 1e-2 * (1000.0 + 0.05 * across**2), rel=1e-8)
+
+
+@pytest.mark.parametrize("side", [10, pytest.param(30, marks=pytest.mark.slow)])
+def test_many_boxes_on_one_plate(side):
+    """`side`² boxes at rest on a plate of 20 m x 20 m: four contacts each, and nothing moves."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_box("plate", (20.0, 20.0, 0.2), 1000.0, position=(0, 0, 0.1))
+    for k, (i, j) in enumerate(np.ndindex(side, side)):
+        scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, position=(0.3 * (i - side / 2), 0.3 * (j - side / 2), 0.3))
+    stepper = nd.Stepper(scene, dt=1e-2)
+    for _ in range(3):
+        step = stepper.step()
+    assert step.gap.size == 4 * side**2 + 4 and step.solution.converged
+    assert np.abs(step.v).max() <= 1e-8
+
+
+def test_far_from_the_origin():
+    """A thousand kilometres away a box falls, strikes and slides as it does here, to the digits that are left there."""
+
+    def thrown(x):
+        scene = nd.Scene()
+        scene.add_halfspace("ground", material=nd.Material(0.4, 0.5))
+        quaternion = np.array([0.1, 0.2, 0.3, 0.9]) / np.linalg.norm([0.1, 0.2, 0.3, 0.9])
+        scene.add_box(
+            "box", (0.2, 0.3, 0.4), 1.0, position=(x, x, 0.5), quaternion=quaternion, linear_velocity=(1, 0.5, 0),
+            angular_velocity=(1, 2, 3), material=nd.Material(0.4, 0.5),
+        )  # fmt: skip
+        return nd.simulate(scene, 0.5, dt=5e-3).q - [x, x, 0, 0, 0, 0, 0]
+
+    # Positions there are multiples of 1.2e-10 m, and an impact of a tilted box multiplies what two of them differ by.
+    np.testing.assert_allclose(thrown(1e6), thrown(0.0), rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("options", [{}, {"overlap": 1.0}, {"lift": True}])
+@pytest.mark.parametrize(("add", "size"), [("add_box", (0.2, 0.2, 0.2)), ("add_sphere", 0.1)])
+def test_bodies_in_the_same_place_are_refused(add, size, options):
+    scene = nd.Scene()
+    for name in "ab":
+        getattr(scene, add)(name, size, 1.0)
+    with pytest.raises(ValueError, match=r"^'a' and 'b' overlap at the start by 0\.2 m, more than"):
+        nd.Stepper(scene, **options)
