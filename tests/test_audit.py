@@ -224,3 +224,29 @@ def test_boxes_of_a_large_recording_are_audited_fast():
     start = time.perf_counter()
     assert deepest(crowd.describe(), q.reshape(1000, -1)) < 1e-9
     assert time.perf_counter() - start < 60.0
+
+
+def test_bodies_that_the_scene_squeezes_are_not_the_motions_overlap():
+    """Every step says OVERLAP; deeper than at the start, or where a step says that it is clear, it fails."""
+    trajectory = nd.simulate(nd.scenes.load("peg")(), 5e-3, dt=1e-3)
+    assert (trajectory.solver.status == nd.Status.OVERLAP).all()
+    assert nd.check(trajectory).passed
+    trajectory.q[3, 0] += 1e-6
+    finding = nd.check(trajectory)["overlap"]
+    assert not finding.passed and finding.step == 3 and finding.amount == pytest.approx(1e-6, rel=1e-6)
+    trajectory.q[3, 0] -= 1e-6
+    trajectory.columns["solver/status"][1] = nd.Status.CONVERGED
+    finding = nd.check(trajectory)["overlap"]
+    assert not finding.passed and finding.step == 2 and finding.amount == pytest.approx(4e-8, rel=1e-6)
+
+
+@pytest.mark.parametrize("impact", ["poisson", "fremond"])
+def test_friction_of_what_rebounds_opposes_the_slip_of_each_impact(impact):
+    """Not that of the end: a ball on another one, both with spin, fall on a plane that is rough."""
+    scene, material = nd.Scene(), nd.Material(mu=0.4, restitution=0.5)
+    scene.add_halfspace("ground", material=material)
+    for name, height, spin in (("one", 0.06, 20.0), ("two", 0.16, -30.0)):
+        at, turning = (0.01 * height, 0, height), (0, spin, 5.0)
+        scene.add_sphere(name, 0.05, 1.0, position=at, angular_velocity=turning, material=material)
+    audit = nd.check(nd.simulate(scene, 0.3, dt=5e-3, impact=impact))
+    assert audit.passed, audit

@@ -29,6 +29,8 @@ from typing import Any
 import numpy as np
 
 import nsdyn as nd
+from nsdyn.recording.poses import Poses
+from nsdyn.recording.touching import separations
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 import truth
@@ -270,12 +272,21 @@ def outcome(scene: nd.Scene, how: dict[str, Any], conserves: bool, steps: int) -
         figures.pop("dissipation", None)
     if squeezed:
         figures.pop("overlap", None)
+    elif any("overlap at the start" in text for text in warned):
+        figures["overlap"] = later_overlap(trajectory)
     if not (np.isfinite(trajectory.q).all() and np.isfinite(trajectory.v).all()):
         return "silent: the state is not finite", figures
     worse = [f"{name} {figures[name]:.2e}" for name, bar in BARS.items() if not figures.get(name, 0.0) <= bar]
     if worse:
         return f"above the bar: {', '.join(worse)}", figures
     return "missed, warned of" if missed else "squeezed, told" if squeezed else "passed", figures
+
+
+def later_overlap(trajectory: nd.Trajectory) -> float:
+    """Largest overlap by size after the start, where a warning says that bodies start in each other."""
+    poses = Poses(trajectory)
+    depth, first, second, state = separations(poses)
+    return float((depth / poses.size(first, second))[state > 0].max(initial=0.0))
 
 
 def parsed(given: list[str] | None = None) -> argparse.Namespace:

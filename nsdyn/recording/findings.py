@@ -32,13 +32,13 @@ TOLERANCES = {
 """Largest figure of each finding that passes."""
 
 MEANING = {
-    "overlap": "true overlap of two bodies / smallest extent of the smaller one",
+    "overlap": "true overlap of two bodies, beyond one that the start has and keeps / smallest extent of the smaller",
     "distance": "distance over which an impulse acts, beyond what the bodies move in the step / smallest extent",
     "normal": "overlap along the normal of a contact with an impulse, beyond the true one / smallest extent",
     "cone": "how far an impulse is outside its friction cone / largest impulse of the step",
     "friction": "work of friction at a contact at the velocity at the end of the step / energy at play",
     "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
-    "dissipation": "work of all contacts in a step / energy at play",
+    "dissipation": "work of all contacts in a step, with their rolling resistance / energy at play",
     "motion": "displacement of a free body - what its velocities make, left to the projection / its smallest extent",
     "momentum": "m Δv - Σ r - h m g of a free body / momenta and impulses of which this is the sum",
     "spin": "ΔL - Σ (p - x) × r of a free body / angular momenta and impulses times the radius",

@@ -60,6 +60,9 @@ class Poses:
             self.kind[k] = kinds[key]
         extents = np.array([solid.extent for solid in self.solids])
         self.extent = extents[self.kind] if len(geoms) else np.empty(0)
+        # Of any point of a shape from the origin of its frame, m.
+        arms = np.linalg.norm(self.placement[:, :3, 3], axis=1)
+        self.reach = np.array([self.solids[kind].reach for kind in self.kind]) + arms
 
     @cached_property
     def middle(self) -> tuple[Array, Array]:
@@ -76,6 +79,19 @@ class Poses:
         x[:, : self.free] = self.x[:-1, : self.free] + half * rotate(before[:, : self.free], twist[..., :3])
         q[:, : self.free] = turned(before[:, : self.free], half * twist[..., 3:])
         return x, q
+
+    @cached_property
+    def uncertain(self) -> tuple[Array, Array]:
+        """How far impacts may have moved frames in a step beyond what its ends tell, (n, frames) each: m and rad.
+
+        When an impact changed the velocities within the step is not recorded. Nothing is known of links.
+        """
+        t, theta = self.trajectory, float(self.trajectory.meta["theta"])
+        out = np.zeros((2, t.steps, self.x.shape[1]))
+        for k, part in enumerate((self.v[..., :3], self.v[..., 3:])):
+            change = np.diff(rotate(self.quaternion[:, : self.free], part), axis=0)
+            out[k, :, : self.free] = max(theta, 1.0 - theta) * t.dt * np.linalg.norm(change, axis=2)
+        return out[0], out[1]
 
     def of(self, geom: Index, row: Index, middle: bool = False) -> tuple[Array, Array]:
         """World poses (R, x) of shapes, one by one, in a row of the states, or of the middles of steps."""

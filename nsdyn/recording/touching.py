@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
+from nsdyn.problem.solution import Status
 from nsdyn.recording.findings import Found, at_play, left_out, not_audited, worst_of
 from nsdyn.recording.overlap import Solid, separation
 from nsdyn.recording.poses import MIDDLE, Poses
@@ -40,12 +43,27 @@ def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
 def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
     """True overlaps in all states, the worst by size or in m."""
     depth, first, second, state = separations(poses)
+    depth = depth - _squeezed(poses, depth, first * len(poses.names) + second, state)
 
     def names(k: int) -> tuple[str, str]:
         return poses.names[first[k]], poses.names[second[k]]
 
     figure = depth / poses.size(first, second) if by_size else depth
     yield worst_of("overlap", figure, depth, "m", state, names)
+
+
+def _squeezed(poses: Poses, depth: Array, pair: Index, state: Index) -> Array:
+    """Overlap of each pair at the start, m, in the states that nothing has removed it from; elsewhere 0.
+
+    Such bodies are squeezed by what the scene itself says, and every step of them has the status OVERLAP.
+    """
+    t, out = poses.trajectory, np.zeros(depth.size)
+    if "solver/status" in t.columns:
+        left = int(np.cumprod(t.solver.status == Status.OVERLAP).sum())
+        start, kept = np.flatnonzero(state == 0), np.flatnonzero(state <= left) if left else state[:0]
+        place = dict(zip(pair[start].tolist(), depth[start].tolist(), strict=True))
+        out[kept] = [max(0.0, place.get(p, 0.0)) for p in pair[kept].tolist()]
+    return out
 
 
 def _tested(poses: Poses) -> NDArray[np.bool_]:
@@ -115,10 +133,27 @@ def contacts(poses: Poses) -> Iterator[Found]:
     outside = np.maximum(-r[:, 0], drag - mu * np.maximum(r[:, 0], 0.0))
     scale = np.maximum(largest[step], 1e-300)
     yield worst_of("cone", outside / scale, outside, "N·s", step, names)
-    power = (r[:, 1:] * c["u"][:, 1:]).sum(axis=1)
+    # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
+    u = np.where(_rebounding(poses, c, step)[:, None], 0.0, c["u"][:, 1:])
+    power = (r[:, 1:] * u).sum(axis=1)
     yield worst_of("friction", power / at_play(poses), power, "J", step, names)
-    most = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(c["u"][:, 1:], axis=1) + power)
+    most = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(u, axis=1) + power)
     yield worst_of("slip", most / at_play(poses), most, "J", step, names)
+
+
+def _rebounding(poses: Poses, c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
+    """Contacts of islands of moving bodies in which one with restitution has an impulse, in each step."""
+    count = poses.x.shape[1]
+    frames = poses.frame[c["geom1"].astype(np.int64)], poses.frame[c["geom2"].astype(np.int64)]
+    first, second = (step * count + frame for frame in frames)
+    free1, free2 = (frame >= 0 for frame in frames)
+    pushes, elastic = c["impulse"][:, 0] > 0.0, c["restitution"] > 0.0
+    both, nodes = free1 & free2 & pushes, (poses.trajectory.steps + 1) * count
+    graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes, nodes))
+    island = connected_components(graph, directed=False)[1]
+    own = island[np.where(free1, first, second)] if nodes else step
+    out: NDArray[np.bool_] = np.isin(own, own[pushes & elastic])
+    return out
 
 
 def _where(poses: Poses, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[Found]:
@@ -137,6 +172,11 @@ def _where(poses: Poses, c: Mapping[str, Any], step: Index, largest: Array) -> I
             free[moment, some] = separation(a, *pose1, b, *pose2)
     size = poses.size(i, j)
     travel = np.abs(np.diff(along, axis=0)).sum(axis=0)
+    shift, turn = poses.uncertain
+    for geom in (i, j):
+        moving = np.flatnonzero(poses.frame[geom] >= 0)
+        body, reach = poses.frame[geom[moving]], poses.reach[geom[moving]]
+        travel[moving] += shift[k[moving] - 1, body] + reach * turn[k[moving] - 1, body]
     # A contact and its normal are those of some time within the step.
     apart, skew = along[1:4].min(axis=0) - travel, (np.minimum(free, 0.0) - along)[1:4].min(axis=0) - travel
 

@@ -5,7 +5,7 @@ that roll by the curvature of their motion, of those that stop or change their f
 positions, which lifts. What an island gained so is taken by rolling resistance, as if its contacts pressed a little
 ahead of where they touch: forces stay in their cones, and every momentum is kept. It is owed to the island, which gets
 it back as far as its smooth motion loses energy: the energy is the least that it would have been so far, and over many
-steps no more is lost than without.
+steps no more is lost than without. What rolls too little for that makes its step in two halves.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ __all__ = ["balance"]
 
 def balance(
     s: System, begin: Instant, end: Instant, done: list[Impulses], external: Array, owed: Array
-) -> tuple[Instant, float, Array]:
-    """The end of a step at which no island has gained energy, the work of that, J, and what is owed then.
+) -> tuple[Instant, float, Array, bool]:
+    """The end of a step at which no island has gained energy, the work of that, J, what is owed then, and what failed.
+
+    The last is whether an island has gained energy still: nothing in it rolls so much.
 
     Islands are free bodies that touch each other in the step, and the bodies that stand still; those that touch trees
     or driven bodies, and all in scenes whose surfaces move, may be given energy. What the law of impact created
@@ -42,12 +44,13 @@ def balance(
     """
     d = s.dynamics
     if not (end.contacts.gap.size or any(a.contacts.gap.size for a in done)):
-        return end, 0.0, owed
-    gain, slack, kinetic = np.empty((3, d.free))
+        return end, 0.0, owed, False
+    gain, kinetic = np.empty((2, d.free))
+    slack = np.empty((2, d.free))
     states = begin.position.x, begin.v, end.position.x, end.v
     some = _balance.gains(d.mass, d.J, d.gravity, external, s.closed, *states, gain, slack, kinetic)
     if d.surfaces.count or not (some or _law.any_positive(owed)):
-        return end, 0.0, owed
+        return end, 0.0, owed, False
     acted = [(a.contacts, a.r[:, 0] > 0.0) for a in done] + [(end.contacts, end.contacts.gap <= s.closed)]
     frame1, frame2, normal = (
         np.concatenate([getattr(c, name)[on] for c, on in acted]) for name in ("frame1", "frame2", "normal")
@@ -55,5 +58,5 @@ def balance(
     created = float(sum(a.created for a in done))
     v, owed, at = end.v.copy(), owed.copy(), end.placement
     touching = frame1, frame2, normal, end.twists[1], at.R
-    gained = _balance.resist(gain, slack, kinetic, owed, created, *touching, d.inverse_J, v)
-    return end._replace(v=v, twists=d.twists(at, v)), gained, owed
+    gained, more = _balance.resist(gain, slack, kinetic, owed, created, *touching, d.inverse_J, v)
+    return end._replace(v=v, twists=d.twists(at, v)), gained, owed, more

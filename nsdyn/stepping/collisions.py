@@ -69,9 +69,12 @@ def collide(
     met = Encounter.of(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0, 0.0)
     # What the solver's tolerance leaves of a velocity is no approach.
     resting = s.solver.tol + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
-    # What was pressed before turns with its bodies: it closes a little without striking.
-    slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, DEEP * JOINT)
-    depth[:nc] = np.where(np.isin(contacts.key, at.warm.key[at.warm.status > 0]), np.inf, s.deep(contacts))
+    slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)
+    depth[:nc] = s.deep(contacts)
+    if s.depth == DEEP:
+        # What was pressed before turns with its bodies: it closes a little without striking. But what has just closed
+        # its gap still approaches, and where that gains energy it is stopped first.
+        depth[:nc][np.isin(contacts.key, at.warm.key[at.warm.status > 0])] = np.inf
     slow = np.where(met.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
     if impact.problem is None or impact.solution is None:
@@ -96,5 +99,5 @@ def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Arra
 
 def _hits(s: System, joints: JointRows, v: Array, h: float) -> bool:
     """Whether a joint at a limit may strike it, at a velocity v and with a move of h s to come."""
-    limit = np.where(joints.restitution > 0.0, s.solver.tol, DEEP * JOINT / h)
+    limit = np.where(joints.restitution > 0.0, s.solver.tol, s.depth * JOINT / h)
     return bool(((joints.gap <= s.closed) & (s.dynamics.joints.rates(joints.slot, v) < -limit)).any())

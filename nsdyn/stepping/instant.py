@@ -29,7 +29,7 @@ move that only the way there tells which sides met."""
 
 DEEP = 1e-3
 """Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a step. What
-falls so far is lifted again at the end, and the energy of that is numerical."""
+falls so far is lifted again at the end, and the energy of that is numerical: where it gains some, less is allowed."""
 
 JOINT = 0.1
 """What counts for joint limits as the inscribed radius of a shape does, rad or m."""
@@ -77,6 +77,8 @@ class System(NamedTuple):
         Law of impact.
     elastic : bool
         Whether any contact or joint limit has restitution.
+    depth : float
+        Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a move.
     """
 
     dynamics: Dynamics
@@ -90,11 +92,12 @@ class System(NamedTuple):
     arm: Array
     impact: str
     elastic: bool
+    depth: float = DEEP
 
     @property
     def slow(self) -> float:
         """The least of what is `deep`."""
-        return DEEP * self.smallest
+        return self.depth * self.smallest
 
     def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:
         """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
@@ -106,8 +109,8 @@ class System(NamedTuple):
         return same
 
     def deep(self, contacts: ContactSet) -> Array:
-        """Overlaps, m, that a step may catch: deeper ones are impacts to be located; of joint limits DEEP JOINT."""
-        out: Array = DEEP * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
+        """Overlaps, m, that a move may catch: deeper ones are impacts to be located; of joint limits depth JOINT."""
+        out: Array = self.depth * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return out
 
 

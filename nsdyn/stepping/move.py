@@ -168,8 +168,8 @@ class Trial(NamedTuple):
     unmet : Unmet, optional
         What the motion did not meet, where it ends; None where there is nothing or all was caught.
     touched : float
-        Time until a pair that is open where the move begins touches on its way, s; that of the move if none does, or
-        if nothing is so fast that it might go unseen.
+        Time just after a pair that is open where the move begins touches on its way, s; that of the move if none does,
+        or if nothing is so fast that it might go unseen.
     """
 
     half: Half
@@ -223,7 +223,8 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
             limits = NOTHING
         unmet = others(s, moved.contacts, response.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
         if half.fast:
-            until = touched(s, begin, half.middle.placement, moved.placement, seen.memory, h)
+            places = half.middle.placement, moved.placement
+            until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
     return Trial(half, joints, seen, response, unmet, until)
 
 

@@ -18,13 +18,16 @@ from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Placement
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.instant import DEEP, FAST, JOINT, Instant, System, take
+from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "reached", "shown", "touched"]
 
 
 NONE = np.empty(0, np.int64)
+
+PAST = 0.05
+"""Fraction of the smaller inscribed radius by which bodies may get into each other where a fast move is cut short."""
 
 
 class Unmet(NamedTuple):
@@ -86,7 +89,7 @@ def caught_limits(
     held = begin.limits[np.where(friction, 0, place)] <= s.closed if begin.limits.size else friction
     pressed = begin.warm.joints[joints.slot, 0] > 0.0
     rate = np.where(pressed, laws.rates(joints.slot, begin.v), laws.rates(joints.slot, v))
-    shallow = joints.gap + ahead * rate > -DEEP * JOINT
+    shallow = joints.gap + ahead * rate > -s.depth * JOINT
     shallow &= ~np.isin(-1 - place, barred)
     return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
 
@@ -130,24 +133,36 @@ def reached(
     """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
     touches = s.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, closed)
-    deep = touches.contacts.gap < -s.deep(touches.contacts) * FAST / DEEP
+    c = touches.contacts
+    deep = c.gap < -FAST * np.minimum(s.inscribed[c.geom1], s.inscribed[c.geom2])
     if not deep.any():
         return contacts, memory
-    first = take(touches.contacts, deep)
+    first = take(c, deep)
     codes = s.detector.codes
     others = take(contacts, ~np.isin(codes(contacts), codes(first)))
     return _merged(others, first, s.detector), touches.memory
 
 
-def touched(s: System, begin: Instant, middle: Placement, end: Placement, memory: ContactMemory, h: float) -> float:
-    """Time until a pair that is open where a move begins touches on its way, h if none does, s."""
+def touched(
+    s: System, begin: Instant, places: tuple[Placement, Placement], memory: ContactMemory, h: float, speed: Array
+) -> float:
+    """Time just after a pair that is open where a move of h s begins touches on its way, h if none does, s.
+
+    Not much after it, so that what is hit is seen from the side where it is: the frames move with `speed` (frames,).
+    """
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
-    poses, before = [Poses(*place[:2]) for place in (begin.placement, middle, end)], (1.0 - s.theta) * h
-    first = s.touches(poses[0], poses[1], memory, closed).fraction
-    if first.size:
-        return before * float(first.min())
-    second = s.touches(poses[1], poses[2], memory, closed).fraction
-    return before + s.theta * h * float(second.min(initial=1.0))
+    first, second, third = [Poses(*place[:2]) for place in (begin.placement, *places)]
+    before, length = 0.0, (1.0 - s.theta) * h
+    touches = s.touches(first, second, memory, closed)
+    if not touches.fraction.size:
+        before, length = length, s.theta * h
+        touches = s.touches(second, third, memory, closed)
+    if not touches.fraction.size:
+        return h
+    k, c = int(touches.fraction.argmin()), touches.contacts
+    fast = sum(float(speed[f]) for f in (c.frame1[k], c.frame2[k]) if f >= 0)
+    size = float(min(s.inscribed[c.geom1[k]], s.inscribed[c.geom2[k]]))
+    return min(before + length * float(touches.fraction[k]) + PAST * size / fast, h)
 
 
 def shown(

@@ -13,15 +13,16 @@ ROUND_OFF = 1e-13
 
 SMOOTH = 1e-3
 """Fraction of its kinetic energy up to which an island's loss in a step may be one of numerics: to what loses more, as
-what comes to rest does, nothing is given back."""
+what comes to rest does, nothing is given back. Nor is more than that of what rolling resistance could take: a disc that
+spins on its face has next to no rolling, and would be tipped."""
 
 
 @kernel
 def gains(mass, J, gravity, external, closed, x0, v0, x, v, gain, slack, kinetic):
     """What the energies of the free bodies grew by, beyond the works `external` (nf,), into gain (nf,), J.
 
-    What of it is nothing, by round-off and as contacts may be open or overlap by `closed`, into slack (nf,); kinetic
-    energies before into kinetic (nf,). Returns whether a body gained more than nothing.
+    What of it is nothing, by round-off, and as contacts may be open or overlap by `closed` too, into slack (2, nf);
+    kinetic energies before into kinetic (nf,). Returns whether a body gained more than nothing.
     """
     some = False
     weight = math.sqrt(gravity[0] ** 2 + gravity[1] ** 2 + gravity[2] ** 2)
@@ -37,8 +38,9 @@ def gains(mass, J, gravity, external, closed, x0, v0, x, v, gain, slack, kinetic
                 before += 0.5 * v0[i + 3 + j] * J[b, j, k] * v0[i + 3 + k]
                 change += 0.5 * (v[i + 3 + j] - v0[i + 3 + j]) * J[b, j, k] * (v[i + 3 + k] + v0[i + 3 + k])
         gain[b], kinetic[b] = change - fall - external[b], before
-        slack[b] = ROUND_OFF * (before + abs(change) + abs(fall) + abs(external[b])) + 2.0 * closed * mass[b] * weight
-        some = some or gain[b] > slack[b]
+        slack[0, b] = ROUND_OFF * (before + abs(change) + abs(fall) + abs(external[b]))
+        slack[1, b] = slack[0, b] + 2.0 * closed * mass[b] * weight
+        some = some or gain[b] > slack[1, b]
     return some
 
 
@@ -85,7 +87,7 @@ def opposing(root, whole, frame1, frame2, normal, angular, R, inverse_J):
 
 @kernel
 def resist(gain, slack, kinetic, owed, spare, frame1, frame2, normal, angular, R, inverse_J, v):
-    """Change the spins in v so that no island of free bodies has gained energy; returns what they gained by that, J.
+    """Change the spins in v so that no island of free bodies has gained energy.
 
     An island turns its bodies by α of `opposing`, which takes α Σ‖t‖² - ½ α² Σ L·J⁻¹ L: what it gained, or if that
     cannot be all it can. Where rolling resistance cannot take it and the spins about the normals can, as of a body that
@@ -102,7 +104,8 @@ def resist(gain, slack, kinetic, owed, spare, frame1, frame2, normal, angular, R
         k = root[b] = root[root[b]]
         if k != b:
             gain[k] += gain[b]
-            slack[k] += slack[b]
+            slack[0, k] += slack[0, b]
+            slack[1, k] += slack[1, b]
             kinetic[k] += kinetic[b]
             owed[k] += owed[b]
             owed[b] = 0.0
@@ -118,8 +121,9 @@ def resist(gain, slack, kinetic, owed, spare, frame1, frame2, normal, angular, R
         if root[k] != k or driven[k]:
             continue
         excess[k] = gain[k] - spare
-        if excess[k] <= slack[k]:
-            excess[k] = -min(owed[k], -gain[k]) if -SMOOTH * kinetic[k] < gain[k] < 0.0 else 0.0
+        if excess[k] <= slack[0, k]:
+            back = SMOOTH * 0.5 * linear[k] ** 2 / square[k] if square[k] > 0.0 else 0.0
+            excess[k] = -min(owed[k], -gain[k], back) if -SMOOTH * kinetic[k] < gain[k] < 0.0 else 0.0
         whole[k] = excess[k] > 0.0 and linear[k] ** 2 <= 2.0 * square[k] * excess[k]
         some = some or whole[k]
     if some:
@@ -127,16 +131,18 @@ def resist(gain, slack, kinetic, owed, spare, frame1, frame2, normal, angular, R
         for k in range(free):
             whole[k] = whole[k] and most[k] ** 2 > 2.0 * cost[k] * excess[k]
         linear, square, turn = opposing(root, whole, frame1, frame2, normal, angular, R, inverse_J)
-    alpha, total = np.zeros(free), 0.0
+    alpha, total, more = np.zeros(free), 0.0, False
     for k in range(free):
         if root[k] != k or driven[k] or linear[k] == 0.0:
+            more = more or excess[k] > slack[1, k]
             continue
         rest = linear[k] ** 2 - 2.0 * square[k] * excess[k]
         alpha[k] = 2.0 * excess[k] / (linear[k] + math.sqrt(rest)) if rest > 0.0 else linear[k] / square[k]
         lost = alpha[k] * (linear[k] - 0.5 * alpha[k] * square[k])
         owed[k] = max(0.0, owed[k] + lost)
         total -= lost
+        more = more or excess[k] - lost > slack[1, k]
     for b in range(free):
         for i in range(3):
             v[6 * b + 3 + i] += alpha[root[b]] * turn[b, i]
-    return total
+    return total, more
