@@ -106,7 +106,7 @@ def _problems() -> None:
     heavy = Stepper(scenes.load("heavy_on_light")(ratio=1e4), 5e-3).step().problem
     solvers.by_name("auto")(FC3D(heavy.W, heavy.q, heavy.mu))
     label, islands = np.empty(factors.nc, np.int64), np.empty((2, factors.nc))
-    start.left_by_matrix(factors.csr, *given[:3], np.zeros((2, r.size)), factors.q_norm, label, islands)
+    start.left_by_matrix(factors.csr, *given[:3], r, r, factors.q_norm, label, islands)
     gauss.certify(factors, 0.9 * r, factors.q, gauss.Opening(np.zeros(factors.blocks.n), factors.nc, 1.0))
 
 

@@ -27,8 +27,8 @@ CONVERGED, ACCEPTED = Status.CONVERGED, (Status.CONVERGED, Status.LOOSE)  # a lo
 LIMITS = (DENSE, *TUNING.small, TUNING.warm[1])
 """What `_start.by_factors` takes."""
 
-MATRIX_LIMITS = (TUNING.small[0], TUNING.warm[1], TUNING.small[1], TUNING.quick, TUNING.sweeps, TUNING.patience)
-"""What `_local.solve_island` takes."""
+MATRIX_LIMITS = (TUNING.dense, *TUNING.small, TUNING.warm[1], TUNING.quick, TUNING.sweeps, TUNING.patience)
+"""What `_local.solve_small` takes."""
 
 
 class Search:
@@ -305,21 +305,19 @@ class Auto:
         """Solve a problem given by W alone from r0, since the time `start`."""
         W, q, mu, q_norm = problem.csr, problem.q, problem.mu, problem.q_norm
         scales, nc = problem.scales, mu.size
-        out = np.zeros((2, 3 * nc))
-        if r0 is not None:
-            out[0] = problem.impulse(r0)
+        r = np.zeros(q.size) if r0 is None else problem.impulse(r0).copy()
+        u = np.empty(q.size)
         if nc == 1:
-            count, (error, residual) = 1, _start.alone(W[2], q, mu, scales, q_norm, out)
+            count, (error, residual) = 1, _start.alone(W[2], q, mu, scales, q_norm, r, u)
         else:
-            limits = TUNING.margin, TUNING.dense, MATRIX_LIMITS
-            count, error, residual = _start.by_matrix(W, q, mu, scales, out, self.tol, q_norm, *limits)
-        r, u = out
+            given, margin = (W, q, mu, scales, r, u), TUNING.margin * self.tol
+            count, error, residual = _start.by_matrix(*given, self.tol, margin, q_norm, MATRIX_LIMITS)
         if error <= self.tol and residual <= self.tol:
             # As `Solution.measured`, in a third of the time
             found = r, u, CONVERGED, error, residual, count, time.perf_counter() - start
             return tuple.__new__(Solution, found)
         label, islands = np.empty(nc, np.int64), np.empty((2, nc))
-        measures, share = islands[:, : _start.left_by_matrix(W, q, mu, scales, out, q_norm, label, islands)]
+        measures, share = islands[:, : _start.left_by_matrix(W, q, mu, scales, r, u, q_norm, label, islands)]
         for k in (~(measures <= TUNING.margin * self.tol * share)).nonzero()[0]:
             contacts = np.flatnonzero(label == k)
             i = rows(contacts, nc)

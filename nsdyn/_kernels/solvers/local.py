@@ -169,11 +169,11 @@ def solve_island(W, given, r, tol, q_norm, limits):
     """One island of a block-sparse W = (indptr, indices, data), given = (q, mu, scales), in place of r; iterations.
 
     From a warm start `warm` steps of Newton; accelerated Gauss–Seidel while its rate leaves hope; where a step costs
-    little, `most` of Newton; then the interior point method and Newton from its states. limits = (penalty, warm, most,
-    quick, sweeps, patience).
+    little, `most` of Newton; then the interior point method and Newton from its states. limits = (largest, penalty,
+    most, warm, quick, sweeps, patience).
     """
     q, mu, scales = given
-    penalty, warm, most, quick, sweeps, patience = limits
+    _, penalty, most, warm, quick, sweeps, patience = limits
     M, memory = pgs.matrix(W[0], W[1], W[2]), min(20, mu.size + 1)
     count, best = 0, np.inf
     if r.any():
@@ -206,14 +206,14 @@ def solve_island(W, given, r, tol, q_norm, limits):
 
 
 @kernel
-def solve_small(W, given, r, tol, q_norm, largest, limits):
-    """Every island of at most `largest` contacts in place of r: one contact in closed form, more by `solve_island`.
+def solve_small(W, given, r, tol, q_norm, limits):
+    """Every island of at most limits[0] contacts in place of r: one contact in closed form, more by `solve_island`.
 
     They share the tolerance by contacts. Returns the iterations.
     """
     indptr, indices, data = W
     q, mu, scales = given
-    nc = mu.size
+    nc, largest = mu.size, limits[0]
     if indptr[1] == nc and nc <= min(largest, NARROW):  # one island, nothing to extract
         return solve_island(W, given, r, tol, q_norm, limits)
     label, order = np.empty(nc, np.int64), np.empty(nc, np.int64)

@@ -74,9 +74,8 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_no
 
 
 @kernel
-def alone(W, q, mu, scales, q_norm, out):
-    """The only contact of a problem in closed form, W (1, 3, 3): r and u into out (2, 3); its error and residual."""
-    r, u = out[0], out[1]
+def alone(W, q, mu, scales, q_norm, r, u):
+    """The only contact of a problem in closed form, W (1, 3, 3), into r and u (3,); its error and residual."""
     r[0], r[1], r[2] = cones.coulomb(W[0], q[0], q[1], q[2], mu[0])
     for i in range(3):
         u[i] = W[0, i, 0] * r[0] + W[0, i, 1] * r[1] + W[0, i, 2] * r[2] + q[i]
@@ -85,27 +84,27 @@ def alone(W, q, mu, scales, q_norm, out):
 
 
 @kernel
-def by_matrix(W, q, mu, scales, out, tol, q_norm, margin, largest, limits):
-    """Small islands of a block-sparse W by `local.solve_small` in place of r = out[0], unless it meets `tol`.
+def by_matrix(W, q, mu, scales, r, u, tol, margin, q_norm, limits):
+    """Small islands of a block-sparse W by `local.solve_small` to `margin` in place of r, unless r meets `tol`.
 
-    For `margin` of the tolerance. Returns the iterations, the literature's error and the residual; u into out[1].
+    Returns the iterations, the literature's error and the residual; u = W r + q into u.
     """
-    r, u, count, top, residual = out[0], out[1], 0, np.inf, np.inf
+    count, top, residual = 0, np.inf, np.inf
     if r.any() or (q[::3] >= 0.0).all():
         pgs.velocity(W[0], W[1], W[2], q, r, u)
         top, residual = cones.measures(scales, u, r, mu)
     if not (top / q_norm <= tol and residual <= tol):
-        count = local.solve_small(W, (q, mu, scales), r, margin * tol, q_norm, largest, limits)
+        count = local.solve_small(W, (q, mu, scales), r, margin, q_norm, limits)
         pgs.velocity(W[0], W[1], W[2], q, r, u)
         top, residual = cones.measures(scales, u, r, mu)
     return count, top / q_norm, residual
 
 
 @kernel
-def left_by_matrix(W, q, mu, scales, out, q_norm, label, islands):
+def left_by_matrix(W, q, mu, scales, r, u, q_norm, label, islands):
     """Islands of W into label (nc,), their measures and shares of the tolerance into islands (2, nc); how many."""
     found = local.islands(W[0], W[1], label)
-    islands[0, :found] = newton.measures_of_islands(label, found, scales, q_norm, out[1], out[0], mu)
+    islands[0, :found] = newton.measures_of_islands(label, found, scales, q_norm, u, r, mu)
     islands[1, :found] = 0.0
     for c in range(label.size):
         islands[1, label[c]] += 1.0 / label.size
