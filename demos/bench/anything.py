@@ -297,11 +297,11 @@ def round_off(scene: nd.Scene, trajectory: nd.Trajectory) -> dict[str, float]:
     free, eps = len(scene.free_bodies), np.finfo(float).eps
     x = np.linalg.norm(trajectory.q[:, : 7 * free].reshape(-1, 7)[:, :3], axis=1).max(initial=0.0)
     size = min((2.0 * body.shape.inscribed_radius for body in scene.free_bodies), default=1.0)
-    kinetic, potential = truth.energies(scene, trajectory)
-    play = float(kinetic.max() + np.ptp(potential)) or 1.0
+    energy = trajectory.energy
+    play = float(energy.kinetic.max() + np.ptp(energy.potential)) or 1.0
     return {
         "overlap": float(8.0 * eps * x / size),
-        "created": float(trajectory.steps * eps * free * np.abs(potential).max() / play),
+        "created": float(trajectory.steps * eps * free * np.abs(energy.potential).max() / play),
     }
 
 
