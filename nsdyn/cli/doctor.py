@@ -73,24 +73,25 @@ def wrong_packages() -> list[str]:
 
 
 def _within(version: str, bound: str) -> bool:
-    """Whether a version is within a bound as ``>=1.26`` or ``<5``."""
+    """Whether a version is within a bound as ``>=1.26``, ``>=0.1.7.post1`` or ``<5``."""
     sign, limit = re.match(r"\s*([<>=!~]+)\s*(.*)", bound).groups()  # type: ignore[union-attr]
-    have, want = ([int(part) for part in re.findall(r"\d+", text)[:3]] for text in (version, limit))
+    have, want = ([int(part) for part in re.findall(r"\d+", text)[:4]] for text in (version, limit))
     return {">=": have >= want, ">": have > want, "<": have < want, "<=": have <= want}.get(sign, True)
 
 
 def diagnose(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn doctor``."""
-    from nsdyn._kernels import ahead, cache
     from nsdyn.recording import browser
 
     if arguments.compile:
+        from nsdyn._kernels import ahead
+
         ahead.compile_examples("all")
     packages: dict[str, Any] = {}
     for distribution, module in PACKAGES.items():
         spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server
         packages[distribution] = {"version": version_of(distribution), "file": spec.origin if spec else None}
-    place = cache.folder()
+    cache, none = _cache()
     checks = {name: _outcome(check) for name, check in CHECKS.items()}
     wrong = wrong_packages()
     sound = not wrong and all(c == "ok" for c in checks.values())
@@ -98,7 +99,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
         "python": {"version": sys.version.split()[0], "file": sys.executable},
         "packages": packages,
         "chromium": browser.chromium(),
-        "cache": place,
+        "cache": cache,
         "checks": checks,
         "wrong": wrong,
         "ok": sound,
@@ -110,13 +111,21 @@ def diagnose(arguments: argparse.Namespace) -> int:
         print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
     absent = "not found; only pictures and films (nsdyn view --png, --mp4) need it"
     print(f"{'chromium':12} {figures['chromium'] or absent}")
-    none = f"none can be written: every start compiles unless {cache.FOLDER} names a folder"
-    print(f"{'cache':12} {place or none}")
+    print(f"{'cache':12} {cache or none}")
     for line in wrong:
         print(f"{'wrong':12} {line}")
     for name, outcome in checks.items():
         print(f"check        {name}: {outcome}")
     return 0 if sound else 1
+
+
+def _cache() -> tuple[Path | None, str]:
+    """Folder of the compiled kernels, or None and why there is none."""
+    try:
+        from nsdyn._kernels import cache
+    except Exception as error:  # of numba or of what it needs
+        return None, f"not known: {type(error).__name__}: {one_line(error)}"
+    return cache.folder(), f"none can be written: every start compiles unless {cache.FOLDER} names a folder"
 
 
 def _outcome(check: Callable[[], bool]) -> str:
