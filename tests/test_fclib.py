@@ -429,8 +429,9 @@ def test_failing_step_is_dumped(tmp_path):
 
 def test_dump_folder_must_not_be_a_file(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="dump_on_fail must be a folder"):
-        nd.Stepper(nd.scenes.load("slide")(), dump_on_fail=tmp_path / "file")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(ValueError, match="dump_on_fail must be a folder"):
+            nd.Stepper(nd.scenes.load("slide")(), dump_on_fail=folder)
 
 
 @pytest.mark.skipif(not HARD.is_dir(), reason="the folder of hard problems is not here")

@@ -12,6 +12,7 @@ from nsdyn.problem import cones, fclib
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
 from nsdyn.stepping.state import State
+from nsdyn.tools.files import check_folder
 from nsdyn.tools.naming import choice
 
 __all__ = ["Failures", "worst"]
@@ -41,7 +42,7 @@ class Failures:
     Raises
     ------
     ValueError
-        For what is none of the choices, and where the folder is a file.
+        For what is none of the choices, and where the folder cannot be written.
     """
 
     def __init__(self, on_fail: str, folder: str | Path | None, names: list[str]) -> None:
@@ -49,8 +50,11 @@ class Failures:
         if folder is None and on_fail == "dump":
             folder = DUMPS
         self.on_fail, self.folder, self.names = on_fail, None if folder is None else Path(folder), names
-        if self.folder is not None and self.folder.is_file():
-            raise ValueError(f"dump_on_fail must be a folder, got the file {folder}")
+        if self.folder is not None:
+            try:
+                check_folder(self.folder)
+            except ValueError as refused:
+                raise ValueError(f"dump_on_fail must be a folder that can be written: {refused}") from None
         self.count = 0
 
     def tell(self, problem: FC3D, solution: Solution, contacts: ContactSet, state: State, tol: float) -> None:
