@@ -21,6 +21,9 @@ __all__ = ["contacts", "overlaps", "separations"]
 STATES = 200_000
 """Most poses of shapes that are looked at together."""
 
+PARTING = 1e-4
+"""m/s, above which what has restitution rebounds: the residual that a solve may have that is accepted."""
+
 
 def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
     """True overlap [m], both shapes and state of every pair of shapes that may not overlap and whose boxes meet."""
@@ -142,17 +145,18 @@ def contacts(poses: Poses) -> Iterator[Found]:
 
 
 def _rebounding(poses: Poses, c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
-    """Contacts of islands of moving bodies in which one with restitution has an impulse, in each step."""
+    """Contacts of islands of moving bodies in which one with restitution parts after its impulse, in each step."""
     count = poses.x.shape[1]
     frames = poses.frame[c["geom1"].astype(np.int64)], poses.frame[c["geom2"].astype(np.int64)]
     first, second = (step * count + frame for frame in frames)
     free1, free2 = (frame >= 0 for frame in frames)
-    pushes, elastic = c["impulse"][:, 0] > 0.0, c["restitution"] > 0.0
+    pushes = c["impulse"][:, 0] > 0.0
+    rebounds = pushes & (c["restitution"] > 0.0) & (c["u"][:, 0] > PARTING)
     both, nodes = free1 & free2 & pushes, (poses.trajectory.steps + 1) * count
     graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes, nodes))
     island = connected_components(graph, directed=False)[1]
     own = island[np.where(free1, first, second)] if nodes else step
-    out: NDArray[np.bool_] = np.isin(own, own[pushes & elastic])
+    out: NDArray[np.bool_] = np.isin(own, own[rebounds])
     return out
 
 
