@@ -13,7 +13,7 @@ from nsdyn._kernels.problem import linear
 from nsdyn._kernels.solvers import interior as kernels
 from nsdyn._kernels.solvers import local
 from nsdyn._kernels.solvers import smoothing as smooth
-from nsdyn.solvers import interior, nesterov, smoothing
+from nsdyn.solvers import interior, smoothing
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 SOLVERS = ("auto", "interior")
@@ -112,23 +112,9 @@ def test_effort_beyond_the_loose_tolerance_is_bounded():
 def test_smoothing_newton_from_nothing(operator):
     problem = kicked_stack(height=3)
     W = interior.Velocity(problem.blocks) if operator == "Velocity" else interior.Local(problem.W)
-    r = np.zeros_like(problem.q)
+    r = np.empty_like(problem.q)
     used, measure = smoothing.smoothing(W, problem.q, problem.mu, problem.scales, r, 1e-6, problem.q_norm, 60)
     assert problem.solved(r, 1e-6)[0] and measure <= 1e-6 and 5 < used < 40
-
-
-def test_smoothing_newton_from_where_sweeps_swing():
-    """A start that is near takes fewer factorisations than none."""
-    problem = kicked_stack(height=3)
-    given = problem.q, problem.mu, problem.scales
-    sweeps = nesterov.Sweeps(problem.blocks, *given, np.zeros_like(problem.q), problem.q_norm)
-    sweeps.run(0.0, 200, 200)
-    cold, warm = np.zeros_like(problem.q), sweeps.now
-    assert not problem.solved(warm, 1e-8)[0]
-    W = interior.Velocity(problem.blocks)
-    used = [smoothing.smoothing(W, *given, r, 1e-8, problem.q_norm, 60)[0] for r in (cold, warm)]
-    assert problem.solved(warm, 1e-8)[0]
-    assert used[1] < used[0]
 
 
 @pytest.mark.parametrize("tau", [1e-12, 1e-3, 10.0])

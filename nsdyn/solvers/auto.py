@@ -128,17 +128,6 @@ class Search:
             self.r[:] = x
         self._note(best, used, used * cost)
 
-    def smooth(self, tol: float) -> None:
-        """The smoothing Newton method from where the sweeps are, which is never the same, better or not."""
-        if self._over(tol) or self._sweeps is None:
-            return
-        m, x = self.means, self._sweeps.now
-        p, cost = m.problem, m.factorisation
-        used, best = smoothing(m.operator, p.q, p.mu, p.scales, x, tol, m.q_norm, self._most(cost, TUNING.again))
-        if best < self.best:
-            self.r[:] = x
-        self._note(best, used, used * cost)
-
     def sweep(self, factorisations: float, tol: float) -> None:
         """Sweeps with momentum that take as long as so many factorisations, from the best or on from the last."""
         if self._over(tol):
@@ -155,21 +144,14 @@ class Search:
         self._note(self._sweeps.best, used, used * cost)
 
     def rounds(self, tol: float) -> None:
-        """Sweeps and Newton in turn, the next time twice as long but for sweeps that are stuck.
-
-        Sweeps that are so close that Newton takes over have as long to get there first.
-        """
+        """Sweeps and Newton in turn, the next time twice as long but for sweeps that are stuck."""
         lengths = [TUNING.first_sweep, TUNING.first_newton]
         for k in range(TUNING.rounds):
             start = self.best
-            self.sweep(lengths[0], tol if start <= TUNING.close * tol else TUNING.close * tol)
+            self.sweep(lengths[0], tol)
             stuck = self.best > TUNING.stuck * start
-            if self.best <= TUNING.close * tol:
-                self.sweep(lengths[1], tol)
             self.newton(TUNING.far, lengths[1], tol)
             lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
-            if k > 0:
-                self.smooth(tol)
             if k == TUNING.between and self.best > tol:
                 self.cold(interior, TUNING.interior)
                 self.cold(smoothing, TUNING.smoothing)

@@ -32,10 +32,6 @@ class Interruptible(Protocol):
     count: int
     best: float
 
-    @property
-    def now(self) -> Array:
-        """The last impulse, a copy."""
-
     def run(self, tol: float, most: int, patience: int) -> bool:
         """Go on; whether it is worth going on."""
 

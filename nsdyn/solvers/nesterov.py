@@ -38,11 +38,6 @@ class Sweeps:
         self._y, self._x, self._t = self._best_r.copy(), self._best_r.copy(), np.ones(mu.size)
         self.count, self._last, self._keep = 0, 0, 0.5
 
-    @property
-    def now(self) -> Array:
-        """The last impulse, a copy; it swings about the solution."""
-        return self._y.flatten()
-
     def run(self, tol: float, most: int, patience: int) -> bool:
         """Go on to the tolerance, to so many sweeps in all or so many without gain; whether it is worth going on."""
         self.count, self._last, self.best, self._keep = _kernels.solve(
@@ -64,11 +59,6 @@ class MatrixSweeps:
         self._best_r, self._given = r, (*W, _kernels.steps_of_matrix(*W, mu), q, mu, scales, q_norm)
         self._y, self._x, self._t = r.copy(), r.copy(), np.ones(mu.size)
         self.count, self._last, self._keep = 0, 0, 0.5
-
-    @property
-    def now(self) -> Array:
-        """The last impulse, a copy."""
-        return self._y.copy()
 
     def run(self, tol: float, most: int, patience: int) -> bool:
         """Go on as `Sweeps.run` does."""

@@ -18,9 +18,6 @@ SHORTEST, GAIN = 0.05, 0.1
 LEAST, MOST = 1e2, 1e12
 """Range of the damping 1 / (R W_cc), from none to all but a standstill."""
 
-WARM = 0.01
-"""First smoothing from an impulse, over its measure times its mean normal impulse: well below what it misses by."""
-
 NEAR = 0.3
 """The smoothing falls tenfold where the merit is at most this times √(τ nc), the size of what smoothing changes."""
 
@@ -28,7 +25,7 @@ NEAR = 0.3
 def smoothing(
     W: Operator, q: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, max_iter: int
 ) -> tuple[int, float]:
-    """Solve one connected problem from r, or from nothing if that is 0: (factorisations, measure), the best into r.
+    """Solve one connected problem from nothing: (factorisations, measure of r), the best impulse into r.
 
     Unknowns are z of the law in `_kernels.smoothing`, which has a solution whatever z is, so that no rule keeps steps
     inside a cone, and an impulse x with v = W x + q. Newton on
@@ -45,14 +42,8 @@ def smoothing(
     """
     nc, n = mu.size, q.size
     kappa = STRETCH / scales
-    x, v = r.copy(), W.product(r) + q
-    if r.any():
-        miss = max(_cones.natural_residual(scales, v, r, mu), _cones.natural_error(v, r, mu) / q_norm)
-        tau = WARM * float(miss) * float(r[0::3].mean())
-        z = x - np.repeat(kappa, 3) * v
-    else:
-        tau = (float(np.abs(q).max()) or 1.0) ** 2 / float(scales.mean())
-        z = np.zeros(n)
+    tau = (float(np.abs(q).max()) or 1.0) ** 2 / float(scales.mean())
+    x, z, v = np.zeros(n), np.zeros(n), q.copy()
     p, u, G, g, dx, dz = (np.empty(n) for _ in range(6))
     slip, A = np.empty((nc, 2)), np.empty((nc, 3, 3))
 

@@ -116,26 +116,17 @@ class Tuning:
     first_newton: int = 4
     """What Newton takes in the first round; twice as long each time."""
 
-    close: float = 1.6
-    """Measure after sweeps, over the tolerance, from which on Newton's first steps mostly get there: what momentum
-    leaves to swing goes with them, and little else."""
-
-    again: int = 30
-    """Factorisations of the smoothing Newton method after Newton, from the second round on: from where sweeps are it
-    gets there within these, or not at all."""
-
     rounds: int = 8
     """Number of rounds."""
 
     stuck: float = 0.5
     """Measure after sweeps, over that before, from which on they are stuck."""
 
-    between: int = 4
+    between: int = 2
     """Round after which the methods from nothing are tried in between."""
 
-    restart: float = 0.1
-    """Sweeps lose their momentum and go on from what was found otherwise only where that is so much better: Newton
-    halves their measure in a few steps, but what moves on is their momentum."""
+    restart: float = 0.5
+    """Sweeps lose their momentum and go on from what Newton found only where that is so much better."""
 
     # Last resorts
 
