@@ -9,8 +9,12 @@ from nsdyn._kernels.packing import indices, matrices, numbers, triples
 LEFT = -1
 """Instead of a number of contacts: a geom has left its fat box, and the pairs are to be renewed first."""
 
-GEOMS, PAIRS = 22, 7
-"""How many arrays of floats the packed geoms and pairs have."""
+# The arrays of floats and of integers that `Detector` packs, of the geoms and of the candidate pairs, in their order.
+(SIZE, OFFSET, RADIUS, VERTICES, NORMALS, OFFSETS, PLACEMENT_R, PLACEMENT_T, ROTATION, ORIGIN, REACH, SLACK, BASE,
+ LOWER, UPPER, FAT_LOWER, FAT_UPPER, POLY, OTHER, VALUES, POINTS, HEIGHTS, GEOMS) = range(23)  # fmt: skip
+KIND, VERTEX_PTR, FACE_PTR, LOOP_PTR, LOOP, FRAME = range(6)
+POINT, NORMAL, GAP, COAL, MARGIN, MU, RESTITUTION, PAIRS = range(8)
+PAIR, FIRST, SECOND, SLOT = range(4)
 
 
 @kernel
@@ -22,29 +26,30 @@ def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out)
     (names, points) and out = (names, points, scalars).
     """
     f, i = geoms
-    radius, frame = numbers(f, i, 2), indices(i, 5, GEOMS)
-    R, t, reach = matrices(f, i, 8), triples(f, i, 9), numbers(f, i, 10)
+    radius, frame = numbers(f, i, RADIUS), indices(i, FRAME, GEOMS)
+    R, t, reach = matrices(f, i, ROTATION), triples(f, i, ORIGIN), numbers(f, i, REACH)
     fields = (
-        indices(i, 0, GEOMS), triples(f, i, 0), numbers(f, i, 1), radius, indices(i, 1, GEOMS), triples(f, i, 3),
-        indices(i, 2, GEOMS), triples(f, i, 4), numbers(f, i, 5), indices(i, 3, GEOMS), indices(i, 4, GEOMS), frame,
-        matrices(f, i, 6), triples(f, i, 7),
+        indices(i, KIND, GEOMS), triples(f, i, SIZE), numbers(f, i, OFFSET), radius, indices(i, VERTEX_PTR, GEOMS),
+        triples(f, i, VERTICES), indices(i, FACE_PTR, GEOMS), triples(f, i, NORMALS), numbers(f, i, OFFSETS),
+        indices(i, LOOP_PTR, GEOMS), indices(i, LOOP, GEOMS), frame, matrices(f, i, PLACEMENT_R),
+        triples(f, i, PLACEMENT_T),
     )  # fmt: skip
     if not placed and follow(
-        fields, poses[0], poses[1], poses[2], numbers(f, i, 12), R, t, reach, triples(f, i, 13), triples(f, i, 14),
-        triples(f, i, 15), triples(f, i, 16),
+        fields, poses[0], poses[1], poses[2], numbers(f, i, BASE), R, t, reach, triples(f, i, LOWER),
+        triples(f, i, UPPER), triples(f, i, FAT_LOWER), triples(f, i, FAT_UPPER),
     ):  # fmt: skip
         return LEFT, next_key
     p, j = pairs
-    point, normal, gap, pair = triples(p, j, 0), triples(p, j, 1), numbers(p, j, 2), indices(j, 0, PAIRS)
-    first, second, coal = indices(j, 1, PAIRS), indices(j, 2, PAIRS), numbers(p, j, 3)
+    point, normal, gap, pair = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)
+    first, second, coal = indices(j, FIRST, PAIRS), indices(j, SECOND, PAIRS), numbers(p, j, COAL)
     count = manifolds(
-        fields, R, t, numbers(f, i, 11), first, second, indices(j, 3, PAIRS), coal.reshape((coal.size // 10, 10)),
-        numbers(p, j, 4), reach, limit, triples(f, i, 17), triples(f, i, 18), numbers(f, i, 19), triples(f, i, 20),
-        numbers(f, i, 21), point, normal, gap, pair,
+        fields, R, t, numbers(f, i, SLACK), first, second, indices(j, SLOT, PAIRS), coal.reshape((coal.size // 10, 10)),
+        numbers(p, j, MARGIN), reach, limit, triples(f, i, POLY), triples(f, i, OTHER), numbers(f, i, VALUES),
+        triples(f, i, POINTS), numbers(f, i, HEIGHTS), point, normal, gap, pair,
     )  # fmt: skip
     if count == out[0].shape[1]:
         next_key = collect(
-            pair, first, second, frame, numbers(p, j, 5), numbers(p, j, 6), point, normal, gap, radius, R, t, tolerance,
-            reach, memory[0], memory[1], next_key, out[0], out[1], out[2],
+            pair, first, second, frame, numbers(p, j, MU), numbers(p, j, RESTITUTION), point, normal, gap, radius, R, t,
+            tolerance, reach, memory[0], memory[1], next_key, out[0], out[1], out[2],
         )  # fmt: skip
     return count, next_key
