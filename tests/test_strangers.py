@@ -229,6 +229,10 @@ def test_what_grows_beyond_its_file_is_refused(tmp_path):
     path.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
     with pytest.raises(ValueError, match="'r' has 300 coordinates, more than 256"):
         nd.Scene().add_mjcf("r", path)
+    balls = '<joint type="ball"/>' * 209  # of which Pinocchio makes one joint with tables of gigabytes
+    path.write_text(f'<mujoco><worldbody><body>{balls}<geom size=".1"/></body></worldbody></mujoco>')
+    with pytest.raises(ValueError, match="'r' has 627 coordinates, more than 256"):
+        nd.Scene().add_mjcf("r", path)
 
 
 # -- HDF5 ----------------------------------------------------------------------------------------------------------

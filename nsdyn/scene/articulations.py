@@ -18,7 +18,7 @@ from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Articulation", "Description", "Link", "Loop", "check_size", "describe_model"]
+__all__ = ["Articulation", "Description", "Link", "Loop", "check_count", "check_size", "describe_model"]
 
 COORDINATES = 256
 """Most of a tree: Pinocchio's data hold three-way tables of them, 64 nv³ bytes, which is 1 GB."""
@@ -167,10 +167,15 @@ def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str]
     return Description(model, links=tuple(links), bodies=tuple(bodies), **(defaults | more))
 
 
+def check_count(name: str, coordinates: int) -> None:
+    """Refuse trees that Pinocchio has no memory for."""
+    if coordinates > COORDINATES:
+        raise ValueError(f"{name!r} has {coordinates} coordinates, more than {COORDINATES}: cut it into several trees")
+
+
 def check_size(name: str, model: Any) -> None:
     """Refuse trees that Pinocchio has no memory for, and numbers whose products are none."""
-    if model.nv > COORDINATES:
-        raise ValueError(f"{name!r} has {model.nv} coordinates, more than {COORDINATES}: cut it into several trees")
+    check_count(name, model.nv)
     placed = [p.translation for p in model.jointPlacements]
     values = [*placed, *(np.r_[body.mass, body.lever, body.inertia.ravel()] for body in model.inertias)]
     if not (np.abs(np.concatenate(values)) <= checks.LARGEST).all():

@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene import meshes
-from nsdyn.scene.articulations import Description, Loop, check_size, describe_model
+from nsdyn.scene.articulations import Description, Loop, check_count, check_size, describe_model
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.model import links_of
@@ -72,6 +72,8 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         _write_out_defaults(root)
         masks, materials = _simplify(root, dropped, unused)
         flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
+        # Before Pinocchio builds it: of several joints of one body it makes one, whose tables are as large as that.
+        check_count(name, sum(SIZES[kind][1] for _, kind, _, _ in _joints(root)))
         model, geometry = _build(root, path)
         check_size(name, model)
         stiffness, rest = _set_joints(root, model, dropped)
@@ -292,6 +294,8 @@ def _joints(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
     for element in root.iter():
         if element.tag in ("joint", "freejoint") and "joint1" not in element.attrib:
             kind = "free" if element.tag == "freejoint" else element.get("type", "hinge")
+            if kind not in SIZES:
+                raise ValueError(f"joint {element.get('name')!r} must be of type {', '.join(SIZES)}, got {kind!r}")
             nq, nv = SIZES[kind]
             yield element, kind, slice(q, q + nq), slice(v, v + nv)
             q, v = q + nq, v + nv
