@@ -11,10 +11,9 @@ import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
@@ -27,16 +26,14 @@ from nsdyn.scene.bodies import Geom
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping import impacts
-from nsdyn.stepping.balance import balance
-from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
 from nsdyn.stepping.initial import begin
-from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
-from nsdyn.stepping.move import Trial, finish, trial
-from nsdyn.stepping.sight import Unmet, others
+from nsdyn.stepping.instant import Impulses, System
+from nsdyn.stepping.move import Callbacks
+from nsdyn.stepping.passage import through
 from nsdyn.stepping.state import Start, State, Step
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 __all__ = ["Callback", "Stepper"]
@@ -47,46 +44,6 @@ CLOSED = 1e-9
 """Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
 that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
 body at rest in every step."""
-
-CUTS, HITS, LOCATED = 8, 16, 50
-"""Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
-effort is bounded; beyond, impacts are caught within the step."""
-
-HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
-"""Most times that a step which gained energy is halved, most pieces tried in it, so that the effort is bounded, and by
-what fraction bodies may then run less far into each other: impulses and projections at more configurations err less."""
-
-CLOSER = 50
-"""Most times that a move is shortened so as not to go much farther than to what it touches; two or three are usual."""
-
-NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
-
-
-class Passage(NamedTuple):
-    """Moves and impacts one after the other.
-
-    Attributes
-    ----------
-    end : Instant
-    rate : ndarray, shape (n,)
-        Last free acceleration, m/s² and rad/s².
-    owed : ndarray, shape (nf,)
-        As of `State`, J.
-    clear : bool
-        Whether the end is without overlap.
-    done : list of Impulses
-    solved : list of (FC3D, Solution)
-        Of all problems.
-    works : list of Works
-    """
-
-    end: Instant
-    rate: Array
-    owed: Array
-    clear: bool
-    done: list[Impulses]
-    solved: list[tuple[FC3D, Solution]]
-    works: list[Works]
 
 
 class Stepper:
@@ -273,7 +230,7 @@ class Stepper:
 
     def _advance(self) -> Step:
         s = self._state
-        now, rate, owed, clear, done, solved, works = self._through(s)
+        now, rate, owed, clear, done, solved, works = through(self.system, s, self._loads)
         k = worst(solved)
         if not solved[k][1].accepted:
             self.failures.tell(*solved[k], done[k].contacts, s, self.solver.tol)
@@ -288,104 +245,11 @@ class Stepper:
             solution = solution._replace(status=Status.OVERLAP)
         return self._record(done, ledger, certificate, problem, solution)
 
-    def _through(self, state: State) -> Passage:
-        """Moves and impacts of a step, in one piece, or in several where islands of bodies would gain energy."""
-        now, rate, owed, clear = state.instant, state.rate, state.owed, True
-        done: list[Impulses] = []
-        solved: list[tuple[FC3D, Solution]] = []
-        works: list[Works] = []
-        left, pieces, tries = self.dt, [0], 0
-        while pieces:
-            halvings, tries = pieces.pop(), tries + 1
-            h = self.dt * 0.5**halvings
-            # Here bodies run less far into each other before they are stopped.
-            s = self.system if halvings == 0 else self.system._replace(depth=DEEP * SHALLOWER**halvings)
-            p, gains = self._pass(s, now, state.next_t - (left - h), h, rate, owed)
-            if gains and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
-                pieces += [halvings + 1, halvings + 1]
-                continue
-            now, rate, owed, clear, left = p.end, p.rate, p.owed, p.clear, left - h
-            done, solved, works = done + p.done, solved + p.solved, works + p.works
-        return Passage(now, rate, owed, clear, done, solved, works)
-
-    def _pass(self, s: System, begin: Instant, end: float, h: float, rate: Array, owed: Array) -> tuple[Passage, bool]:
-        """Moves and impacts of h seconds until the time `end`; whether islands gain energy, though all is solved."""
-        now, left, clear, external = begin, h, True, self.dynamics.no_works
-        done: list[Impulses] = []
-        solved: list[tuple[FC3D, Solution]] = []
-        works: list[Works] = []
-        for cut in range(2 * CUTS):
-            t = end - left
-            if (struck := collide(s, now, t, left, rate)) is not None:
-                now, impulses, more, pair = struck
-                done.append(impulses)
-                solved.append(pair)
-                works.append(more)
-            length, tried = (
-                self._until_impact(s, now, t, left) if cut < CUTS else (left, self._try(s, now, t, left, None))
-            )
-            m = finish(s, now, tried)
-            now, rate, left, clear = m.end, m.rate, left - length, m.clear
-            done.append(m.impulses)
-            solved.append((m.problem, m.solution))
-            works += m.works
-            if m.external is not self.dynamics.no_works:
-                external = external + m.external
-            if left <= 1e-12 * h:
-                break
-        now, gained, owed, gains = balance(s, begin, now, done, external, owed)
-        if gained:
-            works.append(Works(projection=gained))
-        gains = gains and all(solution.converged for _, solution in solved)
-        return Passage(now, rate, owed, clear, done, solved, works), gains
-
-    def _until_impact(self, s: System, begin: Instant, t: float, h: float, looks: int = CLOSER) -> tuple[float, Trial]:
-        """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
-        if begin.contacts.gap.size > LOCATED:
-            return h, self._try(s, begin, t, h, None)
-        m = self._try(s, begin, t, h, NONE)
-        if m.touched < h and looks:
-            return self._until_impact(s, begin, t, m.touched, looks - 1)
-        if m.unmet is None:
-            return h, m
-        hit = m.unmet.gap < -m.unmet.limit
-        if not hit.any():
-            return h, m
-        if hit.sum() > HITS:
-            return h, self._try(s, begin, t, h, None)
-        barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
-        far = self.dynamics.reach(begin.placement, begin.v, h, h, self.dynamics.surfaces.twists(t))
-        found, _ = self.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
-        held = self.dynamics.joints.limits[begin.limits <= self.closed]
-        before = others(s, found, take(begin.contacts, begin.contacts.gap <= self.closed), begin.limits, held)
-        wide, moves = float(far.max(initial=self.closed)), {h: m}
-
-        def least(left: Unmet | None) -> float:
-            """Least gap of what is hit; 0 where the difference does not matter."""
-            gaps = NOTHING if left is None else left.gap[np.isin(left.code, barred)]
-            gap = float(gaps.min()) if gaps.size else wide
-            return 0.0 if abs(gap) <= 1e-3 * self.closed else gap
-
-        def gap(time: float) -> float:
-            if time == 0.0:
-                return max(least(before), self.closed)
-            if time not in moves:
-                moves[time] = self._try(s, begin, t, time, barred)
-            return least(moves[time].unmet)
-
-        brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
-        # Where another feature is the first to touch the gap jumps, and has no root.
-        length = min(moves, key=lambda time: abs(gap(time)))
-        if abs(gap(length)) > limit:
-            return h, self._try(s, begin, t, h, None)
-        return length, moves[length]
-
-    def _try(self, s: System, begin: Instant, t: float, h: float, barred: Index | None) -> Trial:
-        """A move of h seconds, with the user's callbacks."""
-        callbacks = None
-        if self.external_force is not None or self.controller is not None:
-            callbacks = partial(self._callbacks, t + (1.0 - self.theta) * h)
-        return trial(s, begin, t, h, callbacks, barred)
+    def _loads(self, t: float) -> Callbacks:
+        """What the user's functions say at a time; None without any."""
+        if self.external_force is None and self.controller is None:
+            return None
+        return partial(self._callbacks, t)
 
     def _callbacks(self, t: float, middle: Position, v: Array) -> tuple[Any, Any]:
         """(wrenches, joint forces) of the user at a time, a position and a velocity."""

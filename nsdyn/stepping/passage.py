@@ -1,0 +1,177 @@
+"""The way through a step: moves and impacts one after the other, in pieces where bodies would gain energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.stepping.balance import balance
+from nsdyn.stepping.collisions import collide
+from nsdyn.stepping.energy import Works
+from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
+from nsdyn.stepping.move import Callbacks, Trial, finish, trial
+from nsdyn.stepping.sight import Unmet, others
+from nsdyn.stepping.state import State
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["Passage", "through"]
+
+Loads = Callable[[float], Callbacks]
+
+CUTS, HITS, LOCATED = 8, 16, 50
+"""Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
+effort is bounded; beyond, impacts are caught within the step."""
+
+HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
+"""Most times that a step which gained energy is halved, most pieces tried in it, so that the effort is bounded, and by
+what fraction bodies may then run less far into each other: impulses and projections at more configurations err less."""
+
+CLOSER = 50
+"""Most times that a move is shortened so as not to go much farther than to what it touches; two or three are usual."""
+
+NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
+
+
+class Passage(NamedTuple):
+    """Moves and impacts one after the other.
+
+    Attributes
+    ----------
+    end : Instant
+    rate : ndarray, shape (n,)
+        Last free acceleration, m/s² and rad/s².
+    owed : ndarray, shape (nf,)
+        As of `State`, J.
+    clear : bool
+        Whether the end is without overlap.
+    done : list of Impulses
+    solved : list of (FC3D, Solution)
+        Of all problems.
+    works : list of Works
+    """
+
+    end: Instant
+    rate: Array
+    owed: Array
+    clear: bool
+    done: list[Impulses]
+    solved: list[tuple[FC3D, Solution]]
+    works: list[Works]
+
+
+def through(system: System, state: State, loads: Loads) -> Passage:
+    """Moves and impacts of a step, in one piece, or in several where islands of bodies would gain energy.
+
+    Parameters
+    ----------
+    system : System
+    state : State
+        Where the step begins.
+    loads : callable
+        What the user has to say at a time [s], as `nsdyn.stepping.move.trial` takes it.
+    """
+    now, rate, owed, clear = state.instant, state.rate, state.owed, True
+    done: list[Impulses] = []
+    solved: list[tuple[FC3D, Solution]] = []
+    works: list[Works] = []
+    left, pieces, tries = system.dt, [0], 0
+    while pieces:
+        halvings, tries = pieces.pop(), tries + 1
+        h = system.dt * 0.5**halvings
+        # Here bodies run less far into each other before they are stopped.
+        s = system if halvings == 0 else system._replace(depth=DEEP * SHALLOWER**halvings)
+        p, gains = _pass(s, loads, now, state.next_t - (left - h), h, rate, owed)
+        if gains and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
+            pieces += [halvings + 1, halvings + 1]
+            continue
+        now, rate, owed, clear, left = p.end, p.rate, p.owed, p.clear, left - h
+        done, solved, works = done + p.done, solved + p.solved, works + p.works
+    return Passage(now, rate, owed, clear, done, solved, works)
+
+
+def _pass(
+    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, owed: Array
+) -> tuple[Passage, bool]:
+    """Moves and impacts of h seconds until the time `end`; whether islands gain energy, though all is solved."""
+    now, left, clear, external = begin, h, True, s.dynamics.no_works
+    done: list[Impulses] = []
+    solved: list[tuple[FC3D, Solution]] = []
+    works: list[Works] = []
+    for cut in range(2 * CUTS):
+        t = end - left
+        if (struck := collide(s, now, t, left, rate)) is not None:
+            now, impulses, more, pair = struck
+            done.append(impulses)
+            solved.append(pair)
+            works.append(more)
+        length, tried = (
+            _until_impact(s, loads, now, t, left) if cut < CUTS else (left, _try(s, loads, now, t, left, None))
+        )
+        m = finish(s, now, tried)
+        now, rate, left, clear = m.end, m.rate, left - length, m.clear
+        done.append(m.impulses)
+        solved.append((m.problem, m.solution))
+        works += m.works
+        if m.external is not s.dynamics.no_works:
+            external = external + m.external
+        if left <= 1e-12 * h:
+            break
+    now, gained, owed, gains = balance(s, begin, now, done, external, owed)
+    if gained:
+        works.append(Works(projection=gained))
+    gains = gains and all(solution.converged for _, solution in solved)
+    return Passage(now, rate, owed, clear, done, solved, works), gains
+
+
+def _until_impact(
+    s: System, loads: Loads, begin: Instant, t: float, h: float, looks: int = CLOSER
+) -> tuple[float, Trial]:
+    """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
+    if begin.contacts.gap.size > LOCATED:
+        return h, _try(s, loads, begin, t, h, None)
+    m = _try(s, loads, begin, t, h, NONE)
+    if m.touched < h and looks:
+        return _until_impact(s, loads, begin, t, m.touched, looks - 1)
+    if m.unmet is None:
+        return h, m
+    hit = m.unmet.gap < -m.unmet.limit
+    if not hit.any():
+        return h, m
+    if hit.sum() > HITS:
+        return h, _try(s, loads, begin, t, h, None)
+    barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
+    far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))
+    found, _ = s.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
+    held = s.dynamics.joints.limits[begin.limits <= s.closed]
+    before = others(s, found, take(begin.contacts, begin.contacts.gap <= s.closed), begin.limits, held)
+    wide, moves = float(far.max(initial=s.closed)), {h: m}
+
+    def least(left: Unmet | None) -> float:
+        """Least gap of what is hit; 0 where the difference does not matter."""
+        gaps = NOTHING if left is None else left.gap[np.isin(left.code, barred)]
+        gap = float(gaps.min()) if gaps.size else wide
+        return 0.0 if abs(gap) <= 1e-3 * s.closed else gap
+
+    def gap(time: float) -> float:
+        if time == 0.0:
+            return max(least(before), s.closed)
+        if time not in moves:
+            moves[time] = _try(s, loads, begin, t, time, barred)
+        return least(moves[time].unmet)
+
+    brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
+    # Where another feature is the first to touch the gap jumps, and has no root.
+    length = min(moves, key=lambda time: abs(gap(time)))
+    if abs(gap(length)) > limit:
+        return h, _try(s, loads, begin, t, h, None)
+    return length, moves[length]
+
+
+def _try(s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None) -> Trial:
+    """A move of h seconds, with what the user has to say where its impulses act."""
+    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred)
