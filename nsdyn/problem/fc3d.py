@@ -109,7 +109,7 @@ class FC3D:
 
     @classmethod
     def prepared(cls, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> FC3D:
-        """Problem as of `from_blocks`, from arrays that have been looked at, and the norm of q."""
+        """Problem as of `from_blocks`, of what has been looked at: q (3 nc,) m/s, mu and scales (nc,), and ‖q‖."""
         problem = cls.__new__(cls)
         problem.blocks, problem.q, problem.mu, problem.scales, problem.q_norm = blocks, q, mu, scales, q_norm or 1.0
         return problem

@@ -13,7 +13,7 @@ from nsdyn._kernels.solvers import local as _local
 from nsdyn._kernels.solvers import start as _start
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution, Status
+from nsdyn.problem.solution import ACCEPTED, Solution, Status
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import interior
 from nsdyn.solvers.means import ByFactors, ByMatrix, Interruptible, Means
@@ -22,7 +22,7 @@ from nsdyn.solvers.smoothing import smoothing
 from nsdyn.solvers.tuning import TUNING
 from nsdyn.tools.arrays import Array
 
-CONVERGED, ACCEPTED = Status.CONVERGED, (Status.CONVERGED, Status.LOOSE)  # a look-up of an enumeration takes 70 ns
+CONVERGED = Status.CONVERGED  # to look it up takes 70 ns
 
 LIMITS = (DENSE, *TUNING.small, TUNING.warm[1])
 """What `_start.by_factors` takes."""
