@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.tools.arrays import Array
 
-__all__ = ["NotConverged", "Solution", "Status"]
+__all__ = ["ACCEPTED", "NotConverged", "Solution", "Status"]
 
 
 class Status(IntEnum):
