@@ -27,10 +27,10 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.scene import checks, pairs
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
+from nsdyn.solvers.continuation import continuation
 from nsdyn.solvers.interior import interior
 from nsdyn.solvers.means import ByFactors, ByMatrix
 from nsdyn.solvers.reference.gauss_seidel import Local
-from nsdyn.solvers.smoothing import smoothing
 from nsdyn.stepping.stepper import Stepper
 
 __all__ = ["EXAMPLES", "noted", "work"]
@@ -97,8 +97,8 @@ def _problems() -> None:
         r = np.zeros_like(factors.q)
         means.accelerated(r, 1e-8, 4, 4)
         means.nesterov(r).run(1e-8, 4, 4)
-        for method in (interior, smoothing):
-            method(means.operator, factors.q, factors.mu, factors.scales, r, 1e-8, factors.q_norm, 3)
+        interior(means.operator, factors.q, factors.mu, factors.scales, r, 1e-8, factors.q_norm, 3)
+        continuation(means, r, 1e-8, 3)
         means.newton(r, 0.0, 10.0, 3)
     smooth = ByFactors(factors.blocks, factors.q, 0.0 * factors.mu, factors.scales, factors.q_norm)
     smooth.nesterov(np.zeros_like(r)).run(1e-8, 4, 4)

@@ -13,7 +13,9 @@ from nsdyn._kernels.problem import linear
 from nsdyn._kernels.solvers import interior as kernels
 from nsdyn._kernels.solvers import local
 from nsdyn._kernels.solvers import smoothing as smooth
-from nsdyn.solvers import interior, smoothing
+from nsdyn.problem.operators import Local, Velocity
+from nsdyn.solvers.continuation import continuation
+from nsdyn.solvers.means import ByFactors, ByMatrix
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 SOLVERS = ("auto", "interior")
@@ -108,13 +110,34 @@ def test_effort_beyond_the_loose_tolerance_is_bounded():
     assert counts[0] < more.iterations
 
 
-@pytest.mark.parametrize("operator", ["Velocity", "Local"])
-def test_smoothing_newton_from_nothing(operator):
-    problem = kicked_stack(height=3)
-    W = interior.Velocity(problem.blocks) if operator == "Velocity" else interior.Local(problem.W)
-    r = np.empty_like(problem.q)
-    used, measure = smoothing.smoothing(W, problem.q, problem.mu, problem.scales, r, 1e-6, problem.q_norm, 60)
-    assert problem.solved(r, 1e-6)[0] and measure <= 1e-6 and 5 < used < 40
+def test_continuation_from_nothing():
+    """A kicked stack by its factors and by W alone; friction is large, so that the path turns back in places."""
+    problem = kicked_stack(height=8, ratio=30.0)
+    given = problem.q, problem.mu, problem.scales, problem.q_norm
+    assert problem.blocks is not None
+    for means in (ByFactors(problem.blocks, *given), ByMatrix(problem.csr, *given)):
+        r = np.empty_like(problem.q)
+        used, measure = continuation(means, r, 1e-8, 400)
+        assert problem.solved(r, 1e-8)[0] and measure <= 1e-8 and 5 < used < 200
+
+
+@pytest.mark.parametrize("mu", [0.0, 10.0])
+def test_continuation_where_nothing_else_converges(mu, rng):
+    """Thirty contacts that W couples all, of rank 20, and large friction: other methods leave 4e-4 to 2e-2 of q."""
+    nc, H = 30, rng.normal(size=(20, 90))
+    q = H.T @ rng.normal(size=20)
+    q[::3] += rng.uniform(0, 1, nc)
+    problem = nd.FC3D(H.T @ H, q, np.full(nc, mu))
+    r = np.empty_like(q)
+    continuation(ByMatrix(problem.csr, q, problem.mu, problem.scales, problem.q_norm), r, 1e-8, 1000)
+    assert problem.solved(r, 1e-8)[0]
+
+
+def test_continuation_ends_by_the_effort_allowed():
+    problem = kicked_stack(height=8)
+    means = ByMatrix(problem.csr, problem.q, problem.mu, problem.scales, problem.q_norm)
+    used, _ = continuation(means, np.empty_like(problem.q), 0.0, 20)
+    assert 20 <= used < 40
 
 
 @pytest.mark.parametrize("tau", [1e-12, 1e-3, 10.0])
@@ -133,7 +156,13 @@ def test_smoothed_law(tau, rng):
     np.testing.assert_allclose(U[rubs, 1:], -lam[:, None] * R[rubs, 1:], rtol=1e-12)
     assert (D > 0).all() and (lam * D == pytest.approx(2 * tau, rel=1e-12))
     A, h = np.empty((nc, 3, 3)), 1e-7
-    smooth.tangent(r, u, slip, mu, np.ones(nc), 1e300, A)
+    smooth.stiffness(r, u, slip, mu, A)
+    rate, later, earlier = np.empty_like(r), r.copy(), r.copy()
+    smooth.rate(r, u, slip, mu, kappa, tau, rate)
+    for change, out in ((1e-4, later), (-1e-4, earlier)):
+        smooth.law(Z.ravel(), mu, kappa, tau * np.exp(change), out, np.empty(3 * nc), slip.copy())
+    differences = np.abs(r).max() / 1e-4 * np.finfo(float).eps  # of round-off, beside 1e-8 of their third order
+    np.testing.assert_allclose(rate, (later - earlier) / 2e-4, rtol=1e-6, atol=10 * differences)
     for j in range(3) if tau >= 1e-3 else ():
         moved, r2, u2 = Z.copy(), np.empty(3 * nc), np.empty(3 * nc)
         moved[:, j] += h
@@ -189,7 +218,7 @@ def test_operators(operator, rng):
     """Both forms of W (I + A W)⁻¹ against dense algebra."""
     problem = kicked_stack(height=3)
     W, nc = problem.W.toarray(), problem.nc
-    made = interior.Velocity(problem.blocks) if operator == "Velocity" else interior.Local(problem.W)
+    made = Velocity(problem.blocks) if operator == "Velocity" else Local(problem.W)
     A = np.array([R @ R.T for R in rng.normal(size=(nc, 3, 3))])
     g = rng.normal(size=3 * nc)
     expected = W @ np.linalg.solve(np.eye(3 * nc) + scipy.linalg.block_diag(*A) @ W, g)

@@ -249,6 +249,13 @@ def test_slater_point_by_factors(speed):
     assert fm.has_slater_point(problem) is fm.has_slater_point(given)
 
 
+def test_slater_point_of_the_program(monkeypatch):
+    """Where no impulse is looked for the linear program says the same."""
+    monkeypatch.setattr(fm, "ASCENT", 0)
+    assert all(fm.has_slater_point(problem) for problem in CASES.values())
+    assert fm.has_slater_point(between_walls(1.0)) is True
+
+
 def test_slater_point_unknown(monkeypatch):
     monkeypatch.setattr(fm, "SIMPLEX", 0)
     assert fm.has_slater_point(between_walls(-1.0)) is None

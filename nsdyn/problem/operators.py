@@ -59,5 +59,5 @@ class Local:
         data = A[self.row] @ self.W.data
         data[self.diagonal] += np.eye(3)
         S = sp.bsr_array((data, self.W.indices, self.W.indptr), shape=self.W.shape)
-        lu = splu(sp.csc_matrix(S), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+        lu = splu(sp.csc_matrix(S), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         return lambda g: self.product(lu.solve(g))

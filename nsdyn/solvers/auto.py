@@ -14,11 +14,11 @@ from nsdyn._kernels.solvers import start as _start
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import ACCEPTED, Solution, Status
+from nsdyn.solvers.continuation import continuation
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import interior
 from nsdyn.solvers.means import ByFactors, ByMatrix, Interruptible, Means
 from nsdyn.solvers.newton import DENSE, island, rows
-from nsdyn.solvers.smoothing import smoothing
 from nsdyn.solvers.tuning import TUNING
 from nsdyn.tools.arrays import Array
 
@@ -57,6 +57,7 @@ class Search:
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, TUNING.longest
         self._sweeps: Interruptible | None = None
         self._tried: list[Callable[..., tuple[int, float]]] = []
+        self._followed = np.inf
         p = means.problem
         _, error, residual, _ = p.solved(r, self.tol)
         self.abrupt = bool(r.any()) and residual > TUNING.abrupt * self.loose
@@ -128,6 +129,17 @@ class Search:
             self.r[:] = x
         self._note(best, used, used * cost)
 
+    def follow(self, tol: float) -> None:
+        """The path of smoothed laws from nothing, kept where what it leads to is better than the best."""
+        if self._over(tol) or self._followed <= tol:
+            return
+        self._followed = tol
+        x, cost = np.zeros_like(self.r), self.means.factorisation
+        used, best = continuation(self.means, x, tol, self._most(cost, TUNING.path))
+        if best < self.best:
+            self.r[:] = x
+        self._note(best, used, used * cost)
+
     def sweep(self, factorisations: float, tol: float) -> None:
         """Sweeps with momentum that take as long as so many factorisations, from the best or on from the last."""
         if self._over(tol):
@@ -152,9 +164,8 @@ class Search:
             stuck = self.best > TUNING.stuck * start
             self.newton(TUNING.far, lengths[1], tol)
             lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
-            if k == TUNING.between and self.best > tol:
-                self.cold(interior, TUNING.interior)
-                self.cold(smoothing, TUNING.smoothing)
+            if k == TUNING.between:
+                self.follow(tol)
 
     def impulses(self) -> None:
         """Newton in the impulses, where it is affordable: it factorises W, whose size grows with the contacts."""
@@ -176,13 +187,9 @@ class Search:
             self.rounds(self.loose)
         if not (self.large and self.abrupt):
             self.accelerated()
-            self.cold(interior, TUNING.interior)
-        if self.large:
-            self.rounds(max(self.tol, self.coarse))
-            self.sweep(TUNING.last_sweep, self.tol)
-            self.newton(TUNING.far, TUNING.last_newton, self.tol)
-        self.cold(smoothing, TUNING.smoothing)
-        for k in range(1, TUNING.last_rounds):
+        self.cold(interior, TUNING.interior)
+        self.follow(self.tol)
+        for k in range(TUNING.last_rounds):
             self.sweep(TUNING.last_sweep, self.tol)
             self.newton(TUNING.far, TUNING.last_newton << k, self.tol)
         self.impulses()

@@ -93,11 +93,11 @@ class Tuning:
     patience: int = 20
     """Their number from which on it is foreseen whether they suffice."""
 
-    interior: tuple[int, int] = (40, 200)
+    interior: tuple[int, int] = (40, 30)
     """Factorisations of the interior point method, which converges within these where it does, and of Newton after."""
 
-    smoothing: tuple[int, int] = (60, 60)
-    """The same of the smoothing Newton method."""
+    path: int = 1000
+    """Factorisations of the continuation from nothing, which takes 20 to 350 of most problems."""
 
     near: float = 1e3
     """Penalty of Newton from what was found by factorisations."""

@@ -5,10 +5,13 @@ For τ > 0 the law is replaced by
     u_N r_N = τ,   u_T + λ r_T = 0,   λ (μ² r_N² - ‖r_T‖²) = 2 τ,
 
 which for any z has one solution (r, u) inside the cones, and the law itself is its limit τ → 0. A contact with μ = 0
-has only its normal component. With k = r_N / u_N, D = 2 τ / λ, f = 2 λ / D, and a compliance R of damping, which adds
-R dr to the velocity of a step, the linearised law reads dr = -A (du - R dr),
+has only its normal component. With D = 2 τ / λ and f = 2 λ / D the law at constant τ reads dr = -A du,
 
-    A_NN = k / (1 + k R),   A_TT = [(λ + R) I + f r_T r_Tᵀ]⁻¹,   A_TN = A_TT f μ² r_N r_T A_NN.
+    A_NN = r_N / u_N,   A_TT = [λ I + f r_T r_Tᵀ]⁻¹,   A_TN = A_TT f μ² r_N r_T A_NN,
+
+and at constant z, with dr = κ du,
+
+    dr_N / dlog τ = τ / (u_N + r_N / κ),   dr_T / dlog τ = κ λ (2 μ² r_N dr_N / D - 1) / (1 + κ λ + κ f ‖r_T‖²) r_T.
 """
 
 import math
@@ -60,20 +63,18 @@ def law(z, mu, kappa, tau, r, u, slip):
 
 
 @kernel
-def tangent(r, u, slip, mu, scales, damping, A):
-    """A of every contact with the compliance R = λ_max(W_cc) / damping, into A (nc, 3, 3)."""
+def stiffness(r, u, slip, mu, A):
+    """A of every contact, into A (nc, 3, 3)."""
     for c in range(mu.size):
         i, B = 3 * c, A[c]
         B[:] = 0.0
-        soft = scales[c] / damping
-        B[0, 0] = r[i] / (u[i] + r[i] * soft)
+        B[0, 0] = r[i] / u[i]
         if mu[c] == 0.0:
             continue
         l, d = slip[c]
         x, y, f = r[i + 1], r[i + 2], 2.0 * l / d
-        a = l + soft
-        w = f / (a * (a + f * (x * x + y * y)))
-        B[1, 1], B[2, 2] = 1.0 / a - w * x * x, 1.0 / a - w * y * y
+        w = f / (l * (l + f * (x * x + y * y)))
+        B[1, 1], B[2, 2] = 1.0 / l - w * x * x, 1.0 / l - w * y * y
         B[1, 2] = B[2, 1] = -w * x * y
         g = f * mu[c] * mu[c] * r[i] * B[0, 0]
         B[1, 0] = g * (B[1, 1] * x + B[1, 2] * y)
@@ -81,38 +82,37 @@ def tangent(r, u, slip, mu, scales, damping, A):
 
 
 @kernel
-def right_side(x, v, r, u, mu, A, G, g):
-    """G = v - u and g = r - x - A G, into G and g."""
+def rate(r, u, slip, mu, kappa, tau, out):
+    """dr / dlog τ at constant z, into out (3 nc,)."""
+    for c in range(mu.size):
+        i, k = 3 * c, kappa[c]
+        out[i] = tau / (u[i] + r[i] / k)
+        out[i + 1] = out[i + 2] = 0.0
+        if mu[c] > 0.0:
+            (l, d), x, y = slip[c], r[i + 1], r[i + 2]
+            g = k * l * (2.0 * mu[c] * mu[c] * r[i] * out[i] / d - 1.0)
+            g /= 1.0 + k * l + 2.0 * k * l / d * (x * x + y * y)
+            out[i + 1], out[i + 2] = g * x, g * y
+
+
+@kernel
+def velocities_differ(v, u, mu, out):
+    """v - u, into out (3 nc,): the tangents of a contact without friction have no equation."""
+    for c in range(mu.size):
+        for i in range(3 * c, 3 * c + 3):
+            out[i] = v[i] - u[i] if i == 3 * c or mu[c] > 0.0 else 0.0
+
+
+@kernel
+def step(A, kappa, g, Wx, mu, out):
+    """dz = (A + κ) (g - W x), into out (3 nc,)."""
     for c in range(mu.size):
         i = 3 * c
-        for j in range(3):
-            G[i + j] = v[i + j] - u[i + j] if j == 0 or mu[c] > 0.0 else 0.0
-        for j in range(3):
-            g[i + j] = r[i + j] - x[i + j] - (A[c, j, 0] * G[i] + A[c, j, 1] * G[i + 1] + A[c, j, 2] * G[i + 2])
-
-
-@kernel
-def direction(dv, r, x, G, mu, kappa, scales, damping, A, dx, dz):
-    """The step of Newton from dv = W dx: dr = -A (dv + G), dx = dr + r - x, dz = dr - κ (dv + G + R dr)."""
-    for c in range(mu.size):
-        i, soft = 3 * c, scales[c] / damping
-        b0, b1, b2 = dv[i] + G[i], dv[i + 1] + G[i + 1], dv[i + 2] + G[i + 2]
-        for j in range(3):
-            d = -(A[c, j, 0] * b0 + A[c, j, 1] * b1 + A[c, j, 2] * b2)
-            dx[i + j] = d + r[i + j] - x[i + j]
-            # Tangents of a contact without friction have no equation.
-            b = dv[i + j] + G[i + j] if j == 0 or mu[c] > 0.0 else 0.0
-            dz[i + j] = d - kappa[c] * (b + soft * d)
-
-
-@kernel
-def merit(x, v, r, own, u, mu, kappa):
-    """Root of (x - r)ᵀ W (x - r) + Σ κ ‖v - u‖², with v = W x + q and own = W r + q."""
-    total = 0.0
-    for c in range(mu.size):
-        for j in range(3 * c, 3 * c + (3 if mu[c] > 0.0 else 1)):
-            total += (x[j] - r[j]) * (v[j] - own[j]) + kappa[c] * (v[j] - u[j]) ** 2
+        b0, b1, b2 = g[i] - Wx[i], g[i + 1] - Wx[i + 1], g[i + 2] - Wx[i + 2]
         if mu[c] == 0.0:
-            for j in (3 * c + 1, 3 * c + 2):
-                total += (x[j] - r[j]) * (v[j] - own[j])
-    return math.sqrt(max(total, 0.0))
+            b1 = b2 = 0.0
+        for j in range(3):
+            out[i + j] = A[c, j, 0] * b0 + A[c, j, 1] * b1 + A[c, j, 2] * b2
+        out[i] += kappa[c] * b0
+        out[i + 1] += kappa[c] * b1
+        out[i + 2] += kappa[c] * b2

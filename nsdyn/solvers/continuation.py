@@ -1,0 +1,212 @@
+"""Continuation along smoothed laws to Coulomb's: a cold start that turns with its path where Newton's methods stall."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn._kernels.problem import cones as _cones
+from nsdyn._kernels.solvers import smoothing as _kernels
+from nsdyn.solvers.means import Means
+from nsdyn.tools.arrays import Array
+
+__all__ = ["continuation"]
+
+STRETCH = 10.0
+"""κ λ_max(W_cc) of the normal map z = r - κ u."""
+
+CLOSE, CONTRACTION, CORRECTIONS = 1e-2, 0.7, 8
+"""Defect in units of the smoothing at which a point is on the path, what a correction has to leave of it at most, and
+how many there may be."""
+
+GROWTH, SLOW_GROWTH, SHRINKAGE, REFUSED = 1.8, 1.2, 0.7, 0.4
+"""Length of the next step over that of the last: after at most two corrections and little turning, after three and
+moderate turning, after more, and where it was refused."""
+
+FAR = 20.0
+"""Change of log τ that no step makes."""
+
+STRAIGHT, BENT, SHARP = 0.9, 0.7, 0.3
+"""Cosines between the directions at both ends of a step: little turning, moderate, too much."""
+
+SHORTEST = 1e-6
+"""Length of step below which round-off has the rest."""
+
+ATTEMPT, ATTEMPTS, FLOOR = 1e-7, 1e-2, 1e-14
+"""τ / (max r_N² λ_max) from which on Newton's method for the law itself is tried, by which this falls between attempts,
+and below which the matrices are those of round-off."""
+
+NEWTON, LAST = (1e4, 5), (1e4, 60)
+"""Penalty and steps of such an attempt, and of the last."""
+
+
+class Point(NamedTuple):
+    """A point (z, t), t = log τ, with the law's r, u and slip, v = W r + q, the defect G, and its rate ∂G/∂t."""
+
+    x: Array
+    r: Array
+    u: Array
+    slip: Array
+    v: Array
+    defect: Array
+    rate: Array
+
+
+class Path:
+    """The curve G(z, t) = W r + q - u - (τ / τ_0) G_0 = 0 of the smoothed laws, which z = 0 is on at τ_0."""
+
+    def __init__(self, means: Means) -> None:
+        p = means.problem
+        self.W, self.q, self.mu, self.scales, self.q_norm = means.operator, p.q, p.mu, p.scales, means.q_norm
+        self.kappa = STRETCH / p.scales
+        self.k = np.repeat(self.kappa, 3)
+        self.G0 = np.zeros_like(p.q)
+        speed = float(np.abs(p.q).max()) or 1.0
+        self.t0 = float(np.log(speed**2 / p.scales.mean()))
+        self.start = self.at(np.append(np.zeros_like(p.q), self.t0))
+        self.G0[:] = self.start.defect
+        self.start.defect[:] = 0.0
+        self.start.rate[:] -= self.G0
+
+    def at(self, x: Array) -> Point:
+        """The point x = (z, t); ZeroDivisionError where floating point has none."""
+        tau, part = float(np.exp(x[-1])), float(np.exp(x[-1] - self.t0))
+        r, u, dr, defect, rate = np.empty((5, self.q.size))
+        slip = np.empty((self.mu.size, 2))
+        _kernels.law(x[:-1], self.mu, self.kappa, tau, r, u, slip)
+        _kernels.rate(r, u, slip, self.mu, self.kappa, tau, dr)
+        v = self.W.product(r) + self.q
+        _kernels.velocities_differ(v, u + part * self.G0, self.mu, defect)
+        _kernels.velocities_differ(self.W.product(dr), dr / self.k + part * self.G0, self.mu, rate)
+        return Point(x, r, u, slip, v, defect, rate)
+
+    def metric(self, t: float) -> Array:
+        """Weights of (dz, dt): a contact's z in units of √(κ τ), what the smoothing rounds off."""
+        return np.append(np.exp(-t) / self.k, 1.0)
+
+    def measure(self, point: Point) -> float:
+        """Larger of the literature's error and the residual in m/s of the impulse of a point."""
+        residual = _cones.natural_residual(self.scales, point.v, point.r, self.mu)
+        return float(max(residual, _cones.natural_error(point.v, point.r, self.mu) / self.q_norm))
+
+    def size(self, point: Point) -> float:
+        """Root of the mean square of the defect in these units."""
+        return float(np.linalg.norm(point.defect * np.sqrt(self.k)) / np.sqrt(np.exp(point.x[-1]) * self.q.size))
+
+
+class Linear:
+    """The inverse of ∂G/∂z = (I + W A) (A + κ)⁻¹ at a point: one factorisation."""
+
+    def __init__(self, path: Path, point: Point) -> None:
+        self.A, self.kappa, self.mu = np.empty((path.mu.size, 3, 3)), path.kappa, path.mu
+        _kernels.stiffness(point.r, point.u, point.slip, path.mu, self.A)
+        self.solve = path.W.factor(self.A)
+
+    def __call__(self, g: Array) -> Array:
+        """The dz of a change g of G: (A + κ) (I + W A)⁻¹ g."""
+        dz = np.empty_like(g)
+        _kernels.step(self.A, self.kappa, g, self.solve((self.A @ g.reshape(-1, 3, 1)).ravel()), self.mu, dz)
+        return dz
+
+    def tangent(self, rate: Array) -> Array:
+        """A direction (dz, dt) along the path."""
+        return np.append(-self(rate), 1.0)
+
+
+def _unit(direction: Array, metric: Array) -> Array:
+    """The direction at unit length."""
+    out: Array = direction / np.sqrt(metric * direction @ direction)
+    return out
+
+
+def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array, int]:
+    """Newton's method to the path from x in a plane: the point, if it is reached, its tangent, and factorisations.
+
+    The tangent is by the last factorisation, which is of the point before.
+    """
+    last, tangent, begin, count = np.inf, plane, x[-1], 0
+    linear: Linear | None = None
+    while abs(x[-1] - begin) < FAR:
+        try:
+            point = path.at(x)
+            size = path.size(point)
+            if linear is not None and size < CLOSE:
+                return point, linear.tangent(point.rate), count
+            if not size <= CONTRACTION * last or count == CORRECTIONS:
+                break
+            linear = Linear(path, point)
+        except (ZeroDivisionError, RuntimeError):
+            break
+        last, count = size, count + 1
+        dz, tangent = linear(point.defect), linear.tangent(point.rate)
+        x = x + (plane[:-1] @ dz) / (plane @ tangent) * tangent
+        x[:-1] -= dz
+    return None, tangent, count
+
+
+def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, float]:
+    """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure).
+
+    The smoothed law of `_kernels.smoothing` has a solution for every z, and with τ from large to 0 it describes a path
+    to a solution of Coulomb's law, which turns back in τ where much slides: there the methods stall that lower τ. Here
+    steps go along the tangent, in z and t = log τ alike, and Newton's method leads back to the path in the plane normal
+    to it (pseudo-arclength). On the way, where τ is small, Newton's method for Coulomb's law itself is tried.
+
+    References
+    ----------
+    E. Allgower, K. Georg, Introduction to numerical continuation methods, SIAM 2003. H. Keller, Numerical solution of
+    bifurcation and nonlinear eigenvalue problems, 1977. S. Robinson, Normal maps induced by linear transformations,
+    Math. Oper. Res. 17, 1992.
+    """
+    p, path = means.problem, Path(means)
+    here, scale = path.start, float(p.scales.mean())
+    count, best, length, attempt = 1, np.inf, 1.0, ATTEMPT
+
+    def keep(x: Array, measure: float) -> None:
+        nonlocal best
+        if measure < best:
+            best = measure
+            r[:] = x
+
+    def newton(penalty: float, steps: int) -> None:
+        nonlocal count
+        x = here.r.copy()
+        used, measure = means.newton(x, tol, penalty, steps)
+        count += used
+        keep(x, measure)
+
+    try:
+        direction = -_unit(Linear(path, here).tangent(here.rate), path.metric(here.x[-1]))
+    except RuntimeError:
+        return count, best
+    while best > tol and count < most:
+        there, tangent, used = _corrected(path, here.x + length * direction, path.metric(here.x[-1]) * direction)
+        count += used
+        cosine = 0.0
+        if there is not None:
+            metric = path.metric(there.x[-1])
+            new = _unit(tangent, metric)
+            cosine = float(metric * new @ _unit(direction, metric))
+        if there is None or not abs(cosine) >= SHARP:
+            length *= REFUSED
+            if length < SHORTEST:
+                newton(*LAST)
+                break
+            continue
+        here, direction = there, new if cosine > 0.0 else -new
+        keep(here.r, path.measure(here))
+        small = float(np.exp(here.x[-1])) / (scale * float(here.r[0::3].max()) ** 2)
+        if small < FLOOR:
+            newton(*LAST)
+            break
+        if small < attempt:
+            attempt *= ATTEMPTS
+            newton(*NEWTON)
+        if used <= 2 and abs(cosine) > STRAIGHT:
+            length *= GROWTH
+        elif used == 3 and abs(cosine) > BENT:
+            length *= SLOW_GROWTH
+        elif used > 3:
+            length *= SHRINKAGE
+    return count, best
