@@ -18,7 +18,7 @@ from nsdyn.solvers.continuation import continuation
 from nsdyn.solvers.means import ByFactors, ByMatrix
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
-SOLVERS = ("auto", "interior")
+SOLVERS = ("auto", "continuation", "interior")
 
 
 def kicked_stack(height=6, ratio=1.0, mu=0.6, seed=0):

@@ -173,7 +173,10 @@ def two_walls(approach, slip=0.0, mu=0.5):
     return nd.FC3D(H.T @ H, np.array([-approach, slip, 0.0, -approach, slip, 0.0]), np.array([mu, mu]))
 
 
-SOLVERS = ["aclm", "auto", "fixed_point", "impulse_newton", "interior", "newton", "panagiotopoulos", "pgs", "tresca"]
+SOLVERS = [
+    "aclm", "auto", "continuation", "fixed_point", "impulse_newton", "interior", "newton", "panagiotopoulos", "pgs",
+    "tresca",
+]  # fmt: skip
 
 
 @pytest.mark.case(48)

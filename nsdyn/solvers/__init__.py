@@ -19,6 +19,7 @@ from typing import Protocol
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import Auto
+from nsdyn.solvers.continuation import Continuation
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import Interior
 from nsdyn.solvers.nesterov import Nesterov
@@ -47,6 +48,7 @@ __all__ = [
     "SOLVERS",
     "Auto",
     "Bundle",
+    "Continuation",
     "Extragradient",
     "FixedPoint",
     "GaussSeidel",
@@ -84,6 +86,7 @@ SOLVERS: dict[str, type] = {
     "admm": ADMM,
     "auto": Auto,
     "bundle": Bundle,
+    "continuation": Continuation,
     "extragradient": Extragradient,
     "fixed_point": FixedPoint,
     "gauss_seidel": GaussSeidel,

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import smoothing as _kernels
-from nsdyn.solvers.means import Means
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.solvers.means import ByFactors, ByMatrix, Means
+from nsdyn.solvers.newton import each_island, rows
 from nsdyn.tools.arrays import Array
 
-__all__ = ["continuation"]
+__all__ = ["Continuation", "continuation"]
 
 STRETCH = 10.0
 """κ λ_max(W_cc) of the normal map z = r - κ u."""
@@ -27,7 +32,7 @@ moderate turning, after more, and where it was refused."""
 FAR = 20.0
 """Change of log τ that no step makes."""
 
-STRAIGHT, BENT, SHARP = 0.9, 0.7, 0.3
+STRAIGHT, BENT, SHARP = 0.9, 0.7, 0.5
 """Cosines between the directions at both ends of a step: little turning, moderate, too much."""
 
 SHORTEST = 1e-6
@@ -210,3 +215,47 @@ def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, fl
         elif used > 3:
             length *= SHRINKAGE
     return count, best
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """Pseudo-arclength continuation from smoothed laws to Coulomb's, island by island, from nothing.
+
+    Good where all else stalls: collisions of many bodies, large friction, redundant contacts. It costs 20 to 100
+    factorisations where sweeps would do and up to 350 where they would not, and it has no use for a warm start.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Factorisations per island.
+
+    References
+    ----------
+    E. Allgower, K. Georg, Introduction to numerical continuation methods, SIAM 2003.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 1000
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem; of r0 is only asked whether it is the solution."""
+        start = time.perf_counter()
+        r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
+        count = 0
+        if problem.nc and not problem.solved(r, self.tol)[0]:
+            q, mu, scales, q_norm = problem.q, problem.mu, problem.scales, problem.q_norm
+            if problem.blocks is None:
+                count, _ = continuation(ByMatrix(problem.csr, q, mu, scales, q_norm), r, 0.9 * self.tol, self.max_iter)
+            else:
+                parts = each_island(problem.blocks)
+                # A share of the tolerance, and a margin for what is measured of all together
+                tol = 0.9 * self.tol / np.sqrt(len(parts))
+                for contacts, part in parts:
+                    i = rows(contacts, problem.nc)
+                    x = np.zeros_like(r[i])
+                    means = ByFactors(part, q[i], mu[contacts], scales[contacts], q_norm)
+                    count += continuation(means, x, tol, self.max_iter)[0]
+                    r[i] = x
+        return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
