@@ -187,7 +187,7 @@ class Search:
             self.rounds(self.loose)
         if not (self.large and self.abrupt):
             self.accelerated()
-        self.cold(interior, TUNING.interior)
+            self.cold(interior, TUNING.interior)
         self.follow(self.tol)
         for k in range(TUNING.last_rounds):
             self.sweep(TUNING.last_sweep, self.tol)
