@@ -38,18 +38,25 @@ def meet(
 ) -> Encounter:
     """What a move meets at its contacts, with the slip foreseen and the problem posed for it: see `Encounter.of`."""
     d, c, nc, warm, old = s.dynamics, contacts, contacts.gap.size, begin.warm, begin.contacts
-    frame, H = np.empty((nc, 3, 3)), np.empty(36 * nc)
-    block, start, place = np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64), np.empty(nc, np.int64)
-    local, end_gap, slides = np.empty((5, 3 * nc)), np.empty(nc), np.empty(nc, np.bool_)
-    b, scales, at = np.empty(3 * nc), np.empty(nc), middle.placement
+    basis, at = warm.basis, middle.placement
+    again = basis is not None and basis.contacts is contacts
+    if again:
+        rows, frame, scales = basis.rows, basis.frame, basis.problem.scales
+        _, block, start, H = rows.full[:4]
+    else:
+        frame, H, scales = np.empty((nc, 3, 3)), np.empty(36 * nc), np.empty(nc)
+        block, start = np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
+    local, end_gap, b = np.empty((5, 3 * nc)), np.empty(nc), np.empty(3 * nc)
+    place, slides = np.empty(nc, np.int64), np.empty(nc, np.bool_)
     size, norm, good = _free.meet(
         (d.block_of_frame, d.offset, d.m_start, forces.m, forces.minv),
         (c.key, c.frame1, c.frame2, c.point, c.normal, c.gap, at.x, at.R),
         (old.key, old.point, old.normal, begin.placement.x, *begin.twists), (begin.v, middle.v, forces.v),
-        (warm.key, warm.impulse, warm.status), reach, c.mu, h / warm.h, s.theta * h, s.closed,
-        (frame, block, start, H), (local, end_gap, place, slides, b, scales),
+        (warm.key, warm.impulse, warm.status), reach, c.mu, (h / warm.h, s.theta * h, s.closed),
+        again, (frame, block, start, H, scales), (local, end_gap, place, slides, b),
     )  # fmt: skip
-    rows = d.free_rows(block, start, H[:size])
+    if not again:
+        rows = d.free_rows(block, start, H[:size])
     problem = FC3D.prepared(rows.full, b, c.mu, scales, norm) if good else FC3D.from_blocks(rows.full, b, c.mu)
     return Encounter(
         c, None, rows, frame, None, c.mu, c.restitution, place, warm.status, local, end_gap, NOTHING, NOTHING, slides,

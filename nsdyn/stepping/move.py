@@ -273,7 +273,7 @@ def _respond(
 ) -> Response:  # fmt: skip
     """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
     d, middle, forces = s.dynamics, half.middle, half.forces
-    if d.alone and not (begin.warm.basis is not None and begin.warm.basis.contacts is contacts):
+    if d.alone:
         met = _free.meet(s, contacts, middle, forces, begin, half.reach, half.h)
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
