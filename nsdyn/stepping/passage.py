@@ -14,7 +14,8 @@ from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
-from nsdyn.stepping.move import Callbacks, Trial, finish, trial
+from nsdyn.stepping.move import Callbacks, Move, Trial, finish, trial
+from nsdyn.stepping.quiet import quiet
 from nsdyn.stepping.sight import Unmet, others
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
@@ -109,10 +110,7 @@ def _pass(
             done.append(impulses)
             solved.append(pair)
             works.append(more)
-        length, tried = (
-            _until_impact(s, loads, now, t, left) if cut < CUTS else (left, _try(s, loads, now, t, left, None))
-        )
-        m = finish(s, now, tried)
+        m, length = _move(s, loads, now, t, left, cut < CUTS)
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
         done.append(m.impulses)
         solved.append((m.problem, m.solution))
@@ -126,6 +124,18 @@ def _pass(
         works.append(Works(projection=gained))
     gains = gains and all(solution.converged for _, solution in solved)
     return Passage(now, rate, owed, clear, done, solved, works), gains
+
+
+def _move(s: System, loads: Loads, begin: Instant, t: float, h: float, cut: bool) -> tuple[Move, float]:
+    """A move of h seconds, or to the first impact on its way if it may be `cut` there, and its length."""
+    if not cut:
+        return finish(s, begin, _try(s, loads, begin, t, h, None)), h
+    if s.dynamics.alone and not s.elastic and begin.contacts.gap.size <= LOCATED and loads(t) is None:
+        m = quiet(s, begin, h)
+        if m is not None:
+            return m, h
+    length, tried = _until_impact(s, loads, begin, t, h)
+    return finish(s, begin, tried), length
 
 
 def _until_impact(

@@ -1,11 +1,12 @@
 """Moves of free bodies alone, in as few calls as the equations suggest: each is one of the kernels of a move in turn.
 
 A call from Python takes as long as what it does for a few bodies. Arguments come in plain tuples, named as those of the
-kernels that are called.
+kernels that are called. The frames are those of the bodies, at their centres of mass.
 """
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.dynamics import motion
+from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import law
 
@@ -14,17 +15,18 @@ from nsdyn._kernels.stepping import law
 def half(bodies, gravity, load, position, v, h, theta, fall, looked, arm, tol, out):
     """The first half of a move: a free flow, the velocity after the forces there, how far it reaches.
 
-    Into out = (x, quaternion, v, frames' x, R, v_free, its rate, reach). Returns the longest reach, and whether the
-    contacts that were `looked` for, (x, R, reach), are those of there.
+    Into out = (x, quaternion, v, R, v_free, its rate, reach). Returns the longest reach, and whether the contacts that
+    were `looked` for, (x, R, reach), are those of there.
     """
     moments, axes, inverse_mass, inverse_J, radius = bodies
-    x, quaternion, v_there, x_frames, R, v_free, rate, reach = out
-    motion.flow(moments, axes, position[0], position[1], v, (1.0 - theta) * h, x, quaternion, v_there, x_frames, R)
+    x, quaternion, v_there, R, v_free, rate, reach = out
+    flow(moments, axes, position[0], position[1], v, (1.0 - theta) * h, x, quaternion, v_there)
+    motion.rotations(quaternion, R)
     motion.accelerate(inverse_mass, inverse_J, gravity, load, load, h, v_there, v_free)
     for i in range(v_free.size):
         rate[i] = (v_free[i] - v_there[i]) / h
     motion.reach(v_free, theta * h, theta * h * h * fall, radius, reach)
-    same = law.unmoved(looked[0], looked[1], looked[2], x_frames, R, reach, arm, tol)
+    same = law.unmoved(looked[0], looked[1], looked[2], x, R, reach, arm, tol)
     return law.most(reach), same
 
 
@@ -65,12 +67,13 @@ def meet(masses, here, begin, velocities, warm, reach, mu, limits, again, rows, 
 def end(blocks, r, v_free, bodies, position, h, looked, reach, arm, tol, out):
     """The second half of a move: v⁺ = v_f + M⁻¹ H r and a free flow; whether what was `looked` for is found there too.
 
-    Into out = (v⁺, x, quaternion, v, frames' x, R, linear, angular).
+    Into out = (v⁺, x, quaternion, v, R, linear, angular).
     """
-    v_plus, x, quaternion, v, x_frames, R, linear, angular = out
+    v_plus, x, quaternion, v, R, linear, angular = out
     _blocks.velocity_change(blocks, r, v_plus)
     for i in range(v_plus.size):
         v_plus[i] = v_free[i] + v_plus[i]
-    motion.flow(bodies[0], bodies[1], position[0], position[1], v_plus, h, x, quaternion, v, x_frames, R)
+    flow(bodies[0], bodies[1], position[0], position[1], v_plus, h, x, quaternion, v)
+    motion.rotations(quaternion, R)
     motion.twists(R, v, x.shape[0], linear, angular)
-    return law.unmoved(looked[0], looked[1], looked[2], x_frames, R, reach, arm, tol)
+    return law.unmoved(looked[0], looked[1], looked[2], x, R, reach, arm, tol)
