@@ -14,7 +14,7 @@ from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
-from nsdyn.stepping.move import Callbacks, Move, Trial, finish, trial
+from nsdyn.stepping.move import Callbacks, Trial, finish, trial
 from nsdyn.stepping.quiet import quiet
 from nsdyn.stepping.sight import Unmet, others
 from nsdyn.stepping.state import State
@@ -90,6 +90,8 @@ def through(system: System, state: State, loads: Loads) -> Passage:
         if gains and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
             pieces += [halvings + 1, halvings + 1]
             continue
+        if halvings == 0:
+            return p
         now, rate, owed, clear, left = p.end, p.rate, p.owed, p.clear, left - h
         done, solved, works = done + p.done, solved + p.solved, works + p.works
     return Passage(now, rate, owed, clear, done, solved, works)
@@ -99,6 +101,23 @@ def _pass(
     s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, owed: Array
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`; whether islands gain energy, though all is solved."""
+    small = begin.contacts.gap.size <= LOCATED
+    if small and loads(end) is None and (m := quiet(s, begin, h)) is not None:
+        now, rate, clear, external = m.end, m.rate, m.clear, m.external
+        done, solved, works = [m.impulses], [(m.problem, m.solution)], m.works
+    else:
+        now, rate, clear, external, done, solved, works = _moves(s, loads, begin, end, h, rate)
+    now, gained, owed, gains = balance(s, begin, now, done, external, owed)
+    if gained:
+        works.append(Works(projection=gained))
+    gains = gains and all(solution.converged for _, solution in solved)
+    return Passage(now, rate, owed, clear, done, solved, works), gains
+
+
+def _moves(
+    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array
+) -> tuple[Instant, Array, bool, Array, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]:
+    """Moves and impacts of h seconds until the time `end`: (end, rate, clear, external works, done, solved, works)."""
     now, left, clear, external = begin, h, True, s.dynamics.no_works
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
@@ -110,7 +129,10 @@ def _pass(
             done.append(impulses)
             solved.append(pair)
             works.append(more)
-        m, length = _move(s, loads, now, t, left, cut < CUTS)
+        length, tried = (
+            _until_impact(s, loads, now, t, left) if cut < CUTS else (left, _try(s, loads, now, t, left, None))
+        )
+        m = finish(s, now, tried)
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
         done.append(m.impulses)
         solved.append((m.problem, m.solution))
@@ -119,23 +141,7 @@ def _pass(
             external = external + m.external
         if left <= 1e-12 * h:
             break
-    now, gained, owed, gains = balance(s, begin, now, done, external, owed)
-    if gained:
-        works.append(Works(projection=gained))
-    gains = gains and all(solution.converged for _, solution in solved)
-    return Passage(now, rate, owed, clear, done, solved, works), gains
-
-
-def _move(s: System, loads: Loads, begin: Instant, t: float, h: float, cut: bool) -> tuple[Move, float]:
-    """A move of h seconds, or to the first impact on its way if it may be `cut` there, and its length."""
-    if not cut:
-        return finish(s, begin, _try(s, loads, begin, t, h, None)), h
-    if s.dynamics.alone and not s.elastic and begin.contacts.gap.size <= LOCATED and loads(t) is None:
-        m = quiet(s, begin, h)
-        if m is not None:
-            return m, h
-    length, tried = _until_impact(s, loads, begin, t, h)
-    return finish(s, begin, tried), length
+    return now, rate, clear, external, done, solved, works
 
 
 def _until_impact(

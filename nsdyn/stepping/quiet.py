@@ -26,7 +26,11 @@ def quiet(s: System, begin: Instant, h: float) -> Move | None:
     Nothing strikes, opens, closes or overlaps, and what slides goes on to.
     """
     d, old, memory, looked = s.dynamics, begin.contacts, begin.memory, begin.looked
-    if _law.most(old.gap) > s.closed:
+    if s.elastic or not d.alone:
+        return None
+    where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
+    approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
+    if not all_closed or approach < -s.slow / h:
         return None
     x, quaternion, v, R, v_free, rate, reach, far, same = free.half(s, begin, h)
     if far > FAST * s.smallest:
