@@ -40,10 +40,9 @@ def meet(
 ) -> tuple[Rows, Array, Array, Array, Index, Bools, FC3D]:
     """What a move meets at its contacts: (rows, frame, local, end_gap, place, slides, posed) of `Encounter`."""
     d, c, nc, warm, old = s.dynamics, contacts, contacts.gap.size, begin.warm, begin.contacts
-    basis = warm.basis
-    again = basis is not None and basis.contacts is contacts
-    if again:
-        rows, frame, scales = basis.rows, basis.frame, basis.problem.scales
+    basis, again = warm.basis, False
+    if basis is not None and basis.contacts is contacts:
+        again, rows, frame, scales = True, basis.rows, basis.frame, basis.problem.scales
         _, block, start, H, *_ = rows.full
     else:
         frame, H, scales = np.empty((nc, 3, 3)), np.empty(36 * nc), np.empty(nc)

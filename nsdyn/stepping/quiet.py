@@ -11,16 +11,22 @@ import numpy as np
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.dynamics.dynamics import Placement
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free
 from nsdyn.stepping.encounter import Basis, Warm
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, Looked, System
-from nsdyn.stepping.move import Move
+from nsdyn.tools.arrays import Array
 
-__all__ = ["quiet"]
+__all__ = ["Moves", "quiet"]
+
+Moves = tuple[Instant, Array, bool, Array, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
+"""End of some moves, the last free acceleration, whether the end is clear, works of external forces on the free bodies,
+and what acted, what was solved and the works of all parts: as of `nsdyn.stepping.move.Move`."""
 
 
-def quiet(s: System, begin: Instant, h: float) -> Move | None:
+def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     """A move of h seconds under gravity alone; None where more may happen than that impulses act at closed contacts.
 
     Nothing strikes, opens, closes or overlaps, and what slides goes on to.
@@ -70,4 +76,4 @@ def quiet(s: System, begin: Instant, h: float) -> Move | None:
     position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists)
     works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
-    return Move(end, impulses, [works], problem, solution, True, rate, d.no_works)
+    return end, rate, True, d.no_works, [impulses], [(problem, solution)], [works]
