@@ -39,11 +39,9 @@ class Pair:
         frames = (self.frame1, self.frame2) if frame1 is None else (np.array(frame1), np.array(frame2))
         normal = self.normal if normal is None else normal
         angular = np.vstack((self.spins(self.v), np.zeros(3)))  # that of a driven body last
-        kinetic, self.owed = np.full(2, 0.5 * self.energy(self.v)), np.array(owed)
-        gained, more = kernels.resist(
-            np.array(gain), np.zeros((2, 2)), kinetic, self.owed, spare, *frames, normal, angular, self.R,
-            self.inverse_J, v,
-        )  # fmt: skip
+        found, self.owed = np.zeros((4, 2)), np.array(owed)
+        found[:2] = gain, np.full(2, 0.5 * self.energy(self.v))
+        gained, more = kernels.resist(found, self.owed, spare, *frames, normal, angular, self.R, self.inverse_J, v)
         return v, -gained, more
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn.stepping import failures
+from nsdyn.stepping import failures, passage
 
 
 @pytest.mark.parametrize("name", nd.scenes.names())
@@ -347,3 +347,24 @@ def test_choices_say_what_was_meant():
     for keyword, word, meant in (("on_fail", "rise", "raise"), ("impact", "poison", "poisson")):
         with pytest.raises(ValueError, match=rf"{keyword} must be one of .*; did you mean '{meant}'\?"):
             nd.Stepper(scene, **{keyword: word})
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "dt"),
+    [("slide", {}, 5e-3), ("stack", {"height": 3}, 5e-3), ("rolling", {"balls": 2}, 2e-3), ("tumble", {}, 5e-3)],
+)
+def test_quiet_moves_are_the_general_ones(name, parameters, dt, monkeypatch):
+    """What goes the straight way through its moves ends with the bits of the way that asks what else might happen."""
+    scene, quiet, went = nd.scenes.load(name)(**parameters), passage.quiet, []
+
+    def counted(*arguments):
+        went.append(quiet(*arguments))
+        return went[-1]
+
+    monkeypatch.setattr(passage, "quiet", counted)
+    straight = nd.simulate(scene, 120 * dt, dt=dt)
+    assert sum(moves is not None for moves in went) > 20
+    monkeypatch.setattr(passage, "quiet", lambda *_: None)
+    general = nd.simulate(scene, 120 * dt, dt=dt)
+    for column in straight.columns.keys() - {"wall_time", "solver/time"}:
+        assert straight.columns[column].tobytes() == general.columns[column].tobytes(), column

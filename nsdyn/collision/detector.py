@@ -172,8 +172,6 @@ class Detector:
         A contact that is still among those `found` there has its gap, known by its key. Any other has the separation of
         its geoms along its own normal, or their least gap found, if that is more: they overlap only where one is found.
         """
-        if contacts is found:
-            return contacts.gap
         c, out = contacts, np.empty(contacts.gap.size)
         if keys.kept(c.key, found.key, found.gap, out):
             return out

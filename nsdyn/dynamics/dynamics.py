@@ -54,6 +54,10 @@ class Position(NamedTuple):
     driven_x: Array
     driven_quaternion: Array
 
+    def moved(self, x: Array, quaternion: Array) -> Position:
+        """The same but for the free bodies."""
+        return Position(x, quaternion, self.trees, self.driven_x, self.driven_quaternion)
+
 
 class Placement(NamedTuple):
     """All frames at a position.
@@ -167,6 +171,7 @@ class Dynamics:
             inverse = np.linalg.inv(self.J[k])
             minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / self.mass[k], 0.5 * (inverse + inverse.T)
         self._m, self._minv = m.ravel(), minv.ravel()
+        self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
         self._tree_names = {t.name: k for k, t in enumerate(self.trees)}

@@ -136,7 +136,7 @@ def certify(
     ----------
     J. J. Moreau, Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
     """
-    mu, impulse = problem.mu, np.empty_like(problem.q)
+    mu, impulse = problem.mu, np.empty(problem.q.size)
     b, d = problem.blocks, opening.d if opening else NOTHING
     found = None if b is None or u is None else _kernels.certificate_of(b.arrays, u, r, mu, d, impulse)
     if u is None or found is None or found[0]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels.stepping import balance as _balance
-from nsdyn._kernels.stepping import law as _law
 from nsdyn.stepping.instant import Impulses, Instant, System
 from nsdyn.tools.arrays import Array
 
@@ -45,11 +44,9 @@ def balance(
     d = s.dynamics
     if not (end.contacts.gap.size or any(a.contacts.gap.size for a in done)):
         return end, 0.0, owed, False
-    gain, kinetic = np.empty((2, d.free))
-    slack = np.empty((2, d.free))
-    states = begin.position.x, begin.v, end.position.x, end.v
-    some = _balance.gains(d.mass, d.J, d.gravity, external, s.closed, *states, gain, slack, kinetic)
-    if d.surfaces.count or not (some or _law.any_positive(owed)):
+    states, found = (begin.position.x, begin.v, end.position.x, end.v), np.empty((4, d.free))
+    some = _balance.gains(d.mass, d.J, d.gravity, external, s.closed, states, owed, found)
+    if d.surfaces.count or not some:
         return end, 0.0, owed, False
     acted = [(a.contacts, a.r[:, 0] > 0.0) for a in done] + [(end.contacts, end.contacts.gap <= s.closed)]
     frame1, frame2, normal = (
@@ -58,5 +55,5 @@ def balance(
     created = float(sum(a.created for a in done))
     v, owed, at = end.v.copy(), owed.copy(), end.placement
     touching = frame1, frame2, normal, end.twists[1], at.R
-    gained, more = _balance.resist(gain, slack, kinetic, owed, created, *touching, d.inverse_J, v)
+    gained, more = _balance.resist(found, owed, created, *touching, d.inverse_J, v)
     return end._replace(v=v, twists=d.twists(at, v)), gained, owed, more

@@ -60,7 +60,7 @@ def collide(
     if not (d.surfaces.count or (joints is not None and _hits(s, joints, at.v, h))):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
         limit = s.solver.tol if s.elastic and _law.any_positive(c.restitution) else s.slow / h
-        if _law.fastest(c.gap, s.closed, *where, *at.twists) >= -limit:
+        if _law.fastest(c.gap, s.closed, *where, *at.twists)[0] >= -limit:
             return None
     contacts = take(c, c.gap <= s.closed)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)

@@ -9,7 +9,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
-from nsdyn.dynamics.dynamics import Forces, Middle, Position
+from nsdyn.dynamics.dynamics import Forces, Middle, Placement, Position
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.problem.fc3d import FC3D
@@ -232,8 +232,10 @@ def _half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -
     """Half a free flow, and the forces there."""
     d, ahead = s.dynamics, s.theta * h
     if d.alone and callbacks is None:
-        middle, forces, rate, reach, far, same = _free.half(s, begin, h)
-        return Half(h, ahead, middle, forces, rate, reach, far > FAST * s.smallest, same, STILL_SURFACES)
+        x, quaternion, v, R, v_free, rate, reach, far, same = _free.half(s, begin, h)
+        middle = Middle(begin.position.moved(x, quaternion), v, Placement(x, R, ()), ())
+        fast = far > FAST * s.smallest
+        return Half(h, ahead, middle, d.free_forces(v_free), rate, reach, fast, same, STILL_SURFACES)
     begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
     middle = d.halfway(begin.position, begin.v, h, s.theta, begun)
     given = (None, None) if callbacks is None else callbacks(middle.position, begin.v)
@@ -273,8 +275,15 @@ def _respond(
 ) -> Response:  # fmt: skip
     """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
     d, middle, forces = s.dynamics, half.middle, half.forces
-    if d.alone and not (begin.warm.basis is not None and begin.warm.basis.contacts is contacts):
-        met = _free.meet(s, contacts, middle, forces, begin, half.reach, half.h)
+    if d.alone:
+        where = middle.placement.x, middle.placement.R, middle.v, forces.v
+        rows, frame, local, end_gap, place_of, slides, posed = _free.meet(
+            s, contacts, *where, begin, half.reach, half.h
+        )
+        met = Encounter(
+            contacts, None, rows, frame, None, contacts.mu, contacts.restitution, place_of, begin.warm.status, local,
+            end_gap, NOTHING, NOTHING, slides, posed,
+        )  # fmt: skip
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
         met = Encounter.of(
@@ -295,9 +304,11 @@ def _respond(
     impulse: Array | None = None
     trees: tuple[TreeEnd, ...] = ()
     if d.alone:
-        end, v, v_end, there, twists, same = _free.end(
-            s, middle, met.rows, solution.r, v, half.ahead, seen.looked, near
+        at = middle.position
+        v, x, quaternion, v_end, R, twists, same = _free.end(
+            s, at.x, at.quaternion, met.rows, solution.r, v, half.ahead, seen.looked, near
         )
+        end, there = at.moved(x, quaternion), Placement(x, R, ())
     else:
         v = v + met.rows.velocity_change(solution.r)
         if d.trees:

@@ -15,6 +15,7 @@ from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
 from nsdyn.stepping.move import Callbacks, Trial, finish, trial
+from nsdyn.stepping.quiet import Moves, quiet
 from nsdyn.stepping.sight import Unmet, others
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
@@ -75,16 +76,23 @@ def through(system: System, state: State, loads: Loads) -> Passage:
     loads : callable
         What the user has to say at a time [s], as `nsdyn.stepping.move.trial` takes it.
     """
+    begin = state.instant
+    whole, gains = _pass(system, loads, begin, state.next_t, system.dt, state.rate, state.owed)
+    return _in_pieces(system, state, loads) if gains and begin.contacts.gap.size <= LOCATED else whole
+
+
+def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
+    """The way through a step that in one piece gained energy."""
     now, rate, owed, clear = state.instant, state.rate, state.owed, True
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
-    left, pieces, tries = system.dt, [0], 0
+    left, pieces, tries = system.dt, [1, 1], 1
     while pieces:
         halvings, tries = pieces.pop(), tries + 1
         h = system.dt * 0.5**halvings
         # Here bodies run less far into each other before they are stopped.
-        s = system if halvings == 0 else system._replace(depth=DEEP * SHALLOWER**halvings)
+        s = system._replace(depth=DEEP * SHALLOWER**halvings)
         p, gains = _pass(s, loads, now, state.next_t - (left - h), h, rate, owed)
         if gains and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
             pieces += [halvings + 1, halvings + 1]
@@ -98,6 +106,18 @@ def _pass(
     s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, owed: Array
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`; whether islands gain energy, though all is solved."""
+    small = begin.contacts.gap.size <= LOCATED
+    found = quiet(s, begin, h) if small and loads(end) is None else None
+    now, rate, clear, external, done, solved, works = found or _moves(s, loads, begin, end, h, rate)
+    now, gained, owed, gains = balance(s, begin, now, done, external, owed)
+    if gained:
+        works.append(Works(projection=gained))
+    gains = gains and all(solution.converged for _, solution in solved)
+    return Passage(now, rate, owed, clear, done, solved, works), gains
+
+
+def _moves(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array) -> Moves:
+    """Moves and impacts of h seconds until the time `end`."""
     now, left, clear, external = begin, h, True, s.dynamics.no_works
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
@@ -121,11 +141,7 @@ def _pass(
             external = external + m.external
         if left <= 1e-12 * h:
             break
-    now, gained, owed, gains = balance(s, begin, now, done, external, owed)
-    if gained:
-        works.append(Works(projection=gained))
-    gains = gains and all(solution.converged for _, solution in solved)
-    return Passage(now, rate, owed, clear, done, solved, works), gains
+    return now, rate, clear, external, done, solved, works
 
 
 def _until_impact(

@@ -263,11 +263,12 @@ class Stepper:
         self, solved: list[tuple[FC3D, Solution]], opening: gauss.Opening | None
     ) -> tuple[gauss.Certificate, gauss.Opening | None]:
         """Certificate of all problems of a step: sum of the gaps, largest shift and bound; direction of the last."""
+        if len(solved) == 1:
+            problem, solution = solved[0]
+            return gauss.certify(problem, solution.r, solution.u, opening)
         gap = shift = bound = 0.0
         for problem, solution in solved:
             c, opening = gauss.certify(problem, solution.r, solution.u, opening)
-            if len(solved) == 1:
-                return c, opening
             gap, shift, bound = gap + c.gap, max(shift, c.shift), max(bound, c.bound)
         return gauss.Certificate(gap, shift, bound), opening
 
@@ -279,7 +280,9 @@ class Stepper:
         acted = done[0] if len(done) == 1 else _joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
-        gap = self.detector.gaps(acted.contacts, end.contacts, Poses(end.placement.x, end.placement.R))
+        gap = acted.contacts.gap
+        if acted.contacts is not end.contacts:
+            gap = self.detector.gaps(acted.contacts, end.contacts, Poses(end.placement.x, end.placement.R))
         joints = acted.joints[:, 6 * d.free :] if d.trees else None
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,

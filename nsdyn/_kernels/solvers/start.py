@@ -9,19 +9,55 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones
 from nsdyn._kernels.solvers import local, newton, pgs
 
+POLISHED = 0.5
+"""Measure after a step over that before, from which on it is round-off, as it is of a heap before it is `enough`."""
+
+NEARLY, CLOSE = 2.0, 0.9
+"""What nearly is enough, and what is left of it, both in `enough`."""
+
+
+@kernel
+def small(blocks, q, mu, scales, r, measure, enough, good, q_norm, limits):
+    """Solve one island of few coordinates by `newton.dense` in place of r, of that measure; (factorisations, measure).
+
+    A few steps from a warm start; if they are not `good`, or from nothing, many; then, as long as it gains, step by
+    step with a new penalty: the one that has grown on the way would lose the last digits. What nearly was `enough` only
+    comes close to that. At rest it missed what velocities an imbalance of the impulses, far smaller, has added up to in
+    many steps; impulses that take these back in one give the next as much of the other sign, and so its start misses.
+    """
+    _, penalty, max_iter, few = limits
+    start, missed, count = r.copy(), measure, 0
+    if measure > good and r.any():
+        count, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, few)
+    if measure > good:
+        used, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, max_iter)
+        count += used
+    before, steps = np.inf, 0
+    while enough < measure <= good and measure <= POLISHED * before and steps < few:
+        before = measure
+        used, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, 1)
+        steps += used
+    if measure <= enough < missed <= NEARLY * enough:
+        y, work, u = np.empty(blocks[0][-1]), np.empty(blocks[0][-1]), np.empty(q.size)
+        closer = start + (1.0 - CLOSE * enough / missed) * (r - start)
+        now = newton.measure_of(blocks, q, mu, scales, q_norm, closer, y, u, work)
+        if now <= enough:
+            r[:], measure = closer, now
+    return count + steps, measure
+
 
 @kernel
 def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, limits):
     """Solve every island of few coordinates in place of r, unless r is good `enough`.
 
-    One contact in closed form, more by `newton.dense`, to be `enough` or at least `accept` times their share, and then
-    by a `few` steps better. The islands into label (nc,), into islands (2, nc) their measures, 0 for those that end
-    within `accept` times their share, and their shares of the tolerance by contacts, since the literature's error adds
-    the islands up in squares and the judge measures them together. Returns their number, 0 if r was good enough,
+    One contact in closed form, more by `small`, to be `enough` or at least `accept` times their share. The islands into
+    label (nc,), into islands (2, nc) their measures, 0 for those that end within `accept` times their share, and their
+    shares of the tolerance by contacts, since the literature's error adds the islands up in squares and the judge
+    measures them together. Returns their number, 0 if r was good enough,
     whether one is left, the factorisations, and the literature's error and the residual of r where none is left; then
     its u = W r + q is in u. limits = (most coordinates, penalty, most steps, a few steps).
     """
-    largest, penalty, max_iter, few = limits
+    largest = limits[0]
     top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
     if top / q_norm <= enough and residual <= enough:
         return 0, False, 0, top / q_norm, residual
@@ -29,6 +65,8 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_no
     found = _blocks.islands(block, offset.size - 1, label)
     measures, share = islands[0, :found], islands[1, :found]
     measures[:], share[:] = newton.measures_of_islands(label, found, scales, q_norm, u, r, mu), 0.0
+    if (measures <= enough).all():
+        return found, False, 0, top / q_norm, residual
     first = np.empty(found, np.int64)
     for c in range(label.size - 1, -1, -1):
         share[label[c]] += 1.0
@@ -52,16 +90,10 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_no
                 own_q, own_mu, own_scales, own = newton.gather(contacts, q, mu, scales, r)
             if part[0][-1] <= largest:
                 good = accept * math.sqrt(share[k] / label.size)
-                # A few steps from a warm start; if they do not suffice, or from nothing, many, and then a few with a
-                # new penalty: the one that has grown on the way would lose the last digits.
-                for attempt in range(0 if own.any() else 1, 3):
-                    if (attempt == 1 and measures[k] <= good) or (attempt == 2 and measures[k] > good):
-                        break
-                    used, measures[k] = newton.dense(
-                        part, own_q, own_mu, own_scales, own, enough, q_norm, penalty,
-                        max_iter if attempt == 1 else few,
-                    )  # fmt: skip
-                    count += used
+                used, measures[k] = small(
+                    part, own_q, own_mu, own_scales, own, measures[k], enough, good, q_norm, limits
+                )
+                count += used
                 if not alone:
                     newton.scatter(contacts, own, r)
         share[k] = math.sqrt(share[k] / label.size)

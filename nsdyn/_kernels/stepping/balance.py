@@ -6,6 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import unite
+from nsdyn._kernels.stepping.law import any_positive
 from nsdyn._kernels.vectors import along, dot, row
 
 ROUND_OFF = 1e-13
@@ -18,13 +19,16 @@ spins on its face has next to no rolling, and would be tipped."""
 
 
 @kernel
-def gains(mass, J, gravity, external, closed, x0, v0, x, v, gain, slack, kinetic):
-    """What the energies of the free bodies grew by, beyond the works `external` (nf,), into gain (nf,), J.
+def gains(mass, J, gravity, external, closed, states, owed, out):
+    """What the energies of the free bodies grew by, beyond the works `external` (nf,), J.
 
-    What of it is nothing, by round-off, and as contacts may be open or overlap by `closed` too, into slack (2, nf);
-    kinetic energies before into kinetic (nf,). Returns whether a body gained more than nothing.
+    The states are (x, v) before and after. Into out (4, nf): the gain, kinetic energies before, and what of the gain is
+    nothing, by round-off, and as contacts may be open or overlap by `closed` too. Returns whether a body gained more
+    than nothing, or is `owed` (nf,) any.
     """
-    some = False
+    x0, v0, x, v = states
+    gain, kinetic, slack = out[0], out[1], out[2:]
+    some = any_positive(owed)
     weight = math.sqrt(gravity[0] ** 2 + gravity[1] ** 2 + gravity[2] ** 2)
     for b in range(mass.size):
         i = 6 * b
@@ -86,15 +90,16 @@ def opposing(root, whole, frame1, frame2, normal, angular, R, inverse_J):
 
 
 @kernel
-def resist(gain, slack, kinetic, owed, spare, frame1, frame2, normal, angular, R, inverse_J, v):
+def resist(found, owed, spare, frame1, frame2, normal, angular, R, inverse_J, v):
     """Change the spins in v so that no island of free bodies has gained energy.
 
     An island turns its bodies by α of `opposing`, which takes α Σ‖t‖² - ½ α² Σ L·J⁻¹ L: what it gained, or if that
     cannot be all it can. Where rolling resistance cannot take it and the spins about the normals can, as of a body that
     turns about its one normal, these are resisted as well. What was taken is `owed` (nf,), and given back where the
     island loses energy in smooth motion. Islands may gain what is to `spare`, and those of which frames beyond the free
-    bodies are a part, what they do.
+    bodies are a part, what they do. `found` is what `gains` gives, and changed.
     """
+    gain, kinetic, slack = found[0], found[1], found[2:]
     free = gain.size
     root, driven = np.arange(free), np.zeros(free, np.bool_)
     for c in range(frame1.size):

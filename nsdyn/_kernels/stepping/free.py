@@ -1,11 +1,12 @@
 """Moves of free bodies alone, in as few calls as the equations suggest: each is one of the kernels of a move in turn.
 
 A call from Python takes as long as what it does for a few bodies. Arguments come in plain tuples, named as those of the
-kernels that are called.
+kernels that are called. The frames are those of the bodies, at their centres of mass.
 """
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.dynamics import motion
+from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import law
 
@@ -14,44 +15,51 @@ from nsdyn._kernels.stepping import law
 def half(bodies, gravity, load, position, v, h, theta, fall, looked, arm, tol, out):
     """The first half of a move: a free flow, the velocity after the forces there, how far it reaches.
 
-    Into out = (x, quaternion, v, frames' x, R, v_free, its rate, reach). Returns the longest reach, and whether the
-    contacts that were `looked` for, (x, R, reach), are those of there.
+    Into out = (x, quaternion, v, R, v_free, its rate, reach). Returns the longest reach, and whether the contacts that
+    were `looked` for, (x, R, reach), are those of there.
     """
     moments, axes, inverse_mass, inverse_J, radius = bodies
-    x, quaternion, v_there, x_frames, R, v_free, rate, reach = out
-    motion.flow(moments, axes, position[0], position[1], v, (1.0 - theta) * h, x, quaternion, v_there, x_frames, R)
+    x, quaternion, v_there, R, v_free, rate, reach = out
+    flow(moments, axes, position[0], position[1], v, (1.0 - theta) * h, x, quaternion, v_there)
+    motion.rotations(quaternion, R)
     motion.accelerate(inverse_mass, inverse_J, gravity, load, load, h, v_there, v_free)
     for i in range(v_free.size):
         rate[i] = (v_free[i] - v_there[i]) / h
     motion.reach(v_free, theta * h, theta * h * h * fall, radius, reach)
-    same = law.unmoved(looked[0], looked[1], looked[2], x_frames, R, reach, arm, tol)
+    same = law.unmoved(looked[0], looked[1], looked[2], x, R, reach, arm, tol)
     return law.most(reach), same
 
 
 @kernel
-def meet(masses, here, begin, velocities, warm, reach, mu, longer, ahead, closed, rows, out):
+def meet(masses, here, begin, velocities, warm, reach, mu, limits, again, rows, out):
     """What a move meets at its contacts and the problem that it poses; the size of H, the norm of b and its validity.
 
     masses = (block_of_frame, offset, m_start, m, minv); here = (key, frame1, frame2, point, normal, gap, x, R) where
-    the impulses act; begin, velocities and warm = (keys, impulses, status) as in `law.local_velocities`. Into rows =
-    (frame, block, start, H), H with room for two free bodies a contact, and out = (velocities, end_gap, place, slides,
-    b, scales).
+    the impulses act; begin, velocities and warm = (keys, impulses, status) as in `law.local_velocities`; limits =
+    (longer, ahead, closed). Into rows = (frame, block, start, H, scales), H with room for two free bodies a contact,
+    unless they are those of the same contacts met `again`, and out = (velocities, end_gap, place, slides, b).
     """
     block_of_frame, offset, m_start, m, minv = masses
     key, frame1, frame2, point, normal, gap, x, R = here
-    frame, block, start, H = rows
-    local, end_gap, place, slides, b, scales = out
-    none = H[:0]
-    size = motion.contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block, start)
-    motion.free_rows(frame1, frame2, point, frame, x, R, x.shape[0], start, H)
+    frame, block, start, H, scales = rows
+    local, end_gap, place, slides, b = out
+    longer, ahead, closed = limits
+    none, size = H[:0], H.size
+    if not again:
+        size = motion.contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block, start)
+        motion.free_rows(frame1, frame2, point, frame, x, R, x.shape[0], start, H)
     blocks = (offset, block, start, H[:size], m_start, m, minv)
+    if not again:
+        _blocks.delassus_scales(blocks, scales)
     place[:] = law.local_velocities(
         blocks, velocities, (point[:0], none, none), none, begin, (key, frame1, frame2, point, frame, gap, x),
         (warm[0], warm[1]), reach, longer, ahead, local, end_gap,
     )  # fmt: skip
     law.foresee(blocks, mu, place, warm[2], local, slides)
     law.offsets(local, end_gap, none, slides, ahead, closed, b)
-    norm, good = _blocks.prepare(blocks, b, mu, scales)
+    norm, good = _blocks.size_of(b, mu)
+    for c in range(mu.size):
+        good = good and scales[c] > 0.0
     return size, norm, good
 
 
@@ -59,12 +67,13 @@ def meet(masses, here, begin, velocities, warm, reach, mu, longer, ahead, closed
 def end(blocks, r, v_free, bodies, position, h, looked, reach, arm, tol, out):
     """The second half of a move: v⁺ = v_f + M⁻¹ H r and a free flow; whether what was `looked` for is found there too.
 
-    Into out = (v⁺, x, quaternion, v, frames' x, R, linear, angular).
+    Into out = (v⁺, x, quaternion, v, R, linear, angular).
     """
-    v_plus, x, quaternion, v, x_frames, R, linear, angular = out
+    v_plus, x, quaternion, v, R, linear, angular = out
     _blocks.velocity_change(blocks, r, v_plus)
     for i in range(v_plus.size):
         v_plus[i] = v_free[i] + v_plus[i]
-    motion.flow(bodies[0], bodies[1], position[0], position[1], v_plus, h, x, quaternion, v, x_frames, R)
+    flow(bodies[0], bodies[1], position[0], position[1], v_plus, h, x, quaternion, v)
+    motion.rotations(quaternion, R)
     motion.twists(R, v, x.shape[0], linear, angular)
-    return law.unmoved(looked[0], looked[1], looked[2], x_frames, R, reach, arm, tol)
+    return law.unmoved(looked[0], looked[1], looked[2], x, R, reach, arm, tol)

@@ -145,13 +145,15 @@ def approach(frame1, frame2, point, normal, x, linear, angular, out):
 
 @kernel
 def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
-    """The least normal velocity of contacts that are closed, m/s, 0 if none is negative."""
-    out, least = np.empty(gap.size), 0.0
+    """The least normal velocity of contacts that are closed, m/s, 0 if none is negative; whether all are closed."""
+    out, least, all_closed = np.empty(gap.size), 0.0, True
     approach(frame1, frame2, point, normal, x, linear, angular, out)
     for c in range(gap.size):
         if gap[c] <= closed:
             least = min(least, out[c])
-    return least
+        else:
+            all_closed = False
+    return least, all_closed
 
 
 @kernel

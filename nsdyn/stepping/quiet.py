@@ -1,0 +1,79 @@
+"""Moves of free bodies that meet nothing new: what rests, slides and rolls on what it touches, and what flies.
+
+A move is that of `nsdyn.stepping.move`, which asks at every stage what else might happen. Here the stages follow each
+other, and where anything else shows, `nsdyn.stepping.move` begins again: in small scenes to ask takes half of a step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsdyn._kernels.stepping import account as _account
+from nsdyn._kernels.stepping import law as _law
+from nsdyn.dynamics.dynamics import Placement
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.stepping import free
+from nsdyn.stepping.encounter import Basis, Warm
+from nsdyn.stepping.energy import Works
+from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, Looked, System
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Moves", "quiet"]
+
+Moves = tuple[Instant, Array, bool, Array, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
+"""End of some moves, the last free acceleration, whether the end is clear, works of external forces on the free bodies,
+and what acted, what was solved and the works of all parts: as of `nsdyn.stepping.move.Move`."""
+
+
+def quiet(s: System, begin: Instant, h: float) -> Moves | None:
+    """A move of h seconds under gravity alone; None where more may happen than that impulses act at closed contacts.
+
+    Nothing strikes, opens, closes or overlaps, and what slides goes on to.
+    """
+    d, old, memory, looked = s.dynamics, begin.contacts, begin.memory, begin.looked
+    if s.elastic or not d.alone:
+        return None
+    where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
+    approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
+    if not all_closed or approach < -s.slow / h:
+        return None
+    x, quaternion, v, R, v_free, rate, reach, far, same = free.half(s, begin, h)
+    if far > FAST * s.smallest:
+        return None
+    contacts = old
+    if not same:
+        contacts, memory = s.detector.find(x, R, reach, memory)
+        looked = Looked(x, R, reach)
+        if not _law.all_known(contacts.key, old.key, old.gap, s.closed):
+            return None
+    rows, frame, local, _, place, slides, problem = free.meet(s, contacts, x, R, v, v_free, begin, reach, h)
+    solution, mu, nc = s.solver(problem, local[4]), contacts.mu, contacts.mu.size
+    r = solution.r
+    if _law.reconsider(r, solution.u, problem.q, mu, local, slides, False):
+        return None
+    v_plus, x, quaternion, v_end, R, twists, same = free.end(
+        s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
+    )
+    found = contacts
+    if not same:
+        found, memory = s.detector.find(x, R, d.nowhere, memory)
+        looked = Looked(x, R, d.nowhere)
+        if not _law.all_known(found.key, contacts.key, contacts.gap, np.inf):
+            return None
+    if _law.least(found.gap) < -s.closed:
+        return None
+    out = status, normal, friction, u, world = (
+        np.empty(nc, np.int8), np.empty(nc), np.empty(nc), np.empty(3 * nc), np.empty((nc, 3))
+    )  # fmt: skip
+    external, beyond, normal_work, friction_work, rest = _account.account(
+        rows.full.arrays, (d.mass, d.gravity), (d.no_load, d.no_load), h, s.theta, (v, v, v_plus), r, mu, NOTHING,
+        (place, begin.warm.status), NOTHING, local, frame, s.solver.tol, out,
+    )  # fmt: skip
+    slots, on_joints = d.no_impulses
+    impulses = Impulses(contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, 0.0)
+    warm = Warm(contacts.key, world, status, slots, h, Basis(contacts, rows, frame, problem))
+    position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
+    end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists)
+    works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
+    return end, rate, True, d.no_works, [impulses], [(problem, solution)], [works]
