@@ -96,8 +96,8 @@ class Tuning:
     interior: tuple[int, int] = (40, 30)
     """Factorisations of the interior point method, which converges within these where it does, and of Newton after."""
 
-    path: int = 1000
-    """Factorisations of the continuation from nothing, which takes 20 to 350 of most problems."""
+    path: int = 800
+    """Factorisations of the continuation from nothing, which takes 20 to 350 for most problems."""
 
     near: float = 1e3
     """Penalty of Newton from what was found by factorisations."""
