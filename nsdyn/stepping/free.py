@@ -46,7 +46,7 @@ def meet(
         (d.block_of_frame, d.offset, d.m_start, forces.m, forces.minv),
         (c.key, c.frame1, c.frame2, c.point, c.normal, c.gap, at.x, at.R),
         (old.key, old.point, old.normal, begin.placement.x, *begin.twists), (begin.v, middle.v, forces.v),
-        (warm.key, warm.impulse, warm.status), reach, c.mu, h / warm.h, s.theta * h, s.closed,
+        (warm.key, warm.impulse, warm.status), reach, (c.mu, c.restitution), h / warm.h, tuple(s.closing(h)),
         (frame, block, start, H), (local, end_gap, place, slides, b, scales),
     )  # fmt: skip
     rows = d.free_rows(block, start, H[:size])

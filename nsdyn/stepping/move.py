@@ -288,7 +288,7 @@ def _respond(
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES, last is not None)
     before = None if last is None else last.solution
-    problem, solution, otherwise = solve(met, s.solver, before, half.ahead, s.closed, slides, back, most)
+    problem, solution, otherwise = solve(met, s.solver, before, s.closing(half.h), slides, back, most)
     v, near = forces.v if impact is None else forces.v + kick, d.nowhere
     if barred is not None and barred.size:
         near = 2.0 * half.reach

@@ -29,19 +29,19 @@ def half(bodies, gravity, load, position, v, h, theta, fall, looked, arm, tol, o
 
 
 @kernel
-def meet(masses, here, begin, velocities, warm, reach, mu, longer, ahead, closed, rows, out):
+def meet(masses, here, begin, velocities, warm, reach, materials, longer, closing, rows, out):
     """What a move meets at its contacts and the problem that it poses; the size of H, the norm of b and its validity.
 
     masses = (block_of_frame, offset, m_start, m, minv); here = (key, frame1, frame2, point, normal, gap, x, R) where
-    the impulses act; begin, velocities and warm = (keys, impulses, status) as in `law.local_velocities`. Into rows =
-    (frame, block, start, H), H with room for two free bodies a contact, and out = (velocities, end_gap, place, slides,
-    b, scales).
+    the impulses act; begin, velocities and warm = (keys, impulses, status) as in `law.local_velocities`; materials =
+    (mu, restitution); closing as in `law.offsets`. Into rows = (frame, block, start, H), H with room for two free
+    bodies a contact, and out = (velocities, end_gap, place, slides, b, scales).
     """
     block_of_frame, offset, m_start, m, minv = masses
     key, frame1, frame2, point, normal, gap, x, R = here
     frame, block, start, H = rows
     local, end_gap, place, slides, b, scales = out
-    none = H[:0]
+    (mu, restitution), ahead, none = materials, closing[2], H[:0]
     size = motion.contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block, start)
     motion.free_rows(frame1, frame2, point, frame, x, R, x.shape[0], start, H)
     blocks = (offset, block, start, H[:size], m_start, m, minv)
@@ -50,7 +50,7 @@ def meet(masses, here, begin, velocities, warm, reach, mu, longer, ahead, closed
         (warm[0], warm[1]), reach, longer, ahead, local, end_gap,
     )  # fmt: skip
     law.foresee(blocks, mu, place, warm[2], local, slides)
-    law.offsets(local, end_gap, none, slides, ahead, closed, b)
+    law.offsets(local, end_gap, restitution, none, slides, closing, b)
     norm, good = _blocks.prepare(blocks, b, mu, scales)
     return size, norm, good
 
