@@ -12,7 +12,8 @@ to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is re
 where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there. A gap
 closes at the constant speed G / τ. With τ = h₂ bodies would touch where the step ends, with that speed, and be in each
 other when the next impulses stop them, by as much as the gap was: lifted again, each opens the gaps around it as far,
-and a pile never comes to rest. So τ is the time until these impulses where the gap is shallow and nothing may rebound.
+and a pile never comes to rest. So τ is the time until these impulses where the gap is shallow and nothing may rebound,
+but in moves that are cut where bodies touch.
 """
 
 from __future__ import annotations
@@ -93,7 +94,8 @@ class Closing(NamedTuple):
         Largest gap that counts as none, m or rad.
     shallow : float
         Largest that is left to close until the next impulses, m or rad: what gravity closes from rest in a step, which
-        is of second order, and not deep. Wider ones close within the move: what crosses them strikes.
+        is of second order, and not deep. Wider ones close within the move: what crosses them strikes. None where
+        impacts are located.
     ahead, until : float
         Times from the impulses to the end of the move, h₂, and to the next impulses at the latest, s.
     """

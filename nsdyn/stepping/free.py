@@ -9,7 +9,7 @@ from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Forces, Middle, Placement, Position
 from nsdyn.dynamics.joints import Rows
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.stepping.encounter import NOTHING, Encounter
+from nsdyn.stepping.encounter import NOTHING, Closing, Encounter
 from nsdyn.stepping.instant import STILL, Instant, Looked, System
 from nsdyn.tools.arrays import Array
 
@@ -34,8 +34,9 @@ def half(s: System, begin: Instant, h: float) -> tuple[Middle, Forces, Array, Ar
 
 
 def meet(
-    s: System, contacts: ContactSet, middle: Middle, forces: Forces, begin: Instant, reach: Array, h: float
-) -> Encounter:
+    s: System, contacts: ContactSet, middle: Middle, forces: Forces, begin: Instant, reach: Array, closing: Closing,
+    h: float,
+) -> Encounter:  # fmt: skip
     """What a move meets at its contacts, with the slip foreseen and the problem posed for it: see `Encounter.of`."""
     d, c, nc, warm, old = s.dynamics, contacts, contacts.gap.size, begin.warm, begin.contacts
     frame, H = np.empty((nc, 3, 3)), np.empty(36 * nc)
@@ -46,7 +47,7 @@ def meet(
         (d.block_of_frame, d.offset, d.m_start, forces.m, forces.minv),
         (c.key, c.frame1, c.frame2, c.point, c.normal, c.gap, at.x, at.R),
         (old.key, old.point, old.normal, begin.placement.x, *begin.twists), (begin.v, middle.v, forces.v),
-        (warm.key, warm.impulse, warm.status), reach, (c.mu, c.restitution), h / warm.h, tuple(s.closing(h)),
+        (warm.key, warm.impulse, warm.status), reach, (c.mu, c.restitution), h / warm.h, tuple(closing),
         (frame, block, start, H), (local, end_gap, place, slides, b, scales),
     )  # fmt: skip
     rows = d.free_rows(block, start, H[:size])

@@ -99,9 +99,12 @@ class System(NamedTuple):
         """The least of what is `deep`."""
         return self.depth * self.smallest
 
-    def closing(self, h: float) -> Closing:
-        """How gaps close in a move of h s; the move after it is no longer than the step."""
-        shallow = min(self.depth * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2)
+    def closing(self, h: float, caught: bool) -> Closing:
+        """How gaps close in a move of h s that catches all impacts or locates them: then it ends where bodies touch.
+
+        The move after it is no longer than the step.
+        """
+        shallow = min(self.depth * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if caught else 0.0
         return Closing(self.closed, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt)
 
     def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:

@@ -272,9 +272,9 @@ def _respond(
     barred: Index | None, last: Response | None,
 ) -> Response:  # fmt: skip
     """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
-    d, middle, forces = s.dynamics, half.middle, half.forces
+    d, middle, forces, closing = s.dynamics, half.middle, half.forces, s.closing(half.h, barred is None)
     if d.alone and not (begin.warm.basis is not None and begin.warm.basis.contacts is contacts):
-        met = _free.meet(s, contacts, middle, forces, begin, half.reach, half.h)
+        met = _free.meet(s, contacts, middle, forces, begin, half.reach, closing, half.h)
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
         met = Encounter.of(
@@ -288,7 +288,7 @@ def _respond(
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES, last is not None)
     before = None if last is None else last.solution
-    problem, solution, otherwise = solve(met, s.solver, before, s.closing(half.h), slides, back, most)
+    problem, solution, otherwise = solve(met, s.solver, before, closing, slides, back, most)
     v, near = forces.v if impact is None else forces.v + kick, d.nowhere
     if barred is not None and barred.size:
         near = 2.0 * half.reach
