@@ -285,6 +285,39 @@ def test_unit_of_mass_does_not_matter(factor):
     assert np.abs(runs[0].q - runs[1].q).max() <= 1e-9
 
 
+def many_at_rest(**material):
+    """A ground with so many balls that impacts are caught, not located."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(**material))
+    for k in range(51):
+        scene.add_sphere(f"ball{k}", 0.1, 1.0, position=(k, 0, 0.1), material=nd.Material(mu=0.5))
+    return scene
+
+
+@pytest.mark.parametrize("gap", [1e-8, 3e-6, 9e-5])
+@pytest.mark.parametrize("theta", [0.5, 0.8, 1.0])
+def test_a_shallow_gap_closes_without_overlap(gap, theta):
+    """A ball let go a hair above another on the ground: nothing is left for the projection, which would lift it."""
+    scene = many_at_rest(mu=0.5)
+    scene.add_sphere("upper", 0.1, 1.0, position=(0, 0, 0.3 + gap))
+    stepper = nd.Stepper(scene, dt=5e-3, theta=theta)
+    steps = [stepper.step() for _ in range(4)]
+    assert [step.ledger.projection for step in steps] == [0.0] * 4
+    assert all(step.gap.min() >= -stepper.closed for step in steps)
+    # It has arrived, and all are at rest: what is left is what counts as closed, and the solver's round-off.
+    assert abs(steps[-1].q[-5] - 0.3) <= stepper.closed
+    assert np.abs(steps[-1].v).max() <= 1e-12
+
+
+def test_what_rebounds_is_not_slowed_before_it_touches():
+    """A ball with restitution that comes within a shallow gap keeps its speed until it strikes."""
+    scene, velocity = many_at_rest(mu=0.0, restitution=1.0), (0.0, 0.0, -3e-3)
+    material = nd.Material(mu=0.0, restitution=1.0)
+    scene.add_sphere("ball", 0.1, 1.0, position=(-1, 0, 0.1 + 1.05e-5), linear_velocity=velocity, material=material)
+    step = nd.Stepper(scene, dt=1e-3).step()  # it ends 2.6e-6 m above the ground, nearer than it falls until the next
+    assert step.v[-4] == pytest.approx(-3e-3 - 9.81e-3, rel=1e-12)
+
+
 def test_rotated_scene_moves_the_same():
     """A cube thrown on the ground, and the whole scene turned by a random rotation."""
     import pinocchio as pin

@@ -5,11 +5,15 @@ u_k to u⁻ though nothing acted, for rows turn with their bodies; the second ha
 to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is remembered of earlier steps:
 
     K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K,   y = W r + b,
-    b_N = u_f + c_N + [G > closed] G / h₂        u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
+    b_N = u_f + c_N + [G > closed] G / τ        u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
     b_T = u_f + c_T       of a contact that sticks, or stops: slip of the end
         = u⁻ + u_f        of one that slides through: twice the mean slip, exactly
 
-where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there.
+where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there. A gap
+closes at the constant speed G / τ. With τ = h₂ bodies would touch where the step ends, with that speed, and be in each
+other when the next impulses stop them, by as much as the gap was: lifted again, each opens the gaps around it as far,
+and a pile never comes to rest. So τ is the time until these impulses where the gap is shallow and nothing may rebound,
+but in moves that are cut where bodies touch.
 """
 
 from __future__ import annotations
@@ -28,7 +32,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Solver
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["SOLVES", "Basis", "Encounter", "Warm", "foresee", "solve"]
+__all__ = ["SOLVES", "Basis", "Closing", "Encounter", "Warm", "foresee", "solve"]
 
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
@@ -79,6 +83,27 @@ class Warm(NamedTuple):
     joints: Array
     h: float
     basis: Basis | None
+
+
+class Closing(NamedTuple):
+    """How gaps close in a move.
+
+    Attributes
+    ----------
+    closed : float
+        Largest gap that counts as none, m or rad.
+    shallow : float
+        Largest that is left to close until the next impulses, m or rad: what gravity closes from rest in a step, which
+        is of second order, and not deep. Wider ones close within the move: what crosses them strikes. None where
+        impacts are located.
+    ahead, until : float
+        Times from the impulses to the end of the move, h₂, and to the next impulses at the latest, s.
+    """
+
+    closed: float
+    shallow: float
+    ahead: float
+    until: float
 
 
 class Encounter(NamedTuple):
@@ -199,10 +224,10 @@ class Encounter(NamedTuple):
         rebound = np.where(struck, np.maximum(local[1, 0::3], 0.0), 0.0)
         return self.otherwise()._replace(local=local, end_gap=end_gap, rebound=rebound, slides=None)
 
-    def offsets(self, slides: Bools, ahead: float, closed: float) -> Array:
+    def offsets(self, slides: Bools, closing: Closing) -> Array:
         """b, shape (3 rows,), m/s, where the contacts `slides` (nc,) slide through."""
         b = np.empty(self.local.shape[1])
-        _law.offsets(self.local, self.end_gap, self.rebound, slides, ahead, closed, b)
+        _law.offsets(self.local, self.end_gap, self.restitution, self.rebound, slides, tuple(closing), b)
         return b
 
     def otherwise(self) -> Encounter:
@@ -211,9 +236,8 @@ class Encounter(NamedTuple):
 
 
 def solve(
-    met: Encounter, solver: Solver, last: Solution | None, ahead: float, closed: float, slides: Bools, back: bool,
-    most: int,
-) -> tuple[FC3D, Solution, bool]:  # fmt: skip
+    met: Encounter, solver: Solver, last: Solution | None, closing: Closing, slides: Bools, back: bool, most: int
+) -> tuple[FC3D, Solution, bool]:
     """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
 
     Parameters
@@ -222,8 +246,7 @@ def solve(
     solver : Solver
     last : Solution, optional
         Of the same move with other contacts. Where it is no better than loose, `Auto.loosely` is asked for no more.
-    ahead, closed : float
-        h₂ [s], and the largest gap [m] that counts as closed.
+    closing : Closing
     slides : ndarray of bool, shape (nc,)
         Which contacts slide through, as `foresee` says; changed to what the impulses show.
     back : bool
@@ -234,16 +257,16 @@ def solve(
     if met.posed is not None:
         problem = met.posed
     elif met.alike is not None:
-        problem = met.alike.with_velocity(met.offsets(slides, ahead, closed))
+        problem = met.alike.with_velocity(met.offsets(slides, closing))
     else:
-        problem = FC3D.from_blocks(met.rows.blocks, met.offsets(slides, ahead, closed), met.mu)
+        problem = FC3D.from_blocks(met.rows.blocks, met.offsets(slides, closing), met.mu)
     solution = _again(solver, last, problem, met.local[4])
     for k in range(most + 1):
         shown = solution.r, solution.u, problem.q
         if not _law.reconsider(*shown, met.mu, met.local, slides, back or k > 0):
             return problem, solution, False
         if k < most:
-            problem = problem.with_velocity(met.offsets(slides, ahead, closed))
+            problem = problem.with_velocity(met.offsets(slides, closing))
             solution = _again(solver, solution, problem, solution.r)
     return problem, solution, True
 

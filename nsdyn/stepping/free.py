@@ -11,6 +11,7 @@ from nsdyn._kernels.stepping import free as _free
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.joints import Rows
 from nsdyn.problem.fc3d import FC3D
+from nsdyn.stepping.encounter import Closing
 from nsdyn.stepping.instant import STILL, Instant, Looked, System
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -36,8 +37,9 @@ def half(s: System, begin: Instant, h: float) -> tuple[Array, Array, Array, Arra
 
 
 def meet(
-    s: System, contacts: ContactSet, x: Array, R: Array, v: Array, v_free: Array, begin: Instant, reach: Array, h: float
-) -> tuple[Rows, Array, Array, Array, Index, Bools, FC3D]:
+    s: System, contacts: ContactSet, x: Array, R: Array, v: Array, v_free: Array, begin: Instant, reach: Array,
+    closing: Closing, h: float,
+) -> tuple[Rows, Array, Array, Array, Index, Bools, FC3D]:  # fmt: skip
     """What a move meets at its contacts: (rows, frame, local, end_gap, place, slides, posed) of `Encounter`."""
     d, c, nc, warm, old = s.dynamics, contacts, contacts.gap.size, begin.warm, begin.contacts
     basis, again = warm.basis, False
@@ -52,7 +54,7 @@ def meet(
     size, norm, good = _free.meet(
         d.masses, (c.key, c.frame1, c.frame2, c.point, c.normal, c.gap, x, R),
         (old.key, old.point, old.normal, begin.placement.x, *begin.twists), (begin.v, v, v_free),
-        (warm.key, warm.impulse, warm.status), reach, c.mu, (h / warm.h, s.theta * h, s.closed),
+        (warm.key, warm.impulse, warm.status), reach, (c.mu, c.restitution), h / warm.h, tuple(closing),
         again, (frame, block, start, H, scales), (local, end_gap, place, slides, b),
     )  # fmt: skip
     if not again:

@@ -14,7 +14,7 @@ from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics, Forces, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import Solver
-from nsdyn.stepping.encounter import Basis, Encounter, Warm
+from nsdyn.stepping.encounter import Basis, Closing, Encounter, Warm
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
 from nsdyn.tools.arrays import Array, Bools
@@ -98,6 +98,14 @@ class System(NamedTuple):
     def slow(self) -> float:
         """The least of what is `deep`."""
         return self.depth * self.smallest
+
+    def closing(self, h: float, caught: bool) -> Closing:
+        """How gaps close in a move of h s that catches all impacts or locates them: then it ends where bodies touch.
+
+        The move after it is no longer than the step.
+        """
+        shallow = min(self.depth * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if caught else 0.0
+        return Closing(self.closed, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt)
 
     def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:
         """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""

@@ -274,11 +274,11 @@ def _respond(
     barred: Index | None, last: Response | None,
 ) -> Response:  # fmt: skip
     """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
-    d, middle, forces = s.dynamics, half.middle, half.forces
+    d, middle, forces, closing = s.dynamics, half.middle, half.forces, s.closing(half.h, barred is None)
     if d.alone:
         where = middle.placement.x, middle.placement.R, middle.v, forces.v
         rows, frame, local, end_gap, place_of, slides, posed = _free.meet(
-            s, contacts, *where, begin, half.reach, half.h
+            s, contacts, *where, begin, half.reach, closing, half.h
         )
         met = Encounter(
             contacts, None, rows, frame, None, contacts.mu, contacts.restitution, place_of, begin.warm.status, local,
@@ -297,7 +297,7 @@ def _respond(
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES, last is not None)
     before = None if last is None else last.solution
-    problem, solution, otherwise = solve(met, s.solver, before, half.ahead, s.closed, slides, back, most)
+    problem, solution, otherwise = solve(met, s.solver, before, closing, slides, back, most)
     v, near = forces.v if impact is None else forces.v + kick, d.nowhere
     if barred is not None and barred.size:
         near = 2.0 * half.reach

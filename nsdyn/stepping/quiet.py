@@ -47,7 +47,9 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
         looked = Looked(x, R, reach)
         if not _law.all_known(contacts.key, old.key, old.gap, s.closed):
             return None
-    rows, frame, local, _, place, slides, problem = free.meet(s, contacts, x, R, v, v_free, begin, reach, h)
+    rows, frame, local, _, place, slides, problem = free.meet(
+        s, contacts, x, R, v, v_free, begin, reach, s.closing(h, False), h
+    )
     solution, mu, nc = s.solver(problem, local[4]), contacts.mu, contacts.mu.size
     r = solution.r
     if _law.reconsider(r, solution.u, problem.q, mu, local, slides, False):

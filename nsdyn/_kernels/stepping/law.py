@@ -268,19 +268,22 @@ def foresee(blocks, mu, place, old_status, local, slides):
 
 
 @kernel
-def offsets(local, end_gap, rebound, slides, ahead, closed, b):
+def offsets(local, end_gap, restitution, rebound, slides, closing, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
-    Normal: u_free + drift, plus end_gap / ahead where it is open, minus what is kept of an impact (`rebound`, empty for
-    none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip without impulses,
-    where a contact slides through. `local` is what `local_velocities` gives.
+    Normal: u_free + drift, plus the speed at which a gap closes where it is open, minus what is kept of an impact
+    (`rebound`, empty for none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean
+    slip without impulses, where a contact slides through. `local` is what `local_velocities` gives, `closing` =
+    (closed, shallow, ahead, until) as of `Closing`: gaps up to `closed` count as none, those up to `shallow` close just
+    when the next impulses act, `until` seconds later, and others, and those that may rebound, within the step.
     """
     u, u_free, drift = local[1], local[2], local[3]
+    closed, shallow, ahead, until = closing
     for c in range(end_gap.size):
         i = 3 * c
         b[i] = u_free[i] + drift[i]
         if end_gap[c] > closed:
-            b[i] += end_gap[c] / ahead
+            b[i] += end_gap[c] / (until if end_gap[c] <= shallow and restitution[c] == 0.0 else ahead)
         if rebound.size > 0:
             b[i] -= rebound[c]
         if slides.size > c and slides[c]:
