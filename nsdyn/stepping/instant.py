@@ -162,6 +162,8 @@ class Impulses(NamedTuple):
         Impulses of actuation, of joint limits and of dry joint friction on the coordinates, N m s or N s.
     created : float
         Energy that impacts created, J.
+    time : ndarray, shape (nc,)
+        When it acted, s after the beginning of the move, or of the step.
     """
 
     contacts: ContactSet
@@ -173,6 +175,7 @@ class Impulses(NamedTuple):
     friction: Array
     joints: Array
     created: float
+    time: Array
 
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:
@@ -217,5 +220,6 @@ def account(
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
-    impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created)
+    time = np.full(nc, (1.0 - s.theta) * h)
+    impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created, time)
     return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)

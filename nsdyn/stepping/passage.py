@@ -89,8 +89,9 @@ def through(system: System, state: State, loads: Loads) -> Passage:
         if gains and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
             pieces += [halvings + 1, halvings + 1]
             continue
+        begun = system.dt - left
         now, rate, owed, clear, left = p.end, p.rate, p.owed, p.clear, left - h
-        done, solved, works = done + p.done, solved + p.solved, works + p.works
+        done, solved, works = done + [_later(a, begun) for a in p.done], solved + p.solved, works + p.works
     return Passage(now, rate, owed, clear, done, solved, works)
 
 
@@ -106,15 +107,15 @@ def _pass(
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
             now, impulses, more, pair = struck
-            done.append(impulses)
+            done.append(_later(impulses, h - left))
             solved.append(pair)
             works.append(more)
         length, tried = (
             _until_impact(s, loads, now, t, left) if cut < CUTS else (left, _try(s, loads, now, t, left, None))
         )
         m = finish(s, now, tried)
+        done.append(_later(m.impulses, h - left))
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
-        done.append(m.impulses)
         solved.append((m.problem, m.solution))
         works += m.works
         if m.external is not s.dynamics.no_works:
@@ -126,6 +127,11 @@ def _pass(
         works.append(Works(projection=gained))
     gains = gains and all(solution.converged for _, solution in solved)
     return Passage(now, rate, owed, clear, done, solved, works), gains
+
+
+def _later(acted: Impulses, begun: float) -> Impulses:
+    """What acted in a part that began so many seconds after the whole."""
+    return acted._replace(time=begun + acted.time) if begun > 0.0 else acted
 
 
 def _until_impact(
