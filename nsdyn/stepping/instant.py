@@ -113,6 +113,13 @@ class System(NamedTuple):
         out: Array = self.depth * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return out
 
+    def sunk(self, contacts: ContactSet) -> bool:
+        """Whether bodies are in each other by more than `FAST` of the inscribed radius of the smaller shape."""
+        if _law.least(contacts.gap) >= -FAST * self.smallest:
+            return False
+        radius = np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
+        return bool((contacts.gap < -FAST * radius).any())
+
 
 class Instant(NamedTuple):
     """A state of the scene with all that a move begins with.

@@ -1,4 +1,4 @@
-"""The way through a step: moves and impacts one after the other, in pieces where bodies would gain energy."""
+"""The way through a step: moves and impacts one after the other, in pieces where bodies would gain energy, or sink."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ CUTS, HITS, LOCATED = 8, 16, 50
 effort is bounded; beyond, impacts are caught within the step."""
 
 HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
-"""Most times that a step which gained energy is halved, most pieces tried in it, so that the effort is bounded, and by
-what fraction bodies may then run less far into each other: impulses and projections at more configurations err less."""
+"""Most times that a step is halved in which bodies gained energy or sank, most pieces tried in it, so that the effort
+is bounded, and by what fraction bodies may then run less far into each other: impulses and projections at more
+configurations err less."""
 
 CLOSER = 50
 """Most times that a move is shortened so as not to go much farther than to what it touches; two or three are usual."""
@@ -65,7 +66,7 @@ class Passage(NamedTuple):
 
 
 def through(system: System, state: State, loads: Loads) -> Passage:
-    """Moves and impacts of a step, in one piece, or in several where islands of bodies would gain energy.
+    """Moves and impacts of a step, in one piece, or in several where that is too coarse (`_pass`).
 
     Parameters
     ----------
@@ -85,8 +86,8 @@ def through(system: System, state: State, loads: Loads) -> Passage:
         h = system.dt * 0.5**halvings
         # Here bodies run less far into each other before they are stopped.
         s = system if halvings == 0 else system._replace(depth=DEEP * SHALLOWER**halvings)
-        p, gains = _pass(s, loads, now, state.next_t - (left - h), h, rate, owed)
-        if gains and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
+        p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate, owed)
+        if coarse and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
             pieces += [halvings + 1, halvings + 1]
             continue
         begun = system.dt - left
@@ -98,8 +99,12 @@ def through(system: System, state: State, loads: Loads) -> Passage:
 def _pass(
     s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, owed: Array
 ) -> tuple[Passage, bool]:
-    """Moves and impacts of h seconds until the time `end`; whether islands gain energy, though all is solved."""
-    now, left, clear, external = begin, h, True, s.dynamics.no_works
+    """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
+
+    They would where islands gain energy, though all is solved, and where bodies sink into each other so far that the
+    projection would move them visibly.
+    """
+    now, left, clear, external, sunk = begin, h, True, s.dynamics.no_works, False
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
@@ -115,6 +120,7 @@ def _pass(
         )
         m = finish(s, now, tried)
         done.append(_later(m.impulses, h - left))
+        sunk = sunk or s.sunk(tried.response.moved.contacts)
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
         solved.append((m.problem, m.solution))
         works += m.works
@@ -126,7 +132,7 @@ def _pass(
     if gained:
         works.append(Works(projection=gained))
     gains = gains and all(solution.converged for _, solution in solved)
-    return Passage(now, rate, owed, clear, done, solved, works), gains
+    return Passage(now, rate, owed, clear, done, solved, works), gains or sunk
 
 
 def _later(acted: Impulses, begun: float) -> Impulses:
