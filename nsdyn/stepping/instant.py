@@ -227,6 +227,7 @@ def account(
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
-    time = np.full(nc, (1.0 - s.theta) * h)
+    time = np.empty(nc)
+    time.fill((1.0 - s.theta) * h)
     impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created, time)
     return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)
