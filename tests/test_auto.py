@@ -243,10 +243,10 @@ def test_scaling_point(rng):
 @pytest.mark.case(49)
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the folders of FCLIB problems are not here")
 @pytest.mark.parametrize(
-    "path", sorted(SHARED.glob("fc3d/*.hdf5")) + sorted(SHARED.glob("hard/*.hdf5")), ids=lambda p: p.stem
+    "name", [f"{d}/{path.name}" for d in ("fc3d", "hard") for path in sorted((SHARED / d).glob("*.hdf5"))]
 )
-def test_every_problem_of_the_literature(path):
-    problem = nd.fclib.read(path)
+def test_every_problem_of_the_literature(name):
+    problem = nd.fclib.read(SHARED / name)
     solution = nd.solve(problem, tol=1e-8)
     assert solution.converged, (solution.error, solution.residual)
     assert (nd.solve(problem, tol=1e-8).r == solution.r).all(), "not reproducible to the last bit"

@@ -182,7 +182,7 @@ def test_large_pages_stay_small(rng):
         "tangent": contact_points.axes(normal)[0], "gap": rng.normal(0, 1e-9, m), "mu": np.full(m, 0.5),
         "restitution": np.zeros(m), "u": rng.normal(size=(m, 3)), "impulse": np.abs(rng.normal(size=(m, 3))),
         "status": rng.integers(0, 3, m).astype(np.int8), "work_normal": -rng.uniform(size=m),
-        "work_friction": -rng.uniform(size=m),
+        "work_friction": -rng.uniform(size=m), "time": np.full(m, 0.5 / 30),
     }  # fmt: skip
     trajectory = recording(scene, q.reshape(n, -1), dt=1 / 30, contacts=contacts, v=rng.normal(size=(n, 600)))
     page = viewer.html(trajectory)

@@ -41,6 +41,8 @@ def test_links_in_a_circle(tmp_path):
     (tmp_path / "b").symlink_to("a")
     with pytest.raises(ValueError, match=r"cannot write .*a: its links lead in a circle"):
         write(tmp_path / "a", "x")
+    with pytest.raises(ValueError, match=r"cannot write .*x: its links lead in a circle"):
+        write(tmp_path / "a" / "x", "x")
 
 
 def test_fifo_is_written_through(tmp_path):

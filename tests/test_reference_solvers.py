@@ -311,12 +311,12 @@ def test_exact_local_solver_against_the_roots_of_the_quartic(rng):
 
 
 @pytest.mark.parametrize("function", ["alart-curnier", "natural"])
-def test_hybrid_solves_where_newton_cycles(function):
-    """Rope around a drum: full steps from zero do not settle in 60; from what 100 safe iterations leave a few do."""
+def test_hybrid_solves_where_newton_wanders(function):
+    """Rope around a drum: of full steps from zero round-off decides whether 22 or 200 do; after 100 safe ones a few."""
     problem = nd.fclib.read(DATA / "capstan.hdf5")
-    assert not ImpulseNewton(tol=REACH, max_iter=60, function=function)(problem).converged
+    assert not ImpulseNewton(tol=REACH, max_iter=15, function=function)(problem).converged
     solution = nd.solvers.Hybrid(tol=REACH, function=function)(problem)
-    assert solution.converged and 100 < solution.iterations <= 130
+    assert solution.converged and 100 < solution.iterations <= 110
     for other in LOCAL:
         assert nd.solvers.Hybrid(tol=REACH, function=other)(CASES["definite1"]).converged
 

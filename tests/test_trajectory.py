@@ -76,7 +76,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
         return SimpleNamespace(
             **state(k), contacts=contacts, gap=rng.normal(size=nc), tangent=frame[:, 1],
             u=rng.normal(size=(nc, 3)), r=rng.normal(size=(nc, 3)),
-            contact_status=rng.integers(0, 3, nc).astype(np.int8),
+            contact_status=rng.integers(0, 3, nc).astype(np.int8), contact_time=rng.uniform(0.0, DT, nc),
             work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc), created=1e-3 * k,
             joints=rng.normal(size=(3, 1)) if links else None,
             gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k),
@@ -141,7 +141,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 5 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 6 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
@@ -158,7 +158,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         columns = set(file["contacts"]) - {"offset"}
         assert columns == {
             "geom1", "geom2", "point", "normal", "gap", "u", "impulse", "mu", "restitution", "key", "status",
-            "tangent", "work_normal", "work_friction",
+            "tangent", "time", "work_normal", "work_friction",
         }  # fmt: skip
         assert {len(file[f"contacts/{name}"]) for name in columns} == {offset[-1]}
 
@@ -286,7 +286,7 @@ def test_failed_save_leaves_the_old_file(tmp_path):
     [
         (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
         (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
-        (lambda f: f["meta"].attrs.__setitem__("format_version", 6), "format_version 6"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", 7), "format_version 7"),
         (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
         (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
         (lambda f: f["t"].resize(0, axis=0), "is damaged"),
@@ -310,6 +310,7 @@ def to_version_2(file):
     """Three terms in place of `integration`, 1, 2 and 3 J a step, and no `created`."""
     n = len(file["energy/integration"])
     del file["energy/integration"], file["energy/created"], file["solver/error"], file["wall_time"]
+    del file["contacts/time"]
     for work, name in enumerate(("gyroscopic", "theta", "mass"), start=1):
         file[f"energy/{name}"] = np.full(n, float(work))
 
@@ -323,7 +324,8 @@ def test_recordings_of_version_2_are_read(tmp_path):
         to_version_2(file)
     old = Trajectory.load(path)
     np.testing.assert_array_equal(old.energy.integration, np.full(5, 6.0))
-    assert np.isnan(old.energy.created).all() and np.isnan(old.solver.error).all() and np.isnan(old.wall_time).all()
+    for missing in (old.energy.created, old.solver.error, old.wall_time, old.columns["contacts/time"]):
+        assert missing.size and np.isnan(missing).all()
     old.save(path)
     np.testing.assert_array_equal(Trajectory.load(path).energy.integration, np.full(5, 6.0))
 

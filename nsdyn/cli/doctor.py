@@ -6,15 +6,16 @@ import argparse
 import importlib.metadata
 import importlib.util
 import re
+import signal
+import subprocess
 import sys
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from nsdyn.cli.output import one_line, say_json
 
-__all__ = ["CHECKS", "PACKAGES", "diagnose", "version_of", "wrong_packages"]
+__all__ = ["CHECKS", "PACKAGES", "diagnose", "tell", "version_of", "wrong_packages"]
 
 # Distribution: module.
 PACKAGES = {
@@ -83,7 +84,8 @@ def diagnose(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn doctor``."""
     from nsdyn.recording import browser
 
-    if arguments.compile:
+    wrong = wrong_packages()
+    if arguments.compile and not wrong:
         from nsdyn._kernels import ahead
 
         ahead.compile_examples("all")
@@ -92,8 +94,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
         spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server
         packages[distribution] = {"version": version_of(distribution), "file": spec.origin if spec else None}
     cache, none = _cache()
-    checks = {name: _outcome(check) for name, check in CHECKS.items()}
-    wrong = wrong_packages()
+    checks = {name: _outcome(name) for name in CHECKS}
     sound = not wrong and all(c == "ok" for c in checks.values())
     figures: dict[str, Any] = {
         "python": {"version": sys.version.split()[0], "file": sys.executable},
@@ -128,16 +129,27 @@ def _cache() -> tuple[Path | None, str]:
     return cache.folder(), f"none can be written: every start compiles unless {cache.FOLDER} names a folder"
 
 
-def _outcome(check: Callable[[], bool]) -> str:
+def _outcome(name: str) -> str:
+    """What comes of a check in a process of its own, which compiled code of a broken installation may kill."""
+    code = f"import sys; sys.path[:] = {sys.path}; from nsdyn.cli import doctor; doctor.tell({name!r})"
+    done = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    if done.returncode < 0:
+        return f"ended by {signal.Signals(-done.returncode).name}"
+    return done.stdout.splitlines()[-1] if done.returncode == 0 else f"ended with exit code {done.returncode}"
+
+
+def tell(name: str) -> None:
+    """Print in a line what comes of a check."""
     try:
-        return "ok" if check() else "WRONG RESULT"
+        print("ok" if CHECKS[name]() else "WRONG RESULT")
     except Exception as error:  # whatever a broken installation raises is the finding
-        return f"{type(error).__name__}: {one_line(error)}"
+        print(f"{type(error).__name__}: {one_line(error)}")
 
 
 def _check_coal() -> bool:
-    import coal
-    import numpy as np
+    import numpy as np  # first: without it the import of coal ends the process by a signal
+
+    import coal  # isort: skip
 
     ball, there = coal.Sphere(1.0), coal.Transform3s()
     there.setTranslation(np.array([3.0, 0.0, 0.0]))

@@ -3,7 +3,7 @@
 Everything is found anew from what is recorded (shapes, masses, q, v, impulses, works) by code that shares nothing with
 the stepper: overlaps by `nsdyn.recording.overlap`, balances of every step from the two states it joins. With contact
 points p, impulses r on body 2 (-r on body 1), centres of mass x and angular momenta L of free bodies, and their
-positions x̃ in the middle of the step, the first half of which is free:
+positions x̃ when the impulses act, where earlier ones and the forces of the step have brought them:
 
     m (v⁺ - v⁻) = Σ r + h m g          L⁺ - L⁻ = Σ (p - x̃) × r          Δ(T + V) = Σ works
 
@@ -96,8 +96,9 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     joints are not recorded), and the momenta of free bodies where external forces act. Where only every N-th step is
     recorded there are no balances of momentum, nor of the works of contacts one by one, nor is it known where those of
     the last step were in its middle; the ledger is audited, being of all steps. Where contacts are not recorded,
-    nothing is audited that they do. In recordings before format 3 it is not known whether external forces acted, nor
-    which links may overlap, so links of one articulation are not compared.
+    nothing is audited that they do. In recordings before format 6 it is not known when impulses acted, and angular
+    momenta are not audited; before format 3 not whether external forces acted, nor which links may overlap, so links of
+    one articulation are not compared.
 
     Examples
     --------

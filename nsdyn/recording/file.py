@@ -32,6 +32,7 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /contacts/u, impulse                           (., 3)  (N, T1, T2) of 2 relative to 1, m/s; on 2, N·s
     /contacts/status                               0 open, 1 stick, 2 slip
     /contacts/work_normal, work_friction           J
+    /contacts/time                                 s after the beginning of the step; since version 6
     /state           the last states of the run, from which it can go on: see `nsdyn.recording.slots`; since version 5
 
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
@@ -67,7 +68,7 @@ __all__ = ["create", "extend", "read", "read_state", "until"]
 Columns = dict[str, NDArray[Any]]
 Saved = tuple[int, Columns]
 
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 CONTACT_STATES = ("open", "stick", "slip")
 
 ENERGIES = ("kinetic", "potential")
@@ -88,6 +89,7 @@ CONTACT = {
     "u": ("u", "f8", 3),
     "impulse": ("r", "f8", 3),
     "status": ("contact_status", "i1", 1),
+    "time": ("contact_time", "f8", 1),
     "tangent": ("tangent", "f8", 3),
     "work_normal": ("work_normal", "f8", 1),
     "work_friction": ("work_friction", "f8", 1),
@@ -107,6 +109,7 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
     (3, "energy/created", (), math.nan),
     (3, "solver/error", (), math.nan),
     (4, "wall_time", (), math.nan),
+    (6, "contacts/time", (), math.nan),
 ]
 # Attributes of /meta that older files lack.
 ADDED_META = {"every": 1, "contacts": True}
@@ -239,8 +242,9 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
         raise ValueError(f"{path} has format_version {meta['format_version']}, this nsdyn reads up to {FORMAT_VERSION}")
     added = [row for row in ADDED if meta["format_version"] < row[0]]
     parts = [part for _, _, parts, _ in added for part in parts]
-    steps = [name for name in STEPS if name not in {column for _, column, _, _ in added}] + parts
-    missing = [name for name in ["meta/scene", *STATES, *steps, *CONTACTS] if name not in file]
+    absent = {column for _, column, _, _ in added}
+    steps, contacts = ([name for name in group if name not in absent] for group in (STEPS + parts, CONTACTS))
+    missing = [name for name in ["meta/scene", *STATES, *steps, *contacts] if name not in file]
     if missing:
         raise ValueError(f"{path} is not a recording of nsdyn: /{missing[0]} is missing")
     meta = ADDED_META | meta | {"format_version": FORMAT_VERSION}
@@ -249,11 +253,13 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     if not states:
         raise ValueError("/t has no rows")
     offset = schema.column(file, "contacts/offset", states, "i8", ())
-    names = STATES + (LINKS if "frames" in file else []) + steps + (JOINTS if "joints" in file else []) + CONTACTS
+    names = STATES + (LINKS if "frames" in file else []) + steps + (JOINTS if "joints" in file else []) + contacts
     rows = _rows(names, states, int(offset[-1]))
     columns = {name: schema.column(file, name, size, *_layout(name)) for name, size in rows.items()}
+    for name, size in _rows(absent, states, int(offset[-1])).items():
+        columns[name] = np.empty(size)
     for _, column, summed, value in added:
-        columns[column] = sum((columns.pop(part) for part in summed), np.full(states - 1, value))
+        columns[column] = sum((columns.pop(part) for part in summed), np.full(len(columns[column]), value))
     text = dataset(file, "meta/scene")
     return meta, schema.scene(text[()], columns), columns
 

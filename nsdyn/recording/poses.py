@@ -84,7 +84,7 @@ class Poses:
     def uncertain(self) -> tuple[Array, Array]:
         """How far impacts may have moved frames in a step beyond what its ends tell, (n, frames) each: m and rad.
 
-        When an impact changed the velocities within the step is not recorded. Nothing is known of links.
+        Impacts change the velocities at any time within the step. Nothing is known of links.
         """
         t, theta = self.trajectory, float(self.trajectory.meta["theta"])
         out = np.zeros((2, t.steps, self.x.shape[1]))

@@ -98,6 +98,7 @@ class Recorder:
     gap                           (nc,), at the end of the step
     u, r, tangent                 (nc, 3) each
     contact_status                (nc,), 0 open, 1 stick, 2 slip
+    contact_time                  (nc,), s after the beginning of the step
     created                       float, J
     joints                        (3, nv) impulses of actuation, limits and friction; None without articulations
     work_normal, work_friction    (nc,)

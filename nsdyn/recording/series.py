@@ -189,6 +189,8 @@ class ContactTable:
         The same for the same features of the same pair of shapes in the next step.
     status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip, faster than the solver's tolerance.
+    time : ndarray, shape (nc,)
+        When the impulse acted, s after the beginning of the step; NaN in recordings before format 6.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
     """
@@ -207,6 +209,7 @@ class ContactTable:
     restitution: Array
     key: NDArray[np.int64]
     status: NDArray[np.int8]
+    time: Array
     work_normal: Array
     work_friction: Array
 

@@ -121,6 +121,13 @@ class System(NamedTuple):
         out: Array = self.depth * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return out
 
+    def sunk(self, contacts: ContactSet) -> bool:
+        """Whether bodies are in each other by more than `FAST` of the inscribed radius of the smaller shape."""
+        if _law.least(contacts.gap) >= -FAST * self.smallest:
+            return False
+        radius = np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
+        return bool((contacts.gap < -FAST * radius).any())
+
 
 class Instant(NamedTuple):
     """A state of the scene with all that a move begins with.
@@ -170,6 +177,8 @@ class Impulses(NamedTuple):
         Impulses of actuation, of joint limits and of dry joint friction on the coordinates, N m s or N s.
     created : float
         Energy that impacts created, J.
+    time : ndarray, shape (nc,)
+        When it acted, s after the beginning of the move, or of the step.
     """
 
     contacts: ContactSet
@@ -181,6 +190,7 @@ class Impulses(NamedTuple):
     friction: Array
     joints: Array
     created: float
+    time: Array
 
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:
@@ -225,5 +235,7 @@ def account(
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
-    impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created)
+    time = np.empty(nc)
+    time.fill((1.0 - s.theta) * h)
+    impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created, time)
     return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)

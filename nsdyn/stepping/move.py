@@ -205,14 +205,14 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
     contacts, joints, seen = _reachable(s, begin, half, barred)
     response = _respond(s, begin, half, contacts, joints, seen, barred, None)
     missed = NO_SLOTS
-    for look in range(LOOKS - 1 if barred is None else 0):
+    for _ in range(LOOKS - 1 if barred is None else 0):
         places = half.middle.placement, response.moved.placement
         found = response.moved.contacts
         real, memory, missed = shown(
             s, response.met, response.solution.r, found, seen.memory, places, half.fast, missed
         )  # fmt: skip
         seen = seen._replace(memory=memory)
-        if real is response.met.contacts and not (response.otherwise and look == 0):
+        if real is response.met.contacts and not response.otherwise:
             break
         response = _respond(s, begin, half, real, joints, seen, barred, response)
     unmet, until = None, h

@@ -1,4 +1,4 @@
-"""The way through a step: moves and impacts one after the other, in pieces where bodies would gain energy."""
+"""The way through a step: moves and impacts one after the other, in pieces where bodies would gain energy, or sink."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ CUTS, HITS, LOCATED = 8, 16, 50
 effort is bounded; beyond, impacts are caught within the step."""
 
 HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
-"""Most times that a step which gained energy is halved, most pieces tried in it, so that the effort is bounded, and by
-what fraction bodies may then run less far into each other: impulses and projections at more configurations err less."""
+"""Most times that a step is halved in which bodies gained energy or sank, most pieces tried in it, so that the effort
+is bounded, and by what fraction bodies may then run less far into each other: impulses and projections at more
+configurations err less."""
 
 CLOSER = 50
 """Most times that a move is shortened so as not to go much farther than to what it touches; two or three are usual."""
@@ -66,7 +67,7 @@ class Passage(NamedTuple):
 
 
 def through(system: System, state: State, loads: Loads) -> Passage:
-    """Moves and impacts of a step, in one piece, or in several where islands of bodies would gain energy.
+    """Moves and impacts of a step, in one piece, or in several where that is too coarse (`_pass`).
 
     Parameters
     ----------
@@ -77,12 +78,12 @@ def through(system: System, state: State, loads: Loads) -> Passage:
         What the user has to say at a time [s], as `nsdyn.stepping.move.trial` takes it.
     """
     begin = state.instant
-    whole, gains = _pass(system, loads, begin, state.next_t, system.dt, state.rate, state.owed)
-    return _in_pieces(system, state, loads) if gains and begin.contacts.gap.size <= LOCATED else whole
+    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, state.owed)
+    return _in_pieces(system, state, loads) if coarse and begin.contacts.gap.size <= LOCATED else whole
 
 
 def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
-    """The way through a step that in one piece gained energy."""
+    """The way through a step that is too coarse in one piece."""
     now, rate, owed, clear = state.instant, state.rate, state.owed, True
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
@@ -93,32 +94,39 @@ def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
         h = system.dt * 0.5**halvings
         # Here bodies run less far into each other before they are stopped.
         s = system._replace(depth=DEEP * SHALLOWER**halvings)
-        p, gains = _pass(s, loads, now, state.next_t - (left - h), h, rate, owed)
-        if gains and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
+        p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate, owed)
+        if coarse and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
             pieces += [halvings + 1, halvings + 1]
             continue
+        begun = system.dt - left
         now, rate, owed, clear, left = p.end, p.rate, p.owed, p.clear, left - h
-        done, solved, works = done + p.done, solved + p.solved, works + p.works
+        done, solved, works = done + [_later(a, begun) for a in p.done], solved + p.solved, works + p.works
     return Passage(now, rate, owed, clear, done, solved, works)
 
 
 def _pass(
     s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, owed: Array
 ) -> tuple[Passage, bool]:
-    """Moves and impacts of h seconds until the time `end`; whether islands gain energy, though all is solved."""
-    small = begin.contacts.gap.size <= LOCATED
+    """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
+
+    They would where islands gain energy, though all is solved, and where bodies sink into each other so far that the
+    projection would move them visibly.
+    """
+    small, sunk = begin.contacts.gap.size <= LOCATED, False
     found = quiet(s, begin, h) if small and loads(end) is None else None
-    now, rate, clear, external, done, solved, works = found or _moves(s, loads, begin, end, h, rate)
+    if found is None:
+        found, sunk = _moves(s, loads, begin, end, h, rate)
+    now, rate, clear, external, done, solved, works = found
     now, gained, owed, gains = balance(s, begin, now, done, external, owed)
     if gained:
         works.append(Works(projection=gained))
     gains = gains and all(solution.converged for _, solution in solved)
-    return Passage(now, rate, owed, clear, done, solved, works), gains
+    return Passage(now, rate, owed, clear, done, solved, works), gains or sunk
 
 
-def _moves(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array) -> Moves:
-    """Moves and impacts of h seconds until the time `end`."""
-    now, left, clear, external = begin, h, True, s.dynamics.no_works
+def _moves(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array) -> tuple[Moves, bool]:
+    """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other."""
+    now, left, clear, external, sunk = begin, h, True, s.dynamics.no_works, False
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
@@ -126,22 +134,28 @@ def _moves(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: 
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
             now, impulses, more, pair = struck
-            done.append(impulses)
+            done.append(_later(impulses, h - left))
             solved.append(pair)
             works.append(more)
         length, tried = (
             _until_impact(s, loads, now, t, left) if cut < CUTS else (left, _try(s, loads, now, t, left, None))
         )
         m = finish(s, now, tried)
+        done.append(_later(m.impulses, h - left))
+        sunk = sunk or s.sunk(tried.response.moved.contacts)
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
-        done.append(m.impulses)
         solved.append((m.problem, m.solution))
         works += m.works
         if m.external is not s.dynamics.no_works:
             external = external + m.external
         if left <= 1e-12 * h:
             break
-    return now, rate, clear, external, done, solved, works
+    return (now, rate, clear, external, done, solved, works), sunk
+
+
+def _later(acted: Impulses, begun: float) -> Impulses:
+    """What acted in a part that began so many seconds after the whole."""
+    return acted._replace(time=begun + acted.time) if begun > 0.0 else acted
 
 
 def _until_impact(

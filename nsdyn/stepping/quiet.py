@@ -73,7 +73,11 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
         (place, begin.warm.status), NOTHING, local, frame, s.solver.tol, out,
     )  # fmt: skip
     slots, on_joints = d.no_impulses
-    impulses = Impulses(contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, 0.0)
+    time = np.empty(nc)
+    time.fill((1.0 - s.theta) * h)
+    impulses = Impulses(
+        contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, 0.0, time
+    )
     warm = Warm(contacts.key, world, status, slots, h, Basis(contacts, rows, frame, problem))
     position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists)

@@ -79,6 +79,8 @@ class Step(NamedTuple):
         Relative velocity at the end of the step [m/s], or after the impact, and impulse on body 2 [N·s], normal first.
     contact_status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip, faster than the solver's tolerance.
+    contact_time : ndarray, shape (nc,)
+        When the impulse acted, s after the beginning of the step.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
     joints : ndarray, shape (3, nv), or None
@@ -108,6 +110,7 @@ class Step(NamedTuple):
     u: Array
     r: Array
     contact_status: NDArray[np.int8]
+    contact_time: Array
     work_normal: Array
     work_friction: Array
     joints: Array | None

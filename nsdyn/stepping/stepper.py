@@ -286,7 +286,7 @@ class Stepper:
         joints = acted.joints[:, 6 * d.free :] if d.trees else None
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
-            acted.normal, acted.friction, joints, acted.created, ledger, certificate, problem, solution,
+            acted.time, acted.normal, acted.friction, joints, acted.created, ledger, certificate, problem, solution,
         )  # fmt: skip
 
 
@@ -294,8 +294,8 @@ def _joined(done: list[Impulses]) -> Impulses:
     """All that acted in a step, one after the other."""
     contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
     frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
-    joints = np.sum([a.joints for a in done], axis=0)
-    return Impulses(contacts, frame, u, r, status, normal, friction, joints, sum(a.created for a in done))
+    joints, time = np.sum([a.joints for a in done], axis=0), np.concatenate([a.time for a in done])
+    return Impulses(contacts, frame, u, r, status, normal, friction, joints, sum(a.created for a in done), time)
 
 
 def _arms(geoms: list[Geom], frames: int) -> Array:

@@ -30,7 +30,7 @@ def created(path: Path, **options: Any) -> Iterator[Any]:
     image = io.BytesIO()
     with h5py.File(image, "w", **options) as file:
         yield file
-    path.write_bytes(image.getbuffer())
+    path.write_bytes(image.getvalue())  # no copy, nor a view, which the error of a full disk would keep open
 
 
 def dataset(group: Any, name: str, rows: int | None = None) -> Any:

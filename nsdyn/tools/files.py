@@ -18,10 +18,10 @@ STDOUT = Path("-")
 
 def resolved(path: str | Path) -> Path:
     """Absolute path with links followed; ValueError naming it where they lead in a circle."""
-    try:
-        return Path(path).resolve()
-    except (OSError, RuntimeError):  # the latter before Python 3.13
-        raise ValueError(f"cannot write {path}: its links lead in a circle") from None
+    out = Path(os.path.realpath(path))
+    if any(map(os.path.islink, (out, *out.parents))):  # which no other links are left as
+        raise ValueError(f"cannot write {path}: its links lead in a circle")
+    return out
 
 
 def is_special(path: str | Path) -> bool:
