@@ -156,15 +156,15 @@ class Search:
         self._note(self._sweeps.best, used, used * cost)
 
     def rounds(self, tol: float) -> None:
-        """Sweeps and Newton in turn, the next time twice as long but for sweeps that are stuck."""
+        """Sweeps and Newton in turn, the next time twice as long but for sweeps that are stuck: then there is a path."""
         lengths = [TUNING.first_sweep, TUNING.first_newton]
-        for k in range(TUNING.rounds):
+        for _ in range(TUNING.rounds):
             start = self.best
             self.sweep(lengths[0], tol)
             stuck = self.best > TUNING.stuck * start
             self.newton(TUNING.far, lengths[1], tol)
             lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
-            if k == TUNING.between:
+            if stuck:
                 self.follow(tol)
 
     def impulses(self) -> None:

@@ -122,9 +122,6 @@ class Tuning:
     stuck: float = 0.5
     """Measure after sweeps, over that before, from which on they are stuck."""
 
-    between: int = 2
-    """Round after which the methods from nothing are tried in between."""
-
     restart: float = 0.5
     """Sweeps lose their momentum and go on from what Newton found only where that is so much better."""
 
