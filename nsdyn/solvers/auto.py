@@ -156,7 +156,7 @@ class Search:
         self._note(self._sweeps.best, used, used * cost)
 
     def rounds(self, tol: float) -> None:
-        """Sweeps and Newton in turn, the next time twice as long but for sweeps that are stuck: then there is a path."""
+        """Sweeps and Newton in turn, the next time twice as long; where sweeps are stuck, the path."""
         lengths = [TUNING.first_sweep, TUNING.first_newton]
         for _ in range(TUNING.rounds):
             start = self.best
