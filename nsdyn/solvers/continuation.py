@@ -21,7 +21,7 @@ __all__ = ["Continuation", "continuation"]
 STRETCH = 10.0
 """κ λ_max(W_cc) of the normal map z = r - κ u."""
 
-CLOSE, CONTRACTION, CORRECTIONS = 1e-2, 0.7, 8
+CLOSE, CONTRACTION, CORRECTIONS = 1e-3, 0.7, 8
 """Defect in units of the smoothing at which a point is on the path, what a correction has to leave of it at most, and
 how many there may be."""
 
