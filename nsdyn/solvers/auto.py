@@ -131,11 +131,11 @@ class Search:
 
     def follow(self, tol: float) -> None:
         """The path of smoothed laws from nothing, kept where what it leads to is better than the best."""
-        if self._over(tol) or self._followed <= tol:
+        cost, (least, most) = self.means.factorisation, TUNING.path
+        if self._over(tol) or self._followed <= tol or self.spent + least * cost > self.limit:
             return
-        self._followed = tol
-        x, cost = np.zeros_like(self.r), self.means.factorisation
-        used, best = continuation(self.means, x, tol, self._most(cost, TUNING.path))
+        self._followed, x = tol, np.zeros_like(self.r)
+        used, best = continuation(self.means, x, tol, self._most(cost, most))
         if best < self.best:
             self.r[:] = x
         self._note(best, used, used * cost)
@@ -188,6 +188,8 @@ class Search:
         if not (self.large and self.abrupt):
             self.accelerated()
             self.cold(interior, TUNING.interior)
+        if self.large and self.loose >= self.coarse:
+            self.newton(TUNING.far, TUNING.from_loose, self.tol)
         self.follow(self.tol)
         for k in range(TUNING.last_rounds):
             self.sweep(TUNING.last_sweep, self.tol)

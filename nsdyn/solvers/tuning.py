@@ -96,8 +96,9 @@ class Tuning:
     interior: tuple[int, int] = (40, 30)
     """Factorisations of the interior point method, which converges within these where it does, and of Newton after."""
 
-    path: int = 800
-    """Factorisations of the continuation from nothing, which takes 20 to 350 for most problems."""
+    path: tuple[int, int] = (60, 800)
+    """Fewest factorisations worth beginning a continuation from nothing with, which takes 20 to 400 for most problems,
+    and most."""
 
     near: float = 1e3
     """Penalty of Newton from what was found by factorisations."""
@@ -115,6 +116,9 @@ class Tuning:
 
     first_newton: int = 4
     """What Newton takes in the first round; twice as long each time."""
+
+    from_loose: int = 40
+    """What Newton takes from the loose tolerance, before anything begins from nothing."""
 
     rounds: int = 8
     """Number of rounds."""
