@@ -114,7 +114,7 @@ class Search:
         self.newton(*TUNING.warm, sharp)
 
     def cold(self, method: Callable[..., tuple[int, float]], most: tuple[int, int]) -> None:
-        """A method from nothing and Newton from where it ends, kept where that is better than the best."""
+        """A method from nothing and Newton from where it ends, if that is near; kept where better than the best."""
         cost = self.means.factorisation
         if self._over(self.tol) or self.spent + most[0] * cost > self.limit or method in self._tried:
             return
@@ -122,7 +122,7 @@ class Search:
         m, x = self.means, np.zeros_like(self.r)
         p = m.problem
         used, best = method(m.operator, p.q, p.mu, p.scales, x, self.tol, m.q_norm, most[0])
-        if best > self.tol:
+        if self.tol < best <= self.coarse:
             more, best = m.newton(x, self.tol, TUNING.near, most[1])
             used += more
         if best < self.best:

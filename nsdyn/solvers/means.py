@@ -17,9 +17,9 @@ from nsdyn.solvers.nesterov import MatrixSweeps, Sweeps
 from nsdyn.solvers.newton import solve_blocks, solve_impulses
 from nsdyn.tools.arrays import Array, Index
 
-COORDINATE, MULTIPLICATION, BLOCK = 2.5e-6, 0.9e-10, 8e-7
+COORDINATE, MULTIPLICATION, BLOCK = 2.5e-6, 0.9e-10, 6e-7
 """Seconds that a factorisation takes per coordinate and per multiplication of `elimination_work`, or per block of a
-given W: measured, the last between 8e-7 and 1.5e-6 from 250 to 800 contacts."""
+given W: measured, the last between 5e-7 and 1.5e-6 from 250 to 800 contacts."""
 
 CONTACT, COUPLING, ACCELERATED = 45e-9, 12e-9, 3e-7
 """Seconds that a sweep with momentum takes per contact of free bodies and per block of W, and an accelerated one per

@@ -109,7 +109,7 @@ class Tuning:
     """Penalty of Newton from what was found by sweeps, on the wrong side of many kinks."""
 
     coarse: float = 5e-5
-    """What sweeps may be asked for: beyond it they crawl, m/s."""
+    """What sweeps may be asked for: beyond it they crawl, m/s; and what Newton may follow on a method from nothing."""
 
     first_sweep: int = 12
     """What sweeps take in the first round, in factorisations; twice as long each time, but where they are stuck."""
