@@ -266,7 +266,7 @@ class Auto:
     @staticmethod
     def _explained(problem: FC3D, solution: Solution) -> Solution:
         """The solution with `Status.NO_SLATER_POINT` where none is guaranteed to exist."""
-        from nsdyn.problem.formulations import has_slater_point  # rarely needed, and its imports take long
+        from nsdyn.problem.slater import has_slater_point  # rarely needed, and its imports take long
 
         if solution.status is Status.MAX_ITERATIONS and has_slater_point(problem) is False:
             return solution._replace(status=Status.NO_SLATER_POINT)

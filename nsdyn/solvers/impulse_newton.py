@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.formulations import ELEMENTS, _diagonal
+from nsdyn.problem.formulations import ELEMENTS, block_diagonal
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers._common import Equilibrated, Run, factor, is_sparse
 from nsdyn.tools.arrays import Array
@@ -102,7 +102,7 @@ def newton(
         if not np.isfinite(size) or done(x, size):
             return x, k, bool(np.isfinite(size))
         if sparse:
-            J = _diagonal(F_r + LIFT * F_u) + _diagonal(F_u) @ W
+            J = block_diagonal(F_r + LIFT * F_u) + block_diagonal(F_u) @ W
         else:
             J = (F_u @ W.reshape(nc, 3, 3 * nc)).reshape(3 * nc, 3 * nc)
             rows = eye.reshape(-1, 3)

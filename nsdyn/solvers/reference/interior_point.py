@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from nsdyn._kernels.problem import reference as _kernels
 from nsdyn._kernels.solvers import interior as _interior
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.formulations import _diagonal
+from nsdyn.problem.formulations import block_diagonal
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers._common import Equilibrated, factor, is_sparse
 from nsdyn.solvers.reference._frozen import freeze, shifted, slip_shift
@@ -74,7 +74,7 @@ def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
             return best, k
         _interior.scalings(s, z, T, inverse, lam)
         if sparse:
-            solve = factor(A + _diagonal(T @ T))
+            solve = factor(A + block_diagonal(T @ T))
         else:
             K = A.copy()
             K[rows[:, :, None], rows[:, None, :]] += T @ T
