@@ -92,8 +92,7 @@ class Path:
 
     def measure(self, point: Point) -> float:
         """Larger of the literature's error and the residual in m/s of the impulse of a point."""
-        residual = _cones.natural_residual(self.scales, point.v, point.r, self.mu)
-        return float(max(residual, _cones.natural_error(point.v, point.r, self.mu) / self.q_norm))
+        return float(_cones.measure_at(self.scales, point.v, point.r, self.mu, self.q_norm))
 
     def size(self, point: Point) -> float:
         """Root of the mean square of the defect in these units."""

@@ -37,9 +37,9 @@ def interior(
         gap = float(_kernels.scaling(u, z, mu, T, V, C, A, lam))
         _kernels.impulse(z, mu, speed / mean, trial)
         v = W.product(trial) + q_given
-        now = max(_cones.natural_residual(scales, v, trial, mu), _cones.natural_error(v, trial, mu) / q_norm)
+        now = float(_cones.measure_at(scales, v, trial, mu, q_norm))
         if now < best:
-            best = float(now)
+            best = now
             r[:] = trial
         if best <= tol or not gap > 1e-12 or short >= 6 or count >= max_iter:
             return count, best

@@ -55,7 +55,7 @@ class MatrixSweeps:
     ) -> None:
         u = np.empty_like(q)
         _pgs.velocity(*W, q, r, u)
-        self.best = float(max(_cones.natural_residual(scales, u, r, mu), _cones.natural_error(u, r, mu) / q_norm))
+        self.best = float(_cones.measure_at(scales, u, r, mu, q_norm))
         self._best_r, self._given = r, (*W, _kernels.steps_of_matrix(*W, mu), q, mu, scales, q_norm)
         self._y, self._x, self._t = r.copy(), r.copy(), np.ones(mu.size)
         self.count, self._last, self._keep = 0, 0, 0.5

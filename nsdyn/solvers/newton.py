@@ -95,8 +95,7 @@ class Impulses:
     def measure(self, r: Array) -> float:
         """As `Unknown.measure`."""
         self._own = u = self._W.product(r) + self._q
-        residual, error = _cones.natural_residual(self._scales, u, r, self._mu), _cones.natural_error(u, r, self._mu)
-        return float(max(residual, error / self._q_norm))
+        return float(_cones.measure_at(self._scales, u, r, self._mu, self._q_norm))
 
     def step(self, A: Array, P: Array) -> None:
         """(I + A W) dx = P - x, by dx = P - x - A du."""

@@ -94,6 +94,12 @@ def measures(W_diagonal, u, r, mu):
 
 
 @kernel
+def measure_at(W_diagonal, u, r, mu, q_norm):
+    """Larger of the literature's error and the residual in m/s of an impulse r and its velocity u."""
+    return max(natural_residual(W_diagonal, u, r, mu), natural_error(u, r, mu) / q_norm)
+
+
+@kernel
 def duality_gap(u, r, mu):
     """(Σ r·(u + (delta + mu |u_T|) e_N), |delta|_2) with delta = max(0, -u_N) and r projected on its cone."""
     gap, shift = 0.0, 0.0

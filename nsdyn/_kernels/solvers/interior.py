@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.problem.cones import natural_error, natural_residual
+from nsdyn._kernels.problem.cones import measure_at
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.vectors import dot, row
 
@@ -261,7 +261,7 @@ def measure(W, q, mu, scales, q_norm, r, u):
     product(W, r, u)
     for i in range(q.size):
         u[i] += q[i]
-    return max(natural_residual(scales, u, r, mu), natural_error(u, r, mu) / q_norm)
+    return measure_at(scales, u, r, mu, q_norm)
 
 
 @kernel

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.problem.cones import natural_error, natural_residual, project
+from nsdyn._kernels.problem.cones import measure_at, project
 from nsdyn._kernels.solvers.pgs import velocity, velocity_of
 
 ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
@@ -180,8 +180,7 @@ def measure(rows, body, q, mu, scales, q_norm, r, v, u):
     for c in range(mu.size):
         u0, u1, u2 = read(rows, c, body, v)
         u[c, 0], u[c, 1], u[c, 2] = q[c, 0] + u0, q[c, 1] + u1, q[c, 2] + u2
-    flat, own = u.reshape(-1), r.reshape(-1)
-    return max(natural_residual(scales, flat, own, mu), natural_error(flat, own, mu) / q_norm)
+    return measure_at(scales, u.reshape(-1), r.reshape(-1), mu, q_norm)
 
 
 @kernel
@@ -294,7 +293,7 @@ def solve_matrix(
         sweep_matrix(indptr, indices, data, steps, q, mu, y, x, t, keep)
         if count % check == 0:
             velocity(indptr, indices, data, q, y, u)
-            now = max(natural_residual(scales, u, y, mu), natural_error(u, y, mu) / q_norm)
+            now = measure_at(scales, u, y, mu, q_norm)
             if now < best:
                 best, last = now, count
                 best_r[:] = y

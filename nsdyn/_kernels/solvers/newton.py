@@ -16,7 +16,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity
-from nsdyn._kernels.problem.cones import natural_error, natural_residual
+from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
 
 PATIENCE = 5  # Newton steps without settling after which a penalty is called too large
@@ -129,7 +129,7 @@ def velocity_of(blocks, q, r, y, u, work):
 def measure_of(blocks, q, mu, scales, q_norm, r, y, u, work):
     """Larger of the literature's error and the residual in m/s of impulse r, with its own y and u."""
     velocity_of(blocks, q, r, y, u, work)
-    return max(natural_residual(scales, u, r, mu), natural_error(u, r, mu) / q_norm)
+    return measure_at(scales, u, r, mu, q_norm)
 
 
 @kernel

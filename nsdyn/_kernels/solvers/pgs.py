@@ -12,7 +12,7 @@ from numba.extending import overload
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import momentum, relative_velocity, weighted_rows
-from nsdyn._kernels.problem.cones import coulomb, natural_error, natural_residual, project_all, slide
+from nsdyn._kernels.problem.cones import coulomb, measure_at, project_all, slide
 from nsdyn._kernels.solvers.anderson import mix
 
 FUSED = {"contract"}  # products and sums in one instruction
@@ -245,7 +245,7 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
     gram = np.zeros((m, m))
     x[:] = r
     _velocity(W, q, x, u)
-    best = max(natural_residual(scales, u, x, mu), natural_error(u, x, mu) / q_norm)
+    best = measure_at(scales, u, x, mu, q_norm)
     best_f = np.inf
     history = np.full(max_sweeps // check + 2, best)
     used, slot, k = 0, 0, 0
@@ -261,7 +261,7 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
         due = k % check == 0 or k == max_sweeps or size == 0.0
         if due or math.sqrt(moved) * max(1.0, 1.0 / q_norm) <= tol:
             _velocity(W, q, g, u)
-            now = max(natural_residual(scales, u, g, mu), natural_error(u, g, mu) / q_norm)
+            now = measure_at(scales, u, g, mu, q_norm)
             if now < best:
                 best = now
                 r[:] = g
