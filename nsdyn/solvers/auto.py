@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -56,7 +55,6 @@ class Search:
         self.tol, self.loose, self.coarse = (TUNING.margin * share * tols).tolist()
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, TUNING.longest
         self._sweeps: Interruptible | None = None
-        self._tried: list[Callable[..., tuple[int, float]]] = []
         self._followed = np.inf
         p = means.problem
         _, error, residual, _ = p.solved(r, self.tol)
@@ -113,32 +111,31 @@ class Search:
             self._bound()
         self.newton(*TUNING.warm, sharp)
 
-    def cold(self, method: Callable[..., tuple[int, float]], most: tuple[int, int]) -> None:
-        """A method from nothing and Newton from where it ends, if that is near; kept where better than the best."""
-        cost = self.means.factorisation
-        if self._over(self.tol) or self.spent + most[0] * cost > self.limit or method in self._tried:
-            return
-        self._tried.append(method)
-        m, x = self.means, np.zeros_like(self.r)
-        p = m.problem
-        used, best = method(m.operator, p.q, p.mu, p.scales, x, self.tol, m.q_norm, most[0])
-        if self.tol < best <= self.coarse:
-            more, best = m.newton(x, self.tol, TUNING.near, most[1])
-            used += more
+    def _cold(self, x: Array, used: int, best: float) -> None:
+        """Book what a method from nothing has found; kept where better than the best."""
         if best < self.best:
             self.r[:] = x
-        self._note(best, used, used * cost)
+        self._note(best, used, used * self.means.factorisation)
+
+    def interior_point(self) -> None:
+        """The interior point method from nothing and Newton from where it ends, if that is near."""
+        m, x, (most, finish) = self.means, np.zeros_like(self.r), TUNING.interior
+        if self._over(self.tol) or self.spent + most * m.factorisation > self.limit:
+            return
+        p = m.problem
+        used, best = interior(m.operator, p.q, p.mu, p.scales, x, self.tol, m.q_norm, most)
+        if self.tol < best <= self.coarse:
+            more, best = m.newton(x, self.tol, TUNING.near, finish)
+            used += more
+        self._cold(x, used, best)
 
     def follow(self, tol: float) -> None:
-        """The path of smoothed laws from nothing, kept where what it leads to is better than the best."""
+        """The path of smoothed laws from nothing."""
         cost, (least, most) = self.means.factorisation, TUNING.path
         if self._over(tol) or self._followed <= tol or self.spent + least * cost > self.limit:
             return
         self._followed, x = tol, np.zeros_like(self.r)
-        used, best = continuation(self.means, x, tol, self._most(cost, most))
-        if best < self.best:
-            self.r[:] = x
-        self._note(best, used, used * cost)
+        self._cold(x, *continuation(self.means, x, tol, self._most(cost, most)))
 
     def sweep(self, factorisations: float, tol: float) -> None:
         """Sweeps with momentum that take as long as so many factorisations, from the best or on from the last."""
@@ -187,7 +184,7 @@ class Search:
             self.rounds(self.loose)
         if not (self.large and self.abrupt):
             self.accelerated()
-            self.cold(interior, TUNING.interior)
+            self.interior_point()
         if self.large and self.loose >= self.coarse:
             self.newton(TUNING.far, TUNING.from_loose, self.tol)
         self.follow(self.tol)

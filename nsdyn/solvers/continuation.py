@@ -10,10 +10,11 @@ import numpy as np
 
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import smoothing as _kernels
+from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.means import ByFactors, ByMatrix, Means
-from nsdyn.solvers.newton import each_island, rows
+from nsdyn.solvers.newton import by_islands
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Continuation", "continuation"]
@@ -47,7 +48,21 @@ NEWTON, LAST = (1e4, 5), (1e4, 60)
 
 
 class Point(NamedTuple):
-    """A point (z, t), t = log τ, with the law's r, u and slip, v = W r + q, the defect G, and its rate ∂G/∂t."""
+    """A point of the plane of (z, t) and what the smoothed law says there.
+
+    Attributes
+    ----------
+    x : ndarray, shape (3 nc + 1,)
+        z [N·s], the variable of the normal map, and t = log τ, τ in J.
+    r, u : ndarray, shape (3 nc,)
+        The law's impulse, N·s, and its relative velocity, m/s.
+    slip : ndarray, shape (nc, 2)
+        The law's λ, kg⁻¹, and D, (N·s)².
+    v : ndarray, shape (3 nc,)
+        W r + q, m/s.
+    defect, rate : ndarray, shape (3 nc,)
+        G and ∂G/∂t, m/s.
+    """
 
     x: Array
     r: Array
@@ -59,7 +74,22 @@ class Point(NamedTuple):
 
 
 class Path:
-    """The curve G(z, t) = W r + q - u - (τ / τ_0) G_0 = 0 of the smoothed laws, which z = 0 is on at τ_0."""
+    """The curve G(z, t) = W r + q - u - (τ / τ_0) G_0 = 0 of the smoothed laws, which z = 0 is on at τ_0.
+
+    Attributes
+    ----------
+    W : Operator
+    q, mu, scales, q_norm
+        Of the problem: m/s, -, λ_max(W_cc) in kg⁻¹ and m/s.
+    kappa, k : ndarray, shapes (nc,) and (3 nc,)
+        κ of each contact and of each of its components, kg.
+    G0 : ndarray, shape (3 nc,)
+        W r + q - u at z = 0 and τ_0, m/s.
+    t0 : float
+        log τ_0.
+    start : Point
+        Where the curve begins.
+    """
 
     def __init__(self, means: Means) -> None:
         p = means.problem
@@ -69,10 +99,9 @@ class Path:
         self.G0 = np.zeros_like(p.q)
         speed = float(np.abs(p.q).max()) or 1.0
         self.t0 = float(np.log(speed**2 / p.scales.mean()))
-        self.start = self.at(np.append(np.zeros_like(p.q), self.t0))
-        self.G0[:] = self.start.defect
-        self.start.defect[:] = 0.0
-        self.start.rate[:] -= self.G0
+        begin = np.append(np.zeros_like(p.q), self.t0)
+        self.G0 = self.at(begin).defect
+        self.start = self.at(begin)
 
     def at(self, x: Array) -> Point:
         """The point x = (z, t); ZeroDivisionError where floating point has none."""
@@ -100,7 +129,10 @@ class Path:
 
 
 class Linear:
-    """The inverse of ∂G/∂z = (I + W A) (A + κ)⁻¹ at a point: one factorisation."""
+    """The inverse of ∂G/∂z = (I + W A) (A + κ)⁻¹ at a point: one factorisation.
+
+    A, shape (nc, 3, 3), is -∂r/∂u of the law at constant τ, kg. RuntimeError where I + W A is singular.
+    """
 
     def __init__(self, path: Path, point: Point) -> None:
         self.A, self.kappa, self.mu = np.empty((path.mu.size, 3, 3)), path.kappa, path.mu
@@ -151,6 +183,8 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
 
 def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, float]:
     """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure).
+
+    Where no point has a finite measure r stays what it is.
 
     The smoothed law of `_kernels.smoothing` has a solution for every z, and with τ from large to 0 it describes a path
     to a solution of Coulomb's law, which turns back in τ where much slides: there the methods stall that lower τ. Here
@@ -248,13 +282,9 @@ class Continuation:
             if problem.blocks is None:
                 count, _ = continuation(ByMatrix(problem.csr, q, mu, scales, q_norm), r, 0.9 * self.tol, self.max_iter)
             else:
-                parts = each_island(problem.blocks)
-                # A share of the tolerance, and a margin for what is measured of all together
-                tol = 0.9 * self.tol / np.sqrt(len(parts))
-                for contacts, part in parts:
-                    i = rows(contacts, problem.nc)
-                    x = np.zeros_like(r[i])
-                    means = ByFactors(part, q[i], mu[contacts], scales[contacts], q_norm)
-                    count += continuation(means, x, tol, self.max_iter)[0]
-                    r[i] = x
+
+                def solve(part: Blocks, q: Array, mu: Array, scales: Array, x: Array, tol: float) -> int:
+                    return continuation(ByFactors(part, q, mu, scales, q_norm), x, tol, self.max_iter)[0]
+
+                count = by_islands(problem, problem.blocks, r, self.tol, solve)
         return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)

@@ -11,10 +11,11 @@ import numpy as np
 
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import interior as _kernels
+from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Local, Operator, Velocity
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.solvers.newton import each_island, rows, solve_blocks, solve_impulses
+from nsdyn.solvers.newton import by_islands, solve_blocks, solve_impulses
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Interior", "interior"]
@@ -102,14 +103,12 @@ class Interior:
         if problem.nc and not problem.solved(r, self.tol)[0]:
             q_norm = problem.q_norm
             if problem.blocks is not None:
-                parts = each_island(problem.blocks)
-                tol = 0.9 * self.tol / np.sqrt(len(parts))
-                for contacts, part in parts:
-                    i = rows(contacts, problem.nc)
-                    x = r[i].copy()
-                    given = problem.q[i], problem.mu[contacts], problem.scales[contacts]
-                    count += self._solve(Velocity(part), partial(solve_blocks, part), *given, x, tol, q_norm)
-                    r[i] = x
+
+                def solve(part: Blocks, q: Array, mu: Array, scales: Array, x: Array, tol: float) -> int:
+                    newton = partial(solve_blocks, part)
+                    return self._solve(Velocity(part), newton, q, mu, scales, x, tol, q_norm)
+
+                count = by_islands(problem, problem.blocks, r, self.tol, solve)
             else:
                 W, given = Local(problem.W), (problem.q, problem.mu, problem.scales)
                 count = self._solve(W, partial(solve_impulses, W), *given, r, 0.9 * self.tol, q_norm)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -19,7 +20,7 @@ from nsdyn.problem.operators import Operator
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Newton", "each_island", "island", "rows", "solve_blocks", "solve_impulses"]
+__all__ = ["Newton", "by_islands", "island", "rows", "solve_blocks", "solve_impulses"]
 
 DENSE = 120
 """Islands up to this many coordinates are factorised densely: below it LAPACK in the kernel beats a sparse call."""
@@ -153,18 +154,35 @@ def island(blocks: Blocks, label: Index, k: int) -> tuple[Any, Blocks]:
     return contacts, Blocks(*part)
 
 
-def each_island(blocks: Blocks) -> list[tuple[Any, Blocks]]:
-    """(contacts, blocks) of every island."""
-    label = np.empty(blocks.nc, np.int64)
-    found = _blocks.islands(blocks.block, blocks.offset.size - 1, label)
-    return [island(blocks, label, k) for k in range(found)]
-
-
 def rows(contacts: Any, nc: int) -> Any:
     """Rows of the 3 nc vectors that belong to some contacts."""
     if isinstance(contacts, slice):
         return slice(None)
     return (3 * contacts[:, None] + np.arange(3)).ravel()
+
+
+def by_islands(
+    problem: FC3D,
+    blocks: Blocks,
+    r: Array,
+    tol: float,
+    solve: Callable[[Blocks, Array, Array, Array, Array, float], int],
+) -> int:
+    """Solve every island of a problem by itself, in place of r: iterations of all.
+
+    `solve` takes an island's blocks, q, mu, scales, impulse to improve in place, and its share of the tolerance: half
+    of it over the root of their number, for the judge measures all together and, where W was given, with W itself.
+    """
+    label, count = np.empty(problem.nc, np.int64), 0
+    found = _blocks.islands(blocks.block, blocks.offset.size - 1, label)
+    for k in range(found):
+        contacts, part = island(blocks, label, k)
+        i = rows(contacts, problem.nc)
+        x = r[i].copy()
+        given = problem.q[i], problem.mu[contacts], problem.scales[contacts]
+        count += solve(part, *given, x, 0.5 * tol / np.sqrt(found))
+        r[i] = x
+    return count
 
 
 def solve_blocks(
@@ -235,14 +253,9 @@ class Newton:
         if problem.nc and not problem.solved(r, self.tol)[0]:
             blocks = problem.blocks or Blocks.from_delassus(problem.W)
             q_norm = problem.q_norm
-            # Half the tolerance: the judge measures the islands together and, for a given W, with W itself.
-            for contacts, part in each_island(blocks):
-                i = rows(contacts, problem.nc)
-                x = r[i].copy()
-                tol = 0.5 * self.tol
-                count += solve_blocks(
-                    part, problem.q[i], problem.mu[contacts], problem.scales[contacts], x, tol, q_norm,
-                    self.penalty, self.max_iter,
-                )[0]  # fmt: skip
-                r[i] = x
+
+            def solve(part: Blocks, q: Array, mu: Array, scales: Array, x: Array, tol: float) -> int:
+                return solve_blocks(part, q, mu, scales, x, tol, q_norm, self.penalty, self.max_iter)[0]
+
+            count = by_islands(problem, blocks, r, self.tol, solve)
         return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
