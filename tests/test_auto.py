@@ -13,6 +13,7 @@ from nsdyn._kernels.problem import linear
 from nsdyn._kernels.solvers import interior as kernels
 from nsdyn._kernels.solvers import local
 from nsdyn._kernels.solvers import smoothing as smooth
+from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.operators import Local, Velocity
 from nsdyn.solvers.continuation import continuation
 from nsdyn.solvers.means import ByFactors, ByMatrix
@@ -280,3 +281,11 @@ def test_many_small_islands_and_a_large_one(rng):
     q[::3] -= 0.5
     solution = nd.solve(nd.FC3D(W[np.ix_(rows, rows)], q, np.full(nc, 0.3)))
     assert solution.converged and solution.error <= 1e-8 and solution.residual <= 1e-8
+
+
+def test_one_contact_that_two_coordinates_move(rng):
+    """At the tip of an arm of two joints W_cc has rank two: impulses that stop it are a line, in the cone or not."""
+    for _ in range(50):
+        H = rng.normal(size=(2, 3))
+        problem = nd.FC3D.from_blocks(Blocks.from_delassus(H.T @ H), rng.normal(size=2) @ H, rng.uniform(0.0, 1.5, 1))
+        assert nd.solve(problem).converged

@@ -47,15 +47,24 @@ def small(blocks, q, mu, scales, r, measure, enough, good, q_norm, limits):
 
 
 @kernel
+def closed_form(W, q, mu, r, u):
+    """One contact in closed form, into r (3,) and u = W r + q."""
+    r[0], r[1], r[2] = cones.coulomb(W, q[0], q[1], q[2], mu[0])
+    for i in range(3):
+        u[i] = W[i, 0] * r[0] + W[i, 1] * r[1] + W[i, 2] * r[2] + q[i]
+
+
+@kernel
 def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, limits):
     """Solve every island of few coordinates in place of r, unless r is good `enough`.
 
-    One contact in closed form, more by `small`, to be `enough` or at least `accept` times their share. The islands into
+    One contact in closed form, more by `small`, to be `enough` or at least `accept` times their share. (So is one whose
+    W_cc is singular, as at the tip of an arm of two joints, where the closed form may miss.) The islands into
     label (nc,), into islands (2, nc) their measures, 0 for those that end within `accept` times their share, and their
     shares of the tolerance by contacts, since the literature's error adds the islands up in squares and the judge
-    measures them together. Returns their number, 0 if r was good enough,
-    whether one is left, the factorisations, and the literature's error and the residual of r where none is left; then
-    its u = W r + q is in u. limits = (most coordinates, penalty, most steps, a few steps).
+    measures them together. Returns their number, 0 if r was good enough, whether one is left, the factorisations, and
+    the literature's error and the residual of r where none is left; then its u = W r + q is in u. limits = (most
+    coordinates, penalty, most steps, a few steps).
     """
     largest = limits[0]
     top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
@@ -76,20 +85,21 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_no
     alone = found == 1 and offset.size == 2  # one body, nothing to extract
     count, left = 0, False
     for k in range(found):
+        good, wanted = accept * math.sqrt(share[k] / label.size), enough
         if measures[k] > enough and share[k] == 1.0:
             c = first[k]
+            own, at = slice(c, c + 1), slice(3 * c, 3 * c + 3)
             _blocks.diagonal_block(blocks, c, x, y, w)
-            cones.solve_one(w, q[3 * c : 3 * c + 3], mu[c], one)
-            r[3 * c : 3 * c + 3] = one
-            measures[k] = 0.0
+            closed_form(w, q[at], mu[own], r[at], one)
+            measures[k] = cones.measure_at(scales[own], one, r[at], mu[own], q_norm)
+            wanted = good
             count += 1
-        elif measures[k] > enough:
+        if not measures[k] <= wanted:
             part, own_q, own_mu, own_scales, own = blocks, q, mu, scales, r
             if not alone:
                 contacts, part = newton.extract(blocks, label, k)
                 own_q, own_mu, own_scales, own = newton.gather(contacts, q, mu, scales, r)
             if part[0][-1] <= largest:
-                good = accept * math.sqrt(share[k] / label.size)
                 used, measures[k] = small(
                     part, own_q, own_mu, own_scales, own, measures[k], enough, good, q_norm, limits
                 )
@@ -97,7 +107,7 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_no
                 if not alone:
                     newton.scatter(contacts, own, r)
         share[k] = math.sqrt(share[k] / label.size)
-        if measures[k] <= accept * share[k]:
+        if measures[k] <= good:
             measures[k] = 0.0
         left = left or not measures[k] <= enough
     if not left:
@@ -108,9 +118,7 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_no
 @kernel
 def alone(W, q, mu, scales, q_norm, r, u):
     """The only contact of a problem in closed form, W (1, 3, 3), into r and u (3,); its error and residual."""
-    r[0], r[1], r[2] = cones.coulomb(W[0], q[0], q[1], q[2], mu[0])
-    for i in range(3):
-        u[i] = W[0, i, 0] * r[0] + W[0, i, 1] * r[1] + W[0, i, 2] * r[2] + q[i]
+    closed_form(W[0], q, mu, r, u)
     top, residual = cones.measures(scales, u, r, mu)
     return top / q_norm, residual
 
