@@ -22,13 +22,16 @@ __all__ = ["Continuation", "continuation"]
 STRETCH = 10.0
 """κ λ_max(W_cc) of the normal map z = r - κ u."""
 
-CLOSE, CONTRACTION, CORRECTIONS = 1e-3, 0.7, 8
+CLOSE, CONTRACTION, CORRECTIONS = 1e-3, 0.7, 12
 """Defect in units of the smoothing at which a point is on the path, what a correction has to leave of it at most, and
 how many there may be."""
 
-GROWTH, SLOW_GROWTH, SHRINKAGE, REFUSED = 1.8, 1.2, 0.7, 0.4
-"""Length of the next step over that of the last: after at most two corrections and little turning, after three and
-moderate turning, after more, and where it was refused."""
+AGAIN = 0.3
+"""What a correction leaves at most where the next is made with the same matrix."""
+
+GROWTH, SLOW_GROWTH, SHRINKAGE, REFUSED = 1.5, 1.2, 0.7, 0.4
+"""Length of the next step over that of the last: after one factorisation and little turning, after two and moderate
+turning, after more, and where it was refused."""
 
 FAR = 20.0
 """Change of log τ that no step makes."""
@@ -159,9 +162,9 @@ def _unit(direction: Array, metric: Array) -> Array:
 def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array, int]:
     """Newton's method to the path from x in a plane: the point, if it is reached, its tangent, and factorisations.
 
-    The tangent is by the last factorisation, which is of the point before.
+    A matrix serves as long as it gains. The tangent is by the last one, which is of a point before.
     """
-    last, tangent, begin, count = np.inf, plane, x[-1], 0
+    last, tangent, begin, corrections, count = np.inf, plane, x[-1], 0, 0
     linear: Linear | None = None
     while abs(x[-1] - begin) < FAR:
         try:
@@ -169,13 +172,15 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
             size = path.size(point)
             if linear is not None and size < CLOSE:
                 return point, linear.tangent(point.rate), count
-            if not size <= CONTRACTION * last or count == CORRECTIONS:
+            if not size <= CONTRACTION * last or corrections == CORRECTIONS:
                 break
-            linear = Linear(path, point)
+            if linear is None or size > AGAIN * last:
+                linear, count = Linear(path, point), count + 1
+                tangent = linear.tangent(point.rate)
         except (ZeroDivisionError, RuntimeError):
             break
-        last, count = size, count + 1
-        dz, tangent = linear(point.defect), linear.tangent(point.rate)
+        last, corrections = size, corrections + 1
+        dz = linear(point.defect)
         x = x + (plane[:-1] @ dz) / (plane @ tangent) * tangent
         x[:-1] -= dz
     return None, tangent, count
@@ -241,11 +246,11 @@ def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, fl
         if small < attempt:
             attempt *= ATTEMPTS
             newton(*NEWTON)
-        if used <= 2 and abs(cosine) > STRAIGHT:
+        if used == 1 and abs(cosine) > STRAIGHT:
             length *= GROWTH
-        elif used == 3 and abs(cosine) > BENT:
+        elif used == 2 and abs(cosine) > BENT:
             length *= SLOW_GROWTH
-        elif used > 3:
+        elif used > 2:
             length *= SHRINKAGE
     return count, best
 
