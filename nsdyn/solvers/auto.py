@@ -77,7 +77,8 @@ class Search:
         """Bound the effort by what has been spent, where that has reached `loose`."""
         calm = 0.0 if self.abrupt else max(self._calm * self.means.factorisation, self._effort * self.spent)
         if self.best <= self.loose:
-            self.limit = min(TUNING.longest, max(TUNING.free, calm))
+            free = 0.0 if self.large else TUNING.free * self.means.factorisation
+            self.limit = min(TUNING.longest, max(free, calm))
 
     def _over(self, tol: float) -> bool:
         """Whether a tolerance is met or the effort spent."""

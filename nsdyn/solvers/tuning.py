@@ -61,8 +61,8 @@ class Tuning:
 
     # Bounds on all effort
 
-    free: float = 2e-3
-    """Seconds that every problem may take."""
+    free: int = 100
+    """Factorisations that an island may take in any case, unless it is large: what both cold starts cost."""
 
     longest: float = 5.0
     """Seconds that none may exceed."""
