@@ -79,8 +79,9 @@ class Measured(nd.solvers.Auto):
             z = r - u
             z[:, 0] -= mu * np.hypot(u[:, 1], u[:, 2])
             error = float(np.linalg.norm(r - projected(z, mu))) / (float(np.linalg.norm(problem.q)) or 1.0)
-            # Cancellation in W r + q leaves round-off of the impulses.
-            slack = 1e-12 * float(np.abs(problem.W @ solution.r).max()) / (float(np.linalg.norm(problem.q)) or 1.0)
+            # Round-off of W r + q, of the size of what cancels in it.
+            cancels = np.finfo(float).eps * float(np.linalg.norm(abs(problem.W) @ np.abs(solution.r)))
+            slack = cancels / (float(np.linalg.norm(problem.q)) or 1.0)
             self.worst[0] = max(self.worst[0], abs(error - solution.error) - slack - 1e-3 * error)
         return solution
 
