@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,8 +20,12 @@ from nsdyn.tools.arrays import Array
 
 __all__ = ["Continuation", "continuation"]
 
-STRETCH = 10.0
-"""κ λ_max(W_cc) of the normal map z = r - κ u."""
+STRETCHES = 20.0, 5.0, 80.0
+"""κ λ_max(W_cc) of the normal map z = r - κ u, by which paths differ: after one that ends or is `LONGEST` the next is
+tried, since one in ten comes to a place where two branches all but meet, which others pass elsewhere."""
+
+LONGEST = 500
+"""Factorisations after which a path is left for the next."""
 
 CLOSE, CONTRACTION, CORRECTIONS = 1e-3, 0.7, 12
 """Defect in units of the smoothing at which a point is on the path, what a correction has to leave of it at most, and
@@ -41,6 +46,9 @@ STRAIGHT, BENT, SHARP = 0.9, 0.7, 0.5
 
 SHORTEST = 1e-6
 """Length of step below which round-off has the rest."""
+
+REFUSALS = 3
+"""Refusals in a row that make the direction suspect, whose matrix is of a point before."""
 
 ATTEMPT, ATTEMPTS, FLOOR = 1e-7, 1e-2, 1e-14
 """τ / (max r_N² λ_max) from which on Newton's method for the law itself is tried, by which this falls between attempts,
@@ -94,10 +102,10 @@ class Path:
         Where the curve begins.
     """
 
-    def __init__(self, means: Means) -> None:
+    def __init__(self, means: Means, stretch: float) -> None:
         p = means.problem
         self.W, self.q, self.mu, self.scales, self.q_norm = means.operator, p.q, p.mu, p.scales, means.q_norm
-        self.kappa = STRETCH / p.scales
+        self.kappa = stretch / p.scales
         self.k = np.repeat(self.kappa, 3)
         self.G0 = np.zeros_like(p.q)
         speed = float(np.abs(p.q).max()) or 1.0
@@ -202,9 +210,25 @@ def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, fl
     bifurcation and nonlinear eigenvalue problems, 1977. S. Robinson, Normal maps induced by linear transformations,
     Math. Oper. Res. 17, 1992.
     """
-    p, path = means.problem, Path(means)
-    here, scale = path.start, float(p.scales.mean())
-    count, best, length, attempt = 1, np.inf, 1.0, ATTEMPT
+    count, best, x = 0, np.inf, np.empty_like(r)
+    for stretch in STRETCHES:
+        if best <= tol or count >= most:
+            break
+        used, measure = _followed(Path(means, stretch), means, x, tol, min(LONGEST, most - count))
+        count += used
+        if measure < best:
+            best = measure
+            r[:] = x
+    return count, best
+
+
+def _followed(path: Path, means: Means, r: Array, tol: float, most: int) -> tuple[int, float]:
+    """Follow one path from its start, the best impulse on it into r: (factorisations, its measure)."""
+    here, scale = path.start, float(path.scales.mean())
+    count, best, length, attempt, refusals = 1, np.inf, 1.0, ATTEMPT, 0
+
+    def smoothing() -> float:
+        return float(np.exp(here.x[-1])) / (scale * float(here.r[0::3].max()) ** 2)
 
     def keep(x: Array, measure: float) -> None:
         nonlocal best
@@ -219,27 +243,35 @@ def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, fl
         count += used
         keep(x, measure)
 
+    def tangent() -> Array:
+        return _unit(Linear(path, here).tangent(here.rate), path.metric(here.x[-1]))
+
     try:
-        direction = -_unit(Linear(path, here).tangent(here.rate), path.metric(here.x[-1]))
+        direction = -tangent()
     except RuntimeError:
         return count, best
     while best > tol and count < most:
-        there, tangent, used = _corrected(path, here.x + length * direction, path.metric(here.x[-1]) * direction)
+        there, ahead, used = _corrected(path, here.x + length * direction, path.metric(here.x[-1]) * direction)
         count += used
         cosine = 0.0
         if there is not None:
             metric = path.metric(there.x[-1])
-            new = _unit(tangent, metric)
+            new = _unit(ahead, metric)
             cosine = float(metric * new @ _unit(direction, metric))
         if there is None or not abs(cosine) >= SHARP:
-            length *= REFUSED
+            length, refusals = length * REFUSED, refusals + 1
+            if refusals == REFUSALS:
+                with suppress(RuntimeError):
+                    new, count = tangent(), count + 1
+                    direction = new if path.metric(here.x[-1]) * new @ direction > 0.0 else -new
             if length < SHORTEST:
-                newton(*LAST)
+                if smoothing() < ATTEMPT:
+                    newton(*LAST)
                 break
             continue
-        here, direction = there, new if cosine > 0.0 else -new
+        here, direction, refusals = there, new if cosine > 0.0 else -new, 0
         keep(here.r, path.measure(here))
-        small = float(np.exp(here.x[-1])) / (scale * float(here.r[0::3].max()) ** 2)
+        small = smoothing()
         if small < FLOOR:
             newton(*LAST)
             break
