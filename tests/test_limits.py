@@ -1,5 +1,6 @@
 """Where one does not look every day: folders that are locked, thousands of contacts, far away, in the same place."""
 
+import dataclasses
 import os
 import tempfile
 from pathlib import Path
@@ -127,3 +128,34 @@ def test_bodies_in_the_same_place_are_refused(add, size, options):
         getattr(scene, add)(name, size, 1.0)
     with pytest.raises(ValueError, match=r"^'a' and 'b' overlap at the start by 0\.2 m, more than"):
         nd.Stepper(scene, **options)
+
+
+@dataclasses.dataclass(frozen=True)
+class Counted(nd.solvers.Auto):
+    """The default solver, with the contacts of every problem it is given."""
+
+    contacts: list[int] = dataclasses.field(default_factory=list, compare=False)
+
+    def __call__(self, problem, r0=None):
+        self.contacts.append(problem.nc)
+        return super().__call__(problem, r0)
+
+
+def test_what_is_jammed_is_told_at_once(rng):
+    """A wall presses three boxes on the ground: where no velocity opens the contacts nobody looks for impacts."""
+    scene, wood, dt = nd.Scene(), nd.Material(0.5), 1e-2
+    scene.add_halfspace("ground", material=wood)
+    for k in range(3):
+        turned = rng.normal(size=4)
+        turned /= np.linalg.norm(turned)
+        scene.add_box(f"box{k}", (1, 1, 1), 1.0, position=(0, 0, 1 + 2 * k), quaternion=turned, material=wood)
+    scene.add_box("wall", (10, 10, 1), fixed=True, position=(0, 0, 8))
+    scene.set_motion("wall", velocity=(0, 0, -0.5 / dt))
+    solver = Counted()
+    stepper = nd.Stepper(scene, dt=dt, solver=solver)
+    with pytest.raises(nd.NotConverged, match="no velocity opens every contact"):
+        for _ in range(20):
+            solver.contacts.clear()
+            stepper.step()
+    # 46 to 102 in four such scenes; 250 to 830 where the step was divided and impacts were located in vain
+    assert len(solver.contacts) <= 150

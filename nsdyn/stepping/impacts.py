@@ -223,6 +223,8 @@ def strike(
         u = after
         if worst is None or solution.error > worst.error:
             worst, where = solution, problem
+        if not solution.accepted:  # what follows on no solution is none either
+            break
     return Impact(total, u, normal, friction, created, where, worst)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
@@ -121,7 +121,8 @@ def _pass(
     if gained:
         works.append(Works(projection=gained))
     gains = gains and all(solution.converged for _, solution in solved)
-    return Passage(now, rate, owed, clear, done, solved, works), gains or sunk
+    coarse = (gains or sunk) and not any(_jammed(solution) for _, solution in solved)
+    return Passage(now, rate, owed, clear, done, solved, works), coarse
 
 
 def _moves(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array) -> tuple[Moves, bool]:
@@ -153,6 +154,11 @@ def _moves(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: 
     return (now, rate, clear, external, done, solved, works), sunk
 
 
+def _jammed(solution: Solution) -> bool:
+    """Whether bodies are where no velocity opens their contacts: there nothing is gained by looking closer."""
+    return solution.status is Status.NO_SLATER_POINT
+
+
 def _later(acted: Impulses, begun: float) -> Impulses:
     """What acted in a part that began so many seconds after the whole."""
     return acted._replace(time=begun + acted.time) if begun > 0.0 else acted
@@ -165,6 +171,8 @@ def _until_impact(
     if begin.contacts.gap.size > LOCATED:
         return h, _try(s, loads, begin, t, h, None)
     m = _try(s, loads, begin, t, h, NONE)
+    if _jammed(m.response.solution):
+        return h, _try(s, loads, begin, t, h, None)
     if m.touched < h and looks:
         return _until_impact(s, loads, begin, t, m.touched, looks - 1)
     if m.unmet is None:
