@@ -32,6 +32,8 @@ NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
 
 NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
 
+Energies = tuple[tuple[float, float], ...]
+
 
 class Position(NamedTuple):
     """Where everything is.
@@ -236,7 +238,7 @@ class Dynamics:
             return there, after, Placement(X, R, ()), ()
         ends = []
         for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            pushed = impulse is not None and bool(impulse[t.coordinates].any())
+            pushed = free.loads.implicit or (impulse is not None and bool(impulse[t.coordinates].any()))
             ends.append(t.end(half, free, v[t.coordinates], pushed))
             after[t.coordinates] = ends[-1].v
         driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
@@ -246,6 +248,9 @@ class Dynamics:
 
     def _flow(self, position: Position, v: Array, h: float) -> tuple[Array, Array, Array, Array, Array]:
         """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
+        if not self.free:
+            frames = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
+            return position.x, position.quaternion, v.copy(), *frames
         x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
         X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
         moments, axes = self._principal
@@ -272,6 +277,8 @@ class Dynamics:
         if position.driven_x.size:
             nd = len(position.driven_x)
             _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])
+        if len(links) == 1 and len(links[0].x) == self.frames:
+            return Placement(links[0].x, links[0].R, tuple(links))
         for t, at in zip(self.trees, links, strict=True):
             x[t.frames], R[t.frames] = at.x, at.R
         return Placement(x, R, tuple(links))
@@ -325,7 +332,8 @@ class Dynamics:
             if unknown := given.keys() - self._tree_names.keys():
                 raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out = np.empty(self.n)
-        _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
+        if self.free:
+            _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
         if not self.trees:
             return Forces(out, force, torque, self._m, self._minv, ())
         motions = []
@@ -355,8 +363,11 @@ class Dynamics:
         return self._with_trees(v, self.no_load, self.no_load, motions)
 
     def _with_trees(self, v: Array, force: Array, torque: Array, motions: list[FreeMotion]) -> Forces:
-        m = np.concatenate([self._m, *(motion.m.ravel() for motion in motions)])
-        minv = np.concatenate([self._minv, *(motion.minv.ravel() for motion in motions)])
+        if len(motions) == 1 and not self.free:
+            m, minv = motions[0].m.ravel(), motions[0].minv.ravel()
+        else:
+            m = np.concatenate([self._m, *[motion.m.ravel() for motion in motions]])
+            minv = np.concatenate([self._minv, *[motion.minv.ravel() for motion in motions]])
         return Forces(v, force, torque, m, minv, tuple(motions))
 
     def _applied(self, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
@@ -387,20 +398,22 @@ class Dynamics:
 
     # -- rows --------------------------------------------------------------------------------------------------
 
-    def joint_rows(self, middle: Position, v: Array, v_free: Array, h: float) -> JointRows | None:
+    def joint_rows(self, place: Placement, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""
-        return self.joints.rows(self._angles(middle), v, v_free, h) if self.joints.size else None
+        return self.joints.rows(self._angles(place), v, v_free, h) if self.joints.size else None
 
-    def limits(self, position: Position) -> Array:
+    def limits(self, place: Placement) -> Array:
         """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
         slots = self.joints.limits
-        return self.joints.gaps(slots, self._angles(position)) if slots.size else NONE
+        return self.joints.gaps(slots, self._angles(place)) if slots.size else NONE
 
-    def _angles(self, position: Position) -> Array:
+    def _angles(self, place: Placement) -> Array:
         """Joint coordinates, shape (n,), 0 where there are none."""
+        if len(place.links) == 1 and not self.free:
+            return place.links[0].angle
         out = np.zeros(self.n)
-        for t, q in zip(self.trees, position.trees, strict=True):
-            out[t.coordinates] = t.angle(q)
+        for t, links in zip(self.trees, place.links, strict=True):
+            out[t.coordinates] = links.angle
         return out
 
     def rows(
@@ -428,15 +441,17 @@ class Dynamics:
 
     # -- what is shown -----------------------------------------------------------------------------------------
 
-    def energies(self, position: Position, v: Array) -> tuple[float, float]:
-        """(kinetic, potential) energy, J; potential energy is 0 at the world's origin."""
+    def energies(self, position: Position, v: Array, trees: Energies) -> tuple[float, float]:
+        """(kinetic, potential) energy, J, with that of `tree_energies`; potential energy is 0 at the world's origin."""
         kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
-        if not self.trees:
-            return kinetic, potential
-        for t, q in zip(self.trees, position.trees, strict=True):
-            more = t.energies(q, v[t.coordinates])
+        for more in trees:
             kinetic, potential = kinetic + more[0], potential + more[1]
         return kinetic, potential
+
+    def tree_energies(self, position: Position, v: Array) -> Energies:
+        """(kinetic, potential) energy of every tree, J, as `Tree.energies` has it."""
+        at = zip(self.trees, position.trees, strict=True)
+        return tuple([t.energies(q, v[t.coordinates]) for t, q in at])
 
     def lift(self, before: Position, after: Position, v: Array) -> tuple[Array, float]:
         """Velocity with the same momentum where a projection brought the free bodies, and what it did to their energy.
@@ -451,6 +466,8 @@ class Dynamics:
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
         """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
+        if not self.free and len(position.trees) == 1:
+            return position.trees[0].copy(), v.copy()
         q, out = np.empty(7 * self.free), np.empty(self.n)
         _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)
         return np.concatenate((q, *position.trees)) if position.trees else q, out
@@ -462,6 +479,8 @@ class Dynamics:
         quaternion = np.empty((self.frames, 4))
         links = slice(self.free, self.frames - len(position.driven_x))
         _trees.quaternions(place.R[links], quaternion[links])
-        quaternion[: self.free] = position.quaternion
-        quaternion[links.stop :] = position.driven_quaternion
+        if self.free:
+            quaternion[: self.free] = position.quaternion
+        if links.stop < self.frames:
+            quaternion[links.stop :] = position.driven_quaternion
         return place.x, quaternion

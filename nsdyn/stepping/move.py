@@ -9,7 +9,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
-from nsdyn.dynamics.dynamics import Forces, Middle, Placement, Position
+from nsdyn.dynamics.dynamics import Energies, Forces, Middle, Placement, Position
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.problem.fc3d import FC3D
@@ -257,7 +257,7 @@ def _reachable(
         seen = Seen(begin.contacts, begin.memory, begin.looked)
     else:
         seen = Seen(*s.detector.find(x, R, half.reach, begin.memory), Looked(x, R, half.reach))
-    contacts, joints = seen.contacts, s.dynamics.joint_rows(middle.position, middle.v, v, half.h)
+    contacts, joints = seen.contacts, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
     if barred is None:
         if half.fast:
             contacts, memory = reached(s, contacts, begin, middle.placement, seen.memory)
@@ -316,7 +316,7 @@ def _respond(
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
         twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
     if same:
-        moved = Placed(end, there, seen.contacts, d.limits(end), seen.memory, True)
+        moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, True)
     else:
         moved = place(d, s.detector, end, there, seen.memory, near)
     return Response(met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, twists, moved)
@@ -345,37 +345,43 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
         twists = d.twists(placed.placement, v_end)
         works.append(Works(projection=lifted))
+    energies: Energies = ()
     if a.impulse is not None:
-        works += _tree_works(s, half, a, a.impulse, placed.position)
-        for t, before, free in zip(d.trees, half.middle.trees, half.forces.trees, strict=True):
-            actuation = t.forces(before, free, a.v[t.coordinates])[0] - free.loads.push
-            impulses.joints[0, t.coordinates] = half.h * actuation
+        more, energies = _tree_works(s, begin, half, a, a.impulse, placed.position, impulses.joints[0])
+        works += more
     looked = seen.looked
     if placed.contacts is not seen.contacts:
         looked = Looked(placed.placement.x, placed.placement.R, d.nowhere)
     end = Instant(
         placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, looked, warm,
-        twists,
+        twists, energies,
     )  # fmt: skip
     external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)
     return Move(end, impulses, works, a.problem, a.solution, placed.clear, half.rate, external)
 
 
-def _tree_works(s: System, half: Half, a: Response, impulse: Array, lifted: Position) -> list[Works]:
-    """Works of the trees besides those of contacts and joint rows, J."""
-    out, middle = [], half.middle
+def _tree_works(
+    s: System, begin: Instant, half: Half, a: Response, impulse: Array, lifted: Position, joints: Array
+) -> tuple[list[Works], Energies]:
+    """Works of the trees besides those of contacts and joint rows, and their energies at the end, J.
+
+    The impulses of their actuation into joints (n,).
+    """
+    out, energies, middle = [], [], half.middle
     if a.impact is not None:
         # The rows do their work in two parts, at two mean velocities.
         full, struck = a.met.rows.full, middle.v + a.kick
         first, second = full.momentum(a.impact.r), full.momentum(a.solution.r)
         booked = 0.5 * (first * (middle.v + struck) + second * (struck + a.v))
-    for t, before, free, end, q in zip(
-        s.dynamics.trees, middle.trees, half.forces.trees, a.trees, lifted.trees, strict=True
+    for t, before, free, end, q, energy in zip(
+        s.dynamics.trees, middle.trees, half.forces.trees, a.trees, lifted.trees, begin.energies, strict=True
     ):
         own = t.coordinates
-        w = t.works(before, free, a.v[own], end, q, impulse[own])
+        w = t.works(before, free, a.v[own], end, q, impulse[own], energy)
+        joints[own] = w.joints
+        energies.append((w.kinetic, w.potential))
         integration = w.integration
         if a.impact is not None:
             integration += float(impulse[own] @ end.mean - booked[own].sum())
         out.append(Works(w.actuation, 0.0, 0.0, w.damping, w.constraint, integration, w.projection))
-    return out
+    return out, tuple(energies)

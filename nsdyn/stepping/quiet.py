@@ -80,6 +80,6 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     )
     warm = Warm(contacts.key, world, status, slots, h, Basis(contacts, rows, frame, problem))
     position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
-    end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists)
+    end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
     works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
     return end, rate, True, d.no_works, [impulses], [(problem, solution)], [works]

@@ -99,6 +99,15 @@ def any_positive(x):
 
 
 @kernel
+def any_below(x, most):
+    """Whether an entry is at most so large."""
+    for i in range(x.size):
+        if x[i] <= most:
+            return True
+    return False
+
+
+@kernel
 def least(x):
     """The smallest entry, or 0 if none is negative."""
     out = 0.0
