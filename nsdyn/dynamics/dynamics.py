@@ -161,6 +161,7 @@ class Dynamics:
             }
             self.trees.append(Tree(a, self.gravity, start, joints, first, motions))
             start, first = start + a.model.nv, first + len(joints)
+        self._constrained = any(t.constrained for t in self.trees)
         sizes = [6] * self.free + [t.model.nv for t in self.trees]
         self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
         self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
@@ -286,9 +287,11 @@ class Dynamics:
     def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
         """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
         linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
-        _motion.twists(place.R, v, self.free, linear, angular)
+        if self.free:
+            _motion.twists(place.R, v, self.free, linear, angular)
         for t, links in zip(self.trees, place.links, strict=True):
-            linear[t.frames], angular[t.frames] = t.twists(links, v[t.coordinates])
+            own = linear[t.frames], angular[t.frames]
+            _trees.link_twists(links.x, t.support, links.J, v[t.coordinates], *own)
         return linear, angular
 
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
@@ -298,7 +301,8 @@ class Dynamics:
         """
         out = np.zeros(self.frames)
         fall = h * dt * self.weight
-        _motion.reach(v, h, fall, self.radius, out)
+        if self.free:
+            _motion.reach(v, h, fall, self.radius, out)
         for t, links in zip(self.trees, place.links, strict=True):
             at = links.x, t.support, links.J, v[t.coordinates], h, t.radius, fall
             _trees.link_reach(*at, out[t.frames])
@@ -425,11 +429,14 @@ class Dynamics:
         hang, where = (contacts.frame1, contacts.frame2), (contacts.point, frame)
         size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
         H = np.zeros(size)
-        _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, H)
+        if self.free:
+            _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, H)
         for t, links in zip(self.trees, place.links, strict=True):
             _trees.link_rows(*hang, *where, t.frames.start, t.support, links.J, start, H)
         full = Blocks(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
-        bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
+        bases = NOTHING
+        if self._constrained:
+            bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
         if joints is None:
             return Rows(full, bases, *NOT_PRESSED), frame
         pressed = np.flatnonzero(joints.press)

@@ -287,7 +287,7 @@ def _respond(
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
         met = Encounter.of(
-            d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead
+            d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead, closing
         )
     met, impact, kick = caught_impacts(s, met, half.h)
     slides = foresee(met)
@@ -310,9 +310,13 @@ def _respond(
         )
         end, there = at.moved(x, quaternion), Placement(x, R, ())
     else:
-        v = v + met.rows.velocity_change(solution.r)
-        if d.trees:
-            impulse = met.rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
+        rows = met.rows
+        if d.trees and impact is None and rows.blocks is rows.full:
+            impulse, v = rows.full.response(solution.r, v)
+        else:
+            v = v + rows.velocity_change(solution.r)
+            if d.trees:
+                impulse = rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
         twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
     if same:
