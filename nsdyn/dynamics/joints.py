@@ -175,3 +175,9 @@ class Rows:
         v = np.empty(self.full.n)
         _trees.expand(self.full.offset, self._where, self._z, self.blocks.offset, y, v)
         return v
+
+    def response(self, r: Array, v: Array) -> tuple[Array, Array]:
+        """Impulses H r on the coordinates, and v after them, shape (n,) each."""
+        if self.blocks is self.full:
+            return self.full.response(r, v)
+        return self.full.momentum(r), v + self.velocity_change(r)

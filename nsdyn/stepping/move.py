@@ -24,7 +24,7 @@ from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Move", "Trial", "finish", "trial"]
+__all__ = ["STILL_SURFACES", "Callbacks", "Half", "Move", "Trial", "finish", "first_half", "tree_works", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
@@ -132,7 +132,7 @@ class Response(NamedTuple):
     v : ndarray, shape (n,)
         v⁺.
     impulse : ndarray, shape (n,), or None
-        H r of all, where there are trees.
+        H r of all; None in scenes of free bodies alone.
     v_end : ndarray, shape (n,)
     trees : tuple of TreeEnd
     twists : two ndarrays of shape (frames, 3)
@@ -180,7 +180,9 @@ class Trial(NamedTuple):
     touched: float
 
 
-def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, barred: Index | None) -> Trial:
+def trial(
+    s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, barred: Index | None, half: Half | None = None
+) -> Trial:
     """Move for h seconds from the time t.
 
     With the state (q_k, v_k) and the free flow Φ:
@@ -200,8 +202,10 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
     barred : ndarray of int, optional
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
+    half : Half, optional
+        Where it is known.
     """
-    half = _half(s, begin, t, h, callbacks)
+    half = half or first_half(s, begin, t, h, callbacks)
     contacts, joints, seen = _reachable(s, begin, half, barred)
     response = _respond(s, begin, half, contacts, joints, seen, barred, None)
     missed = NO_SLOTS
@@ -228,7 +232,7 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
     return Trial(half, joints, seen, response, unmet, until)
 
 
-def _half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
+def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
     """Half a free flow, and the forces there."""
     d, ahead = s.dynamics, s.theta * h
     if d.alone and callbacks is None:
@@ -310,13 +314,9 @@ def _respond(
         )
         end, there = at.moved(x, quaternion), Placement(x, R, ())
     else:
-        rows = met.rows
-        if d.trees and impact is None and rows.blocks is rows.full:
-            impulse, v = rows.full.response(solution.r, v)
-        else:
-            v = v + rows.velocity_change(solution.r)
-            if d.trees:
-                impulse = rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
+        impulse, v = met.rows.response(solution.r, v)
+        if impact is not None:
+            impulse = met.rows.full.momentum(solution.r + impact.r)
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
         twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
     if same:
@@ -351,8 +351,10 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         works.append(Works(projection=lifted))
     energies: Energies = ()
     if a.impulse is not None:
-        more, energies = _tree_works(s, begin, half, a, a.impulse, placed.position, impulses.joints[0])
+        more, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints[0])
         works += more
+        if a.impact is not None:
+            works.append(_struck(s, half, a, a.impact, a.impulse))
     looked = seen.looked
     if placed.contacts is not seen.contacts:
         looked = Looked(placed.placement.x, placed.placement.R, d.nowhere)
@@ -364,28 +366,30 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
     return Move(end, impulses, works, a.problem, a.solution, placed.clear, half.rate, external)
 
 
-def _tree_works(
-    s: System, begin: Instant, half: Half, a: Response, impulse: Array, lifted: Position, joints: Array
-) -> tuple[list[Works], Energies]:
-    """Works of the trees besides those of contacts and joint rows, and their energies at the end, J.
+def tree_works(
+    s: System, begin: Instant, half: Half, v: Array, ends: tuple[TreeEnd, ...], impulse: Array, lifted: Position,
+    joints: Array,
+) -> tuple[list[Works], Energies]:  # fmt: skip
+    """Works of the trees besides those of contacts and joint rows, and their energies where they are lifted to, J.
 
-    The impulses of their actuation into joints (n,).
+    The forces leave v, with the impulses H r of contacts and joint rows; those of actuation go into joints (n,).
     """
-    out, energies, middle = [], [], half.middle
-    if a.impact is not None:
-        # The rows do their work in two parts, at two mean velocities.
-        full, struck = a.met.rows.full, middle.v + a.kick
-        first, second = full.momentum(a.impact.r), full.momentum(a.solution.r)
-        booked = 0.5 * (first * (middle.v + struck) + second * (struck + a.v))
+    out, energies = [], []
     for t, before, free, end, q, energy in zip(
-        s.dynamics.trees, middle.trees, half.forces.trees, a.trees, lifted.trees, begin.energies, strict=True
+        s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
     ):
         own = t.coordinates
-        w = t.works(before, free, a.v[own], end, q, impulse[own], energy)
+        w = t.works(before, free, v[own], end, q, impulse[own], energy)
         joints[own] = w.joints
         energies.append((w.kinetic, w.potential))
-        integration = w.integration
-        if a.impact is not None:
-            integration += float(impulse[own] @ end.mean - booked[own].sum())
-        out.append(Works(w.actuation, 0.0, 0.0, w.damping, w.constraint, integration, w.projection))
+        out.append(Works(w.actuation, 0.0, 0.0, w.damping, w.constraint, w.integration, w.projection))
     return out, tuple(energies)
+
+
+def _struck(s: System, half: Half, a: Response, impact: Impact, impulse: Array) -> Works:
+    """What the rows that work on the trees in two parts do, at two mean velocities, and not at that of the forces."""
+    full, v, struck = a.met.rows.full, half.middle.v, half.middle.v + a.kick
+    first, second = full.momentum(impact.r), full.momentum(a.solution.r)
+    booked = 0.5 * (first * (v + struck) + second * (struck + a.v))
+    own = zip((t.coordinates for t in s.dynamics.trees), a.trees, strict=True)
+    return Works(integration=sum(float(impulse[k] @ end.mean - booked[k].sum()) for k, end in own))
