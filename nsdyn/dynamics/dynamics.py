@@ -60,6 +60,10 @@ class Position(NamedTuple):
         """The same but for the free bodies."""
         return Position(x, quaternion, self.trees, self.driven_x, self.driven_quaternion)
 
+    def bent(self, q: Array) -> Position:
+        """The same but for the only tree."""
+        return Position(self.x, self.quaternion, (q,), self.driven_x, self.driven_quaternion)
+
 
 class Placement(NamedTuple):
     """All frames at a position.
@@ -75,6 +79,11 @@ class Placement(NamedTuple):
     x: Array
     R: Array
     links: tuple[Links, ...]
+
+    @classmethod
+    def of(cls, links: Links) -> Placement:
+        """The frames of an only tree."""
+        return cls(links.x, links.R, (links,))
 
 
 class Middle(NamedTuple):
@@ -124,7 +133,7 @@ def _rotation(quaternion: Array) -> Array:
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:
     """What a callback returned, checked."""
-    if not isinstance(given, Mapping):
+    if not isinstance(given, (dict, Mapping)):  # a dict is known at once
         raise ValueError(f"{what} must return a mapping of names or None, got {given!r}")
     return given
 
@@ -161,6 +170,8 @@ class Dynamics:
             }
             self.trees.append(Tree(a, self.gravity, start, joints, first, motions))
             start, first = start + a.model.nv, first + len(joints)
+        # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
+        self._lone = len(self.trees) == 1 and self.frames == len(frames) and not self.free
         self._constrained = any(t.constrained for t in self.trees)
         sizes = [6] * self.free + [t.model.nv for t in self.trees]
         self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
@@ -212,6 +223,9 @@ class Dynamics:
         `twist` (surfaces, 2, 3), linear and angular velocities in world axes.
         """
         ahead = (1.0 - theta) * h
+        if self._lone:
+            only = self.trees[0].halfway(position.trees[0], v, h, theta)
+            return Middle(position.bent(only.q), only.v, Placement.of(only.links), (only,))
         x, quaternion, after, X, R = self._flow(position, v, ahead)
         if self.frames == self.free and not self.trees:
             there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
@@ -232,8 +246,13 @@ class Dynamics:
 
         The impulses H r (n,) of contacts and joint rows tell which trees are pushed; None where there are no trees.
         """
-        x, quaternion, after, X, R = self._flow(middle.position, v, h)
         position = middle.position
+        if self._lone:
+            free = forces.trees[0]
+            pushed = free.loads.implicit or (impulse is not None and bool(impulse.any()))
+            only = self.trees[0].end(middle.trees[0], free, v, pushed)
+            return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
+        x, quaternion, after, X, R = self._flow(position, v, h)
         if self.frames == self.free and not self.trees:
             there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
             return there, after, Placement(X, R, ()), ()
@@ -249,9 +268,6 @@ class Dynamics:
 
     def _flow(self, position: Position, v: Array, h: float) -> tuple[Array, Array, Array, Array, Array]:
         """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
-        if not self.free:
-            frames = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
-            return position.x, position.quaternion, v.copy(), *frames
         x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
         X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
         moments, axes = self._principal
@@ -268,6 +284,8 @@ class Dynamics:
 
     def place(self, position: Position) -> Placement:
         """Frames and Jacobians at a position."""
+        if self._lone:
+            return Placement.of(self.trees[0].links(position.trees[0]))
         x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
         _motion.place(position.x, position.quaternion, x, R)
         links = [t.links(q) for t, q in zip(self.trees, position.trees, strict=True)]
@@ -278,8 +296,6 @@ class Dynamics:
         if position.driven_x.size:
             nd = len(position.driven_x)
             _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])
-        if len(links) == 1 and len(links[0].x) == self.frames:
-            return Placement(links[0].x, links[0].R, tuple(links))
         for t, at in zip(self.trees, links, strict=True):
             x[t.frames], R[t.frames] = at.x, at.R
         return Placement(x, R, tuple(links))
@@ -333,13 +349,18 @@ class Dynamics:
             force, torque, applied = self._applied(middle.position, _mapping(wrenches, "external_force"))
         if tau is not None:
             given = _mapping(tau, "controller")
-            if unknown := given.keys() - self._tree_names.keys():
+            if not self._tree_names.keys() >= given.keys():
+                unknown = given.keys() - self._tree_names.keys()
                 raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out = np.empty(self.n)
         if self.free:
             _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
         if not self.trees:
             return Forces(out, force, torque, self._m, self._minv, ())
+        if self._lone:
+            tree = self.trees[0]
+            only = tree.free_motion(middle.trees[0], t, given.get(tree.name), applied.get(0))
+            return Forces(only.v, force, torque, only.m.ravel(), only.minv.ravel(), (only,))
         motions = []
         for k, (tree, half) in enumerate(zip(self.trees, middle.trees, strict=True)):
             motions.append(tree.free_motion(half, t, given.get(tree.name), applied.get(k)))
@@ -367,11 +388,8 @@ class Dynamics:
         return self._with_trees(v, self.no_load, self.no_load, motions)
 
     def _with_trees(self, v: Array, force: Array, torque: Array, motions: list[FreeMotion]) -> Forces:
-        if len(motions) == 1 and not self.free:
-            m, minv = motions[0].m.ravel(), motions[0].minv.ravel()
-        else:
-            m = np.concatenate([self._m, *[motion.m.ravel() for motion in motions]])
-            minv = np.concatenate([self._minv, *[motion.minv.ravel() for motion in motions]])
+        m = np.concatenate([self._m, *[motion.m.ravel() for motion in motions]])
+        minv = np.concatenate([self._minv, *[motion.minv.ravel() for motion in motions]])
         return Forces(v, force, torque, m, minv, tuple(motions))
 
     def _applied(self, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
@@ -413,7 +431,7 @@ class Dynamics:
 
     def _angles(self, place: Placement) -> Array:
         """Joint coordinates, shape (n,), 0 where there are none."""
-        if len(place.links) == 1 and not self.free:
+        if self._lone:
             return place.links[0].angle
         out = np.zeros(self.n)
         for t, links in zip(self.trees, place.links, strict=True):
@@ -450,7 +468,9 @@ class Dynamics:
 
     def energies(self, position: Position, v: Array, trees: Energies) -> tuple[float, float]:
         """(kinetic, potential) energy, J, with that of `tree_energies`; potential energy is 0 at the world's origin."""
-        kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
+        kinetic = potential = 0.0
+        if self.free:
+            kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
         for more in trees:
             kinetic, potential = kinetic + more[0], potential + more[1]
         return kinetic, potential
@@ -473,7 +493,7 @@ class Dynamics:
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
         """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
-        if not self.free and len(position.trees) == 1:
+        if self._lone:
             return position.trees[0].copy(), v.copy()
         q, out = np.empty(7 * self.free), np.empty(self.n)
         _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)

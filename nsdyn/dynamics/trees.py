@@ -37,6 +37,9 @@ TURN, PARTS = 0.1, 100
 """Angle in rad that a part of a step turns at most, which leaves 1e-7 of the motion, and the most parts."""
 
 
+Control = tuple[Array, Array, Array, Array, Array]
+"""(kp, kd, target, constant, limit) of a control."""
+
 DIFFERENCE = 1e-5
 """Step of central differences of smooth functions, rad, m or s: truncation and round-off are both of 1e-10."""
 
@@ -179,7 +182,7 @@ class Tree:
         """The closest configuration whose loops are closed; q itself when they are."""
         return q if self._closures is None else self._closures.close(q, self._driven_rows)
 
-    def _control(self, given: Any) -> tuple[Array, Array, Array, Array, Array]:
+    def _control(self, given: Any) -> Control:
         """(kp, kd, target, constant, limit) of what a controller returned; ValueError if unfit."""
         if given is None:
             return self._no_control
@@ -188,7 +191,7 @@ class Tree:
                 parts = given.on(self.name, self.scalar, self.effort)
                 kp, kd, target, rate, feedforward, limit = map(np.array, parts)  # which can be written, as all others
                 self._controlled = given, (kp, kd, target, feedforward + kd * rate, limit)
-            control: tuple[Array, Array, Array, Array, Array] = self._controlled[1]
+            control: Control = self._controlled[1]
             return control
         zero, _, _, _, unlimited = self._no_control
         try:
@@ -225,9 +228,9 @@ class Tree:
             end = q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v))
             return Flow(end, v, v, 0.0)
         if h * speed <= SLUGGISH and not self.constrained:
-            change = h * pin.aba(self._weightless, self.data, q, v, self._zero)
-            mean = v + 0.5 * change
-            return Flow(pin.integrate(self.model, q, h * mean), v + change, mean, 0.0)
+            out = np.empty((3, v.size))
+            _trees.first_order(v, pin.aba(self._weightless, self.data, q, v, self._zero), h, out)
+            return Flow(pin.integrate(self.model, q, out[0]), out[1], out[2], 0.0)
         return self._slide(q, v, h) if self.constrained else self._move(self._weightless, q, v, h, self._zero, turn)
 
     def _move(self, model: pin.Model, q: Array, v: Array, h: float, tau: Array, turn: float) -> Flow:
@@ -358,39 +361,48 @@ class Tree:
         stretch = self._deviation(angle, self.rest) if self._springs else self._zero
         weight = pin.computeGeneralizedGravity(self.model, self.data, halfway.q)
         loads = TreeLoads(tau, push, kp, kd, stretch, weight, self._implicit or isinstance(given, PD))
-        out, side = self._respond(halfway, t, loads), self._zero.copy()
+        out, beyond = self._respond(halfway, t, loads, control, own)
+        if not beyond:
+            return out
+        side = np.zeros(v0.size)  # of its limit at which a control is
         for k in range(SETTLING + v0.size + 1):
             # To end, what has been at its limit stays there after some passes.
             if not _trees.saturated(control, own, v0, out.v, h, theta, k >= SETTLING, side):
                 break
             free = side == 0.0
             held = np.where(free, own, side * np.where(free, 0.0, limit))
-            out = self._respond(halfway, t, loads._replace(tau=held + push, kp=kp * free, kd=kd * free))
+            loads = loads._replace(tau=held + push, kp=kp * free, kd=kd * free)
+            out, _ = self._respond(halfway, t, loads, control, own)
         return out
 
-    def _respond(self, halfway: Halfway, t: float, loads: TreeLoads) -> FreeMotion:
-        """What loads do in a step; ValueError where a joint moves no mass."""
+    def _respond(
+        self, halfway: Halfway, t: float, loads: TreeLoads, control: Control, own: Array
+    ) -> tuple[FreeMotion, bool]:
+        """What loads do in a step; whether their control, of which tau has its `own`, may be beyond its limit.
+
+        ValueError where a joint moves no mass.
+        """
         v0, M, h, theta = halfway.v, halfway.M, halfway.h, halfway.theta
         n = v0.size
         matrices, v = np.empty((3, n, n)), np.empty(n)
         laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
         if self.constrained:
-            factor, m, force = matrices[0], matrices[1], np.empty(n)
+            factor, m, force, beyond = matrices[0], matrices[1], np.empty(n), True
             fine = _trees.implicit(M, *laws, v0, h, theta, *matrices, force)
         else:
-            fine = _trees.loaded(M, laws, loads.weight, v0, h, theta, matrices, v)
+            fine, beyond = _trees.loaded(M, laws, loads.weight, control, own, v0, h, theta, matrices, v)
         if not fine:
             raise ValueError(
                 f"mass matrix of {self.name!r} is not positive definite: a joint moves no mass; give it an armature"
             )
         if not self.constrained:
-            return FreeMotion(v, loads, matrices[1], matrices[2], None)
+            return FreeMotion(v, loads, matrices[1], matrices[2], None), beyond
         B, P, Z = self._restrict(halfway.q, factor)
         minv, b = Z @ Z.T, np.zeros(len(B))
         b[b.size - len(self.driven) :] = [motion.rate(t) for motion in self.driven]
         start, v = minv @ (m @ v0) + P @ b, v0.copy()
         _trees.respond(start, minv, force, loads.weight, h, v)
-        return FreeMotion(v, loads, m, minv, Constraints(B, P, Z))
+        return FreeMotion(v, loads, m, minv, Constraints(B, P, Z)), beyond
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""

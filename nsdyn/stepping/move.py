@@ -240,15 +240,19 @@ def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbac
         middle = Middle(begin.position.moved(x, quaternion), v, Placement(x, R, ()), ())
         fast = far > FAST * s.smallest
         return Half(h, ahead, middle, d.free_forces(v_free), rate, reach, fast, same, STILL_SURFACES)
-    begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
-    middle = d.halfway(begin.position, begin.v, h, s.theta, begun)
+    surfaces = STILL_SURFACES
+    if d.surfaces.count:
+        begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
+        surfaces = begun, d.surfaces.mean(begun, ended, 0.5), ended
+    middle = d.halfway(begin.position, begin.v, h, s.theta, surfaces[0])
     given = (None, None) if callbacks is None else callbacks(middle.position, begin.v)
     forces = d.forces(middle, t + h, h, *given)
-    reach = d.reach(middle.placement, forces.v, ahead, h, ended)
+    reach = d.reach(middle.placement, forces.v, ahead, h, surfaces[2])
     fast = _law.most(reach) > FAST * s.smallest
     same = s.unmoved(begin.looked, middle.placement, reach)
-    rate = (forces.v - middle.v) / h
-    return Half(h, ahead, middle, forces, rate, reach, fast, same, (begun, d.surfaces.mean(begun, ended, 0.5), ended))
+    rate = forces.v - middle.v
+    rate /= h
+    return Half(h, ahead, middle, forces, rate, reach, fast, same, surfaces)
 
 
 def _reachable(
@@ -343,7 +347,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
     v = half.middle.v
     velocities = v, v if a.impact is None else v + a.kick, a.v
     impulses, own, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem)
-    works = [own]
+    works = []
     v_end, twists = a.v_end, a.twists
     if placed is not a.moved:
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
@@ -351,8 +355,8 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         works.append(Works(projection=lifted))
     energies: Energies = ()
     if a.impulse is not None:
-        more, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints[0])
-        works += more
+        position, joints = placed.position, impulses.joints[0]
+        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, position, joints, own)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
     looked = seen.looked
@@ -363,27 +367,29 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         twists, energies,
     )  # fmt: skip
     external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)
-    return Move(end, impulses, works, a.problem, a.solution, placed.clear, half.rate, external)
+    return Move(end, impulses, [own, *works], a.problem, a.solution, placed.clear, half.rate, external)
 
 
 def tree_works(
     s: System, begin: Instant, half: Half, v: Array, ends: tuple[TreeEnd, ...], impulse: Array, lifted: Position,
-    joints: Array,
-) -> tuple[list[Works], Energies]:  # fmt: skip
-    """Works of the trees besides those of contacts and joint rows, and their energies where they are lifted to, J.
+    joints: Array, own: Works,
+) -> tuple[Works, Energies]:  # fmt: skip
+    """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
     The forces leave v, with the impulses H r of contacts and joint rows; those of actuation go into joints (n,).
     """
-    out, energies = [], []
+    external, normal, friction, damping, constraint, integration, projection = own
+    energies = []
     for t, before, free, end, q, energy in zip(
         s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
     ):
-        own = t.coordinates
-        w = t.works(before, free, v[own], end, q, impulse[own], energy)
-        joints[own] = w.joints
+        k = t.coordinates
+        w = t.works(before, free, v[k], end, q, impulse[k], energy)
+        joints[k] = w.joints
         energies.append((w.kinetic, w.potential))
-        out.append(Works(w.actuation, 0.0, 0.0, w.damping, w.constraint, w.integration, w.projection))
-    return out, tuple(energies)
+        external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
+        integration, projection = integration + w.integration, projection + w.projection
+    return Works(external, normal, friction, damping, constraint, integration, projection), tuple(energies)
 
 
 def _struck(s: System, half: Half, a: Response, impact: Impact, impulse: Array) -> Works:

@@ -124,8 +124,8 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     if _law.least(found.gap) < -s.closed or _law.least(limits) < -s.closed:
         return None
     impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem)
-    works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses.joints[0])
+    works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses.joints[0], own)
     twists = d.twists(place, v_end)
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)
     external = d.external_works(forces, begin.position, position, v, v_plus, h)
-    return end, half.rate, True, external, [impulses], [(problem, solution)], [own, *works]
+    return end, half.rate, True, external, [impulses], [(problem, solution)], [works]

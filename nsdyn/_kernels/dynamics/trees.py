@@ -92,17 +92,18 @@ def saturated(control, tau, v0, v1, h, theta, held, side):
 
 
 @kernel
-def loaded(M, laws, weight, v0, h, theta, matrices, v):
-    """Velocity v (n,) after the forces of a step on a tree without constraints; False as `implicit` has it.
+def loaded(M, laws, weight, control, own, v0, h, theta, matrices, v):
+    """Velocity v (n,) after the forces of a step on a tree without constraints.
 
-    laws = (damping, stiffness, kp, kd, tau, stretch); F, m and minv of `implicit` into matrices (3, n, n).
+    laws = (damping, stiffness, kp, kd, tau, stretch); F, m and minv of `implicit` into matrices (3, n, n). Returns
+    whether it has a positive definite m, and whether its control, of which tau has its `own`, is beyond its limit.
     """
-    force = np.empty(v0.size)
+    force, side = np.empty(v0.size), np.zeros(v0.size)
     v[:] = v0
     if not implicit(M, *laws, v0, h, theta, matrices[0], matrices[1], matrices[2], force):
-        return False
+        return False, False
     respond(v0, matrices[2], force, weight, h, v)
-    return True
+    return True, saturated(control, own, v0, v, h, theta, False, side)
 
 
 @kernel
@@ -144,6 +145,15 @@ def respond(start, minv, force, bias, h, v):
         change, size = max(change, abs(x - v[i])), max(size, abs(x))
         v[i] = x
     return change / size if size > 0.0 else 0.0
+
+
+@kernel
+def first_order(v, a, h, out):
+    """Of a motion at first order: displacement, the velocity at its end, the mean velocity, into out (3, n)."""
+    for j in range(v.size):
+        change = h * a[j]
+        mean = v[j] + 0.5 * change
+        out[0, j], out[1, j], out[2, j] = h * mean, v[j] + change, mean
 
 
 @kernel
@@ -262,9 +272,8 @@ def link_reach(x, support, J, v, h, radius, fall, out):
 
 
 @kernel
-def active_rows(coordinate, sign, bound, near, angle, v, v_free, h):
-    """The joint rows of a step: all friction (sign 0), and the limits that the joint may reach; ascending."""
-    rows = np.empty(coordinate.size, np.int64)
+def active_rows(coordinate, sign, bound, near, angle, v, v_free, h, rows):
+    """The joint rows of a step into rows: all friction (sign 0), and the limits that the joint may reach; how many."""
     count = 0
     for k in range(coordinate.size):
         c = coordinate[k]
@@ -272,7 +281,15 @@ def active_rows(coordinate, sign, bound, near, angle, v, v_free, h):
         if sign[k] == 0.0 or sign[k] * (angle[c] - bound[k]) <= near[k] + 2.0 * h * rate:
             rows[count] = k
             count += 1
-    return rows[:count]
+    return count
+
+
+@kernel
+def gaps(slots, coordinate, sign, bound, angle, out):
+    """Distances to the limits of some joint rows, rad or m, 0 for friction, into out."""
+    for i in range(slots.size):
+        k = slots[i]
+        out[i] = sign[k] * (angle[coordinate[k]] - bound[k])
 
 
 @kernel
