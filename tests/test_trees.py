@@ -153,6 +153,19 @@ def test_a_tree_at_rest_does_not_move(rng):
     assert max(abs(w.integration) for w in works) <= 1e-13  # of 30 J
 
 
+def test_what_hardly_moves_needs_no_more_than_first_order(rng):
+    """Up to round-off of its velocity it goes as by fourth order; without Coriolis terms it would not."""
+    model, _ = robot()
+    t, q, h = tree(model), pin.neutral(model), 1e-2
+    v = rng.normal(size=model.nv)
+    v *= 0.9e-8 / (h * np.abs(v).max())
+    end, fine, size = t.flow(q, v, h), t._runge_kutta(t._weightless, q, v, h, np.zeros(model.nv)), np.abs(v).max()
+    for a, b in ((end.v, fine.v), (end.mean, fine.mean)):
+        assert np.abs(a - b).max() <= 1e-15 * size  # some roundings
+        assert np.abs(a - v).max() >= 1e-9 * size
+    assert np.abs(pin.difference(model, end.q, fine.q)).max() <= 1e-15 * h * size
+
+
 @pytest.mark.parametrize("theta", [0.5, 0.7, 1.0])
 @pytest.mark.parametrize("gain", [1.0, 1e4, 1e8, 1e12])
 def test_any_gain_is_stable(theta, gain):
