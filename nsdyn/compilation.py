@@ -118,6 +118,7 @@ def _all() -> None:
     for impact in ("poisson", "fremond"):
         _steps("woodpecker", 1, impact)
     Stepper(scenes.load("bounce")(), 2.0, on_fail="ignore").step()  # more bounces than are located
+    Stepper(scenes.load("quadruped")(), 1e-5).step()  # hardly moves
     belt = Scene()
     belt.add_box("belt", (1.0, 1.0, 0.1), position=(0, 0, -0.05), fixed=True)
     belt.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))

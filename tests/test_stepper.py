@@ -382,22 +382,34 @@ def test_choices_say_what_was_meant():
             nd.Stepper(scene, **{keyword: word})
 
 
+def check_lane(lane, scene, steps, options, monkeypatch):
+    """Whether moves go a straight lane of `passage` more than 20 times, and end as they do without it, bit for bit."""
+    quiet, went = getattr(passage, lane), []
+
+    def counted(*arguments):
+        went.append(quiet(*arguments))
+        return went[-1]
+
+    monkeypatch.setattr(passage, lane, counted)
+    straight = nd.simulate(scene, steps * options["dt"], **options)
+    assert sum(moves is not None for moves in went) > 20
+    monkeypatch.setattr(passage, lane, lambda *_: None)
+    general = nd.simulate(scene, steps * options["dt"], **options)
+    for column in straight.columns.keys() - {"wall_time", "solver/time"}:
+        assert straight.columns[column].tobytes() == general.columns[column].tobytes(), column
+
+
 @pytest.mark.parametrize(
     ("name", "parameters", "dt"),
     [("slide", {}, 5e-3), ("stack", {"height": 3}, 5e-3), ("rolling", {"balls": 2}, 2e-3), ("tumble", {}, 5e-3)],
 )
 def test_quiet_moves_are_the_general_ones(name, parameters, dt, monkeypatch):
     """What goes the straight way through its moves ends with the bits of the way that asks what else might happen."""
-    scene, quiet, went = nd.scenes.load(name)(**parameters), passage.quiet, []
+    check_lane("quiet", nd.scenes.load(name)(**parameters), 120, {"dt": dt}, monkeypatch)
 
-    def counted(*arguments):
-        went.append(quiet(*arguments))
-        return went[-1]
 
-    monkeypatch.setattr(passage, "quiet", counted)
-    straight = nd.simulate(scene, 120 * dt, dt=dt)
-    assert sum(moves is not None for moves in went) > 20
-    monkeypatch.setattr(passage, "quiet", lambda *_: None)
-    general = nd.simulate(scene, 120 * dt, dt=dt)
-    for column in straight.columns.keys() - {"wall_time", "solver/time"}:
-        assert straight.columns[column].tobytes() == general.columns[column].tobytes(), column
+@pytest.mark.parametrize("name", ["quadruped", "arm_pushes_box", "bricard", "double_pendulum"])
+def test_quiet_moves_of_trees_are_the_general_ones(name, monkeypatch):
+    """The same of robots under control, in contact and not, with closed loops and without."""
+    setup = nd.scenes.setup(name)
+    check_lane("quiet_trees", setup.scene, 300 if name == "quadruped" else 120, setup.options(), monkeypatch)

@@ -53,7 +53,7 @@ def follow(t, q, v, h, steps, control=None, impulse=None, theta=0.5):
         p = np.zeros(v.size) if impulse is None else h * impulse(half)
         v1 = free.v + free.minv @ p
         end = t.end(half, free, v1, bool(p.any()))
-        works.append(t.works(half, free, v1, end, end.q, p))
+        works.append(t.works(half, free, v1, end, end.q, p, t.energies(q, v)))
         q, v = end.q, end.v
     return q, v, works
 
@@ -151,6 +151,19 @@ def test_a_tree_at_rest_does_not_move(rng):
     q1, v1, works = follow(t, q, v, 1e-2, 1000, impulse=lambda half: half and weight)
     assert np.abs(q1 - q).max() <= 1e-12 and np.abs(v1).max() <= 1e-12
     assert max(abs(w.integration) for w in works) <= 1e-13  # of 30 J
+
+
+def test_what_hardly_moves_needs_no_more_than_first_order(rng):
+    """Up to round-off of its velocity it goes as by fourth order; without Coriolis terms it would not."""
+    model, _ = robot()
+    t, q, h = tree(model), pin.neutral(model), 1e-2
+    v = rng.normal(size=model.nv)
+    v *= 0.9e-8 / (h * np.abs(v).max())
+    end, fine, size = t.flow(q, v, h), t._runge_kutta(t._weightless, q, v, h, np.zeros(model.nv)), np.abs(v).max()
+    for a, b in ((end.v, fine.v), (end.mean, fine.mean)):
+        assert np.abs(a - b).max() <= 1e-15 * size  # some roundings
+        assert np.abs(a - v).max() >= 1e-9 * size
+    assert np.abs(pin.difference(model, end.q, fine.q)).max() <= 1e-15 * h * size
 
 
 @pytest.mark.parametrize("theta", [0.5, 0.7, 1.0])

@@ -32,6 +32,8 @@ NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
 
 NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
 
+Energies = tuple[tuple[float, float], ...]
+
 
 class Position(NamedTuple):
     """Where everything is.
@@ -58,6 +60,10 @@ class Position(NamedTuple):
         """The same but for the free bodies."""
         return Position(x, quaternion, self.trees, self.driven_x, self.driven_quaternion)
 
+    def bent(self, q: Array) -> Position:
+        """The same but for the only tree."""
+        return Position(self.x, self.quaternion, (q,), self.driven_x, self.driven_quaternion)
+
 
 class Placement(NamedTuple):
     """All frames at a position.
@@ -73,6 +79,11 @@ class Placement(NamedTuple):
     x: Array
     R: Array
     links: tuple[Links, ...]
+
+    @classmethod
+    def of(cls, links: Links) -> Placement:
+        """The frames of an only tree."""
+        return cls(links.x, links.R, (links,))
 
 
 class Middle(NamedTuple):
@@ -122,7 +133,7 @@ def _rotation(quaternion: Array) -> Array:
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:
     """What a callback returned, checked."""
-    if not isinstance(given, Mapping):
+    if not isinstance(given, (dict, Mapping)):  # a dict is known at once
         raise ValueError(f"{what} must return a mapping of names or None, got {given!r}")
     return given
 
@@ -159,6 +170,9 @@ class Dynamics:
             }
             self.trees.append(Tree(a, self.gravity, start, joints, first, motions))
             start, first = start + a.model.nv, first + len(joints)
+        # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
+        self._lone = len(self.trees) == 1 and self.frames == len(frames) and not self.free
+        self._constrained = any(t.constrained for t in self.trees)
         sizes = [6] * self.free + [t.model.nv for t in self.trees]
         self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
         self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
@@ -209,6 +223,9 @@ class Dynamics:
         `twist` (surfaces, 2, 3), linear and angular velocities in world axes.
         """
         ahead = (1.0 - theta) * h
+        if self._lone:
+            only = self.trees[0].halfway(position.trees[0], v, h, theta)
+            return Middle(position.bent(only.q), only.v, Placement.of(only.links), (only,))
         x, quaternion, after, X, R = self._flow(position, v, ahead)
         if self.frames == self.free and not self.trees:
             there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
@@ -229,14 +246,19 @@ class Dynamics:
 
         The impulses H r (n,) of contacts and joint rows tell which trees are pushed; None where there are no trees.
         """
-        x, quaternion, after, X, R = self._flow(middle.position, v, h)
         position = middle.position
+        if self._lone:
+            free = forces.trees[0]
+            pushed = free.loads.implicit or (impulse is not None and bool(impulse.any()))
+            only = self.trees[0].end(middle.trees[0], free, v, pushed)
+            return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
+        x, quaternion, after, X, R = self._flow(position, v, h)
         if self.frames == self.free and not self.trees:
             there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
             return there, after, Placement(X, R, ()), ()
         ends = []
         for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            pushed = impulse is not None and bool(impulse[t.coordinates].any())
+            pushed = free.loads.implicit or (impulse is not None and bool(impulse[t.coordinates].any()))
             ends.append(t.end(half, free, v[t.coordinates], pushed))
             after[t.coordinates] = ends[-1].v
         driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
@@ -262,6 +284,8 @@ class Dynamics:
 
     def place(self, position: Position) -> Placement:
         """Frames and Jacobians at a position."""
+        if self._lone:
+            return Placement.of(self.trees[0].links(position.trees[0]))
         x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
         _motion.place(position.x, position.quaternion, x, R)
         links = [t.links(q) for t, q in zip(self.trees, position.trees, strict=True)]
@@ -279,9 +303,11 @@ class Dynamics:
     def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
         """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
         linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
-        _motion.twists(place.R, v, self.free, linear, angular)
+        if self.free:
+            _motion.twists(place.R, v, self.free, linear, angular)
         for t, links in zip(self.trees, place.links, strict=True):
-            linear[t.frames], angular[t.frames] = t.twists(links, v[t.coordinates])
+            own = linear[t.frames], angular[t.frames]
+            _trees.link_twists(links.x, t.support, links.J, v[t.coordinates], *own)
         return linear, angular
 
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
@@ -291,7 +317,8 @@ class Dynamics:
         """
         out = np.zeros(self.frames)
         fall = h * dt * self.weight
-        _motion.reach(v, h, fall, self.radius, out)
+        if self.free:
+            _motion.reach(v, h, fall, self.radius, out)
         for t, links in zip(self.trees, place.links, strict=True):
             at = links.x, t.support, links.J, v[t.coordinates], h, t.radius, fall
             _trees.link_reach(*at, out[t.frames])
@@ -322,12 +349,18 @@ class Dynamics:
             force, torque, applied = self._applied(middle.position, _mapping(wrenches, "external_force"))
         if tau is not None:
             given = _mapping(tau, "controller")
-            if unknown := given.keys() - self._tree_names.keys():
+            if not self._tree_names.keys() >= given.keys():
+                unknown = given.keys() - self._tree_names.keys()
                 raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
         out = np.empty(self.n)
-        _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
+        if self.free:
+            _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
         if not self.trees:
             return Forces(out, force, torque, self._m, self._minv, ())
+        if self._lone:
+            tree = self.trees[0]
+            only = tree.free_motion(middle.trees[0], t, given.get(tree.name), applied.get(0))
+            return Forces(only.v, force, torque, only.m.ravel(), only.minv.ravel(), (only,))
         motions = []
         for k, (tree, half) in enumerate(zip(self.trees, middle.trees, strict=True)):
             motions.append(tree.free_motion(half, t, given.get(tree.name), applied.get(k)))
@@ -355,8 +388,8 @@ class Dynamics:
         return self._with_trees(v, self.no_load, self.no_load, motions)
 
     def _with_trees(self, v: Array, force: Array, torque: Array, motions: list[FreeMotion]) -> Forces:
-        m = np.concatenate([self._m, *(motion.m.ravel() for motion in motions)])
-        minv = np.concatenate([self._minv, *(motion.minv.ravel() for motion in motions)])
+        m = np.concatenate([self._m, *[motion.m.ravel() for motion in motions]])
+        minv = np.concatenate([self._minv, *[motion.minv.ravel() for motion in motions]])
         return Forces(v, force, torque, m, minv, tuple(motions))
 
     def _applied(self, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
@@ -387,20 +420,22 @@ class Dynamics:
 
     # -- rows --------------------------------------------------------------------------------------------------
 
-    def joint_rows(self, middle: Position, v: Array, v_free: Array, h: float) -> JointRows | None:
+    def joint_rows(self, place: Placement, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""
-        return self.joints.rows(self._angles(middle), v, v_free, h) if self.joints.size else None
+        return self.joints.rows(self._angles(place), v, v_free, h) if self.joints.size else None
 
-    def limits(self, position: Position) -> Array:
+    def limits(self, place: Placement) -> Array:
         """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
         slots = self.joints.limits
-        return self.joints.gaps(slots, self._angles(position)) if slots.size else NONE
+        return self.joints.gaps(slots, self._angles(place)) if slots.size else NONE
 
-    def _angles(self, position: Position) -> Array:
+    def _angles(self, place: Placement) -> Array:
         """Joint coordinates, shape (n,), 0 where there are none."""
+        if self._lone:
+            return place.links[0].angle
         out = np.zeros(self.n)
-        for t, q in zip(self.trees, position.trees, strict=True):
-            out[t.coordinates] = t.angle(q)
+        for t, links in zip(self.trees, place.links, strict=True):
+            out[t.coordinates] = links.angle
         return out
 
     def rows(
@@ -412,11 +447,14 @@ class Dynamics:
         hang, where = (contacts.frame1, contacts.frame2), (contacts.point, frame)
         size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
         H = np.zeros(size)
-        _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, H)
+        if self.free:
+            _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, H)
         for t, links in zip(self.trees, place.links, strict=True):
             _trees.link_rows(*hang, *where, t.frames.start, t.support, links.J, start, H)
         full = Blocks(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
-        bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
+        bases = NOTHING
+        if self._constrained:
+            bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
         if joints is None:
             return Rows(full, bases, *NOT_PRESSED), frame
         pressed = np.flatnonzero(joints.press)
@@ -428,15 +466,19 @@ class Dynamics:
 
     # -- what is shown -----------------------------------------------------------------------------------------
 
-    def energies(self, position: Position, v: Array) -> tuple[float, float]:
-        """(kinetic, potential) energy, J; potential energy is 0 at the world's origin."""
-        kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
-        if not self.trees:
-            return kinetic, potential
-        for t, q in zip(self.trees, position.trees, strict=True):
-            more = t.energies(q, v[t.coordinates])
+    def energies(self, position: Position, v: Array, trees: Energies) -> tuple[float, float]:
+        """(kinetic, potential) energy, J, with that of `tree_energies`; potential energy is 0 at the world's origin."""
+        kinetic = potential = 0.0
+        if self.free:
+            kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
+        for more in trees:
             kinetic, potential = kinetic + more[0], potential + more[1]
         return kinetic, potential
+
+    def tree_energies(self, position: Position, v: Array) -> Energies:
+        """(kinetic, potential) energy of every tree, J, as `Tree.energies` has it."""
+        at = zip(self.trees, position.trees, strict=True)
+        return tuple([t.energies(q, v[t.coordinates]) for t, q in at])
 
     def lift(self, before: Position, after: Position, v: Array) -> tuple[Array, float]:
         """Velocity with the same momentum where a projection brought the free bodies, and what it did to their energy.
@@ -451,6 +493,8 @@ class Dynamics:
 
     def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
         """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
+        if self._lone:
+            return position.trees[0].copy(), v.copy()
         q, out = np.empty(7 * self.free), np.empty(self.n)
         _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)
         return np.concatenate((q, *position.trees)) if position.trees else q, out
@@ -462,6 +506,8 @@ class Dynamics:
         quaternion = np.empty((self.frames, 4))
         links = slice(self.free, self.frames - len(position.driven_x))
         _trees.quaternions(place.R[links], quaternion[links])
-        quaternion[: self.free] = position.quaternion
-        quaternion[links.stop :] = position.driven_quaternion
+        if self.free:
+            quaternion[: self.free] = position.quaternion
+        if links.stop < self.frames:
+            quaternion[links.stop :] = position.driven_quaternion
         return place.x, quaternion

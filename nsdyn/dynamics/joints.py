@@ -98,16 +98,19 @@ class JointLaws:
             Velocity at the beginning, and at the end without contacts.
         h : float
         """
-        slot = _trees.active_rows(self.coordinate, self.sign, self.bound, self.near, angle, v, v_free, h)
-        if not slot.size:
+        slot = np.empty(self.size, np.int64)
+        count = _trees.active_rows(self.coordinate, self.sign, self.bound, self.near, angle, v, v_free, h, slot)
+        if not count:
             return None
+        slot = slot[:count]
         friction = self.sign[slot] == 0.0
         gap, bound = self.gaps(slot, angle), self.bound[slot]
         return JointRows(slot, gap, self.restitution[slot], friction.astype(float), np.where(friction, h * bound, 0.0))
 
     def gaps(self, slot: Index, angle: Array) -> Array:
         """Distances to the limits of some slots at the joint coordinates, rad or m; 0 for friction."""
-        out: Array = self.sign[slot] * (angle[self.coordinate[slot]] - self.bound[slot])
+        out = np.empty(slot.size)
+        _trees.gaps(slot, self.coordinate, self.sign, self.bound, angle, out)
         return out
 
     def rates(self, slot: Index, v: Array) -> Array:
@@ -175,3 +178,9 @@ class Rows:
         v = np.empty(self.full.n)
         _trees.expand(self.full.offset, self._where, self._z, self.blocks.offset, y, v)
         return v
+
+    def response(self, r: Array, v: Array) -> tuple[Array, Array]:
+        """Impulses H r on the coordinates, and v after them, shape (n,) each."""
+        if self.blocks is self.full:
+            return self.full.response(r, v)
+        return self.full.momentum(r), v + self.velocity_change(r)

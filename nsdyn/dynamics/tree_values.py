@@ -10,7 +10,7 @@ __all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "TreeEnd", "
 
 
 class Links(NamedTuple):
-    """The k joints of a tree that carry geometry, at one configuration; world axes.
+    """The k joints of a tree that carry geometry, at one configuration; world axes. And the angles of all joints.
 
     Attributes
     ----------
@@ -21,11 +21,14 @@ class Links(NamedTuple):
     J : ndarray, shape (6, nv)
         Velocity field of every coordinate, linear at the world's origin, then angular; it moves the links that
         `Tree.support` says.
+    angle : ndarray, shape (nv,)
+        Joint coordinates in rad or m; 0 where a joint has none of its own (free, spherical).
     """
 
     x: Array
     R: Array
     J: Array
+    angle: Array
 
 
 class Flow(NamedTuple):
@@ -172,6 +175,8 @@ class TreeWorks(NamedTuple):
         constant joint forces, O(h³) else.
     projection : float
         Of the position projection.
+    joints : ndarray, shape (nv,)
+        Impulses of actuation, without external wrenches, N m s or N s.
     """
 
     kinetic: float
@@ -182,3 +187,4 @@ class TreeWorks(NamedTuple):
     constraint: float
     integration: float
     projection: float
+    joints: Array

@@ -28,20 +28,17 @@ PASSES = 20
 SETTLED = 1e-12
 """Relative change of the velocity by the next pass, extrapolated from the last two, at which it stops."""
 
-SLOW = 1e-10
-"""Motion in a step, rad or m, that is slow: Coriolis terms change its velocity by that fraction, less than round-off
-does of the velocities that forces make in a step."""
+SLOW, SLUGGISH = 1e-10, 1e-8
+"""Motions in a step, rad or m. Of a slow one Coriolis terms change the velocity by that fraction, less than round-off
+does of the velocities that forces make in a step. Of a sluggish one they change it by so little that a method of first
+order errs by the square of that: round-off of the velocity itself."""
 
 TURN, PARTS = 0.1, 100
 """Angle in rad that a part of a step turns at most, which leaves 1e-7 of the motion, and the most parts."""
 
 
-def _span(places: list[int]) -> Index | slice:
-    """Ascending places as an index: a slice, which is quicker, where they follow each other."""
-    if places and places[-1] - places[0] == len(places) - 1:
-        return slice(places[0], places[-1] + 1)
-    return np.array(places, dtype=np.int64)
-
+Control = tuple[Array, Array, Array, Array, Array]
+"""(kp, kd, target, constant, limit) of a control."""
 
 DIFFERENCE = 1e-5
 """Step of central differences of smooth functions, rad, m or s: truncation and round-off are both of 1e-10."""
@@ -112,12 +109,14 @@ class Tree:
         self._bodies = {
             f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
         }
-        self._zero = np.zeros(nv)
-        self._zero.flags.writeable = False
+        self._zero = np.zeros(nv)  # not read-only, for which all kernels would be compiled once more
+        self._no_control = self._zero, self._zero, self._zero, self._zero, np.full(nv, np.inf)
+        self._round = np.zeros(nv, dtype=bool)
+        self._round[[j for j, _ in self._turning]] = True
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self._turns = self._J[3:].any(axis=0)
 
-    def _scalar_coordinates(self) -> tuple[Index | slice, Index | slice, list[tuple[int, int]]]:
+    def _scalar_coordinates(self) -> tuple[Index, Index, list[tuple[int, int]]]:
         """Coordinates whose rate is the velocity, their places in q, and (v, q) places of joints given by cos, sin."""
         v: list[int] = []
         q: list[int] = []
@@ -128,7 +127,7 @@ class Tree:
                 q += range(joint.idx_q, joint.idx_q + joint.nq)
             elif joint.nv == 1:
                 turning.append((joint.idx_v, joint.idx_q))
-        return _span(v), _span(q), turning
+        return np.array(v, dtype=np.int64), np.array(q, dtype=np.int64), turning
 
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper limits of the joint coordinates, (nv,) each, infinite where there are none."""
@@ -162,20 +161,16 @@ class Tree:
     def links(self, q: Array) -> Links:
         """Poses and Jacobian of the links at q."""
         pin.computeJointJacobians(self.model, self.data, q)
-        return self._links()
+        return self._links(q)
 
-    def _links(self) -> Links:
-        """Copies of what Pinocchio computed last."""
-        x, R = np.empty((len(self.joints), 3)), np.empty((len(self.joints), 3, 3))
-        _trees.gather(self._x, self._R, self._carriers, x, R)
-        return Links(x, R, self._J.copy(order="F"))
-
-    def poses(self, q: Array) -> tuple[Array, Array]:
-        """(x, R) of `Links` alone, which is quicker."""
-        pin.forwardKinematics(self.model, self.data, q)
-        x, R = np.empty((len(self.joints), 3)), np.empty((len(self.joints), 3, 3))
-        _trees.gather(self._x, self._R, self._carriers, x, R)
-        return x, R
+    def _links(self, q: Array) -> Links:
+        """Copies of what Pinocchio computed last, at q."""
+        k = self._carriers.size
+        x, R, angle = np.empty((k, 3)), np.empty((k, 3, 3)), self._zero.copy()
+        _trees.gather(self._x, self._R, self._carriers, q, self._linear, self._linear_q, x, R, angle)
+        for j, i in self._turning:
+            angle[j] = np.arctan2(q[i + 1], q[i])
+        return Links(x, R, self._J.copy(order="F"), angle)
 
     def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
         """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
@@ -187,25 +182,25 @@ class Tree:
         """The closest configuration whose loops are closed; q itself when they are."""
         return q if self._closures is None else self._closures.close(q, self._driven_rows)
 
-    def _control(self, given: Any, angle: Array) -> tuple[Array, Array, Array, Array | None]:
-        """(tau, kp, kd, limit if any) of what a controller returned, at rest at the angles; ValueError if unfit."""
+    def _control(self, given: Any) -> Control:
+        """(kp, kd, target, constant, limit) of what a controller returned; ValueError if unfit."""
+        if given is None:
+            return self._no_control
         if isinstance(given, PD):
             if given is not self._controlled[0]:
-                kp, kd, target, rate, feedforward, limit = given.on(self.name, self.scalar, self.effort)
-                bound = limit if np.isfinite(limit).any() else None
-                self._controlled = given, (kp, kd, target, feedforward + kd * rate, bound)
-            kp, kd, target, constant, bound = self._controlled[1]
-            return constant - kp * self._deviation(angle, target), kp, kd, bound
-        zero = self._zero
-        if given is None:
-            return zero, zero, zero, None
+                parts = given.on(self.name, self.scalar, self.effort)
+                kp, kd, target, rate, feedforward, limit = map(np.array, parts)  # which can be written, as all others
+                self._controlled = given, (kp, kd, target, feedforward + kd * rate, limit)
+            control: Control = self._controlled[1]
+            return control
+        zero, _, _, _, unlimited = self._no_control
         try:
             tau = np.array(given, dtype=float)
         except (TypeError, ValueError):
             tau = np.array(np.nan)
         if tau.shape != zero.shape or not np.isfinite(tau).all():
             raise ValueError(f"controller must give {zero.size} finite joint forces for {self.name!r}, got {given!r}")
-        return tau, zero, zero, None
+        return zero, zero, zero, tau, unlimited
 
     def joint_forces(self, q: Array, body: str, force: Array, torque: Array) -> Array:
         """Jᵀ (force, torque), shape (nv,), of a force [N] at the origin of a body's frame and a torque [N m] at q.
@@ -218,18 +213,24 @@ class Tree:
                 f"external_force: {self.name!r} has no moving body {body!r}; it has {known}{meant(body, known)}"
             )
         at = self._bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        out: Array = pin.computeFrameJacobian(self.model, self.data, q, *at).T @ np.concatenate((force, torque))
+        J = pin.computeFrameJacobian(self.model, self.data, q, *at).reshape(6, -1, order="A")
+        out: Array = J.T @ np.concatenate((force, torque))
         return out
 
     def flow(self, q: Array, v: Array, h: float) -> Flow:
         """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
 
-        A tree without constraints: fourth order, by `_runge_kutta`; a constrained one: second order, by `_slide`.
+        A tree without constraints: fourth order, by `_runge_kutta`; a constrained one: second order, by `_slide`. What
+        hardly moves needs no more than first order.
         """
         speed, turn = _trees.fastest(v, self._turns)
         if h * speed <= SLOW:  # Coriolis terms are below round-off
             end = q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v))
             return Flow(end, v, v, 0.0)
+        if h * speed <= SLUGGISH and not self.constrained:
+            out = np.empty((3, v.size))
+            _trees.first_order(v, pin.aba(self._weightless, self.data, q, v, self._zero), h, out)
+            return Flow(pin.integrate(self.model, q, out[0]), out[1], out[2], 0.0)
         return self._slide(q, v, h) if self.constrained else self._move(self._weightless, q, v, h, self._zero, turn)
 
     def _move(self, model: pin.Model, q: Array, v: Array, h: float, tau: Array, turn: float) -> Flow:
@@ -324,7 +325,7 @@ class Tree:
         """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
         middle, v0, _, work = self.flow(q, v, (1.0 - theta) * h)
         M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD)).reshape(v.size, v.size)
-        return Halfway(q, v, middle, v0, work, M, self._links(), h, theta)
+        return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
     def free_motion(self, halfway: Halfway, t: float, given: Any, applied: Array | None) -> FreeMotion:
         """Velocity after the forces of a step without contacts and joint rows.
@@ -352,45 +353,56 @@ class Tree:
         ValueError
             For joint forces that do not fit, and where a joint moves no mass.
         """
-        angle, v0, h = self.angle(halfway.q), halfway.v, halfway.h
-        tau, kp, kd, limit = self._control(given, angle)
+        angle, v0, h, theta = halfway.links.angle, halfway.v, halfway.h, halfway.theta
+        kp, kd, _, _, limit = control = self._control(given)
+        own = np.empty_like(v0)
+        _trees.command(control, angle, self._round, own)
+        tau, push = (own, self._zero) if applied is None else (own + applied, applied)
         stretch = self._deviation(angle, self.rest) if self._springs else self._zero
         weight = pin.computeGeneralizedGravity(self.model, self.data, halfway.q)
-        push = self._zero if applied is None else applied
-        loads = TreeLoads(tau + push, push, kp, kd, stretch, weight, self._implicit or isinstance(given, PD))
-        out = self._respond(halfway, t, loads)
-        if limit is None:
+        loads = TreeLoads(tau, push, kp, kd, stretch, weight, self._implicit or isinstance(given, PD))
+        out, beyond = self._respond(halfway, t, loads, control, own)
+        if not beyond:
             return out
         side = np.zeros(v0.size)  # of its limit at which a control is
         for k in range(SETTLING + v0.size + 1):
-            wanted = tau - kd * out.v - kp * h * (out.v - (1.0 - halfway.theta) * v0)
-            new = np.where(np.abs(wanted) > limit, np.sign(wanted), 0.0)
-            if k >= SETTLING:  # to end: what has been at its limit stays there
-                new = np.where(side != 0.0, side, new)
-            if (new == side).all():
+            # To end, what has been at its limit stays there after some passes.
+            if not _trees.saturated(control, own, v0, out.v, h, theta, k >= SETTLING, side):
                 break
-            side, free = new, new == 0.0
-            held = np.where(free, tau, side * np.where(free, 0.0, limit))
-            out = self._respond(halfway, t, loads._replace(tau=held + push, kp=kp * free, kd=kd * free))
+            free = side == 0.0
+            held = np.where(free, own, side * np.where(free, 0.0, limit))
+            loads = loads._replace(tau=held + push, kp=kp * free, kd=kd * free)
+            out, _ = self._respond(halfway, t, loads, control, own)
         return out
 
-    def _respond(self, halfway: Halfway, t: float, loads: TreeLoads) -> FreeMotion:
-        """What loads do in a step; ValueError where a joint moves no mass."""
+    def _respond(
+        self, halfway: Halfway, t: float, loads: TreeLoads, control: Control, own: Array
+    ) -> tuple[FreeMotion, bool]:
+        """What loads do in a step; whether their control, of which tau has its `own`, may be beyond its limit.
+
+        ValueError where a joint moves no mass.
+        """
         v0, M, h, theta = halfway.v, halfway.M, halfway.h, halfway.theta
-        (factor, m, minv), force, v = np.empty((3, v0.size, v0.size)), np.empty_like(v0), v0.copy()
+        n = v0.size
+        matrices, v = np.empty((3, n, n)), np.empty(n)
         laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
-        if not _trees.implicit(M, *laws, v0, h, theta, factor, m, minv, force):
+        if self.constrained:
+            factor, m, force, beyond = matrices[0], matrices[1], np.empty(n), True
+            fine = _trees.implicit(M, *laws, v0, h, theta, *matrices, force)
+        else:
+            fine, beyond = _trees.loaded(M, laws, loads.weight, control, own, v0, h, theta, matrices, v)
+        if not fine:
             raise ValueError(
                 f"mass matrix of {self.name!r} is not positive definite: a joint moves no mass; give it an armature"
             )
-        start, constraints = v0, None
-        if self.constrained:
-            B, P, Z = self._restrict(halfway.q, factor)
-            minv, b = Z @ Z.T, np.zeros(len(B))
-            b[b.size - len(self.driven) :] = [motion.rate(t) for motion in self.driven]
-            start, constraints = minv @ (m @ v0) + P @ b, Constraints(B, P, Z)
+        if not self.constrained:
+            return FreeMotion(v, loads, matrices[1], matrices[2], None), beyond
+        B, P, Z = self._restrict(halfway.q, factor)
+        minv, b = Z @ Z.T, np.zeros(len(B))
+        b[b.size - len(self.driven) :] = [motion.rate(t) for motion in self.driven]
+        start, v = minv @ (m @ v0) + P @ b, v0.copy()
         _trees.respond(start, minv, force, loads.weight, h, v)
-        return FreeMotion(v, loads, m, minv, constraints)
+        return FreeMotion(v, loads, m, minv, Constraints(B, P, Z)), beyond
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
@@ -426,7 +438,14 @@ class Tree:
         return out
 
     def works(
-        self, halfway: Halfway, free: FreeMotion, v: Array, end: TreeEnd, lifted: Array, impulse: Array
+        self,
+        halfway: Halfway,
+        free: FreeMotion,
+        v: Array,
+        end: TreeEnd,
+        lifted: Array,
+        impulse: Array,
+        before: tuple[float, float],
     ) -> TreeWorks:
         """The tree's part in the ledger of a step.
 
@@ -441,11 +460,15 @@ class Tree:
             Configuration after the position projection, end.q itself without.
         impulse : ndarray, shape (nv,)
             H r of contacts and joint rows.
+        before : (float, float)
+            Kinetic and potential energy at its beginning, J.
         """
-        h, loads = halfway.h, free.loads
+        h, loads, joints = halfway.h, free.loads, np.empty_like(v)
         laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
-        velocities = halfway.v, v, end.mean
-        actuation, damping, pushed = _trees.works(*laws, *velocities, impulse, h, halfway.theta)
+        velocities = halfway.v, v
+        actuation, damping, pushed = _trees.works(
+            laws, velocities, end.mean, loads.push, impulse, h, halfway.theta, joints
+        )
         constraint = 0.0
         if free.constraints is not None:
             # Bᵀ λ is what the constraints and nothing else explain.
@@ -453,13 +476,13 @@ class Tree:
             force = self.forces(halfway, free, v).sum(axis=0) - loads.weight
             reaction = P.T @ (halfway.M @ (v - halfway.v) - h * force - impulse)
             constraint = halfway.work + end.work + float((B @ end.mean) @ reaction)
-        before, after = self.energies(halfway.begin, halfway.begin_v), self.energies(end.q, end.v)
+        after = self.energies(end.q, end.v)
         kinetic, potential = after if lifted is end.q else self.energies(lifted, end.v)
         # In the order of the ledger, whose round-off then is that of the changes, not of the energies.
         projection = (kinetic - after[0]) + (potential - after[1])
         change = (kinetic - before[0]) + (potential - before[1])
         integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
-        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection)
+        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection, joints)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""

@@ -75,6 +75,12 @@ class Blocks(_Arrays):
         _blocks.velocity_change(self.arrays, r, dv)
         return dv
 
+    def response(self, r: Array, v_free: Array) -> tuple[Array, Array]:
+        """(H r, v_free + M⁻¹ H r), shape (n,) each."""
+        p, v = np.empty_like(v_free), np.empty_like(v_free)
+        _blocks.respond(self.arrays, r, v_free, p, v)
+        return p, v
+
     def delassus(self) -> sp.bsr_array:
         """W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
         indptr, indices, data = _blocks.delassus(self.arrays)

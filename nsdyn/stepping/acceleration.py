@@ -108,7 +108,7 @@ def least_constraint(
 
 def _joint_terms(d: Dynamics, position: Position, v: Array, closed: float, still: float) -> JointTerms:
     """Limits that are reached and joints with dry friction; ValueError for a joint that runs into its limit."""
-    rows, e = d.joint_rows(position, v, v, 0.0), np.eye(d.n)
+    rows, e = d.joint_rows(d.place(position), v, v, 0.0), np.eye(d.n)
     if rows is None:
         return JointTerms(np.empty((d.n, 0)), np.empty((d.n, 0)), np.empty(0), np.empty(0))
     friction, rate = rows.mu > 0.0, d.joints.rates(rows.slot, v)

@@ -42,7 +42,7 @@ def balance(
         What was taken before and not given back, J.
     """
     d = s.dynamics
-    if not (end.contacts.gap.size or any(a.contacts.gap.size for a in done)):
+    if not d.free or not (end.contacts.gap.size or any(a.contacts.gap.size for a in done)):
         return end, 0.0, owed, False
     states, found = (begin.position.x, begin.v, end.position.x, end.v), np.empty((4, d.free))
     some = _balance.gains(d.mass, d.J, d.gravity, external, s.closed, states, owed, found)

@@ -1,9 +1,9 @@
 """The state of a run as plain arrays, from which it goes on bit for bit.
 
-Everything of `nsdyn.stepping.stepper.State` is stored but what is found again to the last bit: the links of trees,
-which follow from their coordinates, and the basis of the warm start, of which the rows of the contacts are kept only
-where the next step may use them. They must be: they were made where the contacts were found, which may be another
-place than the present one by what counts as closed, so that new ones would differ.
+Everything of `nsdyn.stepping.stepper.State` is stored but what is found again to the last bit: the links of trees and
+their energies, which follow from their coordinates, and the basis of the warm start, of which the rows of the contacts
+are kept only where the next step may use them. They must be: they were made where the contacts were found, which may be
+another place than the present one by what counts as closed, so that new ones would differ.
 """
 
 from __future__ import annotations
@@ -79,7 +79,10 @@ def unpack(arrays: Arrays, like: State, dynamics: Dynamics) -> State:
     state: State = _made(_plain(like), "state", arrays)
     instant = state.instant
     links = tuple(t.links(q) for t, q in zip(dynamics.trees, instant.position.trees, strict=True))
-    instant = instant._replace(placement=instant.placement._replace(links=links))
+    instant = instant._replace(
+        placement=instant.placement._replace(links=links),
+        energies=dynamics.tree_energies(instant.position, instant.v),
+    )
     if "basis.q" in arrays:
         held: Held = _made(HELD, "basis", arrays)
         problem = FC3D.from_blocks(held.blocks, held.q, instant.contacts.mu)
@@ -92,7 +95,7 @@ def unpack(arrays: Arrays, like: State, dynamics: Dynamics) -> State:
 def _plain(state: State) -> State:
     """The state without what is stored apart or found again."""
     i = state.instant
-    i = i._replace(placement=i.placement._replace(links=()), warm=i.warm._replace(basis=None))
+    i = i._replace(placement=i.placement._replace(links=()), warm=i.warm._replace(basis=None), energies=())
     return state._replace(instant=i, opening=None)
 
 

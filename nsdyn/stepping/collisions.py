@@ -6,7 +6,6 @@ import numpy as np
 
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.dynamics.dynamics import Middle
-from nsdyn.dynamics.joints import JointRows
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
@@ -56,13 +55,12 @@ def collide(
         Free acceleration there, m/s² and rad/s².
     """
     d, c = s.dynamics, at.contacts
-    joints = d.joint_rows(at.position, at.v, at.v, 0.0)
-    if not (d.surfaces.count or (joints is not None and _hits(s, joints, at.v, h))):
+    if not (d.surfaces.count or _hits(s, at, h)):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
         limit = s.solver.tol if s.elastic and _law.any_positive(c.restitution) else s.slow / h
         if _law.fastest(c.gap, s.closed, *where, *at.twists)[0] >= -limit:
             return None
-    contacts = take(c, c.gap <= s.closed)
+    contacts, joints = take(c, c.gap <= s.closed), d.joint_rows(at.placement, at.v, at.v, 0.0)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
     here = Middle(at.position, at.v, at.placement, ())
     start = contacts, at.position.driven_x, at.placement, at.twists, at.v, at.warm
@@ -84,7 +82,7 @@ def collide(
     # What was struck is not pressed as it was: from its last impulses a solver may find what is not symmetric.
     struck = np.isin(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
     warm = at.warm._replace(impulse=np.where(struck[:, None], 0.0, at.warm.impulse))
-    after = at._replace(v=v, twists=d.twists(at.placement, v), warm=warm)
+    after = at._replace(v=v, twists=d.twists(at.placement, v), warm=warm, energies=d.tree_energies(at.position, v))
     return after, impulses, works, (impact.problem, impact.solution)
 
 
@@ -97,7 +95,10 @@ def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Arra
     )
 
 
-def _hits(s: System, joints: JointRows, v: Array, h: float) -> bool:
-    """Whether a joint at a limit may strike it, at a velocity v and with a move of h s to come."""
-    limit = np.where(joints.restitution > 0.0, s.solver.tol, s.depth * JOINT / h)
-    return bool(((joints.gap <= s.closed) & (s.dynamics.joints.rates(joints.slot, v) < -limit)).any())
+def _hits(s: System, at: Instant, h: float) -> bool:
+    """Whether a joint at a limit may strike it, with a move of h s to come."""
+    if not _law.any_below(at.limits, s.closed):
+        return False
+    joints = s.dynamics.joints
+    limit = np.where(joints.restitution[joints.limits] > 0.0, s.solver.tol, s.depth * JOINT / h)
+    return bool(((at.limits <= s.closed) & (joints.rates(joints.limits, at.v) < -limit)).any())

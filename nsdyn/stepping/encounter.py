@@ -168,6 +168,7 @@ class Encounter(NamedTuple):
         surfaces: tuple[Array, Array],
         h: float,
         ahead: float,
+        closing: Closing | None = None,
     ) -> Encounter:
         """Relative velocities of a step at its contacts and joint rows.
 
@@ -187,6 +188,8 @@ class Encounter(NamedTuple):
             Twists of what moves as prescribed, when the impulses act and at the end.
         h, ahead : float
             The move, and h₂, s.
+        closing : Closing, optional
+            Given, the problem of contacts alone is posed in the same call of a kernel.
         """
         there = middle.placement
         old, driven_x, place, twists, v_begin, warm = begin
@@ -196,6 +199,9 @@ class Encounter(NamedTuple):
         else:
             (rows, frame), alike = dynamics.rows(contacts, there, forces, joints), None
         full, nc = rows.full, contacts.gap.size
+        if closing is not None and rows.blocks is full and full.nc == nc and not dynamics.surfaces.count:
+            velocities = v_begin, middle.v, forces.v
+            return cls._posed(contacts, rows, frame, velocities, there.x, begin, reach, h, closing)
         nr = full.nc
         local, end_gap = np.empty((5, 3 * nr)), np.empty(nr)
         transport = dynamics.surfaces.transport(contacts, frame, middle.position.driven_x, nr, *surfaces)
@@ -213,6 +219,29 @@ class Encounter(NamedTuple):
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
         return cls(
             contacts, joints, rows, frame, alike, mu, restitution, where, warm.status, local, end_gap, transport[0],
+        )  # fmt: skip
+
+    @classmethod
+    def _posed(
+        cls, c: ContactSet, rows: Rows, frame: Array, velocities: tuple[Array, Array, Array], x: Array,
+        begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm], reach: Array, h: float,
+        closing: Closing,
+    ) -> Encounter:  # fmt: skip
+        """Contacts alone of bodies that nothing constrains nor drives, with their problem."""
+        old, _, place, twists, _, warm = begin
+        full, nc = rows.full, c.gap.size
+        scales, local, end_gap, b = np.empty(nc), np.empty((5, 3 * nc)), np.empty(nc), np.empty(3 * nc)
+        where, slides = np.empty(nc, np.int64), np.empty(nc, np.bool_)
+        norm, good = _law.pose(
+            full.arrays, (c.key, c.frame1, c.frame2, c.point, frame, c.gap, x),
+            (old.key, old.point, old.normal, place.x, *twists), velocities, (warm.key, warm.impulse, warm.status),
+            reach, (c.mu, c.restitution), h / warm.h, tuple(closing), False, scales,
+            (local, end_gap, where, slides, b),
+        )  # fmt: skip
+        posed = FC3D.prepared(full, b, c.mu, scales, norm) if good else FC3D.from_blocks(full, b, c.mu)
+        return cls(
+            c, None, rows, frame, None, c.mu, c.restitution, where, warm.status, local, end_gap, NOTHING, NOTHING,
+            slides, posed,
         )  # fmt: skip
 
     def changed(self, dv: Array, struck: Bools) -> Encounter:

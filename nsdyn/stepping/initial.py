@@ -47,7 +47,8 @@ def begin(s: System, geoms: list[Geom], overlap: float, lift: bool) -> Instant:
     at = placed.placement
     looked = Looked(at.x, at.R, np.zeros(d.frames))
     return Instant(
-        placed.position, v, at, placed.contacts, placed.limits, placed.memory, looked, warm, d.twists(at, v)
+        placed.position, v, at, placed.contacts, placed.limits, placed.memory, looked, warm, d.twists(at, v),
+        d.tree_energies(placed.position, v),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches
 from nsdyn.collision.detector import Detector
-from nsdyn.dynamics.dynamics import Dynamics, Forces, Placement, Position
+from nsdyn.dynamics.dynamics import Dynamics, Energies, Forces, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import Solver
 from nsdyn.stepping.encounter import Basis, Closing, Encounter, Warm
@@ -147,6 +147,8 @@ class Instant(NamedTuple):
     warm : Warm
     twists : two ndarrays of shape (frames, 3)
         Of the frames, world axes, m/s and rad/s.
+    energies : tuple of (float, float)
+        Kinetic and potential, of every tree, J.
     """
 
     position: Position
@@ -158,6 +160,7 @@ class Instant(NamedTuple):
     looked: Looked
     warm: Warm
     twists: tuple[Array, Array]
+    energies: Energies
 
 
 class Impulses(NamedTuple):

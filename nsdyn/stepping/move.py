@@ -9,7 +9,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
-from nsdyn.dynamics.dynamics import Forces, Middle, Placement, Position
+from nsdyn.dynamics.dynamics import Energies, Forces, Middle, Placement, Position
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.problem.fc3d import FC3D
@@ -24,7 +24,7 @@ from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Move", "Trial", "finish", "trial"]
+__all__ = ["STILL_SURFACES", "Callbacks", "Half", "Move", "Trial", "finish", "first_half", "tree_works", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
@@ -132,7 +132,7 @@ class Response(NamedTuple):
     v : ndarray, shape (n,)
         v⁺.
     impulse : ndarray, shape (n,), or None
-        H r of all, where there are trees.
+        H r of all; None in scenes of free bodies alone.
     v_end : ndarray, shape (n,)
     trees : tuple of TreeEnd
     twists : two ndarrays of shape (frames, 3)
@@ -180,7 +180,9 @@ class Trial(NamedTuple):
     touched: float
 
 
-def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, barred: Index | None) -> Trial:
+def trial(
+    s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, barred: Index | None, half: Half | None = None
+) -> Trial:
     """Move for h seconds from the time t.
 
     With the state (q_k, v_k) and the free flow Φ:
@@ -200,8 +202,10 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
     barred : ndarray of int, optional
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
+    half : Half, optional
+        Where it is known.
     """
-    half = _half(s, begin, t, h, callbacks)
+    half = half or first_half(s, begin, t, h, callbacks)
     contacts, joints, seen = _reachable(s, begin, half, barred)
     response = _respond(s, begin, half, contacts, joints, seen, barred, None)
     missed = NO_SLOTS
@@ -228,7 +232,7 @@ def trial(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, b
     return Trial(half, joints, seen, response, unmet, until)
 
 
-def _half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
+def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
     """Half a free flow, and the forces there."""
     d, ahead = s.dynamics, s.theta * h
     if d.alone and callbacks is None:
@@ -236,15 +240,19 @@ def _half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -
         middle = Middle(begin.position.moved(x, quaternion), v, Placement(x, R, ()), ())
         fast = far > FAST * s.smallest
         return Half(h, ahead, middle, d.free_forces(v_free), rate, reach, fast, same, STILL_SURFACES)
-    begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
-    middle = d.halfway(begin.position, begin.v, h, s.theta, begun)
+    surfaces = STILL_SURFACES
+    if d.surfaces.count:
+        begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
+        surfaces = begun, d.surfaces.mean(begun, ended, 0.5), ended
+    middle = d.halfway(begin.position, begin.v, h, s.theta, surfaces[0])
     given = (None, None) if callbacks is None else callbacks(middle.position, begin.v)
     forces = d.forces(middle, t + h, h, *given)
-    reach = d.reach(middle.placement, forces.v, ahead, h, ended)
+    reach = d.reach(middle.placement, forces.v, ahead, h, surfaces[2])
     fast = _law.most(reach) > FAST * s.smallest
     same = s.unmoved(begin.looked, middle.placement, reach)
-    rate = (forces.v - middle.v) / h
-    return Half(h, ahead, middle, forces, rate, reach, fast, same, (begun, d.surfaces.mean(begun, ended, 0.5), ended))
+    rate = forces.v - middle.v
+    rate /= h
+    return Half(h, ahead, middle, forces, rate, reach, fast, same, surfaces)
 
 
 def _reachable(
@@ -257,7 +265,7 @@ def _reachable(
         seen = Seen(begin.contacts, begin.memory, begin.looked)
     else:
         seen = Seen(*s.detector.find(x, R, half.reach, begin.memory), Looked(x, R, half.reach))
-    contacts, joints = seen.contacts, s.dynamics.joint_rows(middle.position, middle.v, v, half.h)
+    contacts, joints = seen.contacts, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
     if barred is None:
         if half.fast:
             contacts, memory = reached(s, contacts, begin, middle.placement, seen.memory)
@@ -287,7 +295,7 @@ def _respond(
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
         met = Encounter.of(
-            d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead
+            d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead, closing
         )
     met, impact, kick = caught_impacts(s, met, half.h)
     slides = foresee(met)
@@ -310,13 +318,13 @@ def _respond(
         )
         end, there = at.moved(x, quaternion), Placement(x, R, ())
     else:
-        v = v + met.rows.velocity_change(solution.r)
-        if d.trees:
-            impulse = met.rows.full.momentum(solution.r if impact is None else solution.r + impact.r)
+        impulse, v = met.rows.response(solution.r, v)
+        if impact is not None:
+            impulse = met.rows.full.momentum(solution.r + impact.r)
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
         twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
     if same:
-        moved = Placed(end, there, seen.contacts, d.limits(end), seen.memory, True)
+        moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, True)
     else:
         moved = place(d, s.detector, end, there, seen.memory, near)
     return Response(met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, twists, moved)
@@ -339,43 +347,55 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
     v = half.middle.v
     velocities = v, v if a.impact is None else v + a.kick, a.v
     impulses, own, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem)
-    works = [own]
+    works = []
     v_end, twists = a.v_end, a.twists
     if placed is not a.moved:
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
         twists = d.twists(placed.placement, v_end)
         works.append(Works(projection=lifted))
+    energies: Energies = ()
     if a.impulse is not None:
-        works += _tree_works(s, half, a, a.impulse, placed.position)
-        for t, before, free in zip(d.trees, half.middle.trees, half.forces.trees, strict=True):
-            actuation = t.forces(before, free, a.v[t.coordinates])[0] - free.loads.push
-            impulses.joints[0, t.coordinates] = half.h * actuation
+        position, joints = placed.position, impulses.joints[0]
+        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, position, joints, own)
+        if a.impact is not None:
+            works.append(_struck(s, half, a, a.impact, a.impulse))
     looked = seen.looked
     if placed.contacts is not seen.contacts:
         looked = Looked(placed.placement.x, placed.placement.R, d.nowhere)
     end = Instant(
         placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, looked, warm,
-        twists,
+        twists, energies,
     )  # fmt: skip
     external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)
-    return Move(end, impulses, works, a.problem, a.solution, placed.clear, half.rate, external)
+    return Move(end, impulses, [own, *works], a.problem, a.solution, placed.clear, half.rate, external)
 
 
-def _tree_works(s: System, half: Half, a: Response, impulse: Array, lifted: Position) -> list[Works]:
-    """Works of the trees besides those of contacts and joint rows, J."""
-    out, middle = [], half.middle
-    if a.impact is not None:
-        # The rows do their work in two parts, at two mean velocities.
-        full, struck = a.met.rows.full, middle.v + a.kick
-        first, second = full.momentum(a.impact.r), full.momentum(a.solution.r)
-        booked = 0.5 * (first * (middle.v + struck) + second * (struck + a.v))
-    for t, before, free, end, q in zip(
-        s.dynamics.trees, middle.trees, half.forces.trees, a.trees, lifted.trees, strict=True
+def tree_works(
+    s: System, begin: Instant, half: Half, v: Array, ends: tuple[TreeEnd, ...], impulse: Array, lifted: Position,
+    joints: Array, own: Works,
+) -> tuple[Works, Energies]:  # fmt: skip
+    """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
+
+    The forces leave v, with the impulses H r of contacts and joint rows; those of actuation go into joints (n,).
+    """
+    external, normal, friction, damping, constraint, integration, projection = own
+    energies = []
+    for t, before, free, end, q, energy in zip(
+        s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
     ):
-        own = t.coordinates
-        w = t.works(before, free, a.v[own], end, q, impulse[own])
-        integration = w.integration
-        if a.impact is not None:
-            integration += float(impulse[own] @ end.mean - booked[own].sum())
-        out.append(Works(w.actuation, 0.0, 0.0, w.damping, w.constraint, integration, w.projection))
-    return out
+        k = t.coordinates
+        w = t.works(before, free, v[k], end, q, impulse[k], energy)
+        joints[k] = w.joints
+        energies.append((w.kinetic, w.potential))
+        external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
+        integration, projection = integration + w.integration, projection + w.projection
+    return Works(external, normal, friction, damping, constraint, integration, projection), tuple(energies)
+
+
+def _struck(s: System, half: Half, a: Response, impact: Impact, impulse: Array) -> Works:
+    """What the rows that work on the trees in two parts do, at two mean velocities, and not at that of the forces."""
+    full, v, struck = a.met.rows.full, half.middle.v, half.middle.v + a.kick
+    first, second = full.momentum(impact.r), full.momentum(a.solution.r)
+    booked = 0.5 * (first * (v + struck) + second * (struck + a.v))
+    own = zip((t.coordinates for t in s.dynamics.trees), a.trees, strict=True)
+    return Works(integration=sum(float(impulse[k] @ end.mean - booked[k].sum()) for k, end in own))

@@ -14,8 +14,8 @@ from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
-from nsdyn.stepping.move import Callbacks, Trial, finish, trial
-from nsdyn.stepping.quiet import Moves, quiet
+from nsdyn.stepping.move import Callbacks, Half, Trial, finish, first_half, trial
+from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
 from nsdyn.stepping.sight import Unmet, others
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
@@ -112,10 +112,15 @@ def _pass(
     They would where islands gain energy, though all is solved, and where bodies sink into each other so far that the
     projection would move them visibly.
     """
-    small, sunk = begin.contacts.gap.size <= LOCATED, False
-    found = quiet(s, begin, h) if small and loads(end) is None else None
+    found, half, sunk = None, None, False
+    if begin.contacts.gap.size <= LOCATED:
+        if s.dynamics.trees:
+            half = first_half(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
+            found = quiet_trees(s, begin, half)
+        elif loads(end) is None:
+            found = quiet(s, begin, h)
     if found is None:
-        found, sunk = _moves(s, loads, begin, end, h, rate)
+        found, sunk = _moves(s, loads, begin, end, h, rate, half)
     now, rate, clear, external, done, solved, works = found
     now, gained, owed, gains = balance(s, begin, now, done, external, owed)
     if gained:
@@ -125,8 +130,13 @@ def _pass(
     return Passage(now, rate, owed, clear, done, solved, works), coarse
 
 
-def _moves(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array) -> tuple[Moves, bool]:
-    """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other."""
+def _moves(
+    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, half: Half | None
+) -> tuple[Moves, bool]:
+    """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
+
+    The first half of a move all the way without impacts before it may be known.
+    """
     now, left, clear, external, sunk = begin, h, True, s.dynamics.no_works, False
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
@@ -135,12 +145,14 @@ def _moves(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: 
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
             now, impulses, more, pair = struck
+            half = None
             done.append(_later(impulses, h - left))
             solved.append(pair)
             works.append(more)
         length, tried = (
-            _until_impact(s, loads, now, t, left) if cut < CUTS else (left, _try(s, loads, now, t, left, None))
+            _until_impact(s, loads, now, t, left, half) if cut < CUTS else (left, _try(s, loads, now, t, left, None))
         )
+        half = None
         m = finish(s, now, tried)
         done.append(_later(m.impulses, h - left))
         sunk = sunk or s.sunk(tried.response.moved.contacts)
@@ -165,16 +177,19 @@ def _later(acted: Impulses, begun: float) -> Impulses:
 
 
 def _until_impact(
-    s: System, loads: Loads, begin: Instant, t: float, h: float, looks: int = CLOSER
+    s: System, loads: Loads, begin: Instant, t: float, h: float, half: Half | None = None, looks: int = CLOSER
 ) -> tuple[float, Trial]:
-    """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many."""
+    """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many.
+
+    The first half of a move of h seconds may be known.
+    """
     if begin.contacts.gap.size > LOCATED:
         return h, _try(s, loads, begin, t, h, None)
-    m = _try(s, loads, begin, t, h, NONE)
+    m = _try(s, loads, begin, t, h, NONE, half)
     if _jammed(m.response.solution):
         return h, _try(s, loads, begin, t, h, None)
     if m.touched < h and looks:
-        return _until_impact(s, loads, begin, t, m.touched, looks - 1)
+        return _until_impact(s, loads, begin, t, m.touched, None, looks - 1)
     if m.unmet is None:
         return h, m
     hit = m.unmet.gap < -m.unmet.limit
@@ -210,6 +225,8 @@ def _until_impact(
     return length, moves[length]
 
 
-def _try(s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None) -> Trial:
-    """A move of h seconds, with what the user has to say where its impulses act."""
-    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred)
+def _try(
+    s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None, half: Half | None = None
+) -> Trial:
+    """A move of h seconds, with what the user has to say where its impulses act, unless its first half is known."""
+    return trial(s, begin, t, h, None if half else loads(t + (1.0 - s.theta) * h), barred, half)

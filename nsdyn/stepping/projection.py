@@ -58,7 +58,7 @@ def place(
     """The contacts and limits at a position, whatever overlaps, up to the gaps that `reach` (frames,) allows, m."""
     reach = np.zeros(dynamics.frames) if reach is None else reach
     contacts, memory = detector.find(placement.x, placement.R, reach, memory)
-    return Placed(position, placement, contacts, dynamics.limits(position), memory, True)
+    return Placed(position, placement, contacts, dynamics.limits(placement), memory, True)
 
 
 def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forces, closed: float) -> Placed:
@@ -91,7 +91,7 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         joints = None
         if placed.limits.size:
             rest = np.zeros(dynamics.n)
-            joints = dynamics.joint_rows(placed.position, rest, rest, 0.0)
+            joints = dynamics.joint_rows(placed.placement, rest, rest, 0.0)
             joints = None if joints is None else joints.take(joints.mu == 0.0)
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
         rows, _ = dynamics.rows(placed.contacts, placed.placement, forces, joints)

@@ -1,4 +1,4 @@
-"""Moves of free bodies that meet nothing new: what rests, slides and rolls on what it touches, and what flies.
+"""Moves that meet nothing new: what rests, slides and rolls on what it touches, and what flies.
 
 A move is that of `nsdyn.stepping.move`, which asks at every stage what else might happen. Here the stages follow each
 other, and where anything else shows, `nsdyn.stepping.move` begins again: in small scenes to ask takes half of a step.
@@ -14,12 +14,13 @@ from nsdyn.dynamics.dynamics import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free
-from nsdyn.stepping.encounter import Basis, Warm
+from nsdyn.stepping.encounter import Basis, Encounter, Warm, foresee, solve
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, Looked, System
+from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, Looked, System, account
+from nsdyn.stepping.move import STILL_SURFACES, Half, tree_works
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Moves", "quiet"]
+__all__ = ["Moves", "quiet", "quiet_trees"]
 
 Moves = tuple[Instant, Array, bool, Array, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
 """End of some moves, the last free acceleration, whether the end is clear, works of external forces on the free bodies,
@@ -80,6 +81,51 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     )
     warm = Warm(contacts.key, world, status, slots, h, Basis(contacts, rows, frame, problem))
     position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
-    end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists)
+    end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
     works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
     return end, rate, True, d.no_works, [impulses], [(problem, solution)], [works]
+
+
+def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
+    """`quiet` in scenes with trees, under whatever forces, from the first half of the move.
+
+    No joint is near its limits, and none has dry friction.
+    """
+    d, old, memory, looked, h = s.dynamics, begin.contacts, begin.memory, begin.looked, half.h
+    middle, forces, reach, still = half.middle, half.forces, half.reach, STILL_SURFACES[1:]
+    there, v = middle.placement, middle.v
+    if s.elastic or d.surfaces.count or half.fast or _law.any_below(begin.limits, s.closed):
+        return None
+    where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
+    approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
+    if not all_closed or approach < -s.slow / h or d.joint_rows(there, v, forces.v, h) is not None:
+        return None
+    contacts = old
+    if not half.same:
+        contacts, memory = s.detector.find(there.x, there.R, reach, memory)
+        looked = Looked(there.x, there.R, reach)
+        if not _law.all_known(contacts.key, old.key, old.gap, s.closed):
+            return None
+    closing = s.closing(h, False)
+    start = old, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
+    met = Encounter.of(d, contacts, None, middle, forces, start, reach, still, h, half.ahead, closing)
+    problem, solution, otherwise = solve(met, s.solver, None, closing, foresee(met), False, 0)
+    if otherwise:
+        return None
+    r = solution.r
+    impulse, v_plus = met.rows.response(r, forces.v)
+    position, v_end, place, ends = d.end(middle, forces, v_plus, impulse, half.ahead, still[1])
+    found, limits = contacts, d.limits(place)
+    if not s.unmoved(looked, place, d.nowhere):
+        found, memory = s.detector.find(place.x, place.R, d.nowhere, memory)
+        looked = Looked(place.x, place.R, d.nowhere)
+        if not _law.all_known(found.key, contacts.key, contacts.gap, np.inf):
+            return None
+    if _law.least(found.gap) < -s.closed or _law.least(limits) < -s.closed:
+        return None
+    impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem)
+    works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses.joints[0], own)
+    twists = d.twists(place, v_end)
+    end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)
+    external = d.external_works(forces, begin.position, position, v, v_plus, h)
+    return end, half.rate, True, external, [impulses], [(problem, solution)], [works]

@@ -169,7 +169,7 @@ class Stepper:
                 stacklevel=2,
             )
         instant, d = begin(self.system, geoms, float(overlap), lift), self.dynamics
-        energies = d.energies(instant.position, instant.v)
+        energies = d.energies(instant.position, instant.v, instant.energies)
         self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies, np.zeros(d.free))
 
     # -- state -------------------------------------------------------------------------------------------------
@@ -235,7 +235,7 @@ class Stepper:
         if not solved[k][1].accepted:
             self.failures.tell(*solved[k], done[k].contacts, s, self.solver.tol)
         certificate, opening = self._certify(solved, s.opening)
-        energies = self.dynamics.energies(now.position, now.v)
+        energies = self.dynamics.energies(now.position, now.v, now.energies)
         if not math.isfinite(sum(energies)):
             raise ArithmeticError("positions or velocities are no longer finite")
         self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, owed, opening)

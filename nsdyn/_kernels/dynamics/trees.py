@@ -20,42 +20,90 @@ def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, min
     force (n,) is what `forces` gives for v' = v. False when m is not positive definite.
     """
     n = M.shape[0]
-    L = np.zeros((n, n))
-    for j in range(n):
-        for i in range(n):
-            m[i, j] = M[i, j]
-        m[j, j] += h * (theta * damping[j] + h * theta * theta * stiffness[j] + kd[j] + h * kp[j])
-    for j in range(n):
-        d = m[j, j]
-        for k in range(j):
-            d -= L[j, k] * L[j, k]
-        if not d > 0.0:
-            return False
-        L[j, j] = math.sqrt(d)
-        for i in range(j + 1, n):
-            x = m[i, j]
-            for k in range(j):
-                x -= L[i, k] * L[j, k]
-            L[i, j] = x / L[j, j]
-    F[:] = 0.0
-    for j in range(n):
-        F[j, j] = 1.0 / L[j, j]
-        for i in range(j + 1, n):
-            x = 0.0
-            for k in range(j, i):
-                x -= L[i, k] * F[k, j]
-            F[i, j] = x / L[i, i]
     for i in range(n):
-        for j in range(i + 1):
-            y = 0.0
-            for k in range(i, n):
-                y += F[k, i] * F[k, j]
-            minv[i, j] = minv[j, i] = y
+        for j in range(n):
+            m[i, j] = minv[i, j] = M[i, j]
+        minv[i, i] = m[i, i] = m[i, i] + h * (theta * damping[i] + h * theta * theta * stiffness[i] + kd[i] + h * kp[i])
+    # All loops end along rows, which the compiler makes vectors of. Here minv becomes Lᵀ, in its upper half.
+    for k in range(n):
+        if not minv[k, k] > 0.0:
+            return False
+        minv[k, k] = math.sqrt(minv[k, k])
+        for j in range(k + 1, n):
+            minv[k, j] /= minv[k, k]
+        for i in range(k + 1, n):
+            x = minv[k, i]
+            for j in range(i, n):
+                minv[i, j] -= x * minv[k, j]
+    F[:] = 0.0
+    for i in range(n):
+        for k in range(i):
+            x = minv[k, i]
+            for j in range(k + 1):
+                F[i, j] -= x * F[k, j]
+        for j in range(i):
+            F[i, j] /= minv[i, i]
+        F[i, i] = 1.0 / minv[i, i]
+    minv[:] = 0.0
+    for k in range(n):
+        for i in range(k + 1):
+            x = F[k, i]
+            for j in range(i + 1):
+                minv[i, j] += x * F[k, j]
+    for i in range(n):
+        for j in range(i):
+            minv[j, i] = minv[i, j]
     parts = np.empty((3, n))
     forces(damping, stiffness, kp, kd, tau, stretch, v, v, h, theta, parts)
     for j in range(n):
         force[j] = parts[0, j] + parts[1, j] + parts[2, j]
     return True
+
+
+@kernel
+def command(control, angle, turning, out):
+    """Joint forces of a control (kp, kd, target, constant, limit) at rest at the angles, into out (n,).
+
+    To the target it is the short way round where a joint is `turning` (n,), given by cos and sin.
+    """
+    kp, _, target, constant, _ = control
+    for j in range(out.size):
+        deviation = angle[j] - target[j]
+        if turning[j]:
+            deviation = (deviation + math.pi) % (2.0 * math.pi) - math.pi
+        out[j] = constant[j] - kp[j] * deviation
+
+
+@kernel
+def saturated(control, tau, v0, v1, h, theta, held, side):
+    """Whether a `command` tau is elsewhere at its limit than at the `side` (n,) of it, -1, 0 or 1, taken so far.
+
+    Side is changed to where it is; what is at its limit stays there where it is to be `held`.
+    """
+    kp, kd, _, _, limit = control
+    some = False
+    for j in range(side.size):
+        wanted = tau[j] - kd[j] * v1[j] - kp[j] * h * (v1[j] - (1.0 - theta) * v0[j])
+        new = math.copysign(1.0, wanted) if abs(wanted) > limit[j] else 0.0
+        if new != side[j] and not (held and side[j] != 0.0):
+            side[j] = new
+            some = True
+    return some
+
+
+@kernel
+def loaded(M, laws, weight, control, own, v0, h, theta, matrices, v):
+    """Velocity v (n,) after the forces of a step on a tree without constraints.
+
+    laws = (damping, stiffness, kp, kd, tau, stretch); F, m and minv of `implicit` into matrices (3, n, n). Returns
+    whether it has a positive definite m, and whether its control, of which tau has its `own`, is beyond its limit.
+    """
+    force, side = np.empty(v0.size), np.zeros(v0.size)
+    v[:] = v0
+    if not implicit(M, *laws, v0, h, theta, matrices[0], matrices[1], matrices[2], force):
+        return False, False
+    respond(v0, matrices[2], force, weight, h, v)
+    return True, saturated(control, own, v0, v, h, theta, False, side)
 
 
 @kernel
@@ -69,16 +117,21 @@ def forces(damping, stiffness, kp, kd, tau, stretch, v0, v1, h, theta, out):
 
 
 @kernel
-def works(damping, stiffness, kp, kd, tau, stretch, v0, v1, mean, impulse, h, theta):
-    """Works of actuation, of damping and of an impulse on the velocity `mean` (n,), J."""
-    parts = np.empty((3, v0.size))
-    forces(damping, stiffness, kp, kd, tau, stretch, v0, v1, h, theta, parts)
-    actuation, dissipation, push = 0.0, 0.0, 0.0
-    for j in range(v0.size):
+def works(laws, velocities, mean, push, impulse, h, theta, joints):
+    """Works of actuation, of damping and of an impulse on the velocity `mean` (n,), J.
+
+    laws = (damping, stiffness, kp, kd, tau, stretch), velocities before and after. The impulses of actuation, without
+    what wrenches `push` (n,), into joints (n,).
+    """
+    parts = np.empty((3, mean.size))
+    forces(*laws, *velocities, h, theta, parts)
+    actuation, dissipation, pushed = 0.0, 0.0, 0.0
+    for j in range(mean.size):
+        joints[j] = h * (parts[0, j] - push[j])
         actuation += h * mean[j] * parts[0, j]
         dissipation += h * mean[j] * parts[1, j]
-        push += mean[j] * impulse[j]
-    return actuation, dissipation, push
+        pushed += mean[j] * impulse[j]
+    return actuation, dissipation, pushed
 
 
 @kernel
@@ -92,6 +145,15 @@ def respond(start, minv, force, bias, h, v):
         change, size = max(change, abs(x - v[i])), max(size, abs(x))
         v[i] = x
     return change / size if size > 0.0 else 0.0
+
+
+@kernel
+def first_order(v, a, h, out):
+    """Of a motion at first order: displacement, the velocity at its end, the mean velocity, into out (3, n)."""
+    for j in range(v.size):
+        change = h * a[j]
+        mean = v[j] + 0.5 * change
+        out[0, j], out[1, j], out[2, j] = h * mean, v[j] + change, mean
 
 
 @kernel
@@ -117,8 +179,10 @@ def fastest(v, turns):
 
 
 @kernel
-def gather(x, R, joints, x_out, R_out):
-    """Poses of some joints, from (n, 3), (n, 3, 3) into x_out and R_out."""
+def gather(x, R, joints, q, scalar, place, x_out, R_out, angle):
+    """Poses of some joints, from (n, 3), (n, 3, 3) into x_out and R_out; q[place] to angle[scalar]."""
+    for k in range(scalar.size):
+        angle[scalar[k]] = q[place[k]]
     for k in range(joints.size):
         for i in range(3):
             x_out[k, i] = x[joints[k], i]
@@ -208,9 +272,8 @@ def link_reach(x, support, J, v, h, radius, fall, out):
 
 
 @kernel
-def active_rows(coordinate, sign, bound, near, angle, v, v_free, h):
-    """The joint rows of a step: all friction (sign 0), and the limits that the joint may reach; ascending."""
-    rows = np.empty(coordinate.size, np.int64)
+def active_rows(coordinate, sign, bound, near, angle, v, v_free, h, rows):
+    """The joint rows of a step into rows: all friction (sign 0), and the limits that the joint may reach; how many."""
     count = 0
     for k in range(coordinate.size):
         c = coordinate[k]
@@ -218,7 +281,15 @@ def active_rows(coordinate, sign, bound, near, angle, v, v_free, h):
         if sign[k] == 0.0 or sign[k] * (angle[c] - bound[k]) <= near[k] + 2.0 * h * rate:
             rows[count] = k
             count += 1
-    return rows[:count]
+    return count
+
+
+@kernel
+def gaps(slots, coordinate, sign, bound, angle, out):
+    """Distances to the limits of some joint rows, rad or m, 0 for friction, into out."""
+    for i in range(slots.size):
+        k = slots[i]
+        out[i] = sign[k] * (angle[coordinate[k]] - bound[k])
 
 
 @kernel

@@ -193,6 +193,16 @@ def velocity_change(blocks, r, v):
 
 
 @kernel
+def respond(blocks, r, v_free, p, v):
+    """p = H r and v = v_free + M⁻¹ p, into p and v (n,)."""
+    offset, _, _, _, m_start, _, minv = blocks
+    momentum(blocks, r, p)
+    block_product(offset, m_start, minv, p, v)
+    for i in range(v.size):
+        v[i] = v_free[i] + v[i]
+
+
+@kernel
 def judged(blocks, q, mu, scales, r, u):
     """u = Hᵀ M⁻¹ H r + q, into u; returns the two `measures` of r."""
     v = np.empty(blocks[0][-1])

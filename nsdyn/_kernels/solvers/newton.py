@@ -90,18 +90,21 @@ def assemble_dense(blocks, A, K):
                 if l < 0:
                     continue
                 ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
+                # Views, so that no index may count from the end and loops along them become vectors.
+                h0, h1, h2 = H[hl : hl + nl], H[hl + nl : hl + 2 * nl], H[hl + 2 * nl : hl + 3 * nl]
                 for i in range(nk):
+                    row = K[ok + i, ol : ol + nl]
                     if not rubs:
                         y0 = H[hk + i] * a[0, 0]
                         for j in range(nl):
-                            K[ok + i, ol + j] += y0 * H[hl + j]
+                            row[j] += y0 * h0[j]
                         continue
                     x0, x1, x2 = H[hk + i], H[hk + nk + i], H[hk + 2 * nk + i]
                     y0 = x0 * a[0, 0] + x1 * a[1, 0] + x2 * a[2, 0]
                     y1 = x0 * a[0, 1] + x1 * a[1, 1] + x2 * a[2, 1]
                     y2 = x0 * a[0, 2] + x1 * a[1, 2] + x2 * a[2, 2]
                     for j in range(nl):
-                        K[ok + i, ol + j] += y0 * H[hl + j] + y1 * H[hl + nl + j] + y2 * H[hl + 2 * nl + j]
+                        row[j] += y0 * h0[j] + y1 * h1[j] + y2 * h2[j]
 
 
 @kernel

@@ -35,32 +35,21 @@ def meet(masses, here, begin, velocities, warm, reach, materials, longer, closin
     """What a move meets at its contacts and the problem that it poses; the size of H, the norm of b and its validity.
 
     masses = (block_of_frame, offset, m_start, m, minv); here = (key, frame1, frame2, point, normal, gap, x, R) where
-    the impulses act; begin, velocities and warm = (keys, impulses, status) as in `law.local_velocities`; materials =
-    (mu, restitution); closing as in `law.offsets`. Into rows = (frame, block, start, H, scales), H with room for two
-    free bodies a contact, unless they are those of the same contacts met `again`, and out = (velocities, end_gap,
-    place, slides, b).
+    the impulses act; all others as in `law.pose`, and out. Into rows = (frame, block, start, H, scales), H with room
+    for two free bodies a contact, unless they are those of the same contacts met `again`.
     """
     block_of_frame, offset, m_start, m, minv = masses
     key, frame1, frame2, point, normal, gap, x, R = here
     frame, block, start, H, scales = rows
-    local, end_gap, place, slides, b = out
-    (mu, restitution), ahead = materials, closing[2]
-    none, size = H[:0], H.size
+    size = H.size
     if not again:
         size = motion.contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block, start)
         motion.free_rows(frame1, frame2, point, frame, x, R, x.shape[0], start, H)
     blocks = (offset, block, start, H[:size], m_start, m, minv)
-    if not again:
-        _blocks.delassus_scales(blocks, scales)
-    place[:] = law.local_velocities(
-        blocks, velocities, (point[:0], none, none), none, begin, (key, frame1, frame2, point, frame, gap, x),
-        (warm[0], warm[1]), reach, longer, ahead, local, end_gap,
+    norm, good = law.pose(
+        blocks, (key, frame1, frame2, point, frame, gap, x), begin, velocities, warm, reach, materials, longer, closing,
+        again, scales, out,
     )  # fmt: skip
-    law.foresee(blocks, mu, place, warm[2], local, slides)
-    law.offsets(local, end_gap, restitution, none, slides, closing, b)
-    norm, good = _blocks.size_of(b, mu)
-    for c in range(mu.size):
-        good = good and scales[c] > 0.0
     return size, norm, good
 
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.problem.blocks import relative_velocity
+from nsdyn._kernels.problem.blocks import delassus_scales, relative_velocity, size_of
 from nsdyn._kernels.sorting import order, place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, row
 
@@ -94,6 +94,15 @@ def any_positive(x):
     """Whether an entry is positive; NumPy takes ten times as long for few."""
     for i in range(x.size):
         if x[i] > 0.0:
+            return True
+    return False
+
+
+@kernel
+def any_below(x, most):
+    """Whether an entry is at most so large."""
+    for i in range(x.size):
+        if x[i] <= most:
             return True
     return False
 
@@ -290,6 +299,31 @@ def offsets(local, end_gap, restitution, rebound, slides, closing, b):
             b[i + 1], b[i + 2] = u[i + 1] + u_free[i + 1], u[i + 2] + u_free[i + 2]
         else:
             b[i + 1], b[i + 2] = u_free[i + 1] + drift[i + 1], u_free[i + 2] + drift[i + 2]
+
+
+@kernel
+def pose(blocks, here, begin, velocities, warm, reach, materials, longer, closing, scaled, scales, out):
+    """The problem that a move poses at its contacts: the norm of b, and its validity.
+
+    here, begin, velocities and warm = (keys, impulses, status) as in `local_velocities`; materials = (mu,
+    restitution); closing as in `offsets`. Into scales (nc,), unless they are `scaled` already, and out =
+    (velocities, end_gap, place, slides, b).
+    """
+    local, end_gap, place, slides, b = out
+    (mu, restitution), ahead = materials, closing[2]
+    none = scales[:0]
+    if not scaled:
+        delassus_scales(blocks, scales)
+    place[:] = local_velocities(
+        blocks, velocities, (here[3][:0], none, none), none, begin, here, (warm[0], warm[1]), reach, longer, ahead,
+        local, end_gap,
+    )  # fmt: skip
+    foresee(blocks, mu, place, warm[2], local, slides)
+    offsets(local, end_gap, restitution, none, slides, closing, b)
+    norm, good = size_of(b, mu)
+    for c in range(mu.size):
+        good = good and scales[c] > 0.0
+    return norm, good
 
 
 @kernel
