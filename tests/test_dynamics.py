@@ -6,7 +6,8 @@ import pytest
 
 import nsdyn as nd
 from nsdyn.collision.contacts import ContactMemory
-from nsdyn.dynamics.dynamics import Dynamics, Middle
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.values import Middle
 
 
 def mixed_scene():

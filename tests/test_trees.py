@@ -6,6 +6,7 @@ import pytest
 from mechanisms import add, at, bricard, four_bars, pendulum, rod
 
 import nsdyn as nd
+from nsdyn.dynamics.runge_kutta import runge_kutta
 from nsdyn.dynamics.trees import Tree
 from nsdyn.scene.shapes import sphere
 
@@ -159,7 +160,7 @@ def test_what_hardly_moves_needs_no_more_than_first_order(rng):
     t, q, h = tree(model), pin.neutral(model), 1e-2
     v = rng.normal(size=model.nv)
     v *= 0.9e-8 / (h * np.abs(v).max())
-    end, fine, size = t.flow(q, v, h), t._runge_kutta(t._weightless, q, v, h, np.zeros(model.nv)), np.abs(v).max()
+    end, fine, size = t.flow(q, v, h), runge_kutta(t._weightless, t.data, q, v, h, np.zeros(model.nv)), np.abs(v).max()
     for a, b in ((end.v, fine.v), (end.mean, fine.mean)):
         assert np.abs(a - b).max() <= 1e-15 * size  # some roundings
         assert np.abs(a - v).max() >= 1e-9 * size

@@ -8,7 +8,7 @@ prescribed have a frame, but no block.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,111 +19,19 @@ from nsdyn._kernels.dynamics.rotation import principal
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.joints import JointLaws, JointRows, Rows
 from nsdyn.dynamics.surfaces import Surfaces
-from nsdyn.dynamics.tree_values import FreeMotion, Halfway, Links, TreeEnd
+from nsdyn.dynamics.tree_values import FreeMotion, Links, TreeEnd
 from nsdyn.dynamics.trees import Tree
+from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
 from nsdyn.problem.blocks import Blocks
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Dynamics", "Forces", "Middle", "Placement", "Position"]
+__all__ = ["Dynamics"]
 
 NOTHING: Mapping[Any, Any] = {}
 NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
 
 NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
-
-Energies = tuple[tuple[float, float], ...]
-
-
-class Position(NamedTuple):
-    """Where everything is.
-
-    Attributes
-    ----------
-    x : ndarray, shape (nf, 3)
-        Centres of mass of the free bodies, m, world frame.
-    quaternion : ndarray, shape (nf, 4)
-        Their orientations, xyzw, body to world.
-    trees : tuple of ndarray
-        Pinocchio configuration of every articulated tree.
-    driven_x, driven_quaternion : ndarray, shapes (nd, 3), (nd, 4)
-        Poses of the bodies that move as prescribed.
-    """
-
-    x: Array
-    quaternion: Array
-    trees: tuple[Array, ...]
-    driven_x: Array
-    driven_quaternion: Array
-
-    def moved(self, x: Array, quaternion: Array) -> Position:
-        """The same but for the free bodies."""
-        return Position(x, quaternion, self.trees, self.driven_x, self.driven_quaternion)
-
-    def bent(self, q: Array) -> Position:
-        """The same but for the only tree."""
-        return Position(self.x, self.quaternion, (q,), self.driven_x, self.driven_quaternion)
-
-
-class Placement(NamedTuple):
-    """All frames at a position.
-
-    Attributes
-    ----------
-    x, R : ndarray, shapes (frames, 3), (frames, 3, 3)
-        Origins [m] and rotations to the world.
-    links : tuple of Links
-        Those of every tree, with its Jacobian.
-    """
-
-    x: Array
-    R: Array
-    links: tuple[Links, ...]
-
-    @classmethod
-    def of(cls, links: Links) -> Placement:
-        """The frames of an only tree."""
-        return cls(links.x, links.R, (links,))
-
-
-class Middle(NamedTuple):
-    """Where the forces and impulses of a step act, after a part of it without them.
-
-    Attributes
-    ----------
-    position : Position
-    v : ndarray, shape (n,)
-        v⁻, the velocity there before they act.
-    placement : Placement
-    trees : tuple of Halfway
-    """
-
-    position: Position
-    v: Array
-    placement: Placement
-    trees: tuple[Halfway, ...]
-
-
-class Forces(NamedTuple):
-    """What acts during a step besides contacts and joint rows, at the configuration of the impulses.
-
-    Attributes
-    ----------
-    v : ndarray, shape (n,)
-        Velocity after the step without impulses, v⁻ + M̃⁻¹ h f̃.
-    force, torque : ndarray, shape (nf, 3)
-        Applied to free bodies; force in world axes [N], torque about the centre of mass in body axes [N m].
-    m, minv : ndarray
-        M̃ and its inverse in the layout of `Blocks`.
-    trees : tuple of FreeMotion
-    """
-
-    v: Array
-    force: Array
-    torque: Array
-    m: Array
-    minv: Array
-    trees: tuple[FreeMotion, ...]
 
 
 def _rotation(quaternion: Array) -> Array:

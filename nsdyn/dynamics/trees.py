@@ -10,6 +10,7 @@ import pinocchio as pin
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.loops import Closures, admissible, supports
+from nsdyn.dynamics.runge_kutta import unconstrained
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.control import PD
@@ -32,10 +33,6 @@ SLOW, SLUGGISH = 1e-10, 1e-8
 """Motions in a step, rad or m. Of a slow one Coriolis terms change the velocity by that fraction, less than round-off
 does of the velocities that forces make in a step. Of a sluggish one they change it by so little that a method of first
 order errs by the square of that: round-off of the velocity itself."""
-
-TURN, PARTS = 0.1, 100
-"""Angle in rad that a part of a step turns at most, which leaves 1e-7 of the motion, and the most parts."""
-
 
 Control = tuple[Array, Array, Array, Array, Array]
 """(kp, kd, target, constant, limit) of a control."""
@@ -220,7 +217,7 @@ class Tree:
     def flow(self, q: Array, v: Array, h: float) -> Flow:
         """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
 
-        A tree without constraints: fourth order, by `_runge_kutta`; a constrained one: second order, by `_slide`. What
+        A tree without constraints: fourth order, `unconstrained`; a constrained one: second order, by `_slide`. What
         hardly moves needs no more than first order.
         """
         speed, turn = _trees.fastest(v, self._turns)
@@ -231,41 +228,9 @@ class Tree:
             out = np.empty((3, v.size))
             _trees.first_order(v, pin.aba(self._weightless, self.data, q, v, self._zero), h, out)
             return Flow(pin.integrate(self.model, q, out[0]), out[1], out[2], 0.0)
-        return self._slide(q, v, h) if self.constrained else self._move(self._weightless, q, v, h, self._zero, turn)
-
-    def _move(self, model: pin.Model, q: Array, v: Array, h: float, tau: Array, turn: float) -> Flow:
-        """Motion under constant joint forces tau and the gravity of the model, of rates up to `turn`, in parts."""
-        parts = min(1 + int(h * turn / TURN), PARTS)
-        if parts == 1:
-            return self._runge_kutta(model, q, v, h, tau)
-        mean = np.zeros_like(v)
-        for _ in range(parts):
-            q, v, part, _ = self._runge_kutta(model, q, v, h / parts, tau)
-            mean += part / parts
-        return Flow(q, v, mean, 0.0)
-
-    def _runge_kutta(self, model: pin.Model, q: Array, v: Array, h: float, tau: Array) -> Flow:
-        """One step of the classical Runge–Kutta method of fourth order.
-
-        Its last combination is made of two displacements one after the other, so that it is of that order for free
-        and spherical joints too. What it changes of energy and momentum is O(h⁵).
-
-        References
-        ----------
-        E. Celledoni, A. Marthinsen, B. Owren, Commutator-free Lie group methods, Future Generation Computer Systems
-        19, 2003.
-        """
-        data, half = self.data, 0.5 * h
-        a1 = pin.aba(model, data, q, v, tau)
-        v2, q2 = v + half * a1, pin.integrate(model, q, half * v)
-        a2 = pin.aba(model, data, q2, v2, tau)
-        v3, q3 = v + half * a2, pin.integrate(model, q, half * v2)
-        a3 = pin.aba(model, data, q3, v3, tau)
-        v4, q4 = v + h * a3, pin.integrate(model, q2, h * v3 - half * v)
-        a4 = pin.aba(model, data, q4, v4, tau)
-        out = np.empty((4, v.size))
-        _trees.combine(v, v2, v3, v4, a1, a2, a3, a4, h, out)
-        return Flow(pin.integrate(model, pin.integrate(model, q, out[0]), out[1]), out[2], out[3], 0.0)
+        if self.constrained:
+            return self._slide(q, v, h)
+        return unconstrained(self._weightless, self.data, q, v, h, self._zero, turn)
 
     def _slide(self, q: Array, v: Array, h: float) -> Flow:
         """One step of the implicit midpoint rule on loops and driven joints, without forces.
@@ -426,7 +391,9 @@ class Tree:
             begin_speed, begin_turn = _trees.fastest(halfway.begin_v, self._turns)
             if h * max(speed, begin_speed) > SLOW:
                 turn = max(turn, begin_turn)
-                return TreeEnd(*self._move(self.model, halfway.begin, halfway.begin_v, h, loads.tau, turn))
+                return TreeEnd(
+                    *unconstrained(self.model, self.data, halfway.begin, halfway.begin_v, h, loads.tau, turn)
+                )
         q, v1, _, work = self.flow(halfway.q, v, theta * h)
         return TreeEnd(q, v1, 0.5 * (halfway.v + v), work)
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.collision.detector import Detector
-from nsdyn.dynamics.dynamics import Dynamics, Forces, Position
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.values import Forces, Position
 from nsdyn.scene import pairs
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.least_constraint import Acceleration, Existence, JointTerms, LeastConstraint, accelerations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.dynamics.dynamics import Middle
+from nsdyn.dynamics.values import Middle
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter

@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactSet
-from nsdyn.dynamics.dynamics import Dynamics, Forces, Middle, Placement
+from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows, Rows
+from nsdyn.dynamics.values import Forces, Middle, Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Solver

@@ -11,7 +11,8 @@ from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches
 from nsdyn.collision.detector import Detector
-from nsdyn.dynamics.dynamics import Dynamics, Energies, Forces, Placement, Position
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.values import Energies, Forces, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import Solver
 from nsdyn.stepping.encounter import Basis, Closing, Encounter, Warm

@@ -10,7 +10,8 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.collision.detector import Detector
-from nsdyn.dynamics.dynamics import Dynamics, Forces, Placement, Position
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.values import Forces, Placement, Position
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution

@@ -10,7 +10,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.dynamics.dynamics import Placement
+from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free

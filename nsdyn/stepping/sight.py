@@ -15,8 +15,9 @@ import numpy as np
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
 from nsdyn.collision.detector import Detector
-from nsdyn.dynamics.dynamics import Dynamics, Placement
+from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
+from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
 from nsdyn.tools.arrays import Array, Bools, Index

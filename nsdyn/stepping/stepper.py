@@ -17,7 +17,8 @@ import numpy as np
 
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
-from nsdyn.dynamics.dynamics import Dynamics, Position
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.values import Position
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
