@@ -290,3 +290,24 @@ def test_friction_and_spin_of_a_pile(seed):
     """More impacts fall into a step than it is cut at: bodies are lifted, and slip turns round in what is caught."""
     audit = nd.check(nd.simulate(nd.scenes.load("pile")(seed=seed), 1.0, dt=5e-3))
     assert all(audit[name].passed for name in ("friction", "slip", "momentum", "spin", "motion")), audit
+
+
+@pytest.mark.parametrize("booked", ["projection", "friction"])
+def test_rolling_resistance_of_bodies_that_spin_together(booked):
+    """It takes what it does from the spin of one ball on the other, however fast both turn, and where it is booked."""
+    scene = nd.Scene(gravity=(0, 0, 0), name="balls")
+    for k, spin in enumerate((50.0, 51.0)):
+        move = {"linear_velocity": (0, 0, -1.0 * k), "angular_velocity": (spin, 0, 0)}
+        scene.add_sphere(f"ball{k}", 0.1, 1.0, position=(0, 0, 0.201 * k), material=nd.Material(mu=0.0), **move)
+    trajectory = nd.simulate(scene, 0.002, dt=1e-3)
+    rows(trajectory, "ball0", "ball1", step=2)
+    q, v, took = trajectory.q[-1].reshape(2, 7), trajectory.v[-1].reshape(2, 6), 0.0
+    for k, change in enumerate((0.4, -0.4)):
+        before = v[k, 3:].copy()
+        v[k, 3:] += Rotation.from_quat(q[k, 3:]).inv().apply((change, 0, 0))
+        took += 0.5 * 0.004 * (v[k, 3:] @ v[k, 3:] - before @ before)  # 2/5 m r²
+    trajectory.energy.kinetic[-1] += took
+    getattr(trajectory.energy, booked)[-1] += took
+    audit = nd.check(trajectory)
+    assert audit["energy"].passed and audit["balance"].passed
+    assert audit["spin"].passed == audit["works"].passed == (booked == "projection"), audit

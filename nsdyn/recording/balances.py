@@ -16,6 +16,9 @@ from nsdyn.tools.arrays import Array
 
 __all__ = ["energies", "momenta"]
 
+ROUND_OFF = 1e-13
+"""Work that is nothing, as a fraction of the energy at play: some hundred roundings."""
+
 
 def momenta(poses: Poses) -> Iterator[Found]:
     """Momentum and angular momentum of free bodies in every step, and how they move."""
@@ -50,11 +53,29 @@ def momenta(poses: Poses) -> Iterator[Found]:
     taken = np.abs((flight.lift @ weight) @ mass / t.dt + t.energy.projection)
     q = poses.quaternion[1:, :free]
     change = np.linalg.solve(inertia, rotate(q * (-1.0, -1.0, -1.0, 1.0), rest)[..., None])[..., 0]
-    work = (rest * rotate(q, poses.v[1:, :, 3:] - 0.5 * change)).sum(axis=2)
-    resisted = (taken > 1e-9 * at_play(poses))[:, None] & (np.abs(work) <= 2.0 * taken[:, None])
+    work = _resisted(poses, rest, rotate(q, poses.v[1:, :, 3:] - 0.5 * change))
+    resisted = (taken > ROUND_OFF * at_play(poses))[:, None] & (work <= 2.0 * taken[:, None])
     left = np.where(resisted, 0.0, np.maximum(left, 0.0))
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:], "N·m·s")
+
+
+def _resisted(poses: Poses, couple: Array, spin: Array) -> Array:
+    """Work that couples (n, free, 3) take from the mean spins of free bodies, of either sign, shape (n, free), J.
+
+    Rolling resistance acts between two bodies that touch and opposes how one turns on the other: what it takes is
+    measured against the spin of the one touched with which it is least, of what stands still too.
+    """
+    t, free = poses.trajectory, poses.free
+    c, out = t.columns, np.abs((couple * spin).sum(axis=2))
+    step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    frames = poses.frame[c["contacts/geom1"]], poses.frame[c["contacts/geom2"]]
+    both = np.flatnonzero((np.minimum(*frames) >= 0) & (np.maximum(*frames) < free))
+    for own, other in (frames, frames[::-1]):
+        k, body = step[both], own[both]
+        turning = spin[k, body] - spin[k, other[both]]
+        np.minimum.at(out, (k, body), np.abs((couple[k, body] * turning).sum(axis=1)))
+    return out
 
 
 def _velocities(poses: Poses) -> Array:
