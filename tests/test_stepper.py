@@ -401,3 +401,14 @@ def test_quiet_moves_are_the_general_ones(name, parameters, dt, monkeypatch):
     general = nd.simulate(scene, 120 * dt, dt=dt)
     for column in straight.columns.keys() - {"wall_time", "solver/time"}:
         assert straight.columns[column].tobytes() == general.columns[column].tobytes(), column
+
+
+def test_what_is_squeezed_out_of_a_wedge_is_not_lifted_far():
+    """Two heavy plates close on a light ball: what overlaps by little is lifted far, so that the step is halved."""
+    scene = nd.Scene(gravity=(0, 0, 0), friction_rule="min")
+    for k, sign in enumerate((1.0, -1.0)):
+        place = {"position": (0, 0, 0.42 * sign), "quaternion": (0, np.sin(0.075 * sign), 0, np.cos(0.075))}
+        scene.add_box(f"plate{k}", (2, 2, 0.4), 50.0, linear_velocity=(0, 0, -5.0 * sign), **place)
+    scene.add_sphere("ball", 0.1, 0.02, material=nd.Material(mu=0.0))
+    audit = nd.check(nd.simulate(scene, 0.05, dt=0.01))
+    assert audit.passed and audit["motion"].worst < 0.05
