@@ -287,10 +287,10 @@ def test_impulses_are_audited_where_the_body_is_when_they_act():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
-def test_friction_and_spin_of_a_pile(seed):
-    """More impacts fall into a step than it is cut at: bodies are lifted, and slip turns round in what is caught."""
+def test_a_pile_passes(seed):
+    """More impacts fall into a step than it is cut at: bodies are lifted, slip turns round, edges meet beside faces."""
     audit = nd.check(nd.simulate(nd.scenes.load("pile")(seed=seed), 1.0, dt=5e-3))
-    assert all(audit[name].passed for name in ("friction", "slip", "momentum", "spin", "motion")), audit
+    assert audit.passed, audit
 
 
 @pytest.mark.parametrize("booked", ["projection", "friction"])
