@@ -20,7 +20,7 @@ from nsdyn import solvers
 from nsdyn._kernels.compiled import Kernel, Notes
 from nsdyn._kernels.problem import cones
 from nsdyn._kernels.solvers import start
-from nsdyn.collision.contacts import ContactMemory, Poses, carry
+from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
@@ -79,7 +79,11 @@ def _shapes() -> None:
     _, memory = detector.find(near, R, np.full(len(x), 0.1), none)
     touches = detector.touches(Poses(x, R), Poses(near, R), memory)
     detector.gaps(touches.contacts, detector.find(near, R, np.zeros(len(x)), none)[0], Poses(near, R))
-    carry(touches.contacts, Poses(near, R), Poses(x, R))
+    detector.carry(touches.contacts, Poses(near, R), Poses(x, R))
+    # One box tilted over the edge of another.
+    near[1] += (0.08, 0.0, 0.1)
+    R[1] = checks.rotation(np.array([0.0, 0.15, 0.0, 0.99]))
+    detector.find(near, R, np.full(len(x), 0.1), none)
 
 
 def _problems() -> None:

@@ -228,3 +228,30 @@ def test_carry_keeps_points_on_their_bodies(rng):
         assert moved.gap[k] == pytest.approx(c.normal[k] @ (p[1] - p[0]), abs=1e-14)
     np.testing.assert_array_equal(moved.normal, c.normal)
     np.testing.assert_allclose(carry(c, begin, begin).gap, c.gap, rtol=0, atol=1e-14)
+
+
+def test_normals_turn_with_the_bodies_they_are_of(rng):
+    """Of the face below, of the face above, and of both: back to the z axis, along which the cubes are 1 mm apart."""
+    large, small = shapes.box((3.0, 3.0, 1.0)), shapes.box((1.0, 1.0, 1.0))
+    corner = about((1.0, 1.0, 0.0), 0.6)
+    height = 0.5 - (small.vertices @ corner.T)[:, 2].min() + 1e-3
+    turn = about(rng.normal(size=3), 0.1)
+    for first, second, R1, R2 in (
+        (large, small, turn, np.eye(3)), (small, large, np.eye(3), turn), (large, small, turn, turn),
+    ):  # fmt: skip
+        over = 1.0 if first is large else -1.0
+        faces = [np.eye(3) if shape is large else corner for shape in (first, second)]
+        begin = poses(((0, 0, 0), faces[0]), ((0, 0, over * height), faces[1]))
+        end = poses(((0, 0, 0), R1 @ faces[0]), ((0, 0, over * height), R2 @ faces[1]))
+        d = detector(first, second)
+        c, _ = d.find(*begin, np.full(2, 1e-2), EMPTY)
+        there, apart = d.carry(c, begin, end)
+        back, _ = d.carry(there, end, begin)
+        own = R1 if first is large else R2
+        np.testing.assert_allclose(there.normal, c.normal @ own.T, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(back.normal, c.normal, rtol=0, atol=1e-14)
+        low, high = (
+            (shape.vertices @ R.T + x) @ there.normal[0]
+            for shape, R, x in zip((first, second), end.R, end.x, strict=True)
+        )
+        assert apart == pytest.approx(high.min() - low.max(), abs=1e-14)

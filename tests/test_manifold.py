@@ -147,7 +147,42 @@ def test_gaps_along_a_motion_foretell_the_distance(seed, overlap):
     assert tried > 75
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_what_overlaps_is_parted_along_the_normals(seed):
+    """Along the normal of a contact that is closed polytopes overlap no more than they do.
+
+    Also beside the face that comes closest to the edges that meet; 1e-5 is what a face may separate less.
+    """
+    rng, tried = np.random.default_rng(seed), 0
+    for _ in range(150):
+        a, b = rng.choice(list(EDGES), size=2)
+        A, B = SHAPES[a], SHAPES[b]
+        size = min(A.bounding_radius, B.bounding_radius)
+        depth = min(A.inscribed_radius, B.inscribed_radius) * 10.0 ** rng.uniform(-3.0, -1.0)
+        x, R = close_pair(a, b, -depth, rng)
+        before, _ = distance(a, b, x, R)
+        if abs(before + depth) > 1e-6:  # beside each other
+            continue
+        tried += 1
+        reach = np.array([0.0, 0.1 * size * rng.uniform()])
+        c, _ = detector(A, B).find(x, R, reach, ContactMemory.empty())
+        assert min(separation(a, b, x, R, n) for n in c.normal[c.gap < 0.0]) > before - 1e-5 * size, (a, b)
+    assert tried > 100
+
+
 CUBE = shapes.box((1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize("gap", [0.02, -0.02])
+def test_what_is_over_the_border_of_a_face_meets_its_edge(gap):
+    """Crossing edges are met along their common normal alone, whatever the margin, not along that of a face."""
+    R = np.array([about((1, 0, 0), 0.25 * np.pi - 0.6), about((0, 0, 1), 0.5 * np.pi) @ about((1, 0, 0), 0.25 * np.pi)])
+    top = (CUBE.vertices @ R[0].T)[:, 2].max()
+    edge = CUBE.vertices[np.argmax((CUBE.vertices @ R[0].T)[:, 2])] @ R[0].T
+    x = np.array([[0.0, 0.0, 0.0], [0.1, edge[1], top + gap + np.sqrt(0.5)]])
+    c, _ = detector(CUBE, CUBE).find(x, R, np.array([0.0, 0.05]), ContactMemory.empty())
+    assert c.gap.min() == pytest.approx(gap, abs=1e-14)
+    np.testing.assert_allclose(c.normal, np.tile([0.0, 0.0, 1.0], (len(c.gap), 1)), rtol=0, atol=1e-14)
 
 
 def cubes_tilted(tilt):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn.stepping import failures, passage
+from nsdyn.collision.contacts import ContactMemory, Poses
+from nsdyn.stepping import failures, passage, sight
 
 
 @pytest.mark.parametrize("name", nd.scenes.names())
@@ -413,3 +414,29 @@ def test_quiet_moves_of_trees_are_the_general_ones(name, monkeypatch):
     """The same of robots under control, in contact and not, with closed loops and without."""
     setup = nd.scenes.setup(name)
     check_lane("quiet_trees", setup.scene, 300 if name == "quadruped" else 120, setup.options(), monkeypatch)
+
+
+def test_what_is_squeezed_out_of_a_wedge_is_not_lifted_far():
+    """Two heavy plates close on a light ball: what overlaps by little is lifted far, so that the step is halved."""
+    scene = nd.Scene(gravity=(0, 0, 0), friction_rule="min")
+    for k, sign in enumerate((1.0, -1.0)):
+        place = {"position": (0, 0, 0.42 * sign), "quaternion": (0, np.sin(0.075 * sign), 0, np.cos(0.075))}
+        scene.add_box(f"plate{k}", (2, 2, 0.4), 50.0, linear_velocity=(0, 0, -5.0 * sign), **place)
+    scene.add_sphere("ball", 0.1, 0.02, material=nd.Material(mu=0.0))
+    audit = nd.check(nd.simulate(scene, 0.05, dt=0.01))
+    assert audit.passed and audit["motion"].worst < 0.05
+
+
+@pytest.mark.parametrize(("end", "kept"), [((0.5, 0.0, 0.95), True), ((0.95, 0.0, 0.0), False)])
+def test_what_a_move_has_not_met_is_met_where_it_parts_bodies(end, kept):
+    """A cube on another one: at the end inside it from above, or from the side, where it was not."""
+    scene = nd.Scene()
+    scene.add_box("lower", (1, 1, 1), fixed=True)
+    scene.add_box("upper", (1, 1, 1), 1.0, position=(0.5, 0, 1))
+    stepper = nd.Stepper(scene, 1e-2)
+    middle, s = stepper.get_state().instant, stepper.system
+    places = [Poses(np.array([x]), np.eye(3)[None]) for x in (end, (0.5, 0.0, 1.0))]
+    late, _ = s.detector.find(*places[0], np.zeros(1), ContactMemory.empty())
+    assert late.gap.size and (late.gap < -0.04).all()
+    met = sight._parting(s, late, middle.contacts, *places)
+    assert met.gap.size == (late.gap.size if kept else 0)

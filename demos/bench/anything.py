@@ -40,8 +40,8 @@ SECONDS = 120
 """That a scene may take."""
 
 BARS = {
-    "overlap": 1e-5, "distance": 1e-3, "normal": 1e-3, "cone": 1e-8, "momentum": 1e-9, "energy": 1e-9, "works": 1e-9,
-    "spin": 1e-3, "balance": 1e-9, "dissipation": 1e-4, "created": 1e-7, "misreported": 1e-9,
+    "overlap": 1e-5, "distance": 1e-3, "normal": 1e-3, "cone": 1e-8, "motion": 0.1, "momentum": 1e-9, "energy": 1e-9,
+    "works": 1e-9, "spin": 1e-3, "balance": 1e-9, "dissipation": 1e-4, "created": 1e-7, "misreported": 1e-9,
 }  # fmt: skip
 """Most of each figure: of `nd.check`, energy out of nothing over that in play, and what a solver says of its answer -
 what it is. The step keeps energies to its tolerance of 1e-8, `loose` answers to a thousandth of their 1e-4."""

@@ -98,13 +98,13 @@ class Touches(NamedTuple):
     memory: ContactMemory
 
 
-def carry(contacts: ContactSet, begin: Poses, end: Poses) -> ContactSet:
+def carry(contacts: ContactSet, begin: Poses, end: Poses, normal: Array | None = None) -> ContactSet:
     """Contacts at poses `begin` whose bodies go to poses `end`.
 
-    The two points of a contact, x ± g n/2, stay fixed in their bodies and go to p1 and p2, its normal n in space:
-    the gap becomes n · (p2 - p1), the point (p1 + p2)/2.
+    The two points of a contact, x ± g n/2, stay fixed in their bodies and go to p1 and p2. With the normal n' there,
+    n itself if none is given, the gap becomes n' · (p2 - p1), the point (p1 + p2)/2.
     """
-    c = contacts
+    c, there = contacts, contacts.normal if normal is None else normal
     point, gap = np.empty_like(c.point), np.empty_like(c.gap)
-    advancement.carry(c.frame1, c.frame2, c.point, c.normal, c.gap, *begin, *end, point, gap)
-    return c._replace(point=point, gap=gap)
+    advancement.carry(c.frame1, c.frame2, c.point, c.normal, c.gap, *begin, *end, there, point, gap)
+    return c._replace(point=point, normal=there, gap=gap)

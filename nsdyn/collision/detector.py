@@ -180,6 +180,17 @@ class Detector:
         keys.gaps(self._fields, *pose, *room, *old, *new, out)
         return out
 
+    def carry(self, contacts: ContactSet, begin: Poses, end: Poses) -> tuple[ContactSet, Array]:
+        """Contacts at poses `begin` as they are at poses `end`, and how far apart geoms are along their normals, m.
+
+        The normal of a face turns with its body, that of two edges with both: of the normals that stay in space, turn
+        with body 1 and turn with body 2, each contact has the one along which its geoms are farthest apart.
+        """
+        c, normal, apart = contacts, np.empty_like(contacts.normal), np.empty_like(contacts.gap)
+        who, room = (c.frame1, c.frame2, c.geom1, c.geom2, c.normal), (self._R, self._t)
+        advancement.turn_normals(self._fields, *who, begin.R, *end, *room, normal, apart)
+        return carry(contacts, begin, end, normal), apart
+
     def touches(
         self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet | None = None,
         least: Array | None = None,

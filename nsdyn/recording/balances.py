@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsdyn.recording.findings import Found, at_play, left_out, not_audited, of_bodies, worst_of
+from nsdyn.recording.flight import Flight, spins, velocities
 from nsdyn.recording.poses import Poses, turned
 from nsdyn.recording.series import rotate
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array
 
 __all__ = ["energies", "momenta"]
+
+ROUND_OFF = 1e-13
+"""Work that is nothing, as a fraction of the energy at play: some hundred roundings."""
 
 
 def momenta(poses: Poses) -> Iterator[Found]:
@@ -32,7 +34,7 @@ def momenta(poses: Poses) -> Iterator[Found]:
         yield not_audited("spin", "N·m·s", reason)
         return
     mass, weight = np.array(poses.scene["masses"]), t.dt * np.array(poses.scene["gravity"])
-    velocity = _velocities(poses)
+    velocity = velocities(poses)
     left = mass[:, None] * (np.diff(velocity, axis=0) - weight) - flight.impulse
     speed = np.linalg.norm(velocity, axis=2)
     scale = flight.size + mass * (speed[:-1] + speed[1:] + np.linalg.norm(weight))
@@ -41,7 +43,7 @@ def momenta(poses: Poses) -> Iterator[Found]:
         yield not_audited("spin", "N·m·s", "when impulses acted is not recorded")
         return
     inertia = np.array(poses.scene["inertias"]).reshape(-1, 3, 3)
-    spin = rotate(poses.quaternion[:, :free], np.einsum("bij,nbj->nbi", inertia, poses.v[..., 3:]))
+    spin = spins(poses)
     rest = np.diff(spin, axis=0) - flight.torque
     # Where on its way the projection lifts a body is not recorded.
     left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown)
@@ -50,124 +52,57 @@ def momenta(poses: Poses) -> Iterator[Found]:
     taken = np.abs((flight.lift @ weight) @ mass / t.dt + t.energy.projection)
     q = poses.quaternion[1:, :free]
     change = np.linalg.solve(inertia, rotate(q * (-1.0, -1.0, -1.0, 1.0), rest)[..., None])[..., 0]
-    work = (rest * rotate(q, poses.v[1:, :, 3:] - 0.5 * change)).sum(axis=2)
-    resisted = (taken > 1e-9 * at_play(poses))[:, None] & (np.abs(work) <= 2.0 * taken[:, None])
+    work = _resisted(poses, rest, rotate(q, poses.v[1:, :, 3:] - 0.5 * change))
+    resisted = (taken > ROUND_OFF * at_play(poses))[:, None] & (work <= 2.0 * taken[:, None])
     left = np.where(resisted, 0.0, np.maximum(left, 0.0))
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:], "N·m·s")
 
 
-def _velocities(poses: Poses) -> Array:
-    """Velocities of free bodies in world axes, (n + 1, free, 3), m/s."""
-    out: Array = rotate(poses.quaternion[:, : poses.free], poses.v[..., :3])
-    return out
+def _resisted(poses: Poses, couple: Array, spin: Array) -> Array:
+    """Work that couples (n, free, 3) take from the mean spins of free bodies, of either sign, shape (n, free), J.
 
-
-@dataclass(frozen=True)
-class Flight:
-    """Where free bodies are in each step when its impulses act on them.
-
-    With impulses r_j at the times t_j within a step, and w what forces change of the velocity,
-
-        x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + what w moves,
-
-    which at the end is θ h w, and h w / 2 where the step was cut. All arrays are of shape (n, free, ...).
-
-    Attributes
-    ----------
-    impulse, torque : ndarray, shape (n, free, 3)
-        Σ r, N·s, and Σ (p - x(t_j)) × r about where the bodies are then, N·m·s.
-    size, levers : ndarray, shape (n, free)
-        Σ ‖r‖, and Σ ‖p - x‖ ‖r‖.
-    lift : ndarray, shape (n, free, 3)
-        Where bodies end - where this brings them, m: what the projection has lifted them.
-    unknown : ndarray, shape (n, free)
-        How far w may have moved them otherwise, where a step was cut at times that no impulse tells, m.
-    cut : ndarray of bool, shape (n, 1)
-        Whether impulses act at several times, or not where those of a step in one piece would.
-    timed : bool
-        Whether times are recorded; without, all impulses of a step are taken to act where those of one piece would.
+    Rolling resistance acts between two bodies that touch and opposes how one turns on the other: what it takes is
+    measured against the spin of the one touched with which it is least, of what stands still too.
     """
-
-    impulse: Array
-    torque: Array
-    size: Array
-    levers: Array
-    lift: Array
-    unknown: Array
-    cut: NDArray[np.bool_]
-    timed: bool
-
-    @classmethod
-    def of(cls, poses: Poses) -> Flight:
-        """Follow the free bodies of a recording of all steps and contacts."""
-        t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
-        c, h, shape = t.columns, t.dt, (t.steps, free)
-        n, t1, r = c["contacts/normal"], c["contacts/tangent"], c["contacts/impulse"]
-        world = r[:, :1] * n + r[:, 1:2] * t1 + r[:, 2:] * np.cross(n, t1)
-        timed = not np.isnan(c["contacts/time"]).any()
-        time = c["contacts/time"] if timed else np.full(len(r), (1.0 - theta) * h)
-        step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
-        cut = np.zeros((t.steps, 1), np.bool_)
-        np.logical_or.at(cut[:, 0], step, np.abs(time - (1.0 - theta) * h) > 1e-9 * h)
-        sides = [(poses.frame[c["contacts/geom1"]], -1.0), (poses.frame[c["contacts/geom2"]], 1.0)]
-        rows = [np.flatnonzero((body >= 0) & (body < free)) for body, _ in sides]
-        body = np.concatenate([side[on] for (side, _), on in zip(sides, rows, strict=True)])
-        push = np.concatenate([sign * world[on] for (_, sign), on in zip(sides, rows, strict=True)])
-        row = np.concatenate(rows)
-        order = np.lexsort((time[row], body, step[row]))
-        row, body, push = row[order], body[order], push[order]
-        step, time, point = step[row], time[row], c["contacts/point"][row]
-        mass = np.array(poses.scene["masses"])
-
-        def summed(values: Array) -> Array:
-            out = np.zeros((*shape, *values.shape[1:]))
-            np.add.at(out, (step, body), values)
-            return out
-
-        impulse, moments = summed(push), summed(time[:, None] * push)
-        before = _velocities(poses)[:-1]
-        forced = np.diff(_velocities(poses), axis=0) - impulse / mass[:, None]
-        share = np.where(cut, 0.5, theta)[:, :, None]
-        path = h * before + (h * impulse - moments) / mass[:, None] + share * h * forced
-        # Of each impulse: those before it, and how far they and the forces have brought the body until then.
-        first = np.searchsorted(step * free + body, step * free + body)
-        so_far, so_long = (np.cumsum(a, axis=0) - a for a in (push, time[:, None] * push))
-        way = time[:, None] * (so_far - so_far[first]) - (so_long - so_long[first])
-        fall = np.where(cut[step], 0.5 * (time**2 / h)[:, None] * forced[step, body], 0.0)
-        at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
-        arm, size = point - at, np.linalg.norm(push, axis=1)
-        unknown = ((theta - 0.5) + 0.5 * (1.0 - theta) ** 2) * h * np.linalg.norm(forced, axis=2)
-        return cls(
-            impulse, summed(np.cross(arm, push)), summed(size), summed(size * np.linalg.norm(arm, axis=1)),
-            np.diff(poses.x[:, :free], axis=0) - path, np.where(cut, unknown, 0.0), cut, timed,
-        )  # fmt: skip
+    t, free = poses.trajectory, poses.free
+    c = t.columns
+    out: Array = np.abs((couple * spin).sum(axis=2))
+    step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    frames = poses.frame[c["contacts/geom1"]], poses.frame[c["contacts/geom2"]]
+    both = np.flatnonzero((np.minimum(*frames) >= 0) & (np.maximum(*frames) < free))
+    for own, other in (frames, frames[::-1]):
+        k, body = step[both], own[both]
+        turning = spin[k, body] - spin[k, other[both]]
+        np.minimum.at(out, (k, body), np.abs((couple[k, body] * turning).sum(axis=1)))
+    return out
 
 
 def _motion(poses: Poses, flight: Flight | None) -> Found:
     """How free bodies move with their velocities: of points of them, m."""
     t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
     q = poses.quaternion[:, :free]
-    before, after = (1.0 - theta) * t.dt * poses.v[:-1], theta * t.dt * poses.v[1:]
-    # Half a turn with either angular velocity, each in the axes of its own end.
-    there, back = turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:])
-    angle = 2.0 * np.linalg.norm(there - np.where((there * back).sum(-1, keepdims=True) < 0.0, -back, back), axis=-1)
-    late, later = (part[:, :free] for part in poses.uncertain)
     if flight is not None and flight.timed:
-        left = np.linalg.norm(flight.lift, axis=2)
-        late = flight.unknown
-        # Between the impulses of a step in pieces bodies turn as fast as these make them.
+        left, there, back = np.linalg.norm(flight.lift, axis=2) - flight.unknown, flight.quaternion, q[1:]
+        # When rolling resistance turned bodies in a step in pieces, and how far they were lifted, is not recorded.
+        rest = np.linalg.norm(np.diff(spins(poses), axis=0) - flight.torque, axis=2)
+        rest += flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown)
         least = np.linalg.eigvalsh(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))[:, 0]
-        later = later + np.where(flight.cut, max(theta, 1.0 - theta) * t.dt * flight.levers / least, 0.0)
+        later = np.where(flight.cut, t.dt * rest / least, 0.0)
     else:
+        before, after = (1.0 - theta) * t.dt * poses.v[:-1], theta * t.dt * poses.v[1:]
         moved = rotate(q[:-1], before[..., :3]) + rotate(q[1:], after[..., :3])
-        left = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - moved, axis=2)
+        left = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - moved, axis=2) - poses.uncertain[0][:, :free]
+        # Half a turn with either angular velocity, each in the axes of its own end.
+        there, back = turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:])
+        later = poses.uncertain[1][:, :free]
+    angle = 2.0 * np.linalg.norm(there - np.where((there * back).sum(-1, keepdims=True) < 0.0, -back, back), axis=-1)
     reach, extent = np.zeros(free), np.full(free, np.inf)
     for k in np.flatnonzero((poses.frame >= 0) & (poses.frame < free)):
         body, solid = poses.frame[k], poses.solids[poses.kind[k]]
         reach[body] = max(reach[body], solid.reach)
         extent[body] = min(extent[body], solid.extent)
-    amount = np.maximum(left - late, (angle - later) * reach)
+    amount = np.maximum(left, (angle - later) * reach)
     return of_bodies(poses, "motion", amount, np.broadcast_to(extent, amount.shape), "m")
 
 

@@ -129,6 +129,12 @@ class System(NamedTuple):
         radius = np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return bool((contacts.gap < -FAST * radius).any())
 
+    def shifted(self, before: Position, after: Position) -> bool:
+        """Whether a projection moved a free body by more than `FAST` of the least inscribed radius, out of a wedge."""
+        if after is before or not before.x.size:
+            return False
+        return float(np.linalg.norm(after.x - before.x, axis=1).max()) > FAST * self.smallest
+
 
 class Instant(NamedTuple):
     """A state of the scene with all that a move begins with.

@@ -29,9 +29,9 @@ CUTS, HITS, LOCATED = 8, 16, 50
 effort is bounded; beyond, impacts are caught within the step."""
 
 HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
-"""Most times that a step is halved in which bodies gained energy or sank, most pieces tried in it, so that the effort
-is bounded, and by what fraction bodies may then run less far into each other: impulses and projections at more
-configurations err less."""
+"""Most times that a step is halved in which bodies gained energy, sank or were lifted far, most pieces tried in it, so
+that the effort is bounded, and by what fraction bodies may then run less far into each other: impulses and projections
+at more configurations err less."""
 
 CLOSER = 50
 """Most times that a move is shortened so as not to go much farther than to what it touches; two or three are usual."""
@@ -109,8 +109,8 @@ def _pass(
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
-    They would where islands gain energy, though all is solved, and where bodies sink into each other so far that the
-    projection would move them visibly.
+    They would where islands gain energy, though all is solved, and where bodies sink into each other so far, or in such
+    wedges, that the projection would move them visibly.
     """
     found, half, sunk = None, None, False
     if begin.contacts.gap.size <= LOCATED:
@@ -155,7 +155,8 @@ def _moves(
         half = None
         m = finish(s, now, tried)
         done.append(_later(m.impulses, h - left))
-        sunk = sunk or s.sunk(tried.response.moved.contacts)
+        moved = tried.response.moved
+        sunk = sunk or s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
         solved.append((m.problem, m.solution))
         works += m.works

@@ -196,13 +196,27 @@ def shown(
         return contacts, memory, kept
     middle, end = (Poses(*place[:2]) for place in places)
     late = take(found, (found.gap < -s.deep(found)) & ~np.isin(found.key, met.contacts.key))
+    if late.gap.size:
+        late = _parting(s, late, met.contacts, end, middle)
     if fast:
         (passed, _, memory), codes = s.touches(middle, end, memory, met.contacts), s.detector.codes
+        passed = carry(passed, end, middle)
         late = _merged(take(late, ~np.isin(codes(late), codes(passed))), passed, s.detector)
     if not late.gap.size:
         return contacts, memory, kept
-    late = carry(late, end, middle)
     return _merged(contacts, late, s.detector), memory, np.concatenate((kept, late.key))
+
+
+def _parting(s: System, late: ContactSet, met: ContactSet, end: Poses, middle: Poses) -> ContactSet:
+    """Of contacts found at the end, as they are in the middle, those along whose normals bodies are parted there.
+
+    Along any other, as of a face that meets the other body only after both have turned, what touches elsewhere would be
+    pushed sideways. What is left out is struck when it touches.
+    """
+    late, apart = s.detector.carry(late, end, middle)
+    same = s.detector.codes(late)[:, None] == s.detector.codes(met)
+    touching = np.where(same, met.gap, 0.0).min(axis=1, initial=0.0)
+    return take(late, apart >= touching - s.deep(late))
 
 
 def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from nsdyn._kernels.collision.broadphase import contains
-from nsdyn._kernels.collision.geometry import HALFSPACE, Geometry
+from nsdyn._kernels.collision.geometry import HALFSPACE, Geometry, place
 from nsdyn._kernels.collision.support import gap_along
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_world, unit
+from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
 
 @kernel
@@ -123,14 +123,34 @@ def carried(f, p, x0, R0, x1, R1):
 
 
 @kernel
-def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, point_out, gap_out):
-    """Contacts whose points are fixed in both bodies and whose normals are fixed in space, from poses 0 to poses 1."""
+def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, there, point_out, gap_out):
+    """Contacts whose points are fixed in both bodies, from poses 0 to poses 1, where they have the normals `there`."""
     for c in range(gap.size):
         p, n = row(point, c), row(normal, c)
         a = carried(frame1[c], along(p, -0.5 * gap[c], n), x0, R0, x1, R1)
         b = carried(frame2[c], along(p, 0.5 * gap[c], n), x0, R0, x1, R1)
-        gap_out[c] = dot(n, minus(b, a))
+        gap_out[c] = dot(row(there, c), minus(b, a))
         put(point_out, c, times(0.5, along(a, 1.0, b)))
+
+
+@kernel
+def turn_normals(fields, frame1, frame2, geom1, geom2, normal, R0, x1, R1, R, t, out, apart):
+    """Normals of contacts of poses 0 at poses 1, into out: along which the geoms are farthest apart, and how far.
+
+    Of those that stay in space, turn with frame 1 and turn with frame 2. R, t are room for the poses of the geoms.
+    """
+    geometry = Geometry(*fields)
+    place(geometry, x1, R1, R, t)
+    for c in range(geom1.size):
+        apart[c] = -math.inf
+        for f in (-1, frame1[c], frame2[c]):
+            n = row(normal, c)
+            if f >= 0:
+                n = to_world(R1, f, to_local(R0, f, n))
+            gap = gap_along(geometry, geom1[c], geom2[c], R, t, n)
+            if gap > apart[c]:
+                apart[c] = gap
+                put(out, c, n)
 
 
 @kernel

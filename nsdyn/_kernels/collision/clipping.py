@@ -58,6 +58,26 @@ def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
 
 
 @kernel
+def on_border(geometry, g, face, R, t, p):
+    """Whether a point that is over a face or cap is over its border."""
+    tol, q = INSIDE * geometry.radius[g], to_local(R, g, minus(p, row(t, g)))
+    if geometry.kind[g] == CYLINDER:
+        return math.hypot(q[0], q[1]) >= geometry.size[g, 0] - tol
+    if geometry.kind[g] != POLYTOPE:
+        return False
+    first, f = geometry.vertex_ptr[g], geometry.face_ptr[g] + face
+    begin, end, n = geometry.loop_ptr[f], geometry.loop_ptr[f + 1], face_normal(geometry, g, face)
+    a = row(geometry.vertices, first + geometry.loop[end - 1])
+    for k in range(begin, end):
+        b = row(geometry.vertices, first + geometry.loop[k])
+        side, _ = unit(cross(minus(b, a), n))
+        if dot(side, minus(q, a)) >= -tol:
+            return True
+        a = b
+    return False
+
+
+@kernel
 def clip_to_disk(radius, g, R, t, poly, count, rim, other):
     """Points that span the part of a polygon, segment or point above or below a disk about the z axis of geom g.
 

@@ -11,14 +11,15 @@ With n the unit normal from geom 1 to geom 2 that separates the pair best, and a
    largest.
 3. Bodies tilted towards each other can close elsewhere too: beside the contact of 2. come the ends of round segments
    and the points over the face whose normal is closest to n. While the bodies are apart, whatever is over the
-   interior of a face has to stay above it: these contacts forbid nothing that is possible.
+   interior of a face has to stay above it: these contacts forbid nothing that is possible. But what is over the border
+   of the face meets an edge, along the normal of 2., and that is the way out for what is below the face already.
 
 Vectors are tuples of three floats: they live in registers. R (n, 3, 3) and t (n, 3) are the poses of all geoms.
 """
 
 import math
 
-from nsdyn._kernels.collision.clipping import merge, over_face
+from nsdyn._kernels.collision.clipping import merge, on_border, over_face
 from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
 from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, HALFSPACE, SPHERE, Geometry
@@ -129,7 +130,7 @@ def pair_contacts(
     if first > 0:
         kept = 0
         for k in range(count):
-            new = True
+            new = heights[k] >= 0.0 or deepest < 0.0
             for c in range(first):
                 d = minus(row(points, k), row(point, at + c))
                 new = new and dot(d, d) > near * near
@@ -142,10 +143,15 @@ def pair_contacts(
     count = merge(points, heights, count, SAME * size)
     if count > limit - first:
         count = reduce(points, heights, count, m, limit - first, margin, base)
+    g, face = (i, face1) if face1 >= 0 else (j, face2)
     for k in range(count):
-        put(point, at + first + k, row(points, k))
-        put(normal, at + first + k, m)
-        gap[at + first + k] = heights[k]
+        p, height, n = row(points, k), heights[k], m
+        if first > 0 and (height < 0.0 or on_border(geometry, g, face, R, t, p)):
+            n = row(normal, at)
+            height = min(height, height * dot(n, m))
+        put(point, at + first + k, p)
+        put(normal, at + first + k, n)
+        gap[at + first + k] = height
     return first + count
 
 
