@@ -99,6 +99,14 @@ def test_impulse_outside_of_its_cone(trajectory):
     failed(trajectory, "cone", K, "box", "ground")
 
 
+@pytest.mark.parametrize(("size", "passes"), [(1e-16, True), (1e-12, False)])
+def test_impulses_that_are_round_off(size, passes):
+    """What is left of the impulses where all bodies part is as small as round-off of their momenta, 2 N·s here."""
+    sliding = nd.simulate(nd.scenes.load("slide")(), 0.02, dt=5e-3)
+    sliding.columns["contacts/impulse"][:4] = 0.0, size, 0.0
+    assert nd.check(sliding)["cone"].passed is passes
+
+
 def test_friction_that_drives(trajectory):
     row = rows(trajectory, "box", "ground")[0]
     trajectory.columns["contacts/impulse"][row, 1:] *= -1.0

@@ -35,7 +35,7 @@ MEANING = {
     "overlap": "true overlap of two bodies, beyond one that the start has and keeps / smallest extent of the smaller",
     "distance": "distance over which an impulse acts, beyond what the bodies move in the step / smallest extent",
     "normal": "overlap along the normal of a contact with an impulse, beyond the true one / smallest extent",
-    "cone": "how far an impulse is outside its friction cone / largest impulse of the step",
+    "cone": "how far an impulse is outside its cone, beyond round-off of momenta / largest impulse of the step",
     "friction": "work of friction at a contact at the velocity at the end of the step / energy at play",
     "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
     "dissipation": "work of all contacts in a step, with their rolling resistance / energy at play",

@@ -133,7 +133,7 @@ def contacts(poses: Poses) -> Iterator[Found]:
 
     if not missing:
         yield from _where(poses, c, step, largest)
-    outside = np.maximum(-r[:, 0], drag - mu * np.maximum(r[:, 0], 0.0))
+    outside = np.maximum(-r[:, 0], drag - mu * np.maximum(r[:, 0], 0.0)) - _round_off(poses)[step]
     scale = np.maximum(largest[step], 1e-300)
     yield worst_of("cone", outside / scale, outside, "N·s", step, names)
     # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
@@ -142,6 +142,14 @@ def contacts(poses: Poses) -> Iterator[Found]:
     yield worst_of("friction", power / at_play(poses), power, "J", step, names)
     most = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(u, axis=1) + power)
     yield worst_of("slip", most / at_play(poses), most, "J", step, names)
+
+
+def _round_off(poses: Poses) -> Array:
+    """Impulses that are round-off of the momenta of free bodies, in the steps that end in each state, N·s."""
+    momenta = np.array(poses.scene["masses"]) * np.linalg.norm(poses.v[..., :3], axis=2)
+    most = momenta.max(axis=1, initial=0.0)
+    out: Array = 4.0 * np.finfo(float).eps * np.maximum(most, np.append(0.0, most[:-1]))
+    return out
 
 
 def _rebounding(poses: Poses, c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
