@@ -157,5 +157,5 @@ def test_what_is_jammed_is_told_at_once(rng):
         for _ in range(20):
             solver.contacts.clear()
             stepper.step()
-    # 46 to 102 in four such scenes; 250 to 830 where the step was divided and impacts were located in vain
-    assert len(solver.contacts) <= 150
+    # 45 to 230 in seven such scenes; 1600 here where the step is divided and impacts are located in vain
+    assert len(solver.contacts) <= 400
