@@ -11,6 +11,7 @@ import pytest
 
 import nsdyn
 from nsdyn._kernels import ahead, sorting
+from nsdyn._kernels.compiled import kernel
 
 HERE = Path(nsdyn.__file__).parent
 COMMAND = """
@@ -117,3 +118,22 @@ def test_machine_code_is_made_of_what_python_calls(package, tmp_path):
     for misses in (1, 0):
         done = python("-c", command, **environment)
         assert done.stdout == f"2.0 {misses}\n[] 1.0 [(float64,)]\n"
+
+
+@kernel
+def _product_and_sum(a, b, c):
+    """a b + c with both rounded."""
+    return a * b + c
+
+
+@kernel(fastmath={"contract"})
+def _contracts(a, b, c):
+    """The same by a kernel that may round once, and compiles the other first."""
+    return _product_and_sum(a, b, c)
+
+
+def test_a_kernel_rounds_as_it_says_whoever_calls_it_first():
+    """(1 + 2⁻³⁰) (1 - 2⁻³⁰) - 1 is 0 with the product rounded, -2⁻⁶⁰ without."""
+    given = 1.0 + 2.0**-30, 1.0 - 2.0**-30, -1.0
+    assert _contracts(*given) == 0.0
+    assert _product_and_sum(*given) == 0.0

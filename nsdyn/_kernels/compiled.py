@@ -108,6 +108,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         return lambda function: kernel(function, **options)
     if config.DISABLE_JIT:
         return function
-    out = Kernel(function, targetoptions={"nopython": True, "boundscheck": None} | options)
+    # What is left open numba takes from the kernel that calls this one first, and keeps for all others.
+    out = Kernel(function, targetoptions={"nopython": True, "boundscheck": None, "fastmath": False} | options)
     out.enable_caching()
     return out
