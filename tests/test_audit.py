@@ -331,7 +331,7 @@ def test_tops_turn_as_poinsot_found():
     own = turn.inv().apply(L)[:, 2] * (1.0 / J[:, 1] - 1.0 / J[:, 0]) * time
     space = Rotation.from_rotvec(L * (time / J[:, 0])[:, None])
     exact = space * turn * Rotation.from_rotvec(own[:, None] * [0.0, 0.0, 1.0])
-    found = Rotation.from_quat(tumbled(turn.as_quat(), L, inertia, time))
+    found = Rotation.from_quat(tumbled(turn.as_quat(), L, np.linalg.inv(inertia), time))
     assert (exact.inv() * found).magnitude().max() < 1e-6
 
 

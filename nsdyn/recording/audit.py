@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from nsdyn.recording.balances import energies, momenta
-from nsdyn.recording.findings import TOLERANCES, Finding
+from nsdyn.recording.findings import TOLERANCES, Finding, left_out
+from nsdyn.recording.flight import Flight
 from nsdyn.recording.poses import Poses
 from nsdyn.recording.touching import contacts, overlaps
 from nsdyn.recording.trajectory import Trajectory
@@ -112,7 +113,8 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
         choice(unknown[0], TOLERANCES, "tolerance")
     tol = TOLERANCES | tolerances
     poses = Poses(trajectory)
-    findings = [*overlaps(poses), *contacts(poses), *momenta(poses), *energies(poses)]
+    flight = None if left_out(trajectory) else Flight.of(poses)
+    findings = [*overlaps(poses), *contacts(poses, flight), *momenta(poses, flight), *energies(poses)]
     return Audit(tuple(finding(tol[name]) for name, finding in findings), str(trajectory.meta["scene_name"]))
 
 

@@ -19,11 +19,10 @@ ROUND_OFF = 1e-13
 """Work that is nothing, as a fraction of the energy at play: some hundred roundings."""
 
 
-def momenta(poses: Poses) -> Iterator[Found]:
-    """Momentum and angular momentum of free bodies in every step, and how they move."""
+def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
+    """Momentum and angular momentum of free bodies in every step, and how they move; None as of `contacts`."""
     t, free = poses.trajectory, poses.free
     reason = left_out(t)
-    flight = None if reason else Flight.of(poses)
     missing = not_audited("motion", "m", f"of every {t.every} steps one is recorded")
     yield _motion(poses, flight) if t.every == 1 else missing
     if t.meta.get("external_force", True):

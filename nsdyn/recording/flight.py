@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,52 @@ LEAP = 0.05
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-6 rad."""
 
 
+class Pushes(NamedTuple):
+    """Impulses on free bodies, one by one, sorted by step, body and time; two of a contact of two free bodies.
+
+    Attributes
+    ----------
+    row, side : ndarray of int, shape (m,)
+        Of the contact, and 0 or 1 for its first or second body.
+    step, body : ndarray of int, shape (m,)
+    time : ndarray, shape (m,)
+        Within the step, s.
+    push : ndarray, shape (m, 3)
+        World axes, N·s.
+    """
+
+    row: Index
+    side: Index
+    step: Index
+    body: Index
+    time: Array
+    push: Array
+
+    @classmethod
+    def of(cls, frames: Index, free: int, step: Index, time: Array, impulse: Array) -> Pushes:
+        """From the frames (contacts, 2) and the impulses (contacts, 3) on the second ones."""
+        row, side = np.nonzero((frames >= 0) & (frames < free))
+        body, push = frames[row, side], np.where(side, 1.0, -1.0)[:, None] * impulse[row]
+        order = np.lexsort((time[row], body, step[row]))
+        row, side = row[order], side[order]
+        return cls(row, side, step[row], body[order], time[row], push[order])
+
+    def earlier(self, values: Array) -> Array:
+        """Of each impulse the sum of values of those before it on its body in its step."""
+        so_far, (begin, group) = np.cumsum(values, axis=0) - values, together(self.step, self.body)
+        out: Array = so_far - so_far[begin][group]
+        return out
+
+    def halfway(self, values: Array) -> Array:
+        """Of each impulse the mean of the sums before and after all that act on its body at its time."""
+        begin, group = together(self.step, self.body, self.time)
+        if not begin.size:
+            return values
+        so_far, sums = self.earlier(values), np.add.reduceat(values, begin)
+        out: Array = so_far[begin][group] + 0.5 * sums[group]
+        return out
+
+
 @dataclass(frozen=True)
 class Flight:
     """Where free bodies are in each step when its impulses act on them.
@@ -25,7 +72,8 @@ class Flight:
 
         x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + what w moves,
 
-    which at the end is θ h w, and h w / 2 where the step was cut. All arrays are of shape (n, free, ...).
+    which at the end is θ h w, and h w / 2 where the step was cut. All arrays are of shape (n, free, ...) but those of
+    contacts, (contacts, ...).
 
     Attributes
     ----------
@@ -39,6 +87,11 @@ class Flight:
         How far w may have moved them otherwise, where a step was cut at times that no impulse tells, m.
     quaternion : ndarray, shape (n, free, 4)
         How bodies are turned at the end: by their angular momenta, which the impulses change at their times.
+    met_x, met_quaternion : ndarray, shapes (contacts, 2, 3), (contacts, 2, 4)
+        Where the bodies of each contact are when its impulse acts, m, and how they are turned; NaN of those not free.
+    met_u : ndarray, shape (contacts, 3)
+        Mean relative velocity of each contact before and after all that acts with its impulse, in its frame, m/s; NaN
+        where a body moves that is not free.
     cut : ndarray of bool, shape (n, 1)
         Whether impulses act at several times, or not where those of a step in one piece would.
     timed : bool
@@ -52,6 +105,9 @@ class Flight:
     lift: Array
     unknown: Array
     quaternion: Array
+    met_x: Array
+    met_quaternion: Array
+    met_u: Array
     cut: NDArray[np.bool_]
     timed: bool
 
@@ -60,22 +116,16 @@ class Flight:
         """Follow the free bodies of a recording of all steps and contacts."""
         t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
         c, h, shape = t.columns, t.dt, (t.steps, free)
-        n, t1, r = c["contacts/normal"], c["contacts/tangent"], c["contacts/impulse"]
-        world = r[:, :1] * n + r[:, 1:2] * t1 + r[:, 2:] * np.cross(n, t1)
+        axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
+        frames = poses.frame[np.stack([c["contacts/geom1"], c["contacts/geom2"]], axis=1).astype(np.int64)]
         timed = not np.isnan(c["contacts/time"]).any()
-        time = c["contacts/time"] if timed else np.full(len(r), (1.0 - theta) * h)
-        step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+        when = c["contacts/time"] if timed else np.full(len(n), (1.0 - theta) * h)
+        steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
         cut = np.zeros((t.steps, 1), np.bool_)
-        np.logical_or.at(cut[:, 0], step, np.abs(time - (1.0 - theta) * h) > 1e-9 * h)
+        np.logical_or.at(cut[:, 0], steps, np.abs(when - (1.0 - theta) * h) > 1e-9 * h)
         cut[:, 0] |= _cut_without_contacts(poses)
-        sides = [(poses.frame[c["contacts/geom1"]], -1.0), (poses.frame[c["contacts/geom2"]], 1.0)]
-        rows = [np.flatnonzero((body >= 0) & (body < free)) for body, _ in sides]
-        body = np.concatenate([side[on] for (side, _), on in zip(sides, rows, strict=True)])
-        push = np.concatenate([sign * world[on] for (_, sign), on in zip(sides, rows, strict=True)])
-        row = np.concatenate(rows)
-        order = np.lexsort((time[row], body, step[row]))
-        row, body, push = row[order], body[order], push[order]
-        step, time, point = step[row], time[row], c["contacts/point"][row]
+        pushes = Pushes.of(frames, free, steps, when, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
+        row, side, step, body, time, push = pushes
         mass = np.array(poses.scene["masses"])
 
         def summed(values: Array) -> Array:
@@ -88,20 +138,35 @@ class Flight:
         forced = np.diff(velocities(poses), axis=0) - impulse / mass[:, None]
         share = np.where(cut, 0.5, theta)[:, :, None]
         path = h * before + (h * impulse - moments) / mass[:, None] + share * h * forced
-        # Of each impulse: those before it, and how far they and the forces have brought the body until then.
-        first = np.searchsorted(step * free + body, step * free + body)
-        so_far, so_long = (np.cumsum(a, axis=0) - a for a in (push, time[:, None] * push))
-        way = time[:, None] * (so_far - so_far[first]) - (so_long - so_long[first])
+        # How far impulses before and forces have brought the body until each.
+        way = time[:, None] * pushes.earlier(push) - pushes.earlier(time[:, None] * push)
         fall = np.where(cut[step], 0.5 * (time**2 / h)[:, None] * forced[step, body], 0.0)
         at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
-        arm, size = point - at, np.linalg.norm(push, axis=1)
+        arm, size = c["contacts/point"][row] - at, np.linalg.norm(push, axis=1)
         unknown = ((theta - 0.5) + 0.5 * (1.0 - theta) ** 2) * h * np.linalg.norm(forced, axis=2)
         moment = np.cross(arm, push)
-        turned = _turned(poses, step * free + body, time, moment)
+        turned, then = _turned(poses, step * free + body, time, moment)
+        met_x, met_quaternion = np.full((len(n), 2, 3), np.nan), np.full((len(n), 2, 4), np.nan)
+        met_x[row, side], met_quaternion[row, side] = at, then
+        # Forces act together with the impulses of a step in one piece, else all the time.
+        gone = np.where(cut[step], (time / h)[:, None], 0.5)
+        linear = before[step, body] + gone * forced[step, body] + pushes.halfway(push) / mass[body, None]
+        spin = spins(poses)[step, body] + pushes.halfway(moment)
+        met_u = np.where(frames >= free, np.nan, 0.0)[:, :, None] * np.ones(3)
+        met_u[row, side] = linear + np.cross(angular(then, spin, _inverse_inertias(poses)[body]), arm)
+        met_u = np.einsum("cij,cj->ci", axes, met_u[:, 1] - met_u[:, 0])
         return cls(
             impulse, summed(moment), summed(size), summed(size * np.linalg.norm(arm, axis=1)),
-            np.diff(poses.x[:, :free], axis=0) - path, np.where(cut, unknown, 0.0), turned, cut, timed,
+            np.diff(poses.x[:, :free], axis=0) - path, np.where(cut, unknown, 0.0), turned, met_x, met_quaternion,
+            met_u, cut, timed,
         )  # fmt: skip
+
+
+def together(*keys: NDArray[Any]) -> tuple[Index, Index]:
+    """Of sorted rows those alike in all keys together: where each group begins, and the group of each row."""
+    new = np.ones(keys[0].size, np.bool_)
+    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
+    return np.flatnonzero(new), np.cumsum(new) - 1
 
 
 def _cut_without_contacts(poses: Poses) -> NDArray[np.bool_]:
@@ -117,16 +182,17 @@ def _cut_without_contacts(poses: Poses) -> NDArray[np.bool_]:
     return out
 
 
-def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> Array:
-    """How free bodies are turned after each step, (n, free, 4): moments act on body row % free in step row // free.
+def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array, Array]:
+    """How free bodies are turned after each step, (n, free, 4), and when each moment acts, (moments, 4).
 
-    The moments are sorted by row and time. What else changes angular momenta in a step, as external forces do, acts
-    where those of a step in one piece do; rolling resistance acts at the end.
+    The moments, on body row % free in step row // free, are sorted by row and time. What else changes angular momenta
+    in a step, as external forces do, acts where those of a step in one piece do; rolling resistance acts at the end.
     """
     t, free = poses.trajectory, poses.free
     q, spin = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), spins(poses)
-    inertia = np.tile(np.array(poses.scene["inertias"]).reshape(-1, 3, 3), (t.steps, 1, 1))
+    inverse = np.tile(_inverse_inertias(poses), (t.steps, 1, 1))
     L, now = spin[:-1].reshape(-1, 3).copy(), np.zeros(t.steps * free)
+    given, order = row.size, np.arange(row.size)
     if t.meta.get("external_force", False):
         rest = np.diff(spin, axis=0).reshape(-1, 3)
         np.subtract.at(rest, row, moment)
@@ -135,20 +201,18 @@ def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> Array:
         order = np.lexsort((time, row))
         row, time, moment = row[order], time[order], np.concatenate([moment, rest])[order]
     # Moments of one body at one time together; then of each body the first, the second, ...
-    new = np.ones(row.size, np.bool_)
-    new[1:] = (row[1:] != row[:-1]) | (time[1:] != time[:-1])
-    begin = np.flatnonzero(new)
+    then, (begin, group) = np.empty((row.size, 4)), together(row, time)
     if begin.size:
         row, time, moment = row[begin], time[begin], np.add.reduceat(moment, begin)
-    rank = np.arange(row.size) - np.searchsorted(row, row)
+    rank, turned = np.arange(row.size) - np.searchsorted(row, row), np.empty((row.size, 4))
     for k in range(int(rank.max(initial=-1)) + 1):
         some = rank == k
         i = row[some]
-        q[i] = tumbled(q[i], L[i], inertia[i], time[some] - now[i])
+        turned[some] = q[i] = tumbled(q[i], L[i], inverse[i], time[some] - now[i])
         L[i] += moment[some]
         now[i] = time[some]
-    out: Array = tumbled(q, L, inertia, t.dt - now).reshape(t.steps, free, 4)
-    return out
+    then[order] = turned[group]
+    return tumbled(q, L, inverse, t.dt - now).reshape(t.steps, free, 4), then[:given]
 
 
 def velocities(poses: Poses) -> Array:
@@ -164,7 +228,24 @@ def spins(poses: Poses) -> Array:
     return out
 
 
-def tumbled(quaternion: Array, spin: Array, inertia: Array, time: Array) -> Array:
+def _inverse_inertias(poses: Poses) -> Array:
+    """J⁻¹ of free bodies in their axes, (free, 3, 3), 1/(kg m²)."""
+    return np.linalg.inv(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))
+
+
+def angular(quaternion: Array, spin: Array, inverse: Array) -> Array:
+    """Angular velocities R J⁻¹ Rᵀ L of bodies in world axes, (m, 3), rad/s; arguments as of `tumbled`."""
+    out: Array = rotate(quaternion, _turning(quaternion, spin, inverse))
+    return out
+
+
+def _turning(quaternion: Array, spin: Array, inverse: Array) -> Array:
+    """Angular velocities J⁻¹ Rᵀ L of bodies in their own axes, (m, 3), rad/s."""
+    out: Array = np.einsum("mij,mj->mi", inverse, rotate(quaternion * (-1.0, -1.0, -1.0, 1.0), spin))
+    return out
+
+
+def tumbled(quaternion: Array, spin: Array, inverse: Array, time: Array) -> Array:
     """Orientations of bodies after they turned freely, shape (m, 4).
 
     With the angular momentum L of space, q' = ½ q ∘ ω and ω = J⁻¹ Rᵀ L. A body's own axes see ω turn no faster than
@@ -175,16 +256,16 @@ def tumbled(quaternion: Array, spin: Array, inertia: Array, time: Array) -> Arra
     quaternion : ndarray, shape (m, 4)
     spin : ndarray, shape (m, 3)
         L, world axes, N·m·s.
-    inertia : ndarray, shape (m, 3, 3)
-        J in the axes of the bodies, kg m².
+    inverse : ndarray, shape (m, 3, 3)
+        J⁻¹ in the axes of the bodies, 1/(kg m²).
     time : ndarray, shape (m,)
         s.
     """
-    out, left, inverse = quaternion.copy(), time.copy(), np.linalg.inv(inertia)
+    out, left = quaternion.copy(), time.copy()
 
     def rate(q: Array, some: Index) -> tuple[Array, Array]:
         """q' and ‖ω‖."""
-        w = np.einsum("mij,mj->mi", inverse[some], rotate(q * (-1.0, -1.0, -1.0, 1.0), spin[some]))
+        w = _turning(q, spin[some], inverse[some])
         turn = np.concatenate([q[:, 3:] * w + np.cross(q[:, :3], w), -(q[:, :3] * w).sum(1, keepdims=True)], axis=1)
         return 0.5 * turn, np.linalg.norm(w, axis=1)
 

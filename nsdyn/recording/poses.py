@@ -14,9 +14,6 @@ from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["Poses", "matrix", "turned"]
 
-MIDDLE = 2
-"""Which of the moments at which contacts are looked at is the middle of their step."""
-
 
 def matrix(quaternion: Array) -> Array:
     """Rotation matrices of unit quaternions (..., 4) xyzw, shape (..., 3, 3)."""
@@ -93,17 +90,24 @@ class Poses:
             out[k, :, : self.free] = max(theta, 1.0 - theta) * t.dt * np.linalg.norm(change, axis=2)
         return out[0], out[1]
 
-    def of(self, geom: Index, row: Index, middle: bool = False) -> tuple[Array, Array]:
-        """World poses (R, x) of shapes, one by one, in a row of the states, or of the middles of steps."""
-        x, quaternion = self.middle if middle else (self.x, self.quaternion)
-        frame = self.frame[geom]
-        R: Array = self.placement[geom, :3, :3]
-        t: Array = self.placement[geom, :3, 3]
+    def of(self, geom: Index, row: Index) -> tuple[Array, Array]:
+        """World poses (R, x) of shapes, one by one, in a row of the states."""
+        return self.placed(geom, *self.frames(geom, row, self.x, self.quaternion))
+
+    def frames(self, geom: Index, row: Index, x: Array, quaternion: Array) -> tuple[Array, Array]:
+        """Poses of the frames of shapes, (m, 3) and (m, 4), of all those in rows (rows, frames, ...); 0 of no frame."""
+        frame, at, turn = self.frame[geom], np.zeros((geom.size, 3)), np.zeros((geom.size, 4))
         moving = frame >= 0
-        if moving.any():
-            turn, at = quaternion[row[moving], frame[moving]], x[row[moving], frame[moving]]
-            R, t = R.copy(), t.copy()
-            R[moving], t[moving] = matrix(turn) @ R[moving], at + rotate(turn, t[moving])
+        at[moving], turn[moving] = x[row[moving], frame[moving]], quaternion[row[moving], frame[moving]]
+        return at, turn
+
+    def placed(self, geom: Index, x: Array, quaternion: Array) -> tuple[Array, Array]:
+        """World poses (R, x) of shapes, one by one, of frames at x (m, 3), turned by quaternions (m, 4)."""
+        R: Array = self.placement[geom, :3, :3].copy()
+        t: Array = self.placement[geom, :3, 3].copy()
+        moving = self.frame[geom] >= 0
+        turn = quaternion[moving]
+        R[moving], t[moving] = matrix(turn) @ R[moving], x[moving] + rotate(turn, t[moving])
         return R, t
 
     def by_kind(self, first: Index, second: Index) -> Iterator[tuple[Solid, Solid, Index]]:

@@ -12,8 +12,9 @@ from scipy.sparse.csgraph import connected_components
 
 from nsdyn.problem.solution import Status
 from nsdyn.recording.findings import Found, at_play, left_out, not_audited, worst_of
+from nsdyn.recording.flight import Flight
 from nsdyn.recording.overlap import Solid, separation
-from nsdyn.recording.poses import MIDDLE, Poses
+from nsdyn.recording.poses import Poses
 from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["contacts", "overlaps", "separations"]
@@ -111,8 +112,8 @@ def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, 
     return tuple(np.concatenate([empty, *items]) for items in (first, second, state))  # type: ignore[return-value]
 
 
-def contacts(poses: Poses) -> Iterator[Found]:
-    """Where impulses act, in which cones they are, and what friction does."""
+def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
+    """Where impulses act, in which cones they are, and what friction does; None where not all steps are recorded."""
     t = poses.trajectory
     units = {"distance": "m", "normal": "m", "cone": "N·s", "friction": "J", "slip": "J"}
     missing = list(units) if not t.has_contacts else ["distance", "normal"] if t.every > 1 else []
@@ -131,8 +132,8 @@ def contacts(poses: Poses) -> Iterator[Found]:
     largest = np.zeros(t.steps + 1)
     np.maximum.at(largest, step, np.linalg.norm(r, axis=1))
 
-    if not missing:
-        yield from _where(poses, c, step, largest)
+    if flight is not None:
+        yield from _where(poses, flight, c, step, largest)
     outside = np.maximum(-r[:, 0], drag - mu * np.maximum(r[:, 0], 0.0)) - _round_off(poses)[step]
     scale = np.maximum(largest[step], 1e-300)
     yield worst_of("cone", outside / scale, outside, "N·s", step, names)
@@ -140,8 +141,17 @@ def contacts(poses: Poses) -> Iterator[Found]:
     u = np.where(_rebounding(poses, c, step)[:, None], 0.0, c["u"][:, 1:])
     power = (r[:, 1:] * u).sum(axis=1)
     yield worst_of("friction", power / at_play(poses), power, "J", step, names)
-    most = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(u, axis=1) + power)
+    most = _rubbed(r, mu, u)
+    if flight is not None and flight.timed:
+        # One that slides through is rubbed against its mean slip.
+        most = np.fmin(most, _rubbed(r, mu, flight.met_u[:, 1:]))
     yield worst_of("slip", most / at_play(poses), most, "J", step, names)
+
+
+def _rubbed(r: Array, mu: Array, u: Array) -> Array:
+    """|μ r_N ‖u‖ + r_T·u| of contacts with the slip u (nc, 2): 0 where friction is against it, or it is 0, J."""
+    out: Array = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(u, axis=1) + (r[:, 1:] * u).sum(axis=1))
+    return out
 
 
 def _round_off(poses: Poses) -> Array:
@@ -168,20 +178,21 @@ def _rebounding(poses: Poses, c: Mapping[str, Any], step: Index) -> NDArray[np.b
     return out
 
 
-def _where(poses: Poses, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[Found]:
-    """Where pairs are that push each other: along the normal, from a step before to a step after."""
+def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[Found]:
+    """Where pairs are that push each other: along the normal, from a step before to a step after, and as they push."""
     t, r = poses.trajectory, c["impulse"]
     push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
     i, j, k, n = c["geom1"][push].astype(np.int64), c["geom2"][push].astype(np.int64), step[push], c["normal"][push]
     n = n / np.linalg.norm(n, axis=1)[:, None]
-    moments = [(k - 2).clip(0), k - 1, k - 1, k, (k + 1).clip(None, t.steps)]
+    states = [(k - 2).clip(0), k - 1, k, (k + 1).clip(None, t.steps)]
+    moments = [(poses.of(i, row), poses.of(j, row)) for row in states]
+    moments.insert(2, (_pushing(poses, flight, i, k - 1, push, 0), _pushing(poses, flight, j, k - 1, push, 1)))
     along, free = np.empty((2, len(moments), push.size))
     for a, b, some in poses.by_kind(i, j):
-        for moment, row in enumerate(moments):
-            pose1 = poses.of(i[some], row[some], middle=moment == MIDDLE)
-            pose2 = poses.of(j[some], row[some], middle=moment == MIDDLE)
-            along[moment, some] = _along(a, *pose1, b, *pose2, n[some])
-            free[moment, some] = separation(a, *pose1, b, *pose2)
+        for moment, ((R1, x1), (R2, x2)) in enumerate(moments):
+            where = a, R1[some], x1[some], b, R2[some], x2[some]
+            along[moment, some] = _along(*where, n[some])
+            free[moment, some] = separation(*where)
     size = poses.size(i, j)
     travel = np.abs(np.diff(along, axis=0)).sum(axis=0)
     shift, turn = poses.uncertain
@@ -197,6 +208,16 @@ def _where(poses: Poses, c: Mapping[str, Any], step: Index, largest: Array) -> I
 
     yield worst_of("distance", apart / size, apart, "m", k, pushing)
     yield worst_of("normal", skew / size, skew, "m", k, pushing)
+
+
+def _pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index, side: int) -> tuple[Array, Array]:
+    """World poses (R, x) of shapes 0 or 1 of contacts when these push; as in the middle where that is not known."""
+    x, quaternion = poses.frames(geom, step, *poses.middle)
+    if flight.timed:
+        frame = poses.frame[geom]
+        free = (frame >= 0) & (frame < poses.free)
+        x[free], quaternion[free] = flight.met_x[push[free], side], flight.met_quaternion[push[free], side]
+    return poses.placed(geom, x, quaternion)
 
 
 def _along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Array) -> Array:

@@ -58,9 +58,9 @@ def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
 
 
 @kernel
-def on_border(geometry, g, face, R, t, p):
-    """Whether a point that is over a face or cap is over its border."""
-    tol, q = INSIDE * geometry.radius[g], to_local(R, g, minus(p, row(t, g)))
+def on_border(geometry, g, face, R, t, p, tol):
+    """Whether a point that is over a face or cap is not farther than tol from its border."""
+    q = to_local(R, g, minus(p, row(t, g)))
     if geometry.kind[g] == CYLINDER:
         return math.hypot(q[0], q[1]) >= geometry.size[g, 0] - tol
     if geometry.kind[g] != POLYTOPE:

@@ -12,7 +12,8 @@ With n the unit normal from geom 1 to geom 2 that separates the pair best, and a
 3. Bodies tilted towards each other can close elsewhere too: beside the contact of 2. come the ends of round segments
    and the points over the face whose normal is closest to n. While the bodies are apart, whatever is over the
    interior of a face has to stay above it: these contacts forbid nothing that is possible. But what is over the border
-   of the face meets an edge, along the normal of 2., and that is the way out for what is below the face already.
+   of the face, or so near that it may move there, meets an edge, along the normal of 2., and that is the way out for
+   what is below the face already. Bodies that overlap leave that way: what is above the face rises with them.
 
 Vectors are tuples of three floats: they live in registers. R (n, 3, 3) and t (n, 3) are the poses of all geoms.
 """
@@ -127,6 +128,7 @@ def pair_contacts(
                 geometry, i, j, R, t, known, found if trusted else n, SHARP, margin, near, point, normal, gap, at
             )  # fmt: skip
             deepest = gap[at]
+    overlap = min(deepest, 0.0) if first > 0 else 0.0
     if first > 0:
         kept = 0
         for k in range(count):
@@ -137,7 +139,7 @@ def pair_contacts(
             if new:
                 put(points, kept, row(points, k))
                 # No point is deeper than the bodies overlap: that is along the normal of the features.
-                heights[kept] = max(heights[k], min(deepest, 0.0))
+                heights[kept] = max(heights[k], overlap)
                 kept += 1
         count = kept
     count = merge(points, heights, count, SAME * size)
@@ -146,9 +148,11 @@ def pair_contacts(
     g, face = (i, face1) if face1 >= 0 else (j, face2)
     for k in range(count):
         p, height, n = row(points, k), heights[k], m
-        if first > 0 and (height < 0.0 or on_border(geometry, g, face, R, t, p)):
+        if first > 0 and (height < 0.0 or on_border(geometry, g, face, R, t, p, near)):
             n = row(normal, at)
             height = min(height, height * dot(n, m))
+        elif overlap < 0.0:
+            height -= overlap * dot(row(normal, at), m)
         put(point, at + first + k, p)
         put(normal, at + first + k, n)
         gap[at + first + k] = height
