@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 import nsdyn as nd
 from nsdyn.recording.audit import deepest
 from nsdyn.recording.findings import TOLERANCES
-from nsdyn.recording.flight import tumbled
+from nsdyn.recording.flight import Flight, tumbled
+from nsdyn.recording.poses import Poses
 
 K = 30
 """A step in which the box slides and the ball rests on it."""
@@ -291,6 +292,23 @@ def test_impulses_are_audited_where_the_body_is_when_they_act():
     trajectory.columns["contacts/time"][:] = np.nan  # as in older recordings
     audit = nd.check(trajectory)
     assert audit.passed and audit["spin"].reason == "when impulses acted is not recorded"
+
+
+def test_works_of_contacts_follow_from_the_momenta():
+    """r · ½ (u⁻ + u⁺), the velocities from the impulses alone: a box slides, balls strike within steps."""
+    scene = nd.Scene(gravity=(0, 0, 0))
+    material = nd.Material(mu=0.3, restitution=0.5)
+    for k, x in enumerate((0.0, 0.25, 0.31)):
+        scene.add_sphere(
+            f"ball{k}", 0.1, 1.0, position=(x, 0.1 * x, 0.25 * k), linear_velocity=(0, 0, -5.0 * k),
+            angular_velocity=(9, 0, 7 * k), material=material,
+        )  # fmt: skip
+    for trajectory in (nd.simulate(nd.scenes.load("slide")(), 0.1, dt=0.01), nd.simulate(scene, 0.1, dt=0.01)):
+        c, u = trajectory.columns, Flight.of(Poses(trajectory)).met_u
+        for name, some in (("normal", slice(0, 1)), ("friction", slice(1, 3))):
+            work, found = c[f"contacts/work_{name}"], (c["contacts/impulse"][:, some] * u[:, some]).sum(axis=1)
+            np.testing.assert_allclose(found, work, rtol=0, atol=1e-12)
+        assert c["contacts/work_friction"].min() < -1e-3
 
 
 @pytest.mark.slow

@@ -367,6 +367,7 @@ def test_bad_global_files(tmp_path, bodies):
         ((M, H, f, w[:5], mu), "vectors/w must have length 12, got 5"),
         ((M, H, f, w, mu[:3]), "fclib_global/H must have 3 columns per contact"),
         ((singular, H, f, w, mu), "fclib_global/M must be regular, is singular"),
+        ((M, 1e152 * H, f, w, mu), "none below 1e-150 or above 1e+150"),
     ]:
         with pytest.raises(ValueError) as caught:
             nd.fclib.read(put_global(tmp_path / "broken.hdf5", *arguments))

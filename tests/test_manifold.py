@@ -185,6 +185,19 @@ def test_what_is_over_the_border_of_a_face_meets_its_edge(gap):
     np.testing.assert_allclose(c.normal, np.tile([0.0, 0.0, 1.0], (len(c.gap), 1)), rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize(("inset", "on_face"), [(0.005, False), (0.1, True)])
+def test_a_corner_that_may_leave_a_face_meets_its_edge(inset, on_face):
+    """An edge dips beyond the border, askew: the face stops its corner only far from there."""
+    R = about((0, 0, 1), 0.4 * np.pi) @ about((0, 1, 0), 1e-3) @ about((1, 0, 0), 0.5)
+    corners = CUBE.vertices @ R.T
+    corner = corners[corners[:, 0].round(2) == 0.03][0]
+    x = np.array([[0.0, 0.0, 0.0], np.array([0.5 - inset, 0.0, 0.5 + 0.01 * inset]) - corner])
+    c, _ = detector(CUBE, CUBE).find(x, np.array([np.eye(3), R]), np.array([0.0, 0.02]), ContactMemory.empty())
+    upright = np.linalg.norm(c.normal - (0, 0, 1), axis=1) < 1e-9
+    np.testing.assert_allclose(c.point[1], x[1] + corner, rtol=0, atol=1e-15)
+    assert c.gap[1] == pytest.approx(0.01 * inset, rel=1e-4) and upright.tolist() == [False, on_face]
+
+
 def cubes_tilted(tilt):
     """A cube on another one, aligned but tilted about y by an angle, the lower edge a little above."""
     R = about((0, 1, 0), tilt)

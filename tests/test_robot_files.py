@@ -354,6 +354,7 @@ def test_mjcf_against_mujoco(mjcf, rng):
         ("<mujoco/>", "it has no <worldbody>"),
         ('<mujoco><worldbody><replicate count="2"/></worldbody></mujoco>', "body 'world' has a <replicate>"),
         ('<mujoco><include file="gone.xml"/></mujoco>', "path of 'm' must be a file in MJCF"),
+        (f'<mujoco><include file="{"a" * 5000}"/></mujoco>', "path of 'm' must be a file in MJCF"),
         ('<mujoco><worldbody><body><joint class="x"/></body></worldbody></mujoco>', "class 'x' of a <joint>"),
         (
             '<mujoco><worldbody><body><joint range="1"/><geom size="1"/></body></worldbody></mujoco>',

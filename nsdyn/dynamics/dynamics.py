@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
-from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn._kernels.dynamics.rotation import principal
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.joints import JointLaws, JointRows, Rows
@@ -215,7 +215,7 @@ class Dynamics:
             _motion.twists(place.R, v, self.free, linear, angular)
         for t, links in zip(self.trees, place.links, strict=True):
             own = linear[t.frames], angular[t.frames]
-            _trees.link_twists(links.x, t.support, links.J, v[t.coordinates], *own)
+            _links.twists(links.x, t.support, links.J, v[t.coordinates], *own)
         return linear, angular
 
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
@@ -229,7 +229,7 @@ class Dynamics:
             _motion.reach(v, h, fall, self.radius, out)
         for t, links in zip(self.trees, place.links, strict=True):
             at = links.x, t.support, links.J, v[t.coordinates], h, t.radius, fall
-            _trees.link_reach(*at, out[t.frames])
+            _links.reach(*at, out[t.frames])
         if self.surfaces.count:
             self.surfaces.reach(h * np.abs(twist), out)
         return out
@@ -358,7 +358,7 @@ class Dynamics:
         if self.free:
             _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, H)
         for t, links in zip(self.trees, place.links, strict=True):
-            _trees.link_rows(*hang, *where, t.frames.start, t.support, links.J, start, H)
+            _links.rows(*hang, *where, t.frames.start, t.support, links.J, start, H)
         full = Blocks(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
         bases = NOTHING
         if self._constrained:
@@ -413,7 +413,7 @@ class Dynamics:
             return None, None
         quaternion = np.empty((self.frames, 4))
         links = slice(self.free, self.frames - len(position.driven_x))
-        _trees.quaternions(place.R[links], quaternion[links])
+        _links.quaternions(place.R[links], quaternion[links])
         if self.free:
             quaternion[: self.free] = position.quaternion
         if links.stop < self.frames:

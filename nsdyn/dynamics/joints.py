@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn._kernels.dynamics import trees as _trees
+from nsdyn._kernels.dynamics import joints as _joints
 from nsdyn.dynamics.trees import Tree
 from nsdyn.problem.blocks import Blocks
 from nsdyn.scene.articulations import Articulation
@@ -99,7 +99,7 @@ class JointLaws:
         h : float
         """
         slot = np.empty(self.size, np.int64)
-        count = _trees.active_rows(self.coordinate, self.sign, self.bound, self.near, angle, v, v_free, h, slot)
+        count = _joints.active_rows(self.coordinate, self.sign, self.bound, self.near, angle, v, v_free, h, slot)
         if not count:
             return None
         slot = slot[:count]
@@ -110,7 +110,7 @@ class JointLaws:
     def gaps(self, slot: Index, angle: Array) -> Array:
         """Distances to the limits of some slots at the joint coordinates, rad or m; 0 for friction."""
         out = np.empty(slot.size)
-        _trees.gaps(slot, self.coordinate, self.sign, self.bound, angle, out)
+        _joints.gaps(slot, self.coordinate, self.sign, self.bound, angle, out)
         return out
 
     def rates(self, slot: Index, v: Array) -> Array:
@@ -134,7 +134,7 @@ class JointLaws:
     def append(self, rows: JointRows, full: Blocks) -> Blocks:
         """Contacts of `full` followed by the joint rows."""
         table = self.coordinate, self.block, self.sign
-        return Blocks(*_trees.append_rows(rows.slot, *table, full.arrays))
+        return Blocks(*_joints.append_rows(rows.slot, *table, full.arrays))
 
 
 class Rows:
@@ -167,7 +167,7 @@ class Rows:
         z_start = np.cumsum([0, *(Z.size for Z in bases.values())])
         self._z = np.concatenate([np.empty(0), *(Z.ravel() for Z in bases.values())])
         keys = np.fromiter(bases, np.int64, len(bases))
-        reduced, self._where, self.press = _trees.reduce_rows(full.arrays, keys, z_start, self._z, pressed, press)
+        reduced, self._where, self.press = _joints.reduce_rows(full.arrays, keys, z_start, self._z, pressed, press)
         self.blocks = Blocks(*reduced)
 
     def velocity_change(self, r: Array) -> Array:
@@ -176,7 +176,7 @@ class Rows:
         if self.blocks is self.full:
             return y
         v = np.empty(self.full.n)
-        _trees.expand(self.full.offset, self._where, self._z, self.blocks.offset, y, v)
+        _joints.expand(self.full.offset, self._where, self._z, self.blocks.offset, y, v)
         return v
 
     def response(self, r: Array, v: Array) -> tuple[Array, Array]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels.dynamics import motion as _motion
-from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array
@@ -81,6 +80,6 @@ class Surfaces:
         w, origin = np.zeros((contacts.gap.size, 3)), self._origin.copy()
         origin[: self._driven] = driven_x
         fields = self._motion_of_geom, origin, twist[:, 0].copy(), twist[:, 1].copy(), self._slides
-        _trees.surface_velocities(contacts.geom1, *fields, contacts.point, contacts.normal, -1.0, w)
-        _trees.surface_velocities(contacts.geom2, *fields, contacts.point, contacts.normal, 1.0, w)
+        _motion.surface_velocities(contacts.geom1, *fields, contacts.point, contacts.normal, -1.0, w)
+        _motion.surface_velocities(contacts.geom2, *fields, contacts.point, contacts.normal, 1.0, w)
         return w

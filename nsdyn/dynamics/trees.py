@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.loops import Closures, admissible, supports
@@ -164,7 +165,7 @@ class Tree:
         """Copies of what Pinocchio computed last, at q."""
         k = self._carriers.size
         x, R, angle = np.empty((k, 3)), np.empty((k, 3, 3)), self._zero.copy()
-        _trees.gather(self._x, self._R, self._carriers, q, self._linear, self._linear_q, x, R, angle)
+        _links.gather(self._x, self._R, self._carriers, q, self._linear, self._linear_q, x, R, angle)
         for j, i in self._turning:
             angle[j] = np.arctan2(q[i + 1], q[i])
         return Links(x, R, self._J.copy(order="F"), angle)
@@ -172,7 +173,7 @@ class Tree:
     def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
         """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
         linear, angular = np.empty_like(links.x), np.empty_like(links.x)
-        _trees.link_twists(links.x, self.support, links.J, v, linear, angular)
+        _links.twists(links.x, self.support, links.J, v, linear, angular)
         return linear, angular
 
     def close(self, q: Array) -> Array:

@@ -45,10 +45,6 @@ def _as_blocks3(W: Any, name: str) -> tuple[Index, Index, Array]:
     return out
 
 
-SMALLEST, LARGEST = 1e-150, 1e150
-"""Sizes of numbers whose squares are in the range of floating-point numbers."""
-
-
 class FC3D:
     """Frictional contact problem: find r with u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K.
 
@@ -138,12 +134,12 @@ class FC3D:
             raise ValueError("mu must be finite and not negative")
 
     def _check_scales(self) -> None:
-        fine = (self.scales >= SMALLEST) & (self.scales <= LARGEST)
+        fine = (self.scales >= _blocks.SMALLEST) & (self.scales <= _blocks.LARGEST)
         if not fine.all():
             bad = np.flatnonzero(~fine).tolist()
             raise ValueError(
                 f"W must have a non-zero positive diagonal block at every contact, not at {bad[:5]}, "
-                f"and none below {SMALLEST:g} or above {LARGEST:g}"
+                f"and none below {_blocks.SMALLEST:g} or above {_blocks.LARGEST:g}"
             )
 
     @cached_property

@@ -109,7 +109,7 @@ def read_guesses(path: str | Path) -> list[Stored]:
 @contextmanager
 def _open(path: str | Path) -> Iterator[Any]:
     """Open a file to read; every error becomes a ValueError that names it."""
-    if not Path(path).is_file():
+    if not files.is_file(path):
         raise ValueError(f"no such file: {path}")
     check_heaps(Path(path))
     try:

@@ -61,6 +61,7 @@ from numpy.typing import NDArray
 
 from nsdyn.recording import schema, slots
 from nsdyn.tools.datasets import check_heaps, created, dataset
+from nsdyn.tools.files import is_file
 from nsdyn.tools.unfinished import open_to_read
 
 __all__ = ["create", "extend", "read", "read_state", "until"]
@@ -216,7 +217,7 @@ def read_state(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Sav
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Saved | None]:
-    if not path.is_file():
+    if not is_file(path):
         raise FileNotFoundError(f"no such recording: {path}")
     if not h5py.is_hdf5(path):
         raise ValueError(f"{path} is not a recording of nsdyn: it is not an HDF5 file")

@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from nsdyn.scene.shapes import HALFSPACE
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.files import is_file
 
 if TYPE_CHECKING:
     from nsdyn.scene.articulations import Link, Loop
@@ -26,7 +27,7 @@ FREE = "JointModelFreeFlyer"
 
 def disabled_pairs(name: str, path: Path, model: Any, unused: list[str]) -> set[frozenset[str]]:
     """Pairs of bodies whose contact an SRDF file disables."""
-    if not path.is_file():
+    if not is_file(path):
         raise ValueError(f"srdf of {name!r} must be an SRDF file, got {str(path)!r}")
     try:
         root = ElementTree.parse(path).getroot()

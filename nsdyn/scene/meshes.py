@@ -25,6 +25,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.files import is_file
 
 __all__ = ["READERS", "Surface", "read", "write_stl"]
 
@@ -66,7 +67,7 @@ def read(path: Path) -> Surface:
         Naming the file: no such file, another format, one that is damaged or has no triangles, corners that are not
         finite.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise ValueError(f"path must be a mesh file, got {str(path)!r}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:

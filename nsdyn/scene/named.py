@@ -24,6 +24,7 @@ from types import ModuleType
 from typing import Any
 
 from nsdyn.scene.scene import Scene
+from nsdyn.tools.files import is_file
 from nsdyn.tools.naming import choice
 
 __all__ = ["Setup", "folder", "load", "module", "name_of", "names", "setup", "template"]
@@ -73,7 +74,7 @@ def _named(name: str) -> ModuleType:
 
 @cache
 def _own(path: Path) -> ModuleType:
-    if not path.is_file():
+    if not is_file(path):
         raise ValueError(f"no such scene file: {path}")
     try:
         out = _executed(_OWN + str(path), path)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["STDOUT", "check_folder", "check_writable", "is_special", "resolved", "writing"]
+__all__ = ["STDOUT", "check_folder", "check_writable", "is_file", "is_special", "resolved", "writing"]
 
 STDOUT = Path("-")
 """Stands for standard output."""
@@ -22,6 +22,14 @@ def resolved(path: str | Path) -> Path:
     if any(map(os.path.islink, (out, *out.parents))):  # which no other links are left as
         raise ValueError(f"cannot write {path}: its links lead in a circle")
     return out
+
+
+def is_file(path: str | Path) -> bool:
+    """Whether there is a file at a path, whatever the path is."""
+    try:
+        return Path(path).is_file()
+    except OSError:  # of a name that is too long
+        return False
 
 
 def is_special(path: str | Path) -> bool:

@@ -1,4 +1,4 @@
-"""Motion of free bodies and the rows of their contact Jacobian.
+"""Motion of free bodies, the rows of their contact Jacobian, and surfaces that move as prescribed.
 
 A free body b has the velocity (linear in the world frame, angular in body axes) at v[6 b : 6 b + 6], which makes its
 mass matrix diag(m I, J) constant.
@@ -218,3 +218,25 @@ def free_works(mass, gravity, force, torque, h, theta, v, v0, v1):
             external += h * (mean * force[b, j] + spin * torque[b, j])
             beyond += h * mass[b] * gravity[j] * (mean - ((1.0 - theta) * v[i + j] + theta * v1[i + j]))
     return external, beyond
+
+
+@kernel
+def surface_velocities(geom, motion_of_geom, origin, linear, angular, slides, point, normal, sign, w):
+    """Add the velocity of prescribed bodies at the contacts, times sign, to w (nc, 3), world axes.
+
+    Motion m has the velocity linear[m] + angular[m] x (p - origin[m]); where it slides in itself (a conveyor), only
+    the tangential part counts.
+    """
+    for c in range(geom.size):
+        m = motion_of_geom[geom[c]]
+        if m < 0:
+            continue
+        p0, p1, p2 = point[c, 0] - origin[m, 0], point[c, 1] - origin[m, 1], point[c, 2] - origin[m, 2]
+        a = angular[m]
+        v0 = linear[m, 0] + a[1] * p2 - a[2] * p1
+        v1 = linear[m, 1] + a[2] * p0 - a[0] * p2
+        v2 = linear[m, 2] + a[0] * p1 - a[1] * p0
+        out = normal[c, 0] * v0 + normal[c, 1] * v1 + normal[c, 2] * v2 if slides[m] else 0.0
+        w[c, 0] += sign * (v0 - out * normal[c, 0])
+        w[c, 1] += sign * (v1 - out * normal[c, 1])
+        w[c, 2] += sign * (v2 - out * normal[c, 2])

@@ -13,6 +13,9 @@ import numpy as np
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
 
+SMALLEST, LARGEST = 1e-150, 1e150
+"""Sizes of numbers whose squares are in the range of floating-point numbers."""
+
 
 @kernel
 def relative_velocity(blocks, v, u):
@@ -217,9 +220,16 @@ def prepare(blocks, q, mu, scales):
     """`delassus_scales`; returns the norm of q, and whether q, mu and the scales are what they have to be."""
     delassus_scales(blocks, scales)
     norm, good = size_of(q, mu)
-    for c in range(mu.size):
-        good = good and scales[c] > 0.0
-    return norm, good
+    return norm, good and in_range(scales)
+
+
+@kernel
+def in_range(scales):
+    """Whether all sizes of diagonal blocks are what they have to be."""
+    good = True
+    for c in range(scales.size):
+        good = good and SMALLEST <= scales[c] <= LARGEST
+    return good
 
 
 @kernel

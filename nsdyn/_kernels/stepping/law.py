@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.problem.blocks import delassus_scales, relative_velocity, size_of
+from nsdyn._kernels.problem.blocks import delassus_scales, in_range, relative_velocity, size_of
 from nsdyn._kernels.sorting import order, place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, row
 
@@ -321,9 +321,7 @@ def pose(blocks, here, begin, velocities, warm, reach, materials, longer, closin
     foresee(blocks, mu, place, warm[2], local, slides)
     offsets(local, end_gap, restitution, none, slides, closing, b)
     norm, good = size_of(b, mu)
-    for c in range(mu.size):
-        good = good and scales[c] > 0.0
-    return norm, good
+    return norm, good and in_range(scales)
 
 
 @kernel

@@ -14,6 +14,7 @@ import numpy as np
 
 from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.files import is_file
 
 __all__ = ["Notes", "inside", "mesh_file", "numbers", "parse"]
 
@@ -47,7 +48,7 @@ class Notes(list[str]):
 
 def parse(name: str, path: Path, kind: str) -> Element:
     """Root of an XML file."""
-    if not path.is_file():
+    if not is_file(path):
         raise ValueError(f"path of {name!r} must be a file in {kind}, got {str(path)!r}")
     try:
         depth, events = 0, ElementTree.iterparse(path, ("start", "end"))
@@ -92,7 +93,7 @@ def mesh_file(uri: str, folders: Sequence[Path]) -> Path:
         package, _, inner = rest.partition("/")
         tried += [folder / inner for folder in folders if folder.name == package]
     for path in tried:
-        if _is_file(path):
+        if is_file(path):
             return inside(path, rest, folders, f"mesh {uri!r}")
     raise ValueError(f"mesh {uri!r} was not found in {', '.join(map(str, folders))}; give its folder in package_dirs")
 
@@ -104,10 +105,3 @@ def inside(path: Path, given: str, folders: Sequence[Path], what: str) -> Path:
     if not any(path.resolve().is_relative_to(folder.resolve()) for folder in folders):
         raise ValueError(f"{what} lies outside of {', '.join(map(str, folders))}, which is not read")
     return path
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # of a name that is too long
-        return False

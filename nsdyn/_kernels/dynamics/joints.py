@@ -1,0 +1,135 @@
+"""Joint rows: limits, dry friction, and the coordinates that closed loops leave.
+
+They follow the contacts of a step, three rows each like them. A limit is a frictionless contact with one normal row
+±e_j; dry friction |tau| <= tau_c is a contact with mu = 1 whose first tangent row is e_j and whose normal row lies on
+a coordinate of its own, pressed so that r_N = h tau_c exactly. Rows that are not named are zero.
+"""
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+
+
+@kernel
+def active_rows(coordinate, sign, bound, near, angle, v, v_free, h, rows):
+    """The joint rows of a step into rows: all friction (sign 0), and the limits that the joint may reach; how many."""
+    count = 0
+    for k in range(coordinate.size):
+        c = coordinate[k]
+        rate = max(abs(v[c]), abs(v_free[c]))
+        if sign[k] == 0.0 or sign[k] * (angle[c] - bound[k]) <= near[k] + 2.0 * h * rate:
+            rows[count] = k
+            count += 1
+    return count
+
+
+@kernel
+def gaps(slots, coordinate, sign, bound, angle, out):
+    """Distances to the limits of some joint rows, rad or m, 0 for friction, into out."""
+    for i in range(slots.size):
+        k = slots[i]
+        out[i] = sign[k] * (angle[coordinate[k]] - bound[k])
+
+
+@kernel
+def append_rows(slots, coordinate, tree, sign, blocks):
+    """Contacts followed by the joint rows of the given slots, as blocks."""
+    offset, block, start, H, m_start, m, minv = blocks
+    nc, nj, size = block.shape[0], slots.size, H.size
+    new_block, new_start = np.full((nc + nj, 2), -1, np.int64), np.empty((nc + nj, 2), np.int64)
+    new_block[:nc], new_start[:nc] = block, start
+    for i in range(nj):
+        k = tree[slots[i]]
+        new_block[nc + i, 0] = k
+        new_start[nc + i, 0] = new_start[nc + i, 1] = size
+        size += 3 * (offset[k + 1] - offset[k])
+    new_H = np.zeros(size)
+    new_H[: H.size] = H
+    for i in range(nj):
+        k = tree[slots[i]]
+        at = new_start[nc + i, 0] + coordinate[slots[i]] - offset[k]
+        if sign[slots[i]] == 0.0:
+            new_H[at + offset[k + 1] - offset[k]] = 1.0
+        else:
+            new_H[at] = sign[slots[i]]
+    return offset, new_block, new_start, new_H, m_start, m, minv
+
+
+@kernel
+def reduce_rows(blocks, bases, z_start, z, pressed, press):
+    """The factors in the coordinates y that constraints leave, v = Z y, and those of joint friction after them.
+
+    Block bases[i] has Z (n, ny) with Zᵀ M Z = I at z[z_start[i]:z_start[i + 1]]. Row pressed[i] gets a block of one
+    coordinate as its side 1, as mobile as its joint, and there the normal velocity -press[i] times that mobility.
+    Returns the new blocks, where each block's Z begins in z (-1: it is I), velocities.
+    """
+    offset, block, start, H, m_start, m, minv = blocks
+    nb, nc, np_ = offset.size - 1, block.shape[0], pressed.size
+    where, sizes = np.full(nb, -1, np.int64), np.ones(nb + np_, np.int64)
+    for k in range(nb):
+        sizes[k] = offset[k + 1] - offset[k]
+    for i in range(bases.size):
+        where[bases[i]] = z_start[i]
+        sizes[bases[i]] = (z_start[i + 1] - z_start[i]) // sizes[bases[i]]
+    new_offset, new_m_start = np.zeros(nb + np_ + 1, np.int64), np.zeros(nb + np_ + 1, np.int64)
+    for k in range(nb + np_):
+        new_offset[k + 1], new_m_start[k + 1] = new_offset[k] + sizes[k], new_m_start[k] + sizes[k] * sizes[k]
+    new_m, new_minv = np.zeros(new_m_start[-1]), np.zeros(new_m_start[-1])
+    for k in range(nb):
+        first, n = new_m_start[k], sizes[k]
+        if where[k] < 0:
+            new_m[first : first + n * n] = m[m_start[k] : m_start[k] + n * n]
+            new_minv[first : first + n * n] = minv[m_start[k] : m_start[k] + n * n]
+        else:
+            for j in range(n):
+                new_m[first + j * n + j] = new_minv[first + j * n + j] = 1.0
+    new_block, new_start, velocity = block.copy(), np.empty_like(start), np.zeros(3 * nc)
+    for i in range(np_):
+        c, k = pressed[i], block[pressed[i], 0]
+        n, row = offset[k + 1] - offset[k], start[pressed[i], 0] + offset[k + 1] - offset[k]
+        mobility = 0.0
+        for a in range(n):
+            for b in range(n):
+                mobility += H[row + a] * minv[m_start[k] + a * n + b] * H[row + b]
+        if mobility <= 0.0:  # a joint that cannot move
+            mobility = 1.0
+        new_block[c, 1] = nb + i
+        velocity[3 * c] = -press[i] * mobility
+        new_m[new_m_start[nb + i]], new_minv[new_m_start[nb + i]] = 1.0 / mobility, mobility
+    size = 0
+    for c in range(nc):
+        for s in range(2):
+            new_start[c, s] = size
+            if new_block[c, s] >= 0:
+                size += 3 * sizes[new_block[c, s]]
+    new_H = np.zeros(size)
+    for c in range(nc):
+        for s in range(2):
+            k, b = new_block[c, s], new_start[c, s]
+            if k >= nb:
+                new_H[b] = 1.0
+            elif k >= 0:
+                a, n, ny = start[c, s], offset[k + 1] - offset[k], sizes[k]
+                for i in range(3):
+                    for j in range(ny):
+                        if where[k] < 0:
+                            new_H[b + i * ny + j] = H[a + i * n + j]
+                        else:
+                            for l in range(n):
+                                new_H[b + i * ny + j] += H[a + i * n + l] * z[where[k] + l * ny + j]
+    return (new_offset, new_block, new_start, new_H, new_m_start[:-1], new_m, new_minv), where, velocity
+
+
+@kernel
+def expand(offset, z_start, z, new_offset, y, v):
+    """Velocity v = Z y, block by block, into v (n,)."""
+    for k in range(offset.size - 1):
+        o, n, p, ny = offset[k], offset[k + 1] - offset[k], new_offset[k], new_offset[k + 1] - new_offset[k]
+        for i in range(n):
+            if z_start[k] < 0:
+                v[o + i] = y[p + i]
+            else:
+                total = 0.0
+                for j in range(ny):
+                    total += z[z_start[k] + i * ny + j] * y[p + j]
+                v[o + i] = total

@@ -1,0 +1,100 @@
+"""Links of an articulated tree: where they are, how they move, rows of contacts on them."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+
+
+@kernel
+def gather(x, R, joints, q, scalar, place, x_out, R_out, angle):
+    """Poses of some joints, from (n, 3), (n, 3, 3) into x_out and R_out; q[place] to angle[scalar]."""
+    for k in range(scalar.size):
+        angle[scalar[k]] = q[place[k]]
+    for k in range(joints.size):
+        for i in range(3):
+            x_out[k, i] = x[joints[k], i]
+            for j in range(3):
+                R_out[k, i, j] = R[joints[k], i, j]
+
+
+@kernel
+def quaternions(R, out):
+    """Unit quaternions xyzw of rotation matrices, w >= 0 unless the turn is near half, into out (n, 4)."""
+    for b in range(R.shape[0]):
+        trace = R[b, 0, 0] + R[b, 1, 1] + R[b, 2, 2]
+        if trace > 0.0:
+            s = 2.0 * math.sqrt(1.0 + trace)
+            out[b, 3] = 0.25 * s
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                out[b, i] = (R[b, k, j] - R[b, j, k]) / s
+        else:
+            i = 0
+            if R[b, 1, 1] > R[b, 0, 0]:
+                i = 1
+            if R[b, 2, 2] > R[b, i, i]:
+                i = 2
+            j, k = (i + 1) % 3, (i + 2) % 3
+            s = 2.0 * math.sqrt(1.0 + R[b, i, i] - R[b, j, j] - R[b, k, k])
+            out[b, i] = 0.25 * s
+            out[b, j] = (R[b, i, j] + R[b, j, i]) / s
+            out[b, k] = (R[b, i, k] + R[b, k, i]) / s
+            out[b, 3] = (R[b, k, j] - R[b, j, k]) / s
+
+
+@kernel
+def rows(frame1, frame2, point, frame, first, support, J, start, H):
+    """Add the rows of Hᵀ on the links of one tree to H.
+
+    Its frames are first, first + 1, ...; column j of J (6, nv) is the velocity field of coordinate j in world axes,
+    linear at the world's origin, then angular; it moves frame f if support[f - first, j]. A contact between two links
+    adds both to side 0.
+    """
+    last, nv = first + support.shape[0], J.shape[1]
+    for c in range(frame1.size):
+        inside = first <= frame1[c] < last
+        for s in range(2):
+            f = frame1[c] if s == 0 else frame2[c]
+            if f < first or f >= last:
+                continue
+            sign = -1.0 if s == 0 else 1.0
+            side = 0 if inside else s
+            p0, p1, p2 = point[c, 0], point[c, 1], point[c, 2]
+            for i in range(3):
+                d0, d1, d2 = sign * frame[c, i, 0], sign * frame[c, i, 1], sign * frame[c, i, 2]
+                m0, m1, m2 = p1 * d2 - p2 * d1, p2 * d0 - p0 * d2, p0 * d1 - p1 * d0
+                row = start[c, side] + nv * i
+                for j in range(nv):
+                    if support[f - first, j]:
+                        H[row + j] += (
+                            d0 * J[0, j] + d1 * J[1, j] + d2 * J[2, j] + m0 * J[3, j] + m1 * J[4, j] + m2 * J[5, j]
+                        )
+
+
+@kernel
+def twists(x, support, J, v, linear, angular):
+    """Velocities of the origins x (k, 3) of some frames, and of their rotations, world axes, into (k, 3) each."""
+    for f in range(support.shape[0]):
+        linear[f], angular[f] = 0.0, 0.0
+        for j in range(v.size):
+            if support[f, j]:
+                for i in range(3):
+                    linear[f, i] += J[i, j] * v[j]
+                    angular[f, i] += J[3 + i, j] * v[j]
+        w = angular[f]
+        linear[f, 0] += w[1] * x[f, 2] - w[2] * x[f, 1]
+        linear[f, 1] += w[2] * x[f, 0] - w[0] * x[f, 2]
+        linear[f, 2] += w[0] * x[f, 1] - w[1] * x[f, 0]
+
+
+@kernel
+def reach(x, support, J, v, h, radius, fall, out):
+    """How far any point of each link's shapes moves in a step of h at velocity v, and by `fall`, m, into out (n,)."""
+    linear, angular = np.empty(x.shape), np.empty(x.shape)
+    twists(x, support, J, v, linear, angular)
+    for f in range(support.shape[0]):
+        a, w = linear[f], angular[f]
+        speed, spin = math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
+        out[f] = h * (speed + spin * radius[f]) + fall
