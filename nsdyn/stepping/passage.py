@@ -221,9 +221,10 @@ def _until_impact(
     brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
     # Where another feature is the first to touch the gap jumps, and has no root.
     length = min(moves, key=lambda time: abs(gap(time)))
-    if abs(gap(length)) > limit:
-        return h, _try(s, loads, begin, t, h, None)
-    return length, moves[length]
+    best, located = moves[length], abs(gap(length)) <= limit
+    # What `gap` holds lives until garbage is collected: SciPy wraps it in a function that refers to itself.
+    moves.clear()
+    return (length, best) if located else (h, _try(s, loads, begin, t, h, None))
 
 
 def _try(

@@ -10,6 +10,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
+from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -42,12 +43,10 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     x, quaternion, v, R, v_free, rate, reach, far, same = free.half(s, begin, h)
     if far > FAST * s.smallest:
         return None
-    contacts = old
-    if not same:
-        contacts, memory = s.detector.find(x, R, reach, memory)
-        looked = Looked(x, R, reach)
-        if not _law.all_known(contacts.key, old.key, old.gap, s.closed):
-            return None
+    seen = (old, memory, looked) if same else _looked(s, x, R, reach, old, memory, s.closed)
+    if seen is None:
+        return None
+    contacts, memory, looked = seen
     rows, frame, local, _, place, slides, problem = free.meet(
         s, contacts, x, R, v, v_free, begin, reach, s.closing(h, False), h
     )
@@ -58,14 +57,10 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     v_plus, x, quaternion, v_end, R, twists, same = free.end(
         s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
     )
-    found = contacts
-    if not same:
-        found, memory = s.detector.find(x, R, d.nowhere, memory)
-        looked = Looked(x, R, d.nowhere)
-        if not _law.all_known(found.key, contacts.key, contacts.gap, np.inf):
-            return None
-    if _law.least(found.gap) < -s.closed:
+    seen = (contacts, memory, looked) if same else _looked(s, x, R, d.nowhere, contacts, memory, np.inf)
+    if seen is None or _law.least(seen[0].gap) < -s.closed:
         return None
+    found, memory, looked = seen
     out = status, normal, friction, u, world = (
         np.empty(nc, np.int8), np.empty(nc), np.empty(nc), np.empty(3 * nc), np.empty((nc, 3))
     )  # fmt: skip
@@ -100,12 +95,10 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
     if not all_closed or approach < -s.slow / h or d.joint_rows(there, v, forces.v, h) is not None:
         return None
-    contacts = old
-    if not half.same:
-        contacts, memory = s.detector.find(there.x, there.R, reach, memory)
-        looked = Looked(there.x, there.R, reach)
-        if not _law.all_known(contacts.key, old.key, old.gap, s.closed):
-            return None
+    seen = (old, memory, looked) if half.same else _looked(s, there.x, there.R, reach, old, memory, s.closed)
+    if seen is None:
+        return None
+    contacts, memory, looked = seen
     closing = s.closing(h, False)
     start = old, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     met = Encounter.of(d, contacts, None, middle, forces, start, reach, still, h, half.ahead, closing)
@@ -115,17 +108,24 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     r = solution.r
     impulse, v_plus = met.rows.response(r, forces.v)
     position, v_end, place, ends = d.end(middle, forces, v_plus, impulse, half.ahead, still[1])
-    found, limits = contacts, d.limits(place)
-    if not s.unmoved(looked, place, d.nowhere):
-        found, memory = s.detector.find(place.x, place.R, d.nowhere, memory)
-        looked = Looked(place.x, place.R, d.nowhere)
-        if not _law.all_known(found.key, contacts.key, contacts.gap, np.inf):
-            return None
-    if _law.least(found.gap) < -s.closed or _law.least(limits) < -s.closed:
+    limits, same = d.limits(place), s.unmoved(looked, place, d.nowhere)
+    seen = (contacts, memory, looked) if same else _looked(s, place.x, place.R, d.nowhere, contacts, memory, np.inf)
+    if seen is None or _law.least(seen[0].gap) < -s.closed or _law.least(limits) < -s.closed:
         return None
+    found, memory, looked = seen
     impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem)
     works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses.joints[0], own)
     twists = d.twists(place, v_end)
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)
     external = d.external_works(forces, begin.position, position, v, v_plus, h)
     return end, half.rate, True, external, [impulses], [(problem, solution)], [works]
+
+
+def _looked(
+    s: System, x: Array, R: Array, reach: Array, known: ContactSet, memory: ContactMemory, most: float
+) -> tuple[ContactSet, ContactMemory, Looked] | None:
+    """What is found at a placement; None if that is more than the contacts known with gaps of at most `most`."""
+    found, memory = s.detector.find(x, R, reach, memory)
+    if not _law.all_known(found.key, known.key, known.gap, most):
+        return None
+    return found, memory, Looked(x, R, reach)
