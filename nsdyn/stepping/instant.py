@@ -130,10 +130,14 @@ class System(NamedTuple):
         return bool((contacts.gap < -FAST * radius).any())
 
     def shifted(self, before: Position, after: Position) -> bool:
-        """Whether a projection moved a free body by more than `FAST` of the least inscribed radius, out of a wedge."""
-        if after is before or not before.x.size:
+        """Whether a projection moved points of a free body by more than `FAST` of the least inscribed radius."""
+        free = before.x.shape[0]
+        if after is before or not free:
             return False
-        return float(np.linalg.norm(after.x - before.x, axis=1).max()) > FAST * self.smallest
+        # Of a small turn the quaternion changes by half.
+        turn = 2.0 * np.linalg.norm(after.quaternion - before.quaternion, axis=1)
+        moved = np.linalg.norm(after.x - before.x, axis=1) + self.arm[:free] * turn
+        return float(moved.max()) > FAST * self.smallest
 
 
 class Instant(NamedTuple):
