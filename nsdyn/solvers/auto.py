@@ -154,15 +154,16 @@ class Search:
         self._note(self._sweeps.best, used, used * cost)
 
     def rounds(self, tol: float) -> None:
-        """Sweeps and Newton in turn, the next time twice as long; where sweeps are stuck, the path."""
-        lengths = [TUNING.first_sweep, TUNING.first_newton]
+        """Sweeps and Newton in turn, the next time twice as long; where sweeps are stuck again and again, the path."""
+        lengths, (little, patience) = [TUNING.first_sweep, TUNING.first_newton], TUNING.stuck
         for _ in range(TUNING.rounds):
             start = self.best
             self.sweep(lengths[0], tol)
-            stuck = self.best > TUNING.stuck * start
+            stuck = self.best > little * start
             self.newton(TUNING.far, lengths[1], tol)
             lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
-            if stuck:
+            patience -= stuck
+            if stuck and patience <= 0:
                 self.follow(tol)
 
     def impulses(self) -> None:

@@ -123,8 +123,9 @@ class Tuning:
     rounds: int = 8
     """Number of rounds."""
 
-    stuck: float = 0.5
-    """Measure after sweeps, over that before, from which on they are stuck."""
+    stuck: tuple[float, int] = (0.5, 3)
+    """Measure after sweeps, over that before, from which on they are stuck, and how often before a continuation begins:
+    by then as much has been spent as the shortest take."""
 
     restart: float = 0.5
     """Sweeps lose their momentum and go on from what Newton found only where that is so much better."""
