@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.dynamics.values import Middle
 from nsdyn.problem.fc3d import FC3D
@@ -57,7 +58,7 @@ def collide(
     d, c = s.dynamics, at.contacts
     if not (d.surfaces.count or _hits(s, at, h)):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
-        limit = s.solver.tol if s.elastic and _law.any_positive(c.restitution) else s.slow / h
+        limit = s.solver.tol if s.elastic and _few.any_positive(c.restitution) else s.slow / h
         if _law.fastest(c.gap, s.closed, *where, *at.twists)[0] >= -limit:
             return None
     contacts, joints = take(c, c.gap <= s.closed), d.joint_rows(at.placement, at.v, at.v, 0.0)
@@ -97,7 +98,7 @@ def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Arra
 
 def _hits(s: System, at: Instant, h: float) -> bool:
     """Whether a joint at a limit may strike it, with a move of h s to come."""
-    if not _law.any_below(at.limits, s.closed):
+    if not _few.any_below(at.limits, s.closed):
         return False
     joints = s.dynamics.joints
     limit = np.where(joints.restitution[joints.limits] > 0.0, s.solver.tol, s.depth * JOINT / h)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches
@@ -124,7 +125,7 @@ class System(NamedTuple):
 
     def sunk(self, contacts: ContactSet) -> bool:
         """Whether bodies are in each other by more than `FAST` of the inscribed radius of the smaller shape."""
-        if _law.least(contacts.gap) >= -FAST * self.smallest:
+        if _few.least(contacts.gap) >= -FAST * self.smallest:
             return False
         radius = np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return bool((contacts.gap < -FAST * radius).any())

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.dynamics.joints import JointRows
@@ -223,7 +224,7 @@ def trial(
     if barred is not None:
         moved = response.moved
         limits = moved.limits
-        if limits.size and not barred.size and _law.least(limits) >= -s.closed:
+        if limits.size and not barred.size and _few.least(limits) >= -s.closed:
             limits = NOTHING
         unmet = others(s, moved.contacts, response.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
         if half.fast:
@@ -248,7 +249,7 @@ def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbac
     given = (None, None) if callbacks is None else callbacks(middle.position, begin.v)
     forces = d.forces(middle, t + h, h, *given)
     reach = d.reach(middle.placement, forces.v, ahead, h, surfaces[2])
-    fast = _law.most(reach) > FAST * s.smallest
+    fast = _few.most(reach) > FAST * s.smallest
     same = s.unmoved(begin.looked, middle.placement, reach)
     rate = forces.v - middle.v
     rate /= h

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -122,5 +122,5 @@ def _without_squeezed(blocks: Blocks, solution: Solution) -> Array:
 
 def _least(placed: Placed) -> float:
     """The least gap, 0 if none is negative."""
-    least: float = _law.least(placed.contacts.gap)
-    return min(least, _law.least(placed.limits)) if placed.limits.size else least
+    least: float = _few.least(placed.contacts.gap)
+    return min(least, _few.least(placed.limits)) if placed.limits.size else least

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
@@ -58,7 +59,7 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
         s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
     )
     seen = (contacts, memory, looked) if same else _looked(s, x, R, d.nowhere, contacts, memory, np.inf)
-    if seen is None or _law.least(seen[0].gap) < -s.closed:
+    if seen is None or _few.least(seen[0].gap) < -s.closed:
         return None
     found, memory, looked = seen
     out = status, normal, friction, u, world = (
@@ -89,7 +90,7 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     d, old, memory, looked, h = s.dynamics, begin.contacts, begin.memory, begin.looked, half.h
     middle, forces, reach, still = half.middle, half.forces, half.reach, STILL_SURFACES[1:]
     there, v = middle.placement, middle.v
-    if s.elastic or d.surfaces.count or half.fast or _law.any_below(begin.limits, s.closed):
+    if s.elastic or d.surfaces.count or half.fast or _few.any_below(begin.limits, s.closed):
         return None
     where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
     approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
@@ -110,7 +111,7 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     position, v_end, place, ends = d.end(middle, forces, v_plus, impulse, half.ahead, still[1])
     limits, same = d.limits(place), s.unmoved(looked, place, d.nowhere)
     seen = (contacts, memory, looked) if same else _looked(s, place.x, place.R, d.nowhere, contacts, memory, np.inf)
-    if seen is None or _law.least(seen[0].gap) < -s.closed or _law.least(limits) < -s.closed:
+    if seen is None or _few.least(seen[0].gap) < -s.closed or _few.least(limits) < -s.closed:
         return None
     found, memory, looked = seen
     impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem)

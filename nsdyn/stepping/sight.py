@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
 from nsdyn.collision.detector import Detector
@@ -192,7 +193,7 @@ def shown(
     """
     real = ~_ghosts(s, met, r, found) | np.isin(met.contacts.key, kept)
     contacts = take(met.contacts, real)
-    if not fast and _law.least(found.gap) >= -s.slow:
+    if not fast and _few.least(found.gap) >= -s.slow:
         return contacts, memory, kept
     middle, end = (Poses(*place[:2]) for place in places)
     late = take(found, (found.gap < -s.deep(found)) & ~np.isin(found.key, met.contacts.key))

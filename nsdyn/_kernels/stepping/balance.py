@@ -6,7 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import unite
-from nsdyn._kernels.stepping.law import any_positive
+from nsdyn._kernels.reductions import any_positive
 from nsdyn._kernels.vectors import along, dot, row
 
 ROUND_OFF = 1e-13

@@ -8,6 +8,7 @@ from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.dynamics import motion
 from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.reductions import most
 from nsdyn._kernels.stepping import law
 
 
@@ -27,7 +28,7 @@ def half(bodies, gravity, load, position, v, h, theta, fall, looked, arm, tol, o
         rate[i] = (v_free[i] - v_there[i]) / h
     motion.reach(v_free, theta * h, theta * h * h * fall, radius, reach)
     same = law.unmoved(looked[0], looked[1], looked[2], x, R, reach, arm, tol)
-    return law.most(reach), same
+    return most(reach), same
 
 
 @kernel

@@ -90,42 +90,6 @@ def begin_velocities(
 
 
 @kernel
-def any_positive(x):
-    """Whether an entry is positive; NumPy takes ten times as long for few."""
-    for i in range(x.size):
-        if x[i] > 0.0:
-            return True
-    return False
-
-
-@kernel
-def any_below(x, most):
-    """Whether an entry is at most so large."""
-    for i in range(x.size):
-        if x[i] <= most:
-            return True
-    return False
-
-
-@kernel
-def least(x):
-    """The smallest entry, or 0 if none is negative."""
-    out = 0.0
-    for i in range(x.size):
-        out = min(out, x[i])
-    return out
-
-
-@kernel
-def most(x):
-    """The largest entry, or 0 if none is positive."""
-    out = 0.0
-    for i in range(x.size):
-        out = max(out, x[i])
-    return out
-
-
-@kernel
 def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
     """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far."""
     for f in range(arm.size):
