@@ -17,6 +17,9 @@ __all__ = ["Flight", "spins", "tumbled", "velocities"]
 LEAP = 0.05
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-6 rad."""
 
+CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+"""Makes a quaternion xyzw that of the turn back."""
+
 
 class Pushes(NamedTuple):
     """Impulses on free bodies, one by one, sorted by step, body and time; two of a contact of two free bodies.
@@ -145,15 +148,14 @@ class Flight:
         arm, size = c["contacts/point"][row] - at, np.linalg.norm(push, axis=1)
         unknown = ((theta - 0.5) + 0.5 * (1.0 - theta) ** 2) * h * np.linalg.norm(forced, axis=2)
         moment = np.cross(arm, push)
-        turned, then = _turned(poses, step * free + body, time, moment)
+        turned, then, turning = _turned(poses, step * free + body, time, moment)
         met_x, met_quaternion = np.full((len(n), 2, 3), np.nan), np.full((len(n), 2, 4), np.nan)
         met_x[row, side], met_quaternion[row, side] = at, then
         # Forces act together with the impulses of a step in one piece, else all the time.
         gone = np.where(cut[step], (time / h)[:, None], 0.5)
         linear = before[step, body] + gone * forced[step, body] + pushes.halfway(push) / mass[body, None]
-        spin = spins(poses)[step, body] + pushes.halfway(moment)
         met_u = np.where(frames >= free, np.nan, 0.0)[:, :, None] * np.ones(3)
-        met_u[row, side] = linear + np.cross(angular(then, spin, _inverse_inertias(poses)[body]), arm)
+        met_u[row, side] = linear + np.cross(turning, arm)
         met_u = np.einsum("cij,cj->ci", axes, met_u[:, 1] - met_u[:, 0])
         return cls(
             impulse, summed(moment), summed(size), summed(size * np.linalg.norm(arm, axis=1)),
@@ -182,37 +184,41 @@ def _cut_without_contacts(poses: Poses) -> NDArray[np.bool_]:
     return out
 
 
-def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array, Array]:
+def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array, Array, Array]:
     """How free bodies are turned after each step, (n, free, 4), and when each moment acts, (moments, 4).
 
-    The moments, on body row % free in step row // free, are sorted by row and time. What else changes angular momenta
-    in a step, as external forces do, acts where those of a step in one piece do; rolling resistance acts at the end.
+    Then the mean angular velocity before and after each, world axes, (moments, 3), rad/s. The moments, on body
+    row % free in step row // free, are sorted by row and time. What else changes angular momenta in a step, as external
+    forces do, acts where those of a step in one piece do; rolling resistance acts at the end.
     """
     t, free = poses.trajectory, poses.free
-    q, spin = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), spins(poses)
-    inverse = np.tile(_inverse_inertias(poses), (t.steps, 1, 1))
-    L, now = spin[:-1].reshape(-1, 3).copy(), np.zeros(t.steps * free)
+    q, w = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), poses.v[:-1, :, 3:].reshape(-1, 3).copy()
+    inertia, now = np.tile(_inertias(poses), (t.steps, 1, 1)), np.zeros(t.steps * free)
     given, order = row.size, np.arange(row.size)
     if t.meta.get("external_force", False):
-        rest = np.diff(spin, axis=0).reshape(-1, 3)
+        rest = np.diff(spins(poses), axis=0).reshape(-1, 3)
         np.subtract.at(rest, row, moment)
         late = (1.0 - float(t.meta["theta"])) * t.dt
         row, time = np.append(row, np.arange(rest.size // 3)), np.append(time, np.full(rest.size // 3, late))
         order = np.lexsort((time, row))
         row, time, moment = row[order], time[order], np.concatenate([moment, rest])[order]
     # Moments of one body at one time together; then of each body the first, the second, ...
-    then, (begin, group) = np.empty((row.size, 4)), together(row, time)
+    begin, group = together(row, time)
     if begin.size:
         row, time, moment = row[begin], time[begin], np.add.reduceat(moment, begin)
-    rank, turned = np.arange(row.size) - np.searchsorted(row, row), np.empty((row.size, 4))
+    rank, met = np.arange(row.size) - np.searchsorted(row, row), np.empty((row.size, 7))
     for k in range(int(rank.max(initial=-1)) + 1):
         some = rank == k
         i = row[some]
-        turned[some] = q[i] = tumbled(q[i], L[i], inverse[i], time[some] - now[i])
-        L[i] += moment[some]
+        q[i], w[i] = tumbled(q[i], w[i], inertia[i], time[some] - now[i])
+        change = np.linalg.solve(inertia[i], rotate(q[i] * CONJUGATE, moment[some])[..., None])[..., 0]
+        met[some, :4], met[some, 4:] = q[i], rotate(q[i], w[i] + 0.5 * change)
+        w[i] += change
         now[i] = time[some]
-    then[order] = turned[group]
-    return tumbled(q, L, inverse, t.dt - now).reshape(t.steps, free, 4), then[:given]
+    then = np.empty((order.size, 7))
+    then[order] = met[group]
+    end, _ = tumbled(q, w, inertia, t.dt - now)
+    return end.reshape(t.steps, free, 4), then[:given, :4], then[:given, 4:]
 
 
 def velocities(poses: Poses) -> Array:
@@ -223,61 +229,51 @@ def velocities(poses: Poses) -> Array:
 
 def spins(poses: Poses) -> Array:
     """Angular momenta of free bodies about their centres of mass in world axes, (n + 1, free, 3), N·m·s."""
-    inertia = np.array(poses.scene["inertias"]).reshape(-1, 3, 3)
-    out: Array = rotate(poses.quaternion[:, : poses.free], np.einsum("bij,nbj->nbi", inertia, poses.v[..., 3:]))
+    own = np.einsum("bij,nbj->nbi", _inertias(poses), poses.v[..., 3:])
+    out: Array = rotate(poses.quaternion[:, : poses.free], own)
     return out
 
 
-def _inverse_inertias(poses: Poses) -> Array:
-    """J⁻¹ of free bodies in their axes, (free, 3, 3), 1/(kg m²)."""
-    return np.linalg.inv(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))
+def _inertias(poses: Poses) -> Array:
+    """Inertias J of free bodies in their axes, (free, 3, 3), kg m²."""
+    return np.array(poses.scene["inertias"]).reshape(-1, 3, 3)
 
 
-def angular(quaternion: Array, spin: Array, inverse: Array) -> Array:
-    """Angular velocities R J⁻¹ Rᵀ L of bodies in world axes, (m, 3), rad/s; arguments as of `tumbled`."""
-    out: Array = rotate(quaternion, _turning(quaternion, spin, inverse))
-    return out
+def tumbled(quaternion: Array, turning: Array, inertia: Array, time: Array) -> tuple[Array, Array]:
+    """Orientations (m, 4) and angular velocities (m, 3) of bodies after they turned freely.
 
-
-def _turning(quaternion: Array, spin: Array, inverse: Array) -> Array:
-    """Angular velocities J⁻¹ Rᵀ L of bodies in their own axes, (m, 3), rad/s."""
-    out: Array = np.einsum("mij,mj->mi", inverse, rotate(quaternion * (-1.0, -1.0, -1.0, 1.0), spin))
-    return out
-
-
-def tumbled(quaternion: Array, spin: Array, inverse: Array, time: Array) -> Array:
-    """Orientations of bodies after they turned freely, shape (m, 4).
-
-    With the angular momentum L of space, q' = ½ q ∘ ω and ω = J⁻¹ Rᵀ L. A body's own axes see ω turn no faster than
-    the body does, for no moment of inertia exceeds the sum of the other two.
+    q' = ½ q ∘ ω and J ω' = J ω × ω: the spin of a needle about itself then hangs on nothing else, where by its angular
+    momentum in space an error of its tilt is one of the spin, larger by the ratio of its inertias. A body's own axes
+    see ω turn no faster than the body does, for no moment of inertia exceeds the sum of the other two.
 
     Parameters
     ----------
     quaternion : ndarray, shape (m, 4)
-    spin : ndarray, shape (m, 3)
-        L, world axes, N·m·s.
-    inverse : ndarray, shape (m, 3, 3)
-        J⁻¹ in the axes of the bodies, 1/(kg m²).
+    turning : ndarray, shape (m, 3)
+        ω in the axes of the bodies, rad/s.
+    inertia : ndarray, shape (m, 3, 3)
+        J in the axes of the bodies, kg m².
     time : ndarray, shape (m,)
         s.
     """
-    out, left = quaternion.copy(), time.copy()
+    out, w, left, inverse = quaternion.copy(), turning.copy(), time.copy(), np.linalg.inv(inertia)
 
-    def rate(q: Array, some: Index) -> tuple[Array, Array]:
-        """q' and ‖ω‖."""
-        w = _turning(q, spin[some], inverse[some])
+    def rate(y: Array, some: Index) -> Array:
+        """q' and ω' of y = (q, ω)."""
+        q, w = y[:, :4], y[:, 4:]
+        spin = np.einsum("mij,mj->mi", inertia[some], w)
         turn = np.concatenate([q[:, 3:] * w + np.cross(q[:, :3], w), -(q[:, :3] * w).sum(1, keepdims=True)], axis=1)
-        return 0.5 * turn, np.linalg.norm(w, axis=1)
+        return np.concatenate([0.5 * turn, np.einsum("mij,mj->mi", inverse[some], np.cross(spin, w))], axis=1)
 
     while (some := np.flatnonzero(left > 0.0)).size:
-        q = out[some]
-        first, fast = rate(q, some)
-        h = np.minimum(left[some], LEAP / np.maximum(fast, 1e-300))
+        y = np.concatenate([out[some], w[some]], axis=1)
+        h = np.minimum(left[some], LEAP / np.maximum(np.linalg.norm(w[some], axis=1), 1e-300))
         left[some] -= h
         h = h[:, None]
-        second = rate(q + 0.5 * h * first, some)[0]
-        third = rate(q + 0.5 * h * second, some)[0]
-        fourth = rate(q + h * third, some)[0]
-        q = q + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
-        out[some] = q / np.linalg.norm(q, axis=1)[:, None]
-    return out
+        first = rate(y, some)
+        second = rate(y + 0.5 * h * first, some)
+        third = rate(y + 0.5 * h * second, some)
+        fourth = rate(y + h * third, some)
+        y += h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        out[some], w[some] = y[:, :4] / np.linalg.norm(y[:, :4], axis=1)[:, None], y[:, 4:]
+    return out, w
