@@ -51,6 +51,16 @@ def test_script_runs(script, tmp_path):
     assert re.search(expected, done.stdout), done.stdout
 
 
+@pytest.mark.parametrize(
+    "scene", ["--begin 7132", "--begin 3229 --seed 1", "--begin 9438 --seed 1", "--begin 1109 --seed 2"]
+)
+def test_random_scenes_in_which_something_was_found(scene):
+    """Turned by a projection and by rolling resistance, with impulses that are round-off, turned far by projections."""
+    command = [sys.executable, str(ROOT / "demos" / "bench" / "anything.py"), "--count", "1", *scene.split()]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "1 scenes: {'passed': 1}" in done.stdout, done.stdout
+
+
 def test_every_script_is_in_the_readme():
     text = (ROOT / "README.md").read_text()
     for script in (ROOT / "demos" / "bench").glob("*.py"):

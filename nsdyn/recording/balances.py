@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from nsdyn.recording.findings import Found, at_play, left_out, not_audited, of_bodies, worst_of
-from nsdyn.recording.flight import Flight, spins, velocities
+from nsdyn.recording.flight import CONJUGATE, Flight, spins, velocities
 from nsdyn.recording.poses import Poses, turned
 from nsdyn.recording.series import rotate
 from nsdyn.recording.trajectory import Trajectory
@@ -46,16 +46,25 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     rest = np.diff(spin, axis=0) - flight.torque
     # Where on its way the projection lifts a body is not recorded.
     left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown)
-    # Nor is how rolling resistance turns bodies, but what it takes: the ledger's projection without what was lifted.
-    # From one body it takes up to twice that, as where another rolls on it and is turned on.
-    taken = np.abs((flight.lift @ weight) @ mass / t.dt + t.energy.projection)
-    q = poses.quaternion[1:, :free]
-    change = np.linalg.solve(inertia, rotate(q * (-1.0, -1.0, -1.0, 1.0), rest)[..., None])[..., 0]
+    # Nor is how rolling resistance turns bodies, but what it takes: the ledger's projection without what was lifted,
+    # and turned with angular momenta that stay. From one body it takes up to twice that, as where another rolls on it
+    # and is turned on.
+    q, before = poses.quaternion[1:, :free], spin[:-1] + flight.torque
+    turned = (_rotational(q, before, inertia) - _rotational(flight.quaternion, before, inertia)).sum(axis=1)
+    taken = np.abs((flight.lift @ weight) @ mass / t.dt + t.energy.projection - turned)
+    change = np.linalg.solve(inertia, rotate(q * CONJUGATE, rest)[..., None])[..., 0]
     work = _resisted(poses, rest, rotate(q, poses.v[1:, :, 3:] - 0.5 * change))
     resisted = (taken > ROUND_OFF * at_play(poses))[:, None] & (work <= 2.0 * taken[:, None])
     left = np.where(resisted, 0.0, np.maximum(left, 0.0))
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:], "N·m·s")
+
+
+def _rotational(quaternion: Array, spin: Array, inertia: Array) -> Array:
+    """Energies of rotation of bodies with angular momenta (n, free, 3), world axes, turned so, (n, free), J."""
+    own = rotate(quaternion * CONJUGATE, spin)
+    out: Array = 0.5 * (own * np.linalg.solve(inertia, own[..., None])[..., 0]).sum(axis=2)
+    return out
 
 
 def _resisted(poses: Poses, couple: Array, spin: Array) -> Array:

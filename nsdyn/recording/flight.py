@@ -12,7 +12,7 @@ from nsdyn.recording.poses import Poses
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Flight", "spins", "tumbled", "velocities"]
+__all__ = ["CONJUGATE", "Flight", "spins", "tumbled", "velocities"]
 
 LEAP = 0.05
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-6 rad."""
