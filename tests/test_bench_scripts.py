@@ -52,10 +52,14 @@ def test_script_runs(script, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "scene", ["--begin 7132", "--begin 3229 --seed 1", "--begin 9438 --seed 1", "--begin 1109 --seed 2"]
-)
+    "scene",
+    [
+        "--begin 7132", "--begin 3229 --seed 1", "--begin 9438 --seed 1", "--begin 1109 --seed 2",
+        "--bad --begin 85 --seed 3", "--bad --begin 679 --seed 3", "--bad --begin 200 --seed 4",
+    ],
+)  # fmt: skip
 def test_random_scenes_in_which_something_was_found(scene):
-    """Turned by a projection and by rolling resistance, with impulses that are round-off, turned far by projections."""
+    """Turned by projections and by rolling resistance, impulses that are round-off, needles and grains of 1e-5 m."""
     command = [sys.executable, str(ROOT / "demos" / "bench" / "anything.py"), "--count", "1", *scene.split()]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "1 scenes: {'passed': 1}" in done.stdout, done.stdout

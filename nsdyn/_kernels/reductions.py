@@ -4,15 +4,6 @@ from nsdyn._kernels.compiled import kernel
 
 
 @kernel
-def any_positive(x):
-    """Whether an entry is positive."""
-    for i in range(x.size):
-        if x[i] > 0.0:
-            return True
-    return False
-
-
-@kernel
 def any_below(x, most):
     """Whether an entry is at most so large."""
     for i in range(x.size):

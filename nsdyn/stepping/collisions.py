@@ -58,7 +58,7 @@ def collide(
     d, c = s.dynamics, at.contacts
     if not (d.surfaces.count or _hits(s, at, h)):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
-        limit = s.solver.tol if s.elastic and _few.any_positive(c.restitution) else s.slow / h
+        limit = s.solver.tol if s.elastic and _few.most(c.restitution) > 0.0 else s.slow / h
         if _law.fastest(c.gap, s.closed, *where, *at.twists)[0] >= -limit:
             return None
     contacts, joints = take(c, c.gap <= s.closed), d.joint_rows(at.placement, at.v, at.v, 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import unite
-from nsdyn._kernels.reductions import any_positive
+from nsdyn._kernels.reductions import most
 from nsdyn._kernels.vectors import along, dot, row
 
 ROUND_OFF = 1e-13
@@ -28,7 +28,7 @@ def gains(mass, J, gravity, external, closed, states, owed, out):
     """
     x0, v0, x, v = states
     gain, kinetic, slack = out[0], out[1], out[2:]
-    some = any_positive(owed)
+    some = most(owed) > 0.0
     weight = math.sqrt(gravity[0] ** 2 + gravity[1] ** 2 + gravity[2] ** 2)
     for b in range(mass.size):
         i = 6 * b
