@@ -172,6 +172,34 @@ def test_walls_with_play(play):
     assert 0.5 <= certificate.bound <= 0.6
 
 
+def wedged(count, rng):
+    """Problem of balls in a row between two walls, each closing with some and play enough for all at the far wall."""
+    scene = nd.Scene()
+    scene.add_halfspace("floor", material=nd.Material(mu=0.4))
+    for sign in (1, -1):
+        scene.add_halfspace(f"wall {sign}", normal=(sign, 0, 0), offset=-0.1 * count, material=nd.Material(mu=0.4))
+    for k in range(count):
+        scene.add_sphere(f"ball {k}", 0.1, 1.0, position=(0.2 * k - 0.1 * (count - 1), 0, 0.1))
+    problem = nd.Stepper(scene, dt=5e-3).step().problem
+    q = problem.q + 0.02 * rng.normal(size=problem.q.size)
+    q[0::3] += np.where(np.arange(problem.nc) == problem.nc - 1, 0.1 * count, 0.0)
+    return nd.FC3D.from_blocks(problem.blocks, q, problem.mu)
+
+
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_wedged_bodies(count, rng):
+    """No velocity opens all contacts of a row between walls: that is not asked twice, and every answer has a bound."""
+    problem = wedged(count, rng)
+    H, opening = factor(problem), None
+    r = nd.solve(problem, solver="newton").r
+    for share in (0.0, 0.9, 0.999):
+        x = share * r
+        certificate, opening = gauss.certify(problem, x, None, opening)
+        assert opening.wedged == problem.nc
+        true, error = distance(problem, x, H)
+        assert true * (1 - 1e-6) - error <= certificate.bound <= 10.0 * true + 10.0 * np.sqrt(true)
+
+
 def test_overlap_of_round_off_is_no_reason_to_search_in_vain():
     certificate, _ = gauss.certify(walls(-1e-320, 1.0), np.zeros(6))
     assert certificate.bound <= 1e-15

@@ -16,7 +16,8 @@ are dual to each other. (Without the term ½‖a - v*‖²_M the same lines give
 Where u_N ≥ 0 everywhere, λ = 0 will do and the bound is the root of the duality gap. Else û(v) + λ Hᵀ d is in K* if
 u_N + λ κ ≥ 0 with κ = (Hᵀ d)_N - μ‖(Hᵀ d)_T‖, at every contact: d must open those that close, and may close those that
 open fast enough. So r = 0, whose gap is 0, gets a bound that is worth something. A direction with κ ≥ 1 everywhere
-depends on the contacts alone. It is found once and used as long as it serves, which one product with Hᵀ verifies.
+depends on the contacts alone. It is found once and used as long as it serves, which one product with Hᵀ verifies. Where
+bodies are wedged there is none, and each û is brought into K* by projections of its own.
 
 Where r is right up to η and contacts carry impulses, the bound is of the order of √η: of an answer to 1e-13 m/s it
 says 1e-7 √J. Where the frozen problem has no velocity inside all cones it has no bound, for then the least error of u
@@ -32,6 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn._kernels.problem import gauss as _kernels
+from nsdyn._kernels.problem.cones import ROUNDING
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.linear import contact_graph
 from nsdyn.problem.operators import Local
@@ -42,14 +44,23 @@ __all__ = ["Certificate", "Opening", "certify"]
 NOTHING = np.empty(0)
 
 SLACK = 0.1
-"""Fraction of the margin a of MARGINS that a direction may miss: the least one is hardly shorter."""
+"""Fraction of its margin that a direction may miss: the least one is hardly shorter."""
 
 WEAK = 4.0
 """Where a direction found for other contacts needs a λ of so many times the largest -u_N, a new one is found."""
 
-ENOUGH, SWEEPS = 0.5, 1000
-"""A direction for other contacts is changed until κ is at least so much everywhere, in at most so many sweeps; a few do
-where few contacts have changed, a hundred or more where a heap is struck, and Newton's method costs as much as that."""
+AIM, ENOUGH, SWEEPS = 1.0, 0.5, 200
+"""A direction for other contacts is changed until κ is at least so much everywhere, in at most so many sweeps, each
+change to the first: a few do where few contacts have changed, a hundred where a heap is struck."""
+
+OWN_AIM, OWN_ENOUGH, OWN_SWEEPS = 0.1, 0.01, 2000
+"""The same for û of one answer, whose unit is its largest -u_N: how far inside K* its velocity is brought."""
+
+RESOLVED = 100.0 * ROUNDING
+"""The least of that unit over the largest velocity."""
+
+FEWER = 0.9
+"""Contacts over those at which no direction opened all, from which on one is looked for again."""
 
 PENALTY, GROWTH, LARGEST = 10.0, 10.0, 1e9
 """Penalty times λ_max(W_cc) of the first Newton step, its growth with every full step, and its limit."""
@@ -58,11 +69,8 @@ STEPS, SHORTEST = 60, 1e-3
 """Newton steps for a direction, and the shortest fraction of one. About five are needed, and where none exists no
 number of them is enough."""
 
-MARGINS = (1.0, 0.0), (1.2, 1e-3), (0.01, 1.0)
-"""Directions are sought with Hᵀ d ∈ a e_N - b y + K*, for pairs (a, b) in turn; y is û(v) over the largest -u_N. The
-first is of the contacts alone and serves longest. The second lets contacts close that open a thousand times as fast as
-the worst closes: a body between walls, with some play, has no direction that opens both. The last asks no more than
-that û(v + λ d) is inside K*."""
+MARGIN = 0.01
+"""How far inside K* Newton's method brings û of one answer, in the unit of OWN_AIM, where projections fail."""
 
 
 class Certificate(NamedTuple):
@@ -93,17 +101,20 @@ class Opening(NamedTuple):
     Attributes
     ----------
     d : ndarray, shape (n,)
-        Velocity in the coordinates of `FC3D.blocks`, κ ≥ 1 - SLACK where it was found; the impulse x (3 nc,) of
-        d = M⁻¹ H x where W is given alone. Empty where none was found.
+        Velocity in the coordinates of `FC3D.blocks`; the impulse x (3 nc,) of d = M⁻¹ H x where W is given alone. Empty
+        where none was found.
     nc : int
         Number of contacts it was found for.
     speed : float
         Largest -u_N that it was sought for, m/s.
+    wedged : int
+        Number of contacts at which no d had κ > 0 everywhere; 0 where one had.
     """
 
     d: Array
     nc: int
     speed: float
+    wedged: int = 0
 
     def hopeless(self, nc: int, speed: float) -> bool:
         """Whether another search is not worth its cost: as many contacts, and not much less to open."""
@@ -148,11 +159,17 @@ def certify(
     if not math.isfinite(gap + shift):
         return Certificate(gap, shift, math.inf), opening
     if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):
-        d = _relaxed(problem, d)
-        if not d.size:
-            d = _open(problem, u, speed)
+        last = opening or Opening(NOTHING, 0, 0.0)
+        d, wedged = last.d, last.wedged if problem.nc > FEWER * last.wedged else 0
+        if not wedged:
+            d = _relaxed(problem, d)
+            if not d.size:
+                d = _least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
+            wedged = 0 if d.size else problem.nc
+        if wedged:
+            d = _of_own(problem, u, speed)
         if d.size or step == math.inf:
-            opening = Opening(d, problem.nc, speed)
+            opening = Opening(d, problem.nc, speed, wedged)
             step, total, square = _along_direction(problem, u, impulse, d)[3:]
     half = 0.5 * step * math.sqrt(square) if step < math.inf else math.inf
     return Certificate(gap, shift, half + math.sqrt(half * half + total)), opening
@@ -184,21 +201,21 @@ def _relaxed(problem: FC3D, d: Array) -> Array:
     if b is None or d.size != b.n:
         return NOTHING
     d = d.copy()
-    found = _kernels.relax(b.arrays, problem.mu, ENOUGH, SWEEPS, d)
+    found = _kernels.relax(b.arrays, problem.mu, np.zeros_like(problem.q), AIM, ENOUGH, SWEEPS, d)
     return d if found else NOTHING
 
 
-def _open(problem: FC3D, u: Array, speed: float) -> Array:
-    """`Opening.d` for the first of MARGINS that has one, empty if none has; `speed` is the largest -u_N."""
-    own = u / speed
-    own[0::3] += problem.mu * np.hypot(own[1::3], own[2::3])
-    for margin, share in MARGINS:
-        b = -share * own
-        b[0::3] += margin
-        d = _least_direction(problem, b, SLACK * margin)
-        if d.size:
-            return d
-    return NOTHING
+def _of_own(problem: FC3D, u: Array, speed: float) -> Array:
+    """`Opening.d` with û(v + λ d) in K* at λ = `speed`, the largest -u_N; empty if none is found."""
+    unit = max(speed, RESOLVED * float(np.abs(u).max()))
+    inside = -u / unit
+    inside[0::3] -= problem.mu * np.hypot(inside[1::3], inside[2::3])
+    if problem.blocks is not None:
+        d = np.zeros(problem.blocks.n)
+        if _kernels.relax(problem.blocks.arrays, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
+            return d * (unit / speed)
+    inside[0::3] += MARGIN
+    return _least_direction(problem, inside, SLACK * MARGIN) * (unit / speed)
 
 
 def _least_direction(problem: FC3D, b: Array, slack: float) -> Array:

@@ -149,18 +149,18 @@ def least_opening(o, b, mu):
 
 
 @kernel
-def relax(blocks, mu, enough, sweeps, d):
-    """Change d (n,) until κ ≥ `enough` < 1 at every contact, by projections; whether that was reached.
+def relax(blocks, mu, b, aim, enough, sweeps, d):
+    """Change d (n,) until κ(Hᵀ d - b) ≥ `enough` < `aim` at every contact, by projections; whether that was reached.
 
     Each contact in turn where κ is less gets the shortest change, in the kinetic norm, that brings the linearised κ to
-    1: along the impulse g = (1, -μ o_T/|o_T|), the gradient of κ = o_N - μ|o_T|. Where directions with κ > 1 exist,
-    d comes closer to all of them with every change, and finitely many do.
+    `aim`: with o = Hᵀ d - b along the impulse g = (1, -μ o_T/|o_T|), the gradient of κ = o_N - μ|o_T|. Where directions
+    with κ > `aim` exist, d comes closer to all of them with every change, and finitely many do.
     """
     offset, block, start, H, m_start, _, minv = blocks
     for _ in range(sweeps):
         found = True
         for c in range(mu.size):
-            o0, o1, o2 = 0.0, 0.0, 0.0
+            o0, o1, o2 = -b[3 * c], -b[3 * c + 1], -b[3 * c + 2]
             for s in range(2):
                 k = block[c, s]
                 if k >= 0:
@@ -196,7 +196,7 @@ def relax(blocks, mu, enough, sweeps, d):
                                 d[o + i] += change * w
                 if not square > 0.0:
                     return False
-                change = (1.0 - kappa) / square
+                change = (aim - kappa) / square
         if found:
             return True
     return False
