@@ -13,7 +13,7 @@ from nsdyn._kernels.solvers import start as _start
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import ACCEPTED, Solution, Status
-from nsdyn.solvers.continuation import continuation
+from nsdyn.solvers.continuation import continuation, continued
 from nsdyn.solvers.impulse_newton import ImpulseNewton
 from nsdyn.solvers.interior import interior
 from nsdyn.solvers.means import ByFactors, ByMatrix, Interruptible, Means
@@ -138,6 +138,13 @@ class Search:
         self._followed, x = tol, np.zeros_like(self.r)
         self._cold(x, *continuation(self.means, x, tol, self._most(cost, most)))
 
+    def follow_on(self, tol: float) -> None:
+        """The same from the best."""
+        cost, (misses, most) = self.means.factorisation, TUNING.onward
+        if not self._over(tol):
+            x = self.r.copy()
+            self._cold(x, *continued(self.means, x, misses * self.best, tol, self._most(cost, most)))
+
     def sweep(self, factorisations: float, tol: float) -> None:
         """Sweeps with momentum that take as long as so many factorisations, from the best or on from the last."""
         if self._over(tol):
@@ -147,15 +154,18 @@ class Search:
             self._sweeps = self.means.nesterov(self._x)
         cost, before = self.means.sweep, self._sweeps.count
         most = before + self._most(cost, factorisations * self.means.factorisation / cost)
-        self._sweeps.run(tol, most, most)
+        self._sweeps.run(tol, most, TUNING.idle)
         if self._sweeps.best < self.best:
             self.r[:] = self._x
         used = self._sweeps.count - before
         self._note(self._sweeps.best, used, used * cost)
 
     def rounds(self, tol: float) -> None:
-        """Sweeps and Newton in turn, the next time twice as long; where sweeps are stuck again and again, the path."""
-        lengths, (little, patience) = [TUNING.first_sweep, TUNING.first_newton], TUNING.stuck
+        """Sweeps and Newton in turn, the next time twice as long; paths where that gains little.
+
+        The first time both do, a path begins at the best, and where sweeps are stuck again and again one from nothing.
+        """
+        lengths, (little, patience), on = [TUNING.first_sweep, TUNING.first_newton], TUNING.stuck, True
         for _ in range(TUNING.rounds):
             start = self.best
             self.sweep(lengths[0], tol)
@@ -163,6 +173,9 @@ class Search:
             self.newton(TUNING.far, lengths[1], tol)
             lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
             patience -= stuck
+            if on and self.best > little * start:
+                self.follow_on(tol)
+                on = False
             if stuck and patience <= 0:
                 self.follow(tol)
 

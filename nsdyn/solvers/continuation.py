@@ -1,4 +1,4 @@
-"""Continuation along smoothed laws to Coulomb's: a cold start that turns with its path where Newton's methods stall."""
+"""Continuation along smoothed laws to Coulomb's, which turns with its path where Newton's methods stall."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nsdyn.solvers.means import ByFactors, ByMatrix, Means
 from nsdyn.solvers.newton import by_islands
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Continuation", "continuation"]
+__all__ = ["Continuation", "continuation", "continued"]
 
 STRETCHES = 20.0, 5.0, 80.0
 """κ λ_max(W_cc) of the normal map z = r - κ u, by which paths differ: after one that ends or is `LONGEST` the next is
@@ -85,7 +85,7 @@ class Point(NamedTuple):
 
 
 class Path:
-    """The curve G(z, t) = W r + q - u - (τ / τ_0) G_0 = 0 of the smoothed laws, which z = 0 is on at τ_0.
+    """The curve G(z, t) = W r + q - u - (τ / τ_0) G_0 = 0 of the smoothed laws, which any z_0 is on at any τ_0.
 
     Attributes
     ----------
@@ -95,22 +95,21 @@ class Path:
     kappa, k : ndarray, shapes (nc,) and (3 nc,)
         κ of each contact and of each of its components, kg.
     G0 : ndarray, shape (3 nc,)
-        W r + q - u at z = 0 and τ_0, m/s.
+        W r + q - u at z_0 and τ_0, m/s.
     t0 : float
         log τ_0.
     start : Point
-        Where the curve begins.
+        Where the curve begins: at z_0 = 0, or at z_0 = r - κ u of an impulse, with τ_0 = speed² / λ_max(W_cc).
     """
 
-    def __init__(self, means: Means, stretch: float) -> None:
+    def __init__(self, means: Means, stretch: float, near: Array, speed: float) -> None:
         p = means.problem
         self.W, self.q, self.mu, self.scales, self.q_norm = means.operator, p.q, p.mu, p.scales, means.q_norm
         self.kappa = stretch / p.scales
         self.k = np.repeat(self.kappa, 3)
         self.G0 = np.zeros_like(p.q)
-        speed = float(np.abs(p.q).max()) or 1.0
         self.t0 = float(np.log(speed**2 / p.scales.mean()))
-        begin = np.append(np.zeros_like(p.q), self.t0)
+        begin = np.append(near - self.k * p.velocity(near) if near.any() else near, self.t0)
         self.G0 = self.at(begin).defect
         self.start = self.at(begin)
 
@@ -211,14 +210,28 @@ def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, fl
     Math. Oper. Res. 17, 1992.
     """
     count, best, x = 0, np.inf, np.empty_like(r)
+    nothing, speed = np.zeros_like(r), float(np.abs(means.problem.q).max()) or 1.0
     for stretch in STRETCHES:
         if best <= tol or count >= most:
             break
-        used, measure = _followed(Path(means, stretch), means, x, tol, min(LONGEST, most - count))
+        used, measure = _followed(Path(means, stretch, nothing, speed), means, x, tol, min(LONGEST, most - count))
         count += used
         if measure < best:
             best = measure
             r[:] = x
+    return count, best
+
+
+def continued(means: Means, r: Array, speed: float, tol: float, most: int) -> tuple[int, float]:
+    """The same from an impulse r, in its place: a shorter path where r is near a solution.
+
+    It begins with a smoothing of that speed, m/s, which must be some hundred times what r misses for the path to go on
+    to a solution, and fails more often than that from nothing.
+    """
+    x = np.zeros_like(r)
+    count, best = _followed(Path(means, STRETCHES[0], r, speed), means, x, tol, most)
+    if best < np.inf:
+        r[:] = x
     return count, best
 
 

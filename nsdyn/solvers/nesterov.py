@@ -40,6 +40,7 @@ class Sweeps:
 
     def run(self, tol: float, most: int, patience: int) -> bool:
         """Go on to the tolerance, to so many sweeps in all or so many without gain; whether it is worth going on."""
+        self._last = self.count
         self.count, self._last, self.best, self._keep = _kernels.solve(
             *self._given, tol, self._best_r, self._y, self._x, self._v, self._t, self.count, self._last, self.best,
             self._keep, most, CHECK, patience,
@@ -62,6 +63,7 @@ class MatrixSweeps:
 
     def run(self, tol: float, most: int, patience: int) -> bool:
         """Go on as `Sweeps.run` does."""
+        self._last = self.count
         self.count, self._last, self.best, self._keep = _kernels.solve_matrix(
             *self._given, tol, self._best_r, self._y, self._x, self._t, self.count, self._last, self.best,
             self._keep, most, CHECK, patience,

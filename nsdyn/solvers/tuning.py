@@ -127,6 +127,13 @@ class Tuning:
     """Measure after sweeps, over that before, from which on they are stuck, and how often before a continuation begins:
     by then as much has been spent as the shortest take."""
 
+    idle: int = 2000
+    """Sweeps without gain that are stuck."""
+
+    onward: tuple[float, int] = (100.0, 150)
+    """Smoothing, over what the best misses, of a path that begins there, and its factorisations at most: such paths
+    take 70 in piles of spheres, where those from nothing take 115, or fail."""
+
     restart: float = 0.5
     """Sweeps lose their momentum and go on from what Newton found only where that is so much better."""
 
