@@ -159,14 +159,15 @@ def certify(
     if not math.isfinite(gap + shift):
         return Certificate(gap, shift, math.inf), opening
     if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):
-        last = opening or Opening(NOTHING, 0, 0.0)
-        d, wedged = last.d, last.wedged if problem.nc > FEWER * last.wedged else 0
+        last = opening or Opening(NOTHING, problem.nc, 0.0)
+        d, wedged = NOTHING, last.wedged if problem.nc > FEWER * last.wedged else 0
         if not wedged:
-            d = _relaxed(problem, d)
-            if not d.size:
+            d = _relaxed(problem, last.d)
+            # What lasts is worth its cost where contacts do: where there are as many as at the last search.
+            if not d.size and problem.nc == last.nc:
                 d = _least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
-            wedged = 0 if d.size else problem.nc
-        if wedged:
+                wedged = 0 if d.size else problem.nc
+        if not d.size:
             d = _of_own(problem, u, speed)
         if d.size or step == math.inf:
             opening = Opening(d, problem.nc, speed, wedged)
