@@ -81,7 +81,7 @@ def support(shape, R, n):
         case shapes.CAPSULE:
             p = shape.size[0] * m + [0, 0, np.copysign(shape.size[1], m[2])]
         case shapes.CYLINDER:
-            p = np.r_[shape.size[0] * m[:2] / np.hypot(*m[:2]), np.copysign(shape.size[1], m[2])]
+            p = np.r_[shape.size[0] * m[:2] / (np.hypot(*m[:2]) or 1.0), np.copysign(shape.size[1], m[2])]
         case shapes.ELLIPSOID:
             p = shape.size**2 * m / np.linalg.norm(shape.size * m)
         case _:

@@ -49,9 +49,9 @@ SLACK = 0.1
 WEAK = 4.0
 """Where a direction found for other contacts needs a λ of so many times the largest -u_N, a new one is found."""
 
-AIM, ENOUGH, SWEEPS = 1.0, 0.5, 200
+AIM, ENOUGH, SWEEPS = 1.0, 0.5, 50
 """A direction for other contacts is changed until κ is at least so much everywhere, in at most so many sweeps, each
-change to the first: a few do where few contacts have changed, a hundred where a heap is struck."""
+change to the first: a few do where few contacts have changed, and where a heap is struck hundreds may not."""
 
 OWN_AIM, OWN_ENOUGH, OWN_SWEEPS = 0.1, 0.01, 2000
 """The same for û of one answer, whose unit is its largest -u_N: how far inside K* its velocity is brought."""

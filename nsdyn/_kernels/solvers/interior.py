@@ -79,13 +79,22 @@ def nesterov_todd(x, z, dx, dz, T, V):
 
 
 @kernel
+def scaled_point(x, z, dx, dz, lam):
+    """λ = T z = T⁻¹ x of `nesterov_todd`, into lam (3,), inside the cone also where both points are on its boundary."""
+    g, e = math.sqrt(0.5 * (1.0 + dot(x, z) / (dx * dz))), math.sqrt(dx * dz)
+    x0, z0 = x[0] / dx, z[0] / dz
+    a, b = (g + z0) / (x0 + z0 + 2.0 * g) / dx, (g + x0) / (x0 + z0 + 2.0 * g) / dz
+    lam[0] = e * g
+    lam[1], lam[2] = e * (a * x[1] + b * z[1]), e * (a * x[2] + b * z[2])
+
+
+@kernel
 def scalings(x, z, T, V, lam):
     """`nesterov_todd` of many points (n, 3), and λ = T z."""
     for c in range(x.shape[0]):
         a, b = row(x, c), row(z, c)
         nesterov_todd(a, b, root(a), root(b), T[c], V[c])
-        for i in range(3):
-            lam[c, i] = dot(row(T[c], i), b)
+        scaled_point(a, b, root(a), root(b), lam[c])
 
 
 @kernel
@@ -99,9 +108,9 @@ def scaling(u, z, mu, T, V, C, A, lam):
         x0 = u[c, 0] / m + t
         x, y = (x0, x1, x2), row(z, c)
         total += dot(x, y)
-        nesterov_todd(x, y, math.sqrt(u[c, 0] / m * (x0 + t)), root(y), T[c], V[c])
-        for i in range(3):
-            lam[c, i] = dot(row(T[c], i), y)
+        dx, dy = math.sqrt(u[c, 0] / m * (x0 + t)), root(y)
+        nesterov_todd(x, y, dx, dy, T[c], V[c])
+        scaled_point(x, y, dx, dy, lam[c])
         C[c] = 0.0
         A[c] = 0.0
         C[c, 0, 0] = 1.0 / m
