@@ -22,7 +22,7 @@ class _Announce(event.Listener):  # type: ignore[misc]  # numba is not typed
 
     def on_start(self, event: event.Event) -> None:
         """Once in a process, and once for every module of kernels."""
-        module = event.data["dispatcher"].py_func.__module__
+        module = event.data["dispatcher"].py_func.__module__ or ""
         if not module.startswith(__name__) or module in self.seen:
             return
         ahead.announce()

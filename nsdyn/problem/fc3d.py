@@ -6,7 +6,6 @@ in m/s, r in N·s. The judge is not the player: every solver's answer is measure
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import Any
 
@@ -115,10 +114,7 @@ class FC3D:
         problem = FC3D.__new__(FC3D)
         problem.__dict__.update(self.__dict__)
         problem._set(q, self.mu if mu is None else mu)
-        q_norm, good = _blocks.size_of(problem.q, problem.mu)
-        if not good:
-            problem._check_values()
-        problem.q_norm = q_norm or 1.0
+        problem._check_values()
         return problem
 
     def _set(self, q: Any, mu: Any) -> None:
@@ -128,6 +124,11 @@ class FC3D:
             raise ValueError(f"q must have 3 entries per entry of mu, got {self.q.shape} and {self.mu.shape}")
 
     def _check_values(self) -> None:
+        q_norm, good = _blocks.size_of(self.q, self.mu)
+        self.q_norm: float = q_norm or 1.0
+        """‖q‖₂ in m/s, or 1 where q = 0."""
+        if good:
+            return
         if not np.isfinite(self.q).all():
             raise ValueError("q must be finite, got NaN or infinity")
         if not (np.isfinite(self.mu).all() and (self.mu >= 0).all()):
@@ -161,11 +162,6 @@ class FC3D:
     def csr(self) -> tuple[Index, Index, Array]:
         """(indptr, indices, data (nnz, 3, 3)) of W, sorted, with 64-bit indices, as the kernels take them."""
         return _csr(self.W)
-
-    @cached_property
-    def q_norm(self) -> float:
-        """‖q‖₂ in m/s, or 1 where q = 0."""
-        return math.sqrt(self.q @ self.q) or 1.0
 
     @property
     def nc(self) -> int:

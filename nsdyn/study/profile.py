@@ -3,7 +3,7 @@
 Every solver runs in a process of its own with one thread and a hard limit on the time of each call, so that one that
 hangs or crashes loses only the problem at hand. A problem counts as solved if `FC3D.error` of the returned impulse is
 within the tolerance; what a solver claims is not asked. Timed is the solver's call on a problem built afresh, after one
-call to compile, best of three (one if it takes more than a second).
+call to compile, best of what fits in 50 ms, of three at least (of one if it takes more than a second).
 
 References
 ----------

@@ -16,6 +16,10 @@ import numpy as np
 
 Call = Callable[[], tuple[Any, int]]
 
+REPEAT, SHORT, TOGETHER = 0.05, 1e-3, 20
+"""Seconds for which calls are repeated, below which they are short, and how many of those follow each other at once:
+the first few find nothing in the processor's caches."""
+
 
 def serve(prepare: Callable[..., Callable[[], Call]], warm: bool) -> None:
     """Answer requests until stdin ends.
@@ -30,8 +34,8 @@ def serve(prepare: Callable[..., Callable[[], Call]], warm: bool) -> None:
 
     Notes
     -----
-    A call is timed three times and the best counts, once if it takes more than a second. Before and after each call a
-    line says so, for whoever watches the clock.
+    A call is timed as often as `REPEAT` allows, three times at least, and the best counts; once if it takes more than a
+    second. Before and after each call, or some short ones, a line says so, for whoever watches the clock.
     """
     replies = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # solvers that print must not garble the replies
@@ -43,19 +47,20 @@ def serve(prepare: Callable[..., Callable[[], Call]], warm: bool) -> None:
         request = json.loads(line)
         try:
             fresh = prepare(request["problem"], request["solver"], request["tol"])
-            best, count = np.inf, -1 if warm else 0
-            while count < 3:
-                call = fresh()
+            best, count, until = np.inf, -1 if warm else 0, np.inf
+            while count < 3 or time.perf_counter() < until:
+                calls = [fresh() for _ in range(TOGETHER if best < SHORT else 1)]
                 say(event="warm" if count < 0 else "start")
-                begin = time.perf_counter()
-                r, iterations = call()
-                seconds = time.perf_counter() - begin
+                for call in calls:
+                    begin = time.perf_counter()
+                    r, iterations = call()
+                    seconds = time.perf_counter() - begin
+                    if count >= 0:
+                        best, until = min(best, seconds), min(until, begin + REPEAT)
                 say(event="end")
-                if count >= 0:
-                    best = min(best, seconds)
-                    if seconds > 1.0:
-                        break
                 count += 1
+                if best > 1.0 and count > 0:
+                    break
             np.save(request["answer"], r)
             say(seconds=best, iterations=int(iterations))
         except Exception as failure:  # whatever a peer raises is its result
