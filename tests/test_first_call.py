@@ -53,6 +53,12 @@ def test_compiling_is_announced_once(tmp_path):
     assert second.stdout == "(2.0, 0.3, 0.4) 0\n" and second.stderr == ""
 
 
+def test_functions_of_users_from_nowhere_compile():
+    """One that was made by exec has no module."""
+    code = "import nsdyn, numba; names = {}; exec('def f(x): return x + 1', names); print(numba.njit(names['f'])(1))"
+    assert python("-c", code).stdout == "2\n"
+
+
 @pytest.fixture
 def package(tmp_path):
     """Copy of the package in another place, as another environment has one."""
