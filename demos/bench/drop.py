@@ -1,6 +1,6 @@
 """Spheres dropped into a container, from the drop to rest: the mean cost of a step, beside MuJoCo's.
 
-    python demos/bench/drop.py [--spheres 200] [--time 2] [--dt 5e-3] [--tol 1e-4]
+    python demos/bench/drop.py [--spheres 200] [--arrangements 4] [--time 2] [--dt 5e-3] [--tol 1e-4]
 
 MuJoCo (extra `peers`) runs at its defaults. The mean counts: piles are cheap in the air and at rest, and dear between.
 """
@@ -53,16 +53,19 @@ def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--spheres", type=int, default=200)
+    parser.add_argument("--arrangements", type=int, default=4)
     parser.add_argument("--time", type=float, default=2.0)
     parser.add_argument("--dt", type=float, default=5e-3)
     parser.add_argument("--tol", type=float, default=1e-4)
     arguments = parser.parse_args()
-    scene, steps = spheres(arguments.spheres), round(arguments.time / arguments.dt)
-    mean = ours(scene, arguments.dt, arguments.tol, steps)
-    try:
-        print(f"nsdyn/MuJoCo {mean / peer(scene, arguments.dt, steps):.2f}")
-    except ImportError:
-        print("MuJoCo is not installed: pip install 'nsdyn[peers]'")
+    steps = round(arguments.time / arguments.dt)
+    for arrangement in range(arguments.arrangements):
+        scene = spheres(arguments.spheres, arrangement)
+        mean = ours(scene, arguments.dt, arguments.tol, steps)
+        try:
+            print(f"nsdyn/MuJoCo {mean / peer(scene, arguments.dt, steps):.2f}")
+        except ImportError:
+            print("MuJoCo is not installed: pip install 'nsdyn[peers]'")
 
 
 if __name__ == "__main__":
