@@ -15,7 +15,7 @@ from nsdyn._kernels.solvers import local
 from nsdyn._kernels.solvers import smoothing as smooth
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.operators import Local, Velocity
-from nsdyn.solvers.continuation import continuation
+from nsdyn.solvers.continuation import continuation, continued
 from nsdyn.solvers.means import ByFactors, ByMatrix
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -120,6 +120,20 @@ def test_continuation_from_nothing():
         r = np.empty_like(problem.q)
         used, measure = continuation(means, r, 1e-8, 400)
         assert problem.solved(r, 1e-8)[0] and measure <= 1e-8 and 5 < used < 200
+
+
+def test_continuation_from_what_is_near(rng):
+    """From an impulse that misses by little the path is shorter than from nothing."""
+    problem = kicked_stack(height=8, ratio=30.0)
+    assert problem.blocks is not None
+    means = ByFactors(problem.blocks, problem.q, problem.mu, problem.scales, problem.q_norm)
+    from_nothing, _ = continuation(means, np.empty_like(problem.q), 1e-6, 400)
+    near = nd.solve(problem, tol=1e-10).r * (1.0 + 1e-4 * rng.normal(size=problem.q.size))
+    missed = max(problem.error(near), problem.residual(near))
+    used, measure = continued(means, near, 10.0 * missed, 1e-6, 400)
+    assert missed > 1e-4
+    assert problem.solved(near, 1e-6)[0] and measure <= 1e-6
+    assert used < 0.9 * from_nothing
 
 
 @pytest.mark.parametrize("mu", [0.0, 10.0])
