@@ -60,7 +60,7 @@ class Search:
         _, error, residual, _ = p.solved(r, self.tol)
         self.abrupt = bool(r.any()) and residual > TUNING.abrupt * self.loose
         self._hopeless = large and self.abrupt and residual > TUNING.hopeless * self.loose
-        self._effort = auto.effort
+        self._effort, self._convex = auto.effort, not p.mu.any()
         self._calm = TUNING.warm[1] if large else TUNING.calm
         if residual <= TUNING.rest * self.loose:
             self._calm = TUNING.calm_at_rest
@@ -164,6 +164,7 @@ class Search:
         """Sweeps and Newton in turn, the next time twice as long; paths where that gains little.
 
         The first time both do, a path begins at the best, and where sweeps are stuck again and again one from nothing.
+        Without friction the interior point method takes the place of the first: of a convex problem it needs less.
         """
         lengths, (little, patience), on = [TUNING.first_sweep, TUNING.first_newton], TUNING.stuck, True
         for _ in range(TUNING.rounds):
@@ -174,7 +175,10 @@ class Search:
             lengths = [lengths[0] if stuck else 2 * lengths[0], 2 * lengths[1]]
             patience -= stuck
             if on and self.best > little * start:
-                self.follow_on(tol)
+                if self._convex:
+                    self.interior_point()
+                else:
+                    self.follow_on(tol)
                 on = False
             if stuck and patience <= 0:
                 self.follow(tol)

@@ -21,7 +21,7 @@ COORDINATE, MULTIPLICATION, BLOCK = 2.5e-6, 0.9e-10, 6e-7
 """Seconds that a factorisation takes per coordinate and per multiplication of `elimination_work`, or per block of a
 given W: measured, the last between 5e-7 and 1.5e-6 from 250 to 800 contacts."""
 
-CONTACT, COUPLING, ACCELERATED = 45e-9, 12e-9, 3e-7
+CONTACT, COUPLING, ACCELERATED = 22e-9, 12e-9, 3e-7
 """Seconds that a sweep with momentum takes per contact of free bodies and per block of W, and an accelerated one per
 contact: measured."""
 

@@ -31,11 +31,12 @@ class Sweeps:
     """
 
     def __init__(self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, q_norm: float) -> None:
-        self._best_r, self._v = r.reshape(-1, 3), np.empty(blocks.n)
-        given = q.reshape(-1, 3), mu, scales, q_norm
-        rows, body, steps, self.best = _kernels.begin(blocks.arrays, *given, self._best_r, self._v)
-        self._given = rows, body, steps, *given
-        self._y, self._x, self._t = self._best_r.copy(), self._best_r.copy(), np.ones(mu.size)
+        self._best_r = r.reshape(-1, 3)
+        *given, self._y, self._v, self.best = _kernels.begin(
+            blocks.arrays, q.reshape(-1, 3), mu, scales, q_norm, self._best_r
+        )
+        self._given = *given, q_norm
+        self._x, self._t = self._y.copy(), np.ones(mu.size)
         self.count, self._last, self._keep = 0, 0, 0.5
 
     def run(self, tol: float, most: int, patience: int) -> bool:

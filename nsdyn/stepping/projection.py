@@ -28,6 +28,11 @@ COARSE = 1e-4
 Coarser ones are not even on both sides of what is symmetric: at 0.01 a row of dominoes left its plane."""
 
 
+FAR = 10.0
+"""Gaps of so many times the deepest overlap are left to the next projection, should this one close them. They are most
+where bodies move fast, and numbers so much larger than those that matter cost the methods for hard problems digits."""
+
+
 class Placed(NamedTuple):
     """A position, its frames, and the contacts found there.
 
@@ -86,16 +91,18 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         what touches them, stay.
     """
     for _ in range(PASSES):
-        gap, deepest = placed.contacts.gap, _least(placed)
+        deepest = _least(placed)
         if deepest >= -closed:
             return placed
+        contacts = ContactSet._make(column[placed.contacts.gap < -FAR * deepest] for column in placed.contacts)
+        gap = contacts.gap
         joints = None
         if placed.limits.size:
             rest = np.zeros(dynamics.n)
             joints = dynamics.joint_rows(placed.placement, rest, rest, 0.0)
             joints = None if joints is None else joints.take(joints.mu == 0.0)
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
-        rows, _ = dynamics.rows(placed.contacts, placed.placement, forces, joints)
+        rows, _ = dynamics.rows(contacts, placed.placement, forces, joints)
         # In units of the deepest overlap, which the tolerance is a fraction of.
         g = np.zeros(3 * gap.size)
         g[0::3] = gap / -deepest

@@ -1,8 +1,8 @@
 """Projected Gauss–Seidel with momentum on free bodies, where W is given by its factors.
 
 The rows of Hᵀ are taken in coordinates where M = I, Ĥ = Gᵀ H with M⁻¹ = G Gᵀ, so that one array serves to read the
-velocity of a contact, u = Ĥᵀ v̂ + q, and to apply its impulse, v̂ += Ĥ_c dr: six coordinates a body, unrolled. A
-frictionless contact has one row.
+velocity of a contact, u = Ĥᵀ v̂ + q, and to apply its impulse, v̂ += Ĥ_c dr: eight numbers a body, of which two are
+zeros. A frictionless contact has one row.
 """
 
 import math
@@ -10,19 +10,48 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.lanes import WIDTH, add, dot
 from nsdyn._kernels.problem.cones import measure_at, project
 from nsdyn._kernels.solvers.pgs import velocity, velocity_of
+from nsdyn._kernels.sorting import order as sorted_by
 
 ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
 CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
 
+PAIR = np.uint64(2 * WIDTH)  # numbers in a row of both bodies
+CONTACT = np.uint64(3) * PAIR
+
+STILL = 16
+"""Bodies that never move, in place of those that contacts lack, by turns: one would make them wait for each other."""
+
 
 @kernel
-def rows_in_unit_mass(blocks, mu):
-    """Rows of Ĥᵀ, (nc, 2, 18) made flat, zeros for a missing body or row, and bodies (nc, 2), 0 for a missing one."""
+def independent(block, count):
+    """The contacts in an order in which neighbours share no body where that is possible, those of each body in theirs.
+
+    A sweep does the same in it as in that of the contacts, and the processor need not wait for one to begin the next.
+    """
+    last, turn = np.zeros(count, np.int64), np.empty(block.shape[0], np.int64)
+    for c in range(turn.size):
+        turn[c] = 0
+        for s in range(2):
+            if block[c, s] >= 0:
+                turn[c] = max(turn[c], last[block[c, s]])
+        for s in range(2):
+            if block[c, s] >= 0:
+                last[block[c, s]] = turn[c] + 1
+    return sorted_by(turn)
+
+
+@kernel
+def rows_in_unit_mass(blocks, mu, order):
+    """Rows of Ĥᵀ, (nc, 3, 2, 8) made flat, zeros for a missing body or row, and where the bodies begin in v̂ (nc, 2).
+
+    Both in the `order` of the contacts. v̂ has 8 numbers a body, and as many for each of `STILL`.
+    """
     offset, block, start, H, m_start, _, minv = blocks
-    G = np.zeros_like(minv)
-    for k in range(offset.size - 1):
+    G, count = np.zeros_like(minv), offset.size - 1
+    for k in range(count):
         b = m_start[k]
         for j in range(6):
             for i in range(j, 6):
@@ -30,17 +59,18 @@ def rows_in_unit_mass(blocks, mu):
                 for l in range(j):
                     total -= G[b + 6 * i + l] * G[b + 6 * j + l]
                 G[b + 6 * i + j] = math.sqrt(total) if i == j else total / G[b + 7 * j]
-    out, body = np.zeros((block.shape[0], 2, 18)), np.zeros((block.shape[0], 2), np.uint64)
-    for c in range(block.shape[0]):
+    out, body = np.zeros((block.shape[0], 3, 2, WIDTH)), np.empty((block.shape[0], 2), np.uint64)
+    for e in range(order.size):
+        c = order[e]
         for s in range(2):
             k = block[c, s]
+            body[e, s] = WIDTH * (k if k >= 0 else count + e % STILL)
             if k >= 0:
-                body[c, s] = k
                 for i in range(3 if mu[c] > 0.0 else 1):
                     for l in range(6):
                         x = H[start[c, s] + 6 * i + l]
                         for j in range(l + 1):
-                            out[c, s, 6 * i + j] += x * G[m_start[k] + 6 * l + j]
+                            out[e, i, s, j] += x * G[m_start[k] + 6 * l + j]
     return out.reshape(-1), body
 
 
@@ -48,14 +78,13 @@ def rows_in_unit_mass(blocks, mu):
 def local_steps(rows, mu):
     """1/W_NN, W_TN and 1/lambda_max(W_TT) of every contact, shape (nc, 4); zeros for a missing row."""
     out = np.zeros((mu.size, 4))
-    w = np.empty((3, 3))
+    w, x = np.empty((3, 3)), rows.reshape((mu.size, 3, 2 * WIDTH))
     for c in range(mu.size):
-        x, y = rows[36 * c : 36 * c + 18], rows[36 * c + 18 : 36 * c + 36]
         for i in range(3 if mu[c] > 0.0 else 1):
             for j in range(i + 1):
                 total = 0.0
-                for l in range(6):
-                    total += x[6 * i + l] * x[6 * j + l] + y[6 * i + l] * y[6 * j + l]
+                for l in range(2 * WIDTH):
+                    total += x[c, i, l] * x[c, j, l]
                 w[i, j] = total
         out[c, 0] = 1.0 / w[0, 0]
         if mu[c] == 0.0:
@@ -69,46 +98,15 @@ def local_steps(rows, mu):
 @kernel(inline="always")
 def read(rows, c, body, v):
     """Ĥ_cᵀ v: normal, first and second tangent."""
-    u0, u1, u2 = 0.0, 0.0, 0.0
-    for s in range(2):
-        # Unsigned and flat: the compiler need not ask whether an index counts from the end, nor make views.
-        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
-        for l in range(6):
-            e, z = o + np.uint64(l), v[a + np.uint64(l)]
-            u0 += rows[e] * z
-            u1 += rows[e + np.uint64(6)] * z
-            u2 += rows[e + np.uint64(12)] * z
-    return u0, u1, u2
+    # Unsigned: the compiler need not ask whether an index counts from the end.
+    o, a, b = CONTACT * np.uint64(c), body[c, 0], body[c, 1]
+    return dot(rows, o, v, a, b), dot(rows, o + PAIR, v, a, b), dot(rows, o + PAIR + PAIR, v, a, b)
 
 
 @kernel(inline="always")
-def apply(rows, c, body, z0, z1, z2, v):
-    """v += Ĥ_c z."""
-    for s in range(2):
-        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
-        for l in range(6):
-            e = o + np.uint64(l)
-            v[a + np.uint64(l)] += rows[e] * z0 + rows[e + np.uint64(6)] * z1 + rows[e + np.uint64(12)] * z2
-
-
-@kernel(inline="always")
-def read_normal(rows, c, body, v):
-    """The normal component of Ĥ_cᵀ v."""
-    u0 = 0.0
-    for s in range(2):
-        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
-        for l in range(6):
-            u0 += rows[o + np.uint64(l)] * v[a + np.uint64(l)]
-    return u0
-
-
-@kernel(inline="always")
-def apply_normal(rows, c, body, z0, v):
-    """v += Ĥ_c z for an impulse along the normal."""
-    for s in range(2):
-        o, a = np.uint64(36 * c + 18 * s), np.uint64(6) * body[c, s]
-        for l in range(6):
-            v[a + np.uint64(l)] += rows[o + np.uint64(l)] * z0
+def apply(z, rows, c, body, v):
+    """v += Ĥ_c z, z = (z_N, z_T1, z_T2) or (z_N,)."""
+    add(z, rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
 
 
 @kernel
@@ -119,18 +117,14 @@ def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
     impulse exactly and its friction by a projected gradient step.
     """
     for c in awake:
+        # Unsigned: the compiler need not ask whether an index counts from the end.
+        o, a, b = CONTACT * np.uint64(c), body[c, 0], body[c, 1]
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
-        if mu[c] == 0.0:
-            z0 = max(-r0, -(q[c, 0] + read_normal(rows, c, body, v)) * steps[c, 0])
-            if z0 != 0.0:
-                apply_normal(rows, c, body, z0, v)
-                r[c, 0] = r0 + z0
-                if z0 * (r0 + z0 - x[c, 0]) < 0.0:
-                    t[c] = max(1.0, keep * t[c])
-            continue
-        u0, u1, u2 = read(rows, c, body, v)
-        z0 = max(-r0, -(q[c, 0] + u0) * steps[c, 0])
+        z0 = max(-r0, -(q[c, 0] + dot(rows, o, v, a, b)) * steps[c, 0])
         x0 = r0 + z0
+        if r0 == 0.0 and x0 == 0.0:
+            continue
+        u1, u2 = dot(rows, o + PAIR, v, a, b), dot(rows, o + PAIR + PAIR, v, a, b)
         x1 = r1 - (q[c, 1] + u1 + steps[c, 1] * z0) * steps[c, 3]
         x2 = r2 - (q[c, 2] + u2 + steps[c, 2] * z0) * steps[c, 3]
         slip, limit = x1 * x1 + x2 * x2, mu[c] * x0
@@ -140,7 +134,7 @@ def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
             x2 *= f
         z1, z2 = x1 - r1, x2 - r2
         if z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
-            apply(rows, c, body, z0, z1, z2, v)
+            apply((z0, z1, z2), rows, c, body, v)
             r[c, 0], r[c, 1], r[c, 2] = x0, x1, x2
             if z0 * (x0 - x[c, 0]) + z1 * (x1 - x[c, 1]) + z2 * (x2 - x[c, 2]) < 0.0:
                 t[c] = max(1.0, keep * t[c])
@@ -155,14 +149,37 @@ def extrapolate(awake, rows, body, mu, v, r, x, t):
         t[c] += 0.5
         z0, z1, z2 = b * (r0 - x[c, 0]), b * (r1 - x[c, 1]), b * (r2 - x[c, 2])
         x[c, 0], x[c, 1], x[c, 2] = r0, r1, r2
-        if mu[c] == 0.0:
-            if z0 != 0.0:
-                r[c, 0] = max(0.0, r0 + z0)
-                apply_normal(rows, c, body, r[c, 0] - r0, v)
-        elif z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
+        if z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
             y0, y1, y2 = project(r0 + z0, r1 + z1, r2 + z2, mu[c])
             r[c, 0], r[c, 1], r[c, 2] = y0, y1, y2
-            apply(rows, c, body, y0 - r0, y1 - r1, y2 - r2, v)
+            apply((y0 - r0, y1 - r1, y2 - r2), rows, c, body, v)
+
+
+@kernel
+def sweep_normals(awake, rows, body, steps, q, v, r, x, t, keep):
+    """`sweep` where no contact has friction."""
+    for c in awake:
+        r0 = r[c, 0]
+        u0 = dot(rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
+        z0 = max(-r0, -(q[c, 0] + u0) * steps[c, 0])
+        if z0 != 0.0:
+            apply((z0,), rows, c, body, v)
+            r[c, 0] = r0 + z0
+            if z0 * (r0 + z0 - x[c, 0]) < 0.0:
+                t[c] = max(1.0, keep * t[c])
+
+
+@kernel
+def extrapolate_normals(awake, rows, body, v, r, x, t):
+    """`extrapolate` where no contact has friction."""
+    for c in awake:
+        r0 = r[c, 0]
+        z0 = (t[c] - 1.0) / (t[c] + 1.0) * (r0 - x[c, 0])
+        t[c] += 0.5
+        x[c, 0] = r0
+        if z0 != 0.0:
+            r[c, 0] = max(0.0, r0 + z0)
+            apply((r[c, 0] - r0,), rows, c, body, v)
 
 
 @kernel
@@ -171,7 +188,7 @@ def refresh(rows, body, r, v):
     v[:] = 0.0
     for c in range(r.shape[0]):
         if r[c, 0] != 0.0:
-            apply(rows, c, body, r[c, 0], r[c, 1], r[c, 2], v)
+            apply((r[c, 0], r[c, 1], r[c, 2]), rows, c, body, v)
 
 
 @kernel
@@ -200,47 +217,61 @@ def wake(u, last, r, x, awake):
 
 @kernel
 def solve(
-    rows, body, steps, q, mu, scales, q_norm, tol, best_r, y, x, v, t, count, last, best, keep, most, check, patience
-):
+    order, rows, body, steps, q, mu, scales, q_norm, tol, best_r, y, x, v, t, count, last, best, keep, most, check,
+    patience,
+):  # fmt: skip
     """Sweeps with Nesterov's momentum, which every contact loses by itself, from where the last call stopped.
 
     x' = sweep(y), y = P_K(x' + b (x' - x)) with b = (t - 1)/(t + 1), t growing by 1/2 a sweep. A contact whose
     momentum points against its own step, (y - x')·(x' - x) > 0, halves its t, or loses it all once that cycles. Unlike
     a restart of all contacts or combinations of past iterates this survives contacts that change their state one after
     the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested, and which
-    contacts are worth the next ones; best_r keeps the best. Stops after `most` sweeps in all, or `patience` without a
-    better one. Returns (sweeps, the one of the best, its measure, keep).
+    contacts are worth the next ones; best_r keeps the best, all else is in the `order` of the contacts. Stops after
+    `most` sweeps in all, or `patience` without a better one. Returns (sweeps, the one of the best, its measure, keep).
     """
     u, before = np.full((mu.size, 3), -np.inf), np.empty((mu.size, 3))
-    order = np.arange(mu.size)
-    awake = order
+    index, rough = np.arange(mu.size), mu.any()
+    awake = index
     while best > tol and count < most and count - last < patience:
         count += 1
-        sweep(awake, rows, body, steps, q, mu, v, y, x, t, keep)
+        if rough:
+            sweep(awake, rows, body, steps, q, mu, v, y, x, t, keep)
+        else:
+            sweep_normals(awake, rows, body, steps, q, v, y, x, t, keep)
         if count % check == 0:
             refresh(rows, body, y, v)  # what the updates leave of round-off
             before, u = u, before
             now = measure(rows, body, q, mu, scales, q_norm, y, v, u)
             if now < best:
                 best, last = now, count
-                best_r[:] = y
-            awake = order[: wake(u, before, y, x, order)]
+                for c in range(mu.size):
+                    best_r[order[c]] = y[c]
+            awake = index[: wake(u, before, y, x, index)]
         if count - last > CYCLE:
             keep = 0.0
-        extrapolate(awake, rows, body, mu, v, y, x, t)
+        if rough:
+            extrapolate(awake, rows, body, mu, v, y, x, t)
+        else:
+            extrapolate_normals(awake, rows, body, v, y, x, t)
     return count, last, best, keep
 
 
 @kernel
-def begin(blocks, q, mu, scales, q_norm, r, v):
-    """Rows, bodies and steps of the contacts, v = Ĥ r, and the measure of r (nc, 3), whose missing rows become 0."""
-    rows, body = rows_in_unit_mass(blocks, mu)
+def begin(blocks, q, mu, scales, q_norm, r):
+    """What sweeps from r (nc, 3) need, whose missing rows become 0, in the order of `independent`.
+
+    Order, rows, bodies and steps of the contacts, their q, mu, scales and impulses, v̂ = Ĥ r, and the measure of r.
+    """
+    offset, block = blocks[:2]
+    order = independent(block, offset.size - 1)
+    rows, body = rows_in_unit_mass(blocks, mu, order)
     for c in range(mu.size):
         if mu[c] == 0.0:
             r[c, 1] = r[c, 2] = 0.0
-    refresh(rows, body, r, v)
-    best = measure(rows, body, q, mu, scales, q_norm, r, v, np.empty((mu.size, 3)))
-    return rows, body, local_steps(rows, mu), best
+    q, mu, scales, y, v = q[order], mu[order], scales[order], r[order], np.empty(WIDTH * (offset.size - 1 + STILL))
+    refresh(rows, body, y, v)
+    best = measure(rows, body, q, mu, scales, q_norm, y, v, np.empty((mu.size, 3)))
+    return order, rows, body, local_steps(rows, mu), q, mu, scales, y, v, best
 
 
 @kernel
