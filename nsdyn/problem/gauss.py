@@ -34,6 +34,7 @@ import numpy as np
 
 from nsdyn._kernels.problem import gauss as _kernels
 from nsdyn._kernels.problem.cones import ROUNDING
+from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.linear import contact_graph
 from nsdyn.problem.operators import Local
@@ -202,8 +203,13 @@ def _relaxed(problem: FC3D, d: Array) -> Array:
     if b is None or d.size != b.n:
         return NOTHING
     d = d.copy()
-    found = _kernels.relax(b.arrays, problem.mu, np.zeros_like(problem.q), AIM, ENOUGH, SWEEPS, d)
-    return d if found else NOTHING
+    return d if _relax(b, problem.mu, np.zeros_like(problem.q), AIM, ENOUGH, SWEEPS, d) else NOTHING
+
+
+def _relax(blocks: Blocks, mu: Array, b: Array, aim: float, enough: float, sweeps: int, d: Array) -> bool:
+    """Change d (n,) by projections until κ(Hᵀ d - b) ≥ `enough` < `aim` at every contact; whether that was reached."""
+    kernel = _kernels.relax_free if (np.diff(blocks.offset) == 6).all() else _kernels.relax
+    return kernel(blocks.arrays, mu, b, aim, enough, sweeps, d)  # type: ignore[no-any-return]
 
 
 def _of_own(problem: FC3D, u: Array, speed: float) -> Array:
@@ -213,7 +219,7 @@ def _of_own(problem: FC3D, u: Array, speed: float) -> Array:
     inside[0::3] -= problem.mu * np.hypot(inside[1::3], inside[2::3])
     if problem.blocks is not None:
         d = np.zeros(problem.blocks.n)
-        if _kernels.relax(problem.blocks.arrays, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
+        if _relax(problem.blocks, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
             return d * (unit / speed)
     inside[0::3] += MARGIN
     return _least_direction(problem, inside, SLACK * MARGIN) * (unit / speed)

@@ -25,10 +25,10 @@ from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
 from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, HALFSPACE, SPHERE, Geometry
 from nsdyn._kernels.collision.reduction import reduce
-from nsdyn._kernels.collision.segments import ends, segment, segments
+from nsdyn._kernels.collision.segments import ends, segment, segments, touch
 from nsdyn._kernels.collision.support import SAME, SHARP, separation
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.vectors import dot, minus, put, row, times, to_world, unit
+from nsdyn._kernels.vectors import along, dot, minus, put, row, times, to_world, unit
 
 ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
 WIDE = 1.0  # |difference| of the normals of tilted bodies and of a face that may still hold points of interest
@@ -159,6 +159,30 @@ def pair_contacts(
     return first + count
 
 
+@kernel(forceinline=True)
+def ball_contact(geometry, i, j, R, t, point, normal, gap, at):
+    """What `pair_contacts` gives of two balls, or of a ball and a half-space, without a look at features; else False."""
+    kind1, kind2 = geometry.kind[i], geometry.kind[j]
+    radius1, radius2, a, b = geometry.size[i, 0], geometry.size[j, 0], row(t, i), row(t, j)
+    if kind1 == SPHERE and kind2 == SPHERE:
+        d = minus(b, a)
+        if dot(d, d) <= (SAME * min(radius1, radius2)) ** 2:
+            return False
+        touch(a, radius1, b, radius2, d, point, normal, gap, at)
+        return True
+    if kind1 == HALFSPACE and kind2 == SPHERE:
+        c, radius, h, sign = b, radius2, i, 1.0
+    elif kind1 == SPHERE and kind2 == HALFSPACE:
+        c, radius, h, sign = a, radius1, j, -1.0
+    else:
+        return False
+    n = to_world(R, h, row(geometry.size, h))
+    gap[at] = dot(n, minus(c, row(t, h))) - geometry.offset[h] - radius
+    put(point, at, along(c, -radius, n))
+    put(normal, at, times(sign, n))
+    return True
+
+
 @kernel
 def manifolds(
     fields, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, values, points, heights, point,
@@ -186,10 +210,13 @@ def manifolds(
             n = direction if length > 0.5 and length < 2.0 else n
         elif apart(geometry, i, j, R, t, margin):
             continue
-        count = pair_contacts(
-            geometry, i, j, R, t, both, known, trusted, n, base[p], margin, limit, poly, other, values, points,
-            heights, point, normal, gap, total,
-        )  # fmt: skip
+        if not known and ball_contact(geometry, i, j, R, t, point, normal, gap, total):
+            count = 1
+        else:
+            count = pair_contacts(
+                geometry, i, j, R, t, both, known, trusted, n, base[p], margin, limit, poly, other, values, points,
+                heights, point, normal, gap, total,
+            )  # fmt: skip
         kept = total
         for k in range(total, total + count):
             if gap[k] <= margin:

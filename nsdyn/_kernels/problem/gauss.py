@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem import unit_mass
 from nsdyn._kernels.problem.blocks import block_product, relative_velocity
 from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
 
@@ -200,3 +201,36 @@ def relax(blocks, mu, b, aim, enough, sweeps, d):
         if found:
             return True
     return False
+
+
+@kernel
+def relax_free(blocks, mu, b, aim, enough, sweeps, d):
+    """`relax` of free bodies."""
+    G, order = unit_mass.factors(blocks), unit_mass.independent(blocks)
+    rows, body = unit_mass.rows_in_unit_mass(blocks, G, mu, order)
+    v, W, now = unit_mass.room(blocks), np.empty((mu.size, 3, 3)), False
+    unit_mass.from_velocity(blocks, G, d, v)
+    for e in range(mu.size):
+        unit_mass.diagonal(rows, e, W[e])
+    for _ in range(sweeps):
+        now = True
+        for e in range(mu.size):
+            c = order[e]
+            o0, o1, o2 = unit_mass.read(rows, e, body, v)
+            o0, o1, o2 = o0 - b[3 * c], o1 - b[3 * c + 1], o2 - b[3 * c + 2]
+            slip = math.sqrt(o1 * o1 + o2 * o2)
+            kappa = o0 - mu[c] * slip
+            if kappa >= enough:
+                continue
+            now = False
+            x, y = (-mu[c] * o1 / slip, -mu[c] * o2 / slip) if slip > 0.0 else (0.0, 0.0)
+            w = W[e]
+            square = w[0, 0] + 2.0 * (x * w[0, 1] + y * w[0, 2] + x * y * w[1, 2]) + x * x * w[1, 1] + y * y * w[2, 2]
+            if not square > 0.0:
+                return False
+            change = (aim - kappa) / square
+            unit_mass.apply((change, change * x, change * y), rows, e, body, v)
+        if now:
+            break
+    unit_mass.to_velocity(blocks, G, v, d)
+    return now

@@ -1,91 +1,35 @@
-"""Projected Gauss–Seidel with momentum on free bodies, where W is given by its factors.
-
-The rows of Hᵀ are taken in coordinates where M = I, Ĥ = Gᵀ H with M⁻¹ = G Gᵀ, so that one array serves to read the
-velocity of a contact, u = Ĥᵀ v̂ + q, and to apply its impulse, v̂ += Ĥ_c dr: eight numbers a body, of which two are
-zeros. A frictionless contact has one row.
-"""
+"""Projected Gauss–Seidel with momentum: on free bodies, and on a W that is given."""
 
 import math
 
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.lanes import WIDTH, add, dot
+from nsdyn._kernels.lanes import dot
 from nsdyn._kernels.problem.cones import measure_at, project
+from nsdyn._kernels.problem.unit_mass import (
+    CONTACT,
+    PAIR,
+    apply,
+    diagonal,
+    factors,
+    independent,
+    read,
+    room,
+    rows_in_unit_mass,
+)
 from nsdyn._kernels.solvers.pgs import velocity, velocity_of
-from nsdyn._kernels.sorting import order as sorted_by
 
 ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
 CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
-
-PAIR = np.uint64(2 * WIDTH)  # numbers in a row of both bodies
-CONTACT = np.uint64(3) * PAIR
-
-STILL = 16
-"""Bodies that never move, in place of those that contacts lack, by turns: one would make them wait for each other."""
-
-
-@kernel
-def independent(block, count):
-    """The contacts in an order in which neighbours share no body where that is possible, those of each body in theirs.
-
-    A sweep does the same in it as in that of the contacts, and the processor need not wait for one to begin the next.
-    """
-    last, turn = np.zeros(count, np.int64), np.empty(block.shape[0], np.int64)
-    for c in range(turn.size):
-        turn[c] = 0
-        for s in range(2):
-            if block[c, s] >= 0:
-                turn[c] = max(turn[c], last[block[c, s]])
-        for s in range(2):
-            if block[c, s] >= 0:
-                last[block[c, s]] = turn[c] + 1
-    return sorted_by(turn)
-
-
-@kernel
-def rows_in_unit_mass(blocks, mu, order):
-    """Rows of Ĥᵀ, (nc, 3, 2, 8) made flat, zeros for a missing body or row, and where the bodies begin in v̂ (nc, 2).
-
-    Both in the `order` of the contacts. v̂ has 8 numbers a body, and as many for each of `STILL`.
-    """
-    offset, block, start, H, m_start, _, minv = blocks
-    G, count = np.zeros_like(minv), offset.size - 1
-    for k in range(count):
-        b = m_start[k]
-        for j in range(6):
-            for i in range(j, 6):
-                total = minv[b + 6 * i + j]
-                for l in range(j):
-                    total -= G[b + 6 * i + l] * G[b + 6 * j + l]
-                G[b + 6 * i + j] = math.sqrt(total) if i == j else total / G[b + 7 * j]
-    out, body = np.zeros((block.shape[0], 3, 2, WIDTH)), np.empty((block.shape[0], 2), np.uint64)
-    for e in range(order.size):
-        c = order[e]
-        for s in range(2):
-            k = block[c, s]
-            body[e, s] = WIDTH * (k if k >= 0 else count + e % STILL)
-            if k >= 0:
-                for i in range(3 if mu[c] > 0.0 else 1):
-                    for l in range(6):
-                        x = H[start[c, s] + 6 * i + l]
-                        for j in range(l + 1):
-                            out[e, i, s, j] += x * G[m_start[k] + 6 * l + j]
-    return out.reshape(-1), body
 
 
 @kernel
 def local_steps(rows, mu):
     """1/W_NN, W_TN and 1/lambda_max(W_TT) of every contact, shape (nc, 4); zeros for a missing row."""
-    out = np.zeros((mu.size, 4))
-    w, x = np.empty((3, 3)), rows.reshape((mu.size, 3, 2 * WIDTH))
+    out, w = np.zeros((mu.size, 4)), np.empty((3, 3))
     for c in range(mu.size):
-        for i in range(3 if mu[c] > 0.0 else 1):
-            for j in range(i + 1):
-                total = 0.0
-                for l in range(2 * WIDTH):
-                    total += x[c, i, l] * x[c, j, l]
-                w[i, j] = total
+        diagonal(rows, c, w)
         out[c, 0] = 1.0 / w[0, 0]
         if mu[c] == 0.0:
             continue
@@ -93,20 +37,6 @@ def local_steps(rows, mu):
         out[c, 1], out[c, 2] = w[1, 0], w[2, 0]
         out[c, 3] = 1.0 / (mean + math.sqrt(half * half + w[2, 1] * w[2, 1]))
     return out
-
-
-@kernel(inline="always")
-def read(rows, c, body, v):
-    """Ĥ_cᵀ v: normal, first and second tangent."""
-    # Unsigned: the compiler need not ask whether an index counts from the end.
-    o, a, b = CONTACT * np.uint64(c), body[c, 0], body[c, 1]
-    return dot(rows, o, v, a, b), dot(rows, o + PAIR, v, a, b), dot(rows, o + PAIR + PAIR, v, a, b)
-
-
-@kernel(inline="always")
-def apply(z, rows, c, body, v):
-    """v += Ĥ_c z, z = (z_N, z_T1, z_T2) or (z_N,)."""
-    add(z, rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
 
 
 @kernel
@@ -230,7 +160,7 @@ def solve(
     `most` sweeps in all, or `patience` without a better one. Returns (sweeps, the one of the best, its measure, keep).
     """
     u, before = np.full((mu.size, 3), -np.inf), np.empty((mu.size, 3))
-    index, rough = np.arange(mu.size), mu.any()
+    index, rough = np.arange(mu.size).astype(np.uint64), mu.any()
     awake = index
     while best > tol and count < most and count - last < patience:
         count += 1
@@ -262,13 +192,12 @@ def begin(blocks, q, mu, scales, q_norm, r):
 
     Order, rows, bodies and steps of the contacts, their q, mu, scales and impulses, v̂ = Ĥ r, and the measure of r.
     """
-    offset, block = blocks[:2]
-    order = independent(block, offset.size - 1)
-    rows, body = rows_in_unit_mass(blocks, mu, order)
+    order = independent(blocks)
+    rows, body = rows_in_unit_mass(blocks, factors(blocks), mu, order)
     for c in range(mu.size):
         if mu[c] == 0.0:
             r[c, 1] = r[c, 2] = 0.0
-    q, mu, scales, y, v = q[order], mu[order], scales[order], r[order], np.empty(WIDTH * (offset.size - 1 + STILL))
+    q, mu, scales, y, v = q[order], mu[order], scales[order], r[order], room(blocks)
     refresh(rows, body, y, v)
     best = measure(rows, body, q, mu, scales, q_norm, y, v, np.empty((mu.size, 3)))
     return order, rows, body, local_steps(rows, mu), q, mu, scales, y, v, best

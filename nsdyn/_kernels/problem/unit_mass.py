@@ -1,0 +1,130 @@
+"""Free bodies in coordinates where M = I: v = G v̂ with M⁻¹ = G Gᵀ.
+
+There Ĥ = Gᵀ H serves both to read the velocity of a contact, u = Ĥᵀ v̂, and to apply its impulse, v̂ += Ĥ_c r. Every body
+has eight numbers, of which two are zeros.
+"""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.lanes import WIDTH, add, dot
+from nsdyn._kernels.sorting import order as sorted_by
+
+PAIR = np.uint64(2 * WIDTH)  # numbers in a row of both bodies
+CONTACT = np.uint64(3) * PAIR
+
+STILL = 16
+"""Bodies that never move, in place of those that contacts lack, by turns: one would make them wait for each other."""
+
+
+@kernel
+def independent(blocks):
+    """The contacts in an order in which neighbours share no body where that is possible, those of each body in theirs.
+
+    A sweep does the same in it as in that of the contacts, and the processor need not wait for one to begin the next.
+    """
+    offset, block = blocks[:2]
+    last, turn = np.zeros(offset.size - 1, np.int64), np.zeros(block.shape[0], np.int64)
+    for c in range(turn.size):
+        for s in range(2):
+            if block[c, s] >= 0:
+                turn[c] = max(turn[c], last[block[c, s]])
+        for s in range(2):
+            if block[c, s] >= 0:
+                last[block[c, s]] = turn[c] + 1
+    return sorted_by(turn)
+
+
+@kernel
+def factors(blocks):
+    """G, lower triangular, in the layout of M⁻¹."""
+    offset, _, _, _, m_start, _, minv = blocks
+    G = np.zeros_like(minv)
+    for k in range(offset.size - 1):
+        b = m_start[k]
+        for j in range(6):
+            for i in range(j, 6):
+                total = minv[b + 6 * i + j]
+                for l in range(j):
+                    total -= G[b + 6 * i + l] * G[b + 6 * j + l]
+                G[b + 6 * i + j] = math.sqrt(total) if i == j else total / G[b + 7 * j]
+    return G
+
+
+@kernel
+def rows_in_unit_mass(blocks, G, mu, order):
+    """Rows of Ĥᵀ, (nc, 3, 2, 8) made flat, zeros for a missing body, and where the bodies begin in v̂ (nc, 2).
+
+    Both in the `order` of the contacts, of which those without friction have one row, the others zeros.
+    """
+    offset, block, start, H, m_start, _, _ = blocks
+    out, body = np.zeros((block.shape[0], 3, 2, WIDTH)), np.empty((block.shape[0], 2), np.uint64)
+    for e in range(order.size):
+        c = order[e]
+        for s in range(2):
+            k = block[c, s]
+            body[e, s] = WIDTH * (k if k >= 0 else offset.size - 1 + e % STILL)
+            if k >= 0:
+                for i in range(3 if mu[c] > 0.0 else 1):
+                    for l in range(6):
+                        x = H[start[c, s] + 6 * i + l]
+                        for j in range(l + 1):
+                            out[e, i, s, j] += x * G[m_start[k] + 6 * l + j]
+    return out.reshape(-1), body
+
+
+@kernel
+def room(blocks):
+    """v̂ = 0."""
+    return np.zeros(WIDTH * (blocks[0].size - 1 + STILL))
+
+
+@kernel
+def from_velocity(blocks, G, v, out):
+    """v̂ of v, into out."""
+    offset, m_start = blocks[0], blocks[4]
+    for k in range(offset.size - 1):
+        for i in range(6):
+            total = v[6 * k + i]
+            for j in range(i):
+                total -= G[m_start[k] + 6 * i + j] * out[WIDTH * k + j]
+            out[WIDTH * k + i] = total / G[m_start[k] + 7 * i]
+
+
+@kernel
+def to_velocity(blocks, G, v, out):
+    """v of v̂, into out."""
+    offset, m_start = blocks[0], blocks[4]
+    for k in range(offset.size - 1):
+        for i in range(6):
+            out[6 * k + i] = 0.0
+            for j in range(i + 1):
+                out[6 * k + i] += G[m_start[k] + 6 * i + j] * v[WIDTH * k + j]
+
+
+@kernel(inline="always")
+def read(rows, c, body, v):
+    """Ĥ_cᵀ v̂: normal, first and second tangent."""
+    # Unsigned: the compiler need not ask whether an index counts from the end.
+    o, a, b = CONTACT * np.uint64(c), body[c, 0], body[c, 1]
+    return dot(rows, o, v, a, b), dot(rows, o + PAIR, v, a, b), dot(rows, o + PAIR + PAIR, v, a, b)
+
+
+@kernel(inline="always")
+def apply(z, rows, c, body, v):
+    """v̂ += Ĥ_c z, z = (z_N, z_T1, z_T2) or (z_N,)."""
+    add(z, rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
+
+
+@kernel
+def diagonal(rows, c, w):
+    """W_cc = Ĥ_cᵀ Ĥ_c, into w (3, 3)."""
+    first = 6 * WIDTH * c
+    for i in range(3):
+        for j in range(i + 1):
+            total = 0.0
+            for l in range(2 * WIDTH):
+                total += rows[first + 2 * WIDTH * i + l] * rows[first + 2 * WIDTH * j + l]
+            w[i, j] = w[j, i] = total
