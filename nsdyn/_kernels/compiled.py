@@ -109,6 +109,16 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if config.DISABLE_JIT:
         return function
     # What is left open numba takes from the kernel that calls this one first, and keeps for all others.
-    out = Kernel(function, targetoptions={"nopython": True, "boundscheck": None, "fastmath": False} | options)
+    always = {"nopython": True, "boundscheck": None, "fastmath": False, "_nrt": True}
+    out = Kernel(function, targetoptions=always | options)
     out.enable_caching()
     return out
+
+
+def in_place(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Decorator of a kernel that makes no arrays, and calls none that returns them: it works in those it is given.
+
+    It does not count references to these, which numba does for arrays in tuples and for parts of arrays, and which
+    takes longer than what many small kernels do.
+    """
+    return kernel(function, _nrt=False, **options)

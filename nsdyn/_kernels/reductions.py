@@ -1,9 +1,9 @@
 """Reductions of short arrays, for which NumPy takes ten times as long."""
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 
 
-@kernel
+@in_place
 def any_below(x, most):
     """Whether an entry is at most so large."""
     for i in range(x.size):
@@ -12,7 +12,7 @@ def any_below(x, most):
     return False
 
 
-@kernel
+@in_place
 def least(x):
     """The smallest entry, or 0 if none is negative."""
     out = 0.0
@@ -21,7 +21,7 @@ def least(x):
     return out
 
 
-@kernel
+@in_place
 def most(x):
     """The largest entry, or 0 if none is positive."""
     out = 0.0

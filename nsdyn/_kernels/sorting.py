@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 
 
 @kernel
@@ -27,7 +27,7 @@ def order(keys):
     return now
 
 
-@kernel
+@in_place
 def place_of(codes, code):
     """Number of entries of a sorted array that are less."""
     low, high = 0, codes.size

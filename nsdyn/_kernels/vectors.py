@@ -2,40 +2,40 @@
 
 import math
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 
 
-@kernel
+@in_place
 def dot(a, b):
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel
+@in_place
 def cross(a, b):
     """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@in_place
 def along(a, s, b):
     """Point a + s b."""
     return a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
 
 
-@kernel
+@in_place
 def minus(a, b):
     """Difference a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@kernel
+@in_place
 def times(s, a):
     """Multiple s a."""
     return s * a[0], s * a[1], s * a[2]
 
 
-@kernel
+@in_place
 def unit(a):
     """Direction of a, and its length; a itself where the length is 0 or not finite."""
     length = math.sqrt(dot(a, a))
@@ -44,7 +44,7 @@ def unit(a):
     return a, length
 
 
-@kernel
+@in_place
 def perpendicular(d):
     """A unit vector perpendicular to the unit vector d, the same for the same d; z when d is 0."""
     k = 0
@@ -56,19 +56,19 @@ def perpendicular(d):
     return v if dot(d, d) > 0.0 else (0.0, 0.0, 1.0)
 
 
-@kernel
+@in_place
 def row(a, k):
     """Row k of an array as a vector."""
     return a[k, 0], a[k, 1], a[k, 2]
 
 
-@kernel
+@in_place
 def put(a, k, v):
     """Write the vector v into row k of an array."""
     a[k, 0], a[k, 1], a[k, 2] = v
 
 
-@kernel
+@in_place
 def to_world(R, g, v):
     """Vector v of the shape frame of geom g, in the world frame."""
     return (
@@ -78,7 +78,7 @@ def to_world(R, g, v):
     )
 
 
-@kernel
+@in_place
 def to_local(R, g, v):
     """Vector v of the world frame, in the shape frame of geom g."""
     return (
@@ -88,7 +88,7 @@ def to_local(R, g, v):
     )
 
 
-@kernel
+@in_place
 def axis(R, g):
     """The z axis of geom g in the world frame."""
     return R[g, 0, 2], R[g, 1, 2], R[g, 2, 2]

@@ -7,7 +7,7 @@ import numpy as np
 from nsdyn._kernels.collision.broadphase import contains
 from nsdyn._kernels.collision.geometry import HALFSPACE, Geometry, place
 from nsdyn._kernels.collision.support import gap_along
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
 
@@ -17,7 +17,7 @@ def element(A, B, f, i, k):
     return B[f, i, 0] * A[f, k, 0] + B[f, i, 1] * A[f, k, 1] + B[f, i, 2] * A[f, k, 2]
 
 
-@kernel
+@in_place
 def turn_between(A, B, f):
     """Rotation vector w, world axes, |w| ≤ π, with ``B[f] = exp([w]x) A[f]``."""
     d11, d12, d13 = element(A, B, f, 0, 0), element(A, B, f, 0, 1), element(A, B, f, 0, 2)
@@ -38,7 +38,7 @@ def turn_between(A, B, f):
     return times(angle if dot(u, a) >= 0.0 else -angle, u)
 
 
-@kernel
+@in_place
 def motions(frame, arm, x0, R0, x1, R1, turn, reach):
     """Rotation vectors of the frames, into turn (nframes, 3), and how far any point of their geoms moves, into reach.
 
@@ -55,7 +55,7 @@ def motions(frame, arm, x0, R0, x1, R1, turn, reach):
         reach[f] = math.sqrt(dot(d, d)) + math.sqrt(dot(w, w)) * reach[f]
 
 
-@kernel
+@in_place
 def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
     """Bound on the way of any point of one geom as seen from the other; f1, f2 are their frames, -1 for the world.
 
@@ -77,7 +77,7 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
     return least
 
 
-@kernel
+@in_place
 def at_least_apart(geometry, i, j, R, t, lower, upper):
     """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
     if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
@@ -90,7 +90,7 @@ def at_least_apart(geometry, i, j, R, t, lower, upper):
     return max(math.sqrt(square), math.sqrt(dot(d, d)) - geometry.radius[i] - geometry.radius[j])
 
 
-@kernel
+@in_place
 def may_touch(fields, arm, least, first, second, known, x0, x1, turn, R, t, lower, upper, out):
     """Candidate pairs whose relative motion is longer than their distance, as indices into out; returns their number.
 
@@ -122,7 +122,7 @@ def carried(f, p, x0, R0, x1, R1):
     return along(row(x1, f), 1.0, to_world(R1, f, (a[0], a[1], a[2])))
 
 
-@kernel
+@in_place
 def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, there, point_out, gap_out):
     """Contacts whose points are fixed in both bodies, from poses 0 to poses 1, where they have the normals `there`."""
     for c in range(gap.size):
@@ -133,7 +133,7 @@ def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, there, point_out, 
         put(point_out, c, times(0.5, along(a, 1.0, b)))
 
 
-@kernel
+@in_place
 def turn_normals(fields, frame1, frame2, geom1, geom2, normal, R0, x1, R1, R, t, out, apart):
     """Normals of contacts of poses 0 at poses 1, into out: along which the geoms are farthest apart, and how far.
 
@@ -153,7 +153,7 @@ def turn_normals(fields, frame1, frame2, geom1, geom2, normal, R0, x1, R1, R, t,
                 put(out, c, n)
 
 
-@kernel
+@in_place
 def turned(w, s, p):
     """Vector p rotated by exp(s [w]x), Rodrigues' formula."""
     angle = math.sqrt(dot(w, w))
@@ -164,7 +164,7 @@ def turned(w, s, p):
     return along(along(p, math.sin(s * angle), c), 1.0 - math.cos(s * angle), cross(u, c))
 
 
-@kernel
+@in_place
 def place_at(frame, placement_R, placement_t, x0, R0, x1, turn, s, geoms, R, t):
     """World poses of two geoms at the fraction s of the way, into rows 0 and 1 of R and t."""
     for k in range(2):
@@ -182,7 +182,7 @@ def place_at(frame, placement_R, placement_t, x0, R0, x1, turn, s, geoms, R, t):
         put(t, k, a)
 
 
-@kernel
+@in_place
 def approach(frame, arm, x0, x1, turn, s, geoms, normal, point1, point2):
     """(bound of the approach speed, approach speed) of two geoms at their nearest points, m per way.
 

@@ -5,12 +5,12 @@ import math
 import numpy as np
 
 from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, POLYTOPE, SPHERE, Geometry, place
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.sorting import place_of
 
 
-@kernel
+@in_place
 def bound(geometry, g, R, t, lower, upper):
     """Smallest axis-aligned box of geom g at the pose (R, t), from its supports along the axes, into rows g."""
     kind, a, h = geometry.kind[g], geometry.size[g, 0], geometry.size[g, 1]
@@ -37,7 +37,7 @@ def bound(geometry, g, R, t, lower, upper):
         lower[g, i], upper[g, i] = t[i] - e, t[i] + e
 
 
-@kernel
+@in_place
 def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fat_lower, fat_upper):
     """World poses, reaches and bounds of the geoms on moving frames, into R, t, reach, lower and upper.
 
@@ -58,14 +58,14 @@ def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fa
     return out
 
 
-@kernel
+@in_place
 def contains(sorted_codes, code):
     """Whether a sorted array holds the code."""
     at = place_of(sorted_codes, code)
     return at < sorted_codes.size and sorted_codes[at] == code
 
 
-@kernel
+@in_place
 def below(geometry, h, R, t, lower, upper):
     """Whether a box reaches into the fixed half-space h."""
     depth = -geometry.offset[h]
@@ -86,7 +86,7 @@ def append(codes, count, code):
     return codes
 
 
-@kernel
+@in_place
 def fatten(fields, base, reach, skin, ahead, lower, upper, fat_lower, fat_upper):
     """Boxes that serve for several steps, into fat_lower and fat_upper; `fields` as in `follow`.
 
@@ -101,7 +101,7 @@ def fatten(fields, base, reach, skin, ahead, lower, upper, fat_lower, fat_upper)
             fat_lower[g, i], fat_upper[g, i] = lower[g, i] - more, upper[g, i] + more
 
 
-@kernel
+@in_place
 def widest(geometry, t):
     """The axis along which the geoms that are not half-spaces are spread most."""
     best, axis = -1.0, 0

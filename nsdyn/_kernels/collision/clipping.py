@@ -7,11 +7,11 @@ import numpy as np
 from nsdyn._kernels.collision.faces import corners, dipping, face_normal, incident, next_feature, other_feature
 from nsdyn._kernels.collision.geometry import CYLINDER, POLYTOPE
 from nsdyn._kernels.collision.support import INSIDE
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
 
-@kernel
+@in_place
 def cut(poly, count, heights, tol, out):
     """Part of a polygon, segment or point where the linear function with these values at its corners is ≤ 0.
 
@@ -34,7 +34,7 @@ def cut(poly, count, heights, tol, out):
     return kept
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
     """Clip a polygon by the sides of a polytope face of world normal n; returns its new number of points."""
     first, tol, c = geometry.vertex_ptr[g], INSIDE * geometry.radius[g], row(t, g)
@@ -57,7 +57,7 @@ def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
     return count
 
 
-@kernel
+@in_place
 def on_border(geometry, g, face, R, t, p, tol):
     """Whether a point that is over a face or cap is not farther than tol from its border."""
     q = to_local(R, g, minus(p, row(t, g)))
@@ -129,7 +129,7 @@ def clip_to_disk(radius, g, R, t, poly, count, rim, other):
     return kept
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def over_face(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, other, values, points, heights):
     """Contacts of a face of geom i (or, if face1 < 0, of geom j) with the other geom, into points and heights.
 
@@ -174,7 +174,7 @@ def over_face(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, othe
     return kept, times(sign, n)
 
 
-@kernel
+@in_place
 def merge(poly, gap, count, tol):
     """Keep one of several points within tol of each other, the deepest; returns the number left, in order."""
     kept = 0

@@ -4,11 +4,11 @@ import math
 
 from nsdyn._kernels.collision.geometry import CYLINDER
 from nsdyn._kernels.collision.support import INSIDE, curvature, separation
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, times, unit
 
 
-@kernel
+@in_place
 def curvatures(geometry, k, R, m, e1, e2):
     """`curvature` of the support point of a geom in the direction m, in two tangents: (e1 e1, e1 e2, e2 e2)."""
     return (
@@ -18,7 +18,7 @@ def curvatures(geometry, k, R, m, e1, e2):
     )
 
 
-@kernel
+@in_place
 def smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, valid2, point, normal, gap, at):
     """Write the contact of two geoms of which one at least is an ellipsoid or touches with the rim of a cylinder.
 

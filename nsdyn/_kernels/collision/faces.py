@@ -4,19 +4,19 @@ import math
 
 from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, SPHERE
 from nsdyn._kernels.collision.support import SHARP, deepest_vertex, separation, support
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import along, axis, dot, minus, put, row, times, to_local, to_world, unit
 
 BIAS = 1e-6  # a face of geom 2 is the reference only if it fits better than that of geom 1 by more than noise
 
 
-@kernel
+@in_place
 def face_count(geometry, g):
     """Number of faces: those of a polytope, the caps of a cylinder."""
     return 2 if geometry.kind[g] == CYLINDER else geometry.face_ptr[g + 1] - geometry.face_ptr[g]
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def face_normal(geometry, g, face):
     """Outward normal of a face in the shape frame: of a polytope, of a cylinder (0 above, 1 below), of a half-space."""
     kind = geometry.kind[g]
@@ -27,7 +27,7 @@ def face_normal(geometry, g, face):
     return row(geometry.face_normals, geometry.face_ptr[g] + face)
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def aligned_face(geometry, g, R, n, angle):
     """The face of geom g whose normal is closest to n, and |difference|; (-1, inf) if that is not below `angle`."""
     m = to_local(R, g, n)
@@ -40,7 +40,7 @@ def aligned_face(geometry, g, R, n, angle):
     return face, math.sqrt(best) if face >= 0 else math.inf
 
 
-@kernel
+@in_place
 def reference_face(geometry, i, j, R, n, angle):
     """The reference of the normal n: (face of geom i, -1), (-1, face of geom j), or (-1, -1) beyond `angle`."""
     face1, error1 = aligned_face(geometry, i, R, n, angle)
@@ -50,7 +50,7 @@ def reference_face(geometry, i, j, R, n, angle):
     return -1, face2
 
 
-@kernel
+@in_place
 def best_normal(geometry, i, j, R, t, n, gain):
     """The face normal or line of centres that separates best; n itself unless that is better by `gain`."""
     best, p, q = separation(geometry, i, j, R, t, n)
@@ -71,7 +71,7 @@ def best_normal(geometry, i, j, R, t, n, gain):
     return n
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def incident(geometry, g, R, t, n, whole, rim, poly):
     """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius).
 
@@ -110,7 +110,7 @@ def incident(geometry, g, R, t, n, whole, rim, poly):
     return corners(geometry, g, R, t, face, poly), 0.0, face
 
 
-@kernel
+@in_place
 def corners(geometry, g, R, t, face, poly):
     """The polygon of a face (a row) of polytope g, into poly; returns its number of points."""
     first, begin, end = geometry.vertex_ptr[g], geometry.loop_ptr[face], geometry.loop_ptr[face + 1]
@@ -120,7 +120,7 @@ def corners(geometry, g, R, t, face, poly):
     return end - begin
 
 
-@kernel
+@in_place
 def of_cylinder(geometry, g, R, t, m, cap, rim, poly):
     """The cap of cylinder g outermost along m (shape frame) as `rim` points, or that line of its side; their number."""
     s, c, side = row(geometry.size, g), row(t, g), math.hypot(m[0], m[1])
@@ -138,7 +138,7 @@ def of_cylinder(geometry, g, R, t, m, cap, rim, poly):
     return 2
 
 
-@kernel
+@in_place
 def other_feature(geometry, g, R, t, m, low, rim, poly):
     """The line of a cylinder's side when its cap faces -m, else the cap; into poly if that reaches below m·x = low.
 
@@ -152,7 +152,7 @@ def other_feature(geometry, g, R, t, m, low, rim, poly):
     return of_cylinder(geometry, g, R, t, times(-1.0, m), not cap, rim, poly)
 
 
-@kernel
+@in_place
 def next_feature(geometry, g, face, main, m, low):
     """The first face of polytope g from `face` on (rows) that faces -m and has a corner with m·corner ≤ low.
 
@@ -173,7 +173,7 @@ def next_feature(geometry, g, face, main, m, low):
     return last
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def dipping(geometry, g, main, m, low):
     """Whether any corner of polytope g with m·corner ≤ low is not one of the face `main` (a row)."""
     if geometry.size[g, 0] > 0.0:  # a box, faces two by two: the lowest of these corners is opposite the lowest of main

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
 
@@ -32,7 +32,7 @@ class Geometry(NamedTuple):
     placement_t: np.ndarray
 
 
-@kernel
+@in_place
 def place(geometry, x, R, out_R, out_t):
     """World pose of every geom on a moving frame; the others keep theirs."""
     for g in range(geometry.kind.size):

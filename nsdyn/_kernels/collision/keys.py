@@ -4,7 +4,7 @@ import numpy as np
 
 from nsdyn._kernels.collision.geometry import Geometry, place
 from nsdyn._kernels.collision.support import gap_along
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.vectors import dot, minus, put, row, to_local
 
@@ -62,7 +62,7 @@ def match(
     return next_key
 
 
-@kernel
+@in_place
 def collect(
     pair, first, second, frame, mu, restitution, point, normal, gap, radius, R, t, tolerance, slack, old_names,
     old_points, next_key, names, points, scalars,
@@ -86,7 +86,7 @@ def collect(
     )  # fmt: skip
 
 
-@kernel
+@in_place
 def kept(key, found_key, found_gap, out):
     """Whether contacts are found again, all of them and no others; then their gaps, into out."""
     if key.size != found_key.size:

@@ -27,7 +27,7 @@ from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, HALFSPACE, SPHE
 from nsdyn._kernels.collision.reduction import reduce
 from nsdyn._kernels.collision.segments import ends, segment, segments, touch
 from nsdyn._kernels.collision.support import SAME, SHARP, separation
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import along, dot, minus, put, row, times, to_world, unit
 
 ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
@@ -36,7 +36,7 @@ RESCUE = 1e-5  # a face is preferred to what Coal found if it separates better b
 NEAR = 1e-2  # a point within the margin, and this fraction of the size, of one found more exactly adds nothing
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def apart(geometry, i, j, R, t, margin):
     """Whether the bounding spheres (or a sphere and a half-space) are farther apart than margin."""
     d = minus(row(t, j), row(t, i))
@@ -48,7 +48,7 @@ def apart(geometry, i, j, R, t, margin):
     return dot(d, d) > reach * reach
 
 
-@kernel
+@in_place
 def of_features(geometry, i, j, R, t, known, n, angle, margin, near, point, normal, gap, at):
     """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number.
 
@@ -62,7 +62,7 @@ def of_features(geometry, i, j, R, t, known, n, angle, margin, near, point, norm
     return count
 
 
-@kernel
+@in_place
 def closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, at):
     """Contacts of the features that are outermost along n, where they are closest; returns their number."""
     size = min(geometry.radius[i], geometry.radius[j])
@@ -85,7 +85,7 @@ def closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, 
     return 1
 
 
-@kernel
+@in_place
 def pair_contacts(
     geometry, i, j, R, t, slack, known, trusted, n, base, margin, limit, poly, other, values, points, heights, point,
     normal, gap, at,
@@ -159,9 +159,9 @@ def pair_contacts(
     return first + count
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def ball_contact(geometry, i, j, R, t, point, normal, gap, at):
-    """What `pair_contacts` gives of two balls, or of a ball and a half-space, without a look at features; else False."""
+    """What `pair_contacts` gives of two balls, or of one and a half-space, without a look at features; else False."""
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
     radius1, radius2, a, b = geometry.size[i, 0], geometry.size[j, 0], row(t, i), row(t, j)
     if kind1 == SPHERE and kind2 == SPHERE:
@@ -183,7 +183,7 @@ def ball_contact(geometry, i, j, R, t, point, normal, gap, at):
     return True
 
 
-@kernel
+@in_place
 def manifolds(
     fields, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, values, points, heights, point,
     normal, gap, pair,

@@ -4,7 +4,7 @@ import math
 
 from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, POLYTOPE, SPHERE
 from nsdyn._kernels.collision.support import INSIDE, SAME, deepest_vertex
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import (
     along,
     axis,
@@ -24,7 +24,7 @@ PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
 OBLIQUE = 0.8  # cosine of the angle below which round segments curve away from each other too fast to touch at ends
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def segment(geometry, g, R, t, n, angle):
     """Segment (or point) of geom g that is outermost along n: (its ends p, q, its radius, valid)."""
     kind, s, c, z = geometry.kind[g], row(geometry.size, g), row(t, g), axis(R, g)
@@ -58,7 +58,7 @@ def segment(geometry, g, R, t, n, angle):
     return along(c, 1.0, to_world(R, g, p)), along(c, 1.0, to_world(R, g, q)), 0.0, valid
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def closest(p, d, length1, q, e, length2):
     """Arc lengths (s, r) of the closest points p + s d, q + r e of two segments with unit directions d, e."""
     b = dot(d, e)
@@ -79,7 +79,7 @@ def closest(p, d, length1, q, e, length2):
     return s, r
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def touch(a, radius1, b, radius2, n, point, normal, gap, at):
     """Write the contact of two balls (or of two points, with the known normal n) at index `at`."""
     if radius1 + radius2 > 0.0:
@@ -89,7 +89,7 @@ def touch(a, radius1, b, radius2, n, point, normal, gap, at):
     put(point, at, times(0.5, along(along(along(a, radius1, n), 1.0, b), -radius2, n)))
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def segments(p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, point, normal, gap, at):
     """Contacts of two segments with radii, into the outputs from index `at` on; returns their number.
 
@@ -139,7 +139,7 @@ def segments(p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, poi
     return 0 if (flat1 and abs(dot(m, d)) > INSIDE) or (flat2 and abs(dot(m, e)) > INSIDE) else 1
 
 
-@kernel
+@in_place
 def ends(geometry, i, j, R, t, n, angle, margin, near, point, normal, gap, at, count):
     """Further contacts of two segments with radii: their ends opposite the other segment, up to the margin.
 

@@ -6,7 +6,7 @@ R (n, 3, 3) and t (n, 3) are the poses of all geoms.
 import math
 
 from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, SPHERE
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import along, axis, cross, dot, minus, row, times, to_local, to_world, unit
 
 SHARP = 1e-6  # rad; the same for corners and edges beside such a face
@@ -14,7 +14,7 @@ SAME = 1e-6  # points closer than this fraction of the size are one
 INSIDE = 1e-9  # a point this fraction of the size outside a side plane is on it
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def deepest_vertex(geometry, g, n):
     """Row of the vertex of polytope g farthest along n (shape frame)."""
     best, k = -math.inf, -1
@@ -25,14 +25,14 @@ def deepest_vertex(geometry, g, n):
     return k
 
 
-@kernel
+@in_place
 def on_ellipsoid(s, n):
     """Point of the ellipsoid of radii s with the outward normal n, and the height of its tangent plane."""
     height = math.sqrt((s[0] * n[0]) ** 2 + (s[1] * n[1]) ** 2 + (s[2] * n[2]) ** 2)
     return (s[0] ** 2 * n[0] / height, s[1] ** 2 * n[1] / height, s[2] ** 2 * n[2] / height), height
 
 
-@kernel(forceinline=True)
+@in_place(forceinline=True)
 def support(geometry, g, R, t, n):
     """A point of geom g outermost along n."""
     kind, s, c = geometry.kind[g], row(geometry.size, g), row(t, g)
@@ -54,7 +54,7 @@ def support(geometry, g, R, t, n):
     return along(c, 1.0, to_world(R, g, p))
 
 
-@kernel
+@in_place
 def separation(geometry, i, j, R, t, n):
     """Gap of two geoms along n (width of the slab of normal n between them), and the support points p, q.
 
@@ -65,7 +65,7 @@ def separation(geometry, i, j, R, t, n):
     return dot(n, minus(q, p)), p, q
 
 
-@kernel
+@in_place
 def gap_along(geometry, i, j, R, t, n):
     """`separation` of two geoms along n, or along the normal of a half-space if one of them is one."""
     for h, g in ((i, j), (j, i)):
@@ -75,7 +75,7 @@ def gap_along(geometry, i, j, R, t, n):
     return separation(geometry, i, j, R, t, n)[0]
 
 
-@kernel
+@in_place
 def curvature(geometry, g, R, n, a, b):
     """Form a·(dp/dn) b of the support point p of an ellipsoid or of the rim of a cylinder; else 0."""
     kind, s = geometry.kind[g], row(geometry.size, g)

@@ -7,10 +7,10 @@ a coordinate of its own, pressed so that r_N = h tau_c exactly. Rows that are no
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 
 
-@kernel
+@in_place
 def active_rows(coordinate, sign, bound, near, angle, v, v_free, h, rows):
     """The joint rows of a step into rows: all friction (sign 0), and the limits that the joint may reach; how many."""
     count = 0
@@ -23,7 +23,7 @@ def active_rows(coordinate, sign, bound, near, angle, v, v_free, h, rows):
     return count
 
 
-@kernel
+@in_place
 def gaps(slots, coordinate, sign, bound, angle, out):
     """Distances to the limits of some joint rows, rad or m, 0 for friction, into out."""
     for i in range(slots.size):
@@ -120,7 +120,7 @@ def reduce_rows(blocks, bases, z_start, z, pressed, press):
     return (new_offset, new_block, new_start, new_H, new_m_start[:-1], new_m, new_minv), where, velocity
 
 
-@kernel
+@in_place
 def expand(offset, z_start, z, new_offset, y, v):
     """Velocity v = Z y, block by block, into v (n,)."""
     for k in range(offset.size - 1):

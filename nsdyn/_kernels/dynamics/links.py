@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 
 
-@kernel
+@in_place
 def gather(x, R, joints, q, scalar, place, x_out, R_out, angle):
     """Poses of some joints, from (n, 3), (n, 3, 3) into x_out and R_out; q[place] to angle[scalar]."""
     for k in range(scalar.size):
@@ -19,7 +19,7 @@ def gather(x, R, joints, q, scalar, place, x_out, R_out, angle):
                 R_out[k, i, j] = R[joints[k], i, j]
 
 
-@kernel
+@in_place
 def quaternions(R, out):
     """Unit quaternions xyzw of rotation matrices, w >= 0 unless the turn is near half, into out (n, 4)."""
     for b in range(R.shape[0]):
@@ -44,7 +44,7 @@ def quaternions(R, out):
             out[b, 3] = (R[b, k, j] - R[b, j, k]) / s
 
 
-@kernel
+@in_place
 def rows(frame1, frame2, point, frame, first, support, J, start, H):
     """Add the rows of Hᵀ on the links of one tree to H.
 
@@ -73,7 +73,7 @@ def rows(frame1, frame2, point, frame, first, support, J, start, H):
                         )
 
 
-@kernel
+@in_place
 def twists(x, support, J, v, linear, angular):
     """Velocities of the origins x (k, 3) of some frames, and of their rotations, world axes, into (k, 3) each."""
     for f in range(support.shape[0]):

@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.dynamics import rotation
 
 
-@kernel
+@in_place
 def integrate(x, quaternion, v, h, x_out, quaternion_out):
     """Positions x + h v and rotations R exp([h omega]x), unit quaternions xyzw, into the outputs (n, 3) and (n, 4)."""
     for b in range(x.shape[0]):
@@ -36,7 +36,7 @@ def integrate(x, quaternion, v, h, x_out, quaternion_out):
         quaternion_out[b, 2], quaternion_out[b, 3] = p2 / norm, p3 / norm
 
 
-@kernel
+@in_place
 def rotations(quaternion, R):
     """Rotation matrices of unit quaternions xyzw, into R (n, 3, 3)."""
     for b in range(quaternion.shape[0]):
@@ -46,7 +46,7 @@ def rotations(quaternion, R):
         R[b, 2, 0], R[b, 2, 1], R[b, 2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
 
 
-@kernel
+@in_place
 def place(x, quaternion, x_out, R):
     """Positions into x_out and `rotations` into R, which may have room for more."""
     for b in range(x.shape[0]):
@@ -55,7 +55,7 @@ def place(x, quaternion, x_out, R):
     rotations(quaternion, R)
 
 
-@kernel
+@in_place
 def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out, x_frames, R):
     """`rotation.flow` of free bodies, and `place` where it ends."""
     rotation.flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out)
@@ -87,7 +87,7 @@ def keep_spin(J, inverse_J, quaternion, turned, v, out):
             out[f + i] = inverse_J[b, i, 0] * spin[0] + inverse_J[b, i, 1] * spin[1] + inverse_J[b, i, 2] * spin[2]
 
 
-@kernel
+@in_place
 def accelerate(inverse_mass, inverse_J, gravity, force, torque, h, v, out):
     """v + h M⁻¹ f of free bodies under gravity, forces (world axes) and torques (body axes), into out."""
     for b in range(inverse_mass.size):
@@ -99,7 +99,7 @@ def accelerate(inverse_mass, inverse_J, gravity, force, torque, h, v, out):
             out[6 * b + 3 + i] = v[6 * b + 3 + i] + h * spin
 
 
-@kernel
+@in_place
 def twists(R, v, free, linear, angular):
     """Velocities of the centres of mass and angular velocities of free bodies in world axes, into (n, 3) each."""
     for b in range(free):
@@ -108,7 +108,7 @@ def twists(R, v, free, linear, angular):
             angular[b, i] = R[b, i, 0] * v[6 * b + 3] + R[b, i, 1] * v[6 * b + 4] + R[b, i, 2] * v[6 * b + 5]
 
 
-@kernel
+@in_place
 def reach(v, h, fall, radius, out):
     """How far any point of each free body moves in h seconds, and by `fall`, m, into out (n,)."""
     for b in range(radius.size):
@@ -118,7 +118,7 @@ def reach(v, h, fall, radius, out):
         out[b] = h * (speed + spin * radius[b]) + fall
 
 
-@kernel
+@in_place
 def contact_frames(normal, frame):
     """Contact frames with rows (n, t1, t2), into frame (nc, 3, 3).
 
@@ -135,7 +135,7 @@ def contact_frames(normal, frame):
         frame[c, 2, 0], frame[c, 2, 1], frame[c, 2, 2] = b, sign + y * y * a, -y
 
 
-@kernel
+@in_place
 def contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block, start):
     """`contact_frames`, blocks of every contact (side 0: minus, side 1: plus) and where their rows begin.
 
@@ -154,7 +154,7 @@ def contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block,
     return size
 
 
-@kernel
+@in_place
 def free_rows(frame1, frame2, point, frame, x, R, free, start, H):
     """Rows of Hᵀ on free bodies: direction d gives (d, Rᵀ ((p - x) x d)), minus on body 1, into H."""
     for c in range(frame1.size):
@@ -173,7 +173,7 @@ def free_rows(frame1, frame2, point, frame, x, R, free, start, H):
                     H[row + 3 + j] = R[b, 0, j] * m0 + R[b, 1, j] * m1 + R[b, 2, j] * m2
 
 
-@kernel
+@in_place
 def free_energies(mass, J, gravity, x, v):
     """(kinetic, potential) energy of the free bodies, in J."""
     kinetic, potential = 0.0, 0.0
@@ -203,7 +203,7 @@ def pinocchio_layout(x, quaternion, v, q_out, v_out):
             q_out[7 * b + 3 + i] = quaternion[b, i]
 
 
-@kernel
+@in_place
 def free_works(mass, gravity, force, torque, h, theta, v, v0, v1):
     """Works of a step on the free bodies, J: of forces and torques, and what gravity does beyond its potential.
 
@@ -220,7 +220,7 @@ def free_works(mass, gravity, force, torque, h, theta, v, v0, v1):
     return external, beyond
 
 
-@kernel
+@in_place
 def surface_velocities(geom, motion_of_geom, origin, linear, angular, slides, point, normal, sign, w):
     """Add the velocity of prescribed bodies at the contacts, times sign, to w (nc, 3), world axes.
 

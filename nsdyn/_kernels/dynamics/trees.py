@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 
 
 @kernel
@@ -55,7 +55,7 @@ def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, min
     return True
 
 
-@kernel
+@in_place
 def command(control, angle, turning, out):
     """Joint forces of a control (kp, kd, target, constant, limit) at rest at the angles, into out (n,).
 
@@ -69,7 +69,7 @@ def command(control, angle, turning, out):
         out[j] = constant[j] - kp[j] * deviation
 
 
-@kernel
+@in_place
 def saturated(control, tau, v0, v1, h, theta, held, side):
     """Whether a `command` tau is elsewhere at its limit than at the `side` (n,) of it, -1, 0 or 1, taken so far.
 
@@ -101,7 +101,7 @@ def loaded(M, laws, weight, control, own, v0, h, theta, matrices, v):
     return True, saturated(control, own, v0, v, h, theta, False, side)
 
 
-@kernel
+@in_place
 def forces(damping, stiffness, kp, kd, tau, stretch, v0, v1, h, theta, out):
     """Actuation, damping and springs of a step, from the velocities before and after its forces, into out (3, n)."""
     for j in range(v0.size):
@@ -129,7 +129,7 @@ def works(laws, velocities, mean, push, impulse, h, theta, joints):
     return actuation, dissipation, pushed
 
 
-@kernel
+@in_place
 def respond(start, minv, force, bias, h, v):
     """Velocity v = start + h minv (force - bias), into v (n,); returns its relative change."""
     change, size = 0.0, 0.0
@@ -142,7 +142,7 @@ def respond(start, minv, force, bias, h, v):
     return change / size if size > 0.0 else 0.0
 
 
-@kernel
+@in_place
 def first_order(v, a, h, out):
     """Of a motion at first order: displacement, the velocity at its end, the mean velocity, into out (3, n)."""
     for j in range(v.size):
@@ -151,7 +151,7 @@ def first_order(v, a, h, out):
         out[0, j], out[1, j], out[2, j] = h * mean, v[j] + change, mean
 
 
-@kernel
+@in_place
 def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, out):
     """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n)."""
     for j in range(v1.size):
@@ -162,7 +162,7 @@ def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, out):
         out[3, j] = (v1[j] + middle + v4[j]) / 6.0
 
 
-@kernel
+@in_place
 def fastest(v, turns):
     """(largest entry of |v|, the same of those coordinates that turn)."""
     most, turn = 0.0, 0.0

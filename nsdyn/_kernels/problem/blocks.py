@@ -10,14 +10,14 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
 
 SMALLEST, LARGEST = 1e-150, 1e150
 """Sizes of numbers whose squares are in the range of floating-point numbers."""
 
 
-@kernel
+@in_place
 def relative_velocity(blocks, v, u):
     """u = Hᵀ v, into u (3 nc,)."""
     offset, block, start, H = blocks[:4]
@@ -37,7 +37,7 @@ def relative_velocity(blocks, v, u):
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = u0, u1, u2
 
 
-@kernel
+@in_place
 def momentum(blocks, r, p):
     """p = H r, into p (n,)."""
     offset, block, start, H = blocks[:4]
@@ -55,7 +55,7 @@ def momentum(blocks, r, p):
                     p[o + j] += H[a + j] * r0 + H[d + j] * r1 + H[e + j] * r2
 
 
-@kernel
+@in_place
 def block_product(offset, m_start, m, x, y):
     """y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
     for k in range(offset.size - 1):
@@ -111,7 +111,7 @@ def weighted_rows(blocks):
     return y
 
 
-@kernel
+@in_place
 def _add_coupling(blocks, y, a, b, out):
     """Add Σ over shared blocks of H_aᵀ M⁻¹ H_b to out (3, 3)."""
     offset, block, start, H = blocks[:4]
@@ -195,7 +195,7 @@ def velocity_change(blocks, r, v):
     block_product(offset, m_start, minv, p, v)
 
 
-@kernel
+@in_place
 def respond(blocks, r, v_free, p, v):
     """p = H r and v = v_free + M⁻¹ p, into p and v (n,)."""
     offset, _, _, _, m_start, _, minv = blocks
@@ -215,7 +215,7 @@ def judged(blocks, q, mu, scales, r, u):
     return measures(scales, u, r, mu)
 
 
-@kernel
+@in_place
 def prepare(blocks, q, mu, scales):
     """`delassus_scales`; returns the norm of q, and whether q, mu and the scales are what they have to be."""
     delassus_scales(blocks, scales)
@@ -223,7 +223,7 @@ def prepare(blocks, q, mu, scales):
     return norm, good and in_range(scales)
 
 
-@kernel
+@in_place
 def in_range(scales):
     """Whether all sizes of diagonal blocks are what they have to be."""
     good = True
@@ -232,7 +232,7 @@ def in_range(scales):
     return good
 
 
-@kernel
+@in_place
 def size_of(q, mu):
     """The norm of q, and whether q and mu are what they have to be."""
     total, good = 0.0, True
@@ -243,7 +243,7 @@ def size_of(q, mu):
     return math.sqrt(total), good and total < np.inf
 
 
-@kernel
+@in_place
 def diagonal_block(blocks, c, x, y, w):
     """W_cc of a contact, without the rest of W, into w (3, 3); x and y (3, n) are for work."""
     offset, block, start, H, m_start, _, minv = blocks
@@ -272,7 +272,7 @@ def diagonal_block(blocks, c, x, y, w):
     w[1, 0], w[2, 0], w[2, 1] = w[0, 1], w[0, 2], w[1, 2]
 
 
-@kernel
+@in_place
 def widest(offset):
     """Coordinates of the largest block."""
     most = 0
@@ -291,7 +291,7 @@ def delassus_scales(blocks, out):
         out[c] = largest_eigenvalue(w)
 
 
-@kernel
+@in_place
 def unite(parent, a, b):
     """Join the components of a and b in a union-find forest; the smaller root stays."""
     while parent[a] != a:

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 
 ROUNDING = 2.0**-52
 
 
-@kernel(inline="always")
+@in_place(inline="always")
 def project(zn, z1, z2, mu):
     """Projection of (zn, z1, z2) on K = {|r_T| <= mu r_N}; returns three scalars."""
     t = math.sqrt(z1 * z1 + z2 * z2)
@@ -22,7 +22,7 @@ def project(zn, z1, z2, mu):
     return pn, s * z1, s * z2
 
 
-@kernel
+@in_place
 def project_all(z, mu, out):
     """Projection of every contact of z (3 nc,) on its cone, into out (3 nc,)."""
     for c in range(mu.size):
@@ -30,7 +30,7 @@ def project_all(z, mu, out):
         out[i], out[i + 1], out[i + 2] = project(z[i], z[i + 1], z[i + 2], mu[c])
 
 
-@kernel
+@in_place
 def projection_jacobian(zn, z1, z2, mu, D):
     """Element of the generalised Jacobian of the projection at z, into D (3, 3); symmetric, between 0 and I."""
     D[:] = 0.0
@@ -50,7 +50,7 @@ def projection_jacobian(zn, z1, z2, mu, D):
         D[1, 2] = D[2, 1] = e * a * b
 
 
-@kernel(inline="always")
+@in_place(inline="always")
 def _residual(scale, u, r, mu, i):
     """|r - P_K(r - rho u_hat)| / rho with rho = 1 / scale, in m/s, of the contact whose rows begin at i.
 
@@ -64,7 +64,7 @@ def _residual(scale, u, r, mu, i):
     return floor if e < floor else e
 
 
-@kernel
+@in_place
 def natural_residual(W_diagonal, u, r, mu):
     """Largest residual over contacts, with rho = 1 / W_diagonal[c], in m/s."""
     worst = 0.0
@@ -75,7 +75,7 @@ def natural_residual(W_diagonal, u, r, mu):
     return worst
 
 
-@kernel
+@in_place
 def natural_error(u, r, mu):
     """|r - P_K(r - u_hat)|_2 over all contacts (rho = 1): the numerator of the literature's error."""
     total = 0.0
@@ -87,19 +87,19 @@ def natural_error(u, r, mu):
     return math.sqrt(total)
 
 
-@kernel
+@in_place
 def measures(W_diagonal, u, r, mu):
     """(natural_error, natural_residual) in one call."""
     return natural_error(u, r, mu), natural_residual(W_diagonal, u, r, mu)
 
 
-@kernel
+@in_place
 def measure_at(W_diagonal, u, r, mu, q_norm):
     """Larger of the literature's error and the residual in m/s of an impulse r and its velocity u."""
     return max(natural_residual(W_diagonal, u, r, mu), natural_error(u, r, mu) / q_norm)
 
 
-@kernel
+@in_place
 def duality_gap(u, r, mu):
     """(Σ r·(u + (delta + mu |u_T|) e_N), |delta|_2) with delta = max(0, -u_N) and r projected on its cone."""
     gap, shift = 0.0, 0.0
@@ -112,7 +112,7 @@ def duality_gap(u, r, mu):
     return max(gap, 0.0), math.sqrt(shift)
 
 
-@kernel
+@in_place
 def _slip(W, q0, q1, q2, alpha):
     """Impulse with u_N = 0 and u_T = -alpha r_T: returns r_N, r_T1, r_T2."""
     a, b, c, d = W[1, 1] + alpha, W[1, 2], W[2, 1], W[2, 2] + alpha
@@ -126,7 +126,7 @@ def _slip(W, q0, q1, q2, alpha):
     return rn, x1 + y1 * rn, x2 + y2 * rn
 
 
-@kernel
+@in_place
 def _quartic(W, q0, q1, q2, mu):
     """Root alpha of |r_T| = mu r_N along `_slip` by Newton's method, not to be relied on.
 
@@ -158,7 +158,7 @@ def _quartic(W, q0, q1, q2, mu):
     return alpha
 
 
-@kernel
+@in_place
 def slide(W, q0, q1, q2, mu):
     """`coulomb` of a contact that neither takes off nor sticks: the root of |r_T| = mu r_N along `_slip`.
 
@@ -205,14 +205,14 @@ def slide(W, q0, q1, q2, mu):
     return rn, s * r1, s * r2
 
 
-@kernel
+@in_place
 def _singular(W):
     """Whether W_TT is singular: the point cannot move in a tangential direction."""
     tau = 0.5 * (W[1, 1] + W[2, 2])
     return W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1] <= 1e-14 * tau * tau
 
 
-@kernel
+@in_place
 def coulomb(W, q0, q1, q2, mu):
     """Exact solution of the one-contact problem u = W r + q, K* ∋ u_hat ⟂ r ∈ K: returns r_N, r_T1, r_T2.
 
@@ -230,13 +230,13 @@ def coulomb(W, q0, q1, q2, mu):
     return slide(W, q0, q1, q2, mu)
 
 
-@kernel
+@in_place
 def solve_one(W, q, mu, r):
     """`coulomb` into r (3,)."""
     r[0], r[1], r[2] = coulomb(W, q[0], q[1], q[2], mu)
 
 
-@kernel
+@in_place
 def largest_eigenvalue(W):
     """Largest eigenvalue of the symmetric part of a 3x3 block (trigonometric form)."""
     a, b, c = W[0, 0], W[1, 1], W[2, 2]

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem import unit_mass
 from nsdyn._kernels.problem.blocks import block_product, relative_velocity
 from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
 
 
-@kernel
+@in_place
 def into_cones(r, mu, out):
     """P_K(r), into out (3 nc,); returns whether that is more than round-off away from r."""
     moved = False
@@ -23,13 +23,13 @@ def into_cones(r, mu, out):
     return moved
 
 
-@kernel(inline="always")
+@in_place(inline="always")
 def _opening(o, i, mu):
     """κ = o_N - mu |o_T| of the contact whose rows begin at i: o is in κ e_N + K*."""
     return o[i] - mu * math.sqrt(o[i + 1] * o[i + 1] + o[i + 2] * o[i + 2])
 
 
-@kernel
+@in_place
 def _step_along(u, o, mu, speed):
     """A λ ≥ 0 with û + λ o in K* at every contact; inf if there is none among the two tried.
 
@@ -93,7 +93,7 @@ def along_blocks(blocks, d, o):
     return total
 
 
-@kernel
+@in_place
 def certificate_of(blocks, u, r, mu, d, out):
     """`into_cones`, and the certificate of `certificate_along` if r is in K."""
     if into_cones(r, mu, out):
@@ -113,7 +113,7 @@ def certificate_along(blocks, u, r, mu, d):
     return gap, shift, speed, step, total, square
 
 
-@kernel
+@in_place
 def pull(o, b, rho, mu, A, g):
     """Newton's step on ½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ: d = (M + Σ H_c A_c H_cᵀ)⁻¹ H g, into A and g."""
     for c in range(mu.size):
@@ -127,7 +127,7 @@ def pull(o, b, rho, mu, A, g):
             g[i + j] += B[j, 0] * o[i] + B[j, 1] * o[i + 1] + B[j, 2] * o[i + 2]
 
 
-@kernel
+@in_place
 def merit(square, o, b, rho, mu):
     """½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ, which `pull` descends, from ‖d‖²_M and o = Hᵀ d."""
     total = square
@@ -149,7 +149,7 @@ def least_opening(o, b, mu):
     return least
 
 
-@kernel
+@in_place
 def relax(blocks, mu, b, aim, enough, sweeps, d):
     """Change d (n,) until κ(Hᵀ d - b) ≥ `enough` < `aim` at every contact, by projections; whether that was reached.
 

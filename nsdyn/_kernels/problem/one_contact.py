@@ -4,21 +4,21 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.cones import project, projection_jacobian, solve_one
 from nsdyn._kernels.solvers.pgs import velocity_of
 
 PROJECTION, ITERATED, EXACT, ALART_CURNIER, JEAN_MOREAU, NATURAL, FISCHER_BURMEISTER = range(7)
 
 
-@kernel
+@in_place
 def _product(W, q, r, u):
     """u = W r + q."""
     for i in range(3):
         u[i] = W[i, 0] * r[0] + W[i, 1] * r[1] + W[i, 2] * r[2] + q[i]
 
 
-@kernel
+@in_place
 def _shifted(u, mu, out):
     """û = u + mu |u_T| e_N, into out."""
     out[0] = u[0] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
@@ -56,7 +56,7 @@ def iterate(W, q, mu, rho, goal, most, r):
     return most
 
 
-@kernel
+@in_place
 def _disk(predicted, u, r, mu, rho, F, A, B):
     """Alart–Curnier (predicted) and Jean–Moreau: F, A = ∂F/∂u, B = ∂F/∂r; A and B come as zeros."""
     a = r[0] - rho * u[0]
@@ -84,7 +84,7 @@ def _disk(predicted, u, r, mu, rho, F, A, B):
             A[1, 0], A[2, 0] = rho * mu * t1, rho * mu * t2
 
 
-@kernel
+@in_place
 def _natural(u, r, mu, rho, F, A, B):
     """Natural map: F, A = ∂F/∂u, B = ∂F/∂r."""
     slip = math.sqrt(u[1] * u[1] + u[2] * u[2])
@@ -101,7 +101,7 @@ def _natural(u, r, mu, rho, F, A, B):
             A[i, 2] += A[i, 0] * mu * u[2] / slip
 
 
-@kernel
+@in_place
 def _root(s0, s1, s2):
     """Square root of (s0, s_T) in the Jordan algebra of the cone."""
     size = math.sqrt(s1 * s1 + s2 * s2)
@@ -110,7 +110,7 @@ def _root(s0, s1, s2):
     return 0.5 * (low + high), f * s1, f * s2
 
 
-@kernel
+@in_place
 def _one_minus_quotient(w0, w1, w2, x0, x1, x2, out):
     """I - L_w⁻¹ L_x into out, L_w lifted by round-off where it is singular."""
     size = math.sqrt(w1 * w1 + w2 * w2)
@@ -128,7 +128,7 @@ def _one_minus_quotient(w0, w1, w2, x0, x1, x2, out):
         out[j, j] += 1.0
 
 
-@kernel
+@in_place
 def _fischer_burmeister(u, r, mu, rho, F, A, B):
     """Fischer–Burmeister: F, A = ∂F/∂u, B = ∂F/∂r; A and B come as zeros."""
     if mu == 0.0:
@@ -157,7 +157,7 @@ def _fischer_burmeister(u, r, mu, rho, F, A, B):
         A[i, 2] = A[i, 2] * rho * mu + (normal * mu * u[2] / slip if slip > 0.0 else 0.0)
 
 
-@kernel
+@in_place
 def element(kind, u, r, mu, rho, F, A, B):
     """F(u, r), A = ∂F/∂u and B = ∂F/∂r of one of the four maps; returns |F|."""
     A[:] = 0.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.sorting import order, place_of
 
 
@@ -116,7 +116,7 @@ def elimination_work(offset, block):
     return work
 
 
-@kernel
+@in_place
 def assemble_sparse(blocks, A, indptr, slot, diagonal, data):
     """K = M + Σ H_c A_c H_cᵀ in the layout of `pattern`, into data."""
     offset, block, start, H, m_start, m, _ = blocks
@@ -160,7 +160,7 @@ def assemble_sparse(blocks, A, indptr, slot, diagonal, data):
                         data[base + i] += H[hk + i] * y0 + H[hk + nk + i] * y1 + H[hk + 2 * nk + i] * y2
 
 
-@kernel
+@in_place
 def symmetric(A):
     """Whether every A_c is symmetric, so that K is symmetric positive definite."""
     for c in range(A.shape[0]):

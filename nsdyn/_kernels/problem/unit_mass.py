@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.lanes import WIDTH, add, dot
 from nsdyn._kernels.sorting import order as sorted_by
 
@@ -81,7 +81,7 @@ def room(blocks):
     return np.zeros(WIDTH * (blocks[0].size - 1 + STILL))
 
 
-@kernel
+@in_place
 def from_velocity(blocks, G, v, out):
     """v̂ of v, into out."""
     offset, m_start = blocks[0], blocks[4]
@@ -93,7 +93,7 @@ def from_velocity(blocks, G, v, out):
             out[WIDTH * k + i] = total / G[m_start[k] + 7 * i]
 
 
-@kernel
+@in_place
 def to_velocity(blocks, G, v, out):
     """v of v̂, into out."""
     offset, m_start = blocks[0], blocks[4]
@@ -104,7 +104,7 @@ def to_velocity(blocks, G, v, out):
                 out[6 * k + i] += G[m_start[k] + 6 * i + j] * v[WIDTH * k + j]
 
 
-@kernel(inline="always")
+@in_place(inline="always")
 def read(rows, c, body, v):
     """Ĥ_cᵀ v̂: normal, first and second tangent."""
     # Unsigned: the compiler need not ask whether an index counts from the end.
@@ -112,13 +112,13 @@ def read(rows, c, body, v):
     return dot(rows, o, v, a, b), dot(rows, o + PAIR, v, a, b), dot(rows, o + PAIR + PAIR, v, a, b)
 
 
-@kernel(inline="always")
+@in_place(inline="always")
 def apply(z, rows, c, body, v):
     """v̂ += Ĥ_c z, z = (z_N, z_T1, z_T2) or (z_N,)."""
     add(z, rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
 
 
-@kernel
+@in_place
 def diagonal(rows, c, w):
     """W_cc = Ĥ_cᵀ Ĥ_c, into w (3, 3)."""
     first = 6 * WIDTH * c

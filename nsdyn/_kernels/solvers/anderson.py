@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 
 
-@kernel(fastmath={"reassoc", "contract"})  # sums in any order, so that they are vectorised
+@in_place(fastmath={"reassoc", "contract"})  # sums in any order, so that they are vectorised
 def products(F, f, used, out):
     """F_j · f of the first `used` rows of F, into out."""
     for j in range(used):

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.cones import measure_at
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.vectors import dot, row
@@ -24,7 +24,7 @@ START = 100.0  # first x and z: far inside, whatever the solution of a problem o
 STUCK = 5  # factorisations in a row that do not halve the measure: round-off has the rest
 
 
-@kernel
+@in_place
 def start(q, mu, u, z):
     """First point: u_T = q_T, everything else far inside the cones."""
     for c in range(mu.size):
@@ -33,7 +33,7 @@ def start(q, mu, u, z):
         z[c, 0], z[c, 1], z[c, 2] = START, 0.0, 0.0
 
 
-@kernel
+@in_place
 def impulse(z, mu, unit, r):
     """Impulses of z in units of `unit`, into r (3 nc,)."""
     for c in range(mu.size):
@@ -41,7 +41,7 @@ def impulse(z, mu, unit, r):
         r[3 * c + 1], r[3 * c + 2] = z[c, 1] * unit, z[c, 2] * unit
 
 
-@kernel
+@in_place
 def defect(u, v, mu, F):
     """F = u - v for v = W r + q, into F (nc, 3); returns its largest entry."""
     worst = 0.0
@@ -52,14 +52,14 @@ def defect(u, v, mu, F):
     return worst
 
 
-@kernel
+@in_place
 def root(x):
     """(x_0² - ‖x_T‖²)^½ of a point of the Lorentz cone, kept above round-off."""
     t = math.sqrt(x[1] * x[1] + x[2] * x[2])
     return math.sqrt(max(x[0] - t, 1e-16 * x[0]) * (x[0] + t))
 
 
-@kernel
+@in_place
 def nesterov_todd(x, z, dx, dz, T, V):
     """Symmetric T with T z = T⁻¹ x of two points of the Lorentz cone and V = T⁻¹, into T and V (3, 3).
 
@@ -78,7 +78,7 @@ def nesterov_todd(x, z, dx, dz, T, V):
         B[1, 2] = B[2, 1] = e * k * w1 * w2
 
 
-@kernel
+@in_place
 def scaled_point(x, z, dx, dz, lam):
     """λ = T z = T⁻¹ x of `nesterov_todd`, into lam (3,), inside the cone also where both points are on its boundary."""
     g, e = math.sqrt(0.5 * (1.0 + dot(x, z) / (dx * dz))), math.sqrt(dx * dz)
@@ -88,7 +88,7 @@ def scaled_point(x, z, dx, dz, lam):
     lam[1], lam[2] = e * (a * x[1] + b * z[1]), e * (a * x[2] + b * z[2])
 
 
-@kernel
+@in_place
 def scalings(x, z, T, V, lam):
     """`nesterov_todd` of many points (n, 3), and λ = T z."""
     for c in range(x.shape[0]):
@@ -97,7 +97,7 @@ def scalings(x, z, T, V, lam):
         scaled_point(a, b, root(a), root(b), lam[c])
 
 
-@kernel
+@in_place
 def scaling(u, z, mu, T, V, C, A, lam):
     """T, V = T⁻¹, C, A and λ = T z of every contact; returns the mean of x·z."""
     total = 0.0
@@ -131,7 +131,7 @@ def scaling(u, z, mu, T, V, C, A, lam):
     return total / mu.size
 
 
-@kernel
+@in_place
 def target(lam, T, V, dx, dz, sigma, correct, d):
     """Solve λ ∘ d = σ e - λ ∘ λ - (T⁻¹ dx) ∘ (T dz), the last term (Mehrotra's) only when `correct`."""
     for c in range(lam.shape[0]):
@@ -154,7 +154,7 @@ def target(lam, T, V, dx, dz, sigma, correct, d):
         d[c, 2] = (b2 - d[c, 0] * l2) / l0
 
 
-@kernel
+@in_place
 def right_side(mu, V, A, d, F, g):
     """G = E T⁻¹ d + A F, into g (3 nc,)."""
     for c in range(mu.size):
@@ -168,7 +168,7 @@ def right_side(mu, V, A, d, F, g):
             g[3 * c + 1] = g[3 * c + 2] = 0.0
 
 
-@kernel
+@in_place
 def recover(mu, V, C, d, F, Wp, du, dx, dz):
     """Set du = W p - F, dx = C du, dz = T⁻¹ (d - T⁻¹ dx)."""
     for c in range(mu.size):
@@ -185,7 +185,7 @@ def recover(mu, V, C, d, F, Wp, du, dx, dz):
             dz[c, 1] = dz[c, 2] = 0.0
 
 
-@kernel
+@in_place
 def longest(u, z, du, dz):
     """Largest step that keeps u_N, z_N and the slack z_N - ‖z_T‖ (to first order) from becoming negative."""
     a = 1e300
@@ -203,7 +203,7 @@ def longest(u, z, du, dz):
     return a
 
 
-@kernel
+@in_place
 def move(mu, u, z, du, dz, a, nu, nz):
     """Points after a step a, into nu and nz; returns the mean of x·z there.
 
@@ -232,7 +232,7 @@ def move(mu, u, z, du, dz, a, nu, nz):
     return total / mu.size
 
 
-@kernel
+@in_place
 def centring(gap, after, full, worst, last):
     """Share of the gap to aim at: after the affine step `full`, with the defect `worst` and the last step `last`."""
     if last < 0.1:  # the last step hit the boundary at once
@@ -240,7 +240,7 @@ def centring(gap, after, full, worst, last):
     return max(min(1.0, (after / gap) ** 3), 1e-4, 0.5 * (1.0 - full) ** 3, min(1.0, 0.1 * worst / gap))
 
 
-@kernel
+@in_place
 def system(W, A, unit, S):
     """S = I + unit A W for a dense W, into S."""
     n = W.shape[0]
@@ -254,7 +254,7 @@ def system(W, A, unit, S):
             row[3 * c + i] += 1.0
 
 
-@kernel(fastmath={"contract", "reassoc"})  # sums in any order, so that they are vectorised
+@in_place(fastmath={"contract", "reassoc"})  # sums in any order, so that they are vectorised
 def product(W, x, y):
     """y = W x for a dense W, into y."""
     for i in range(x.size):
@@ -264,7 +264,7 @@ def product(W, x, y):
         y[i] = total
 
 
-@kernel
+@in_place
 def measure(W, q, mu, scales, q_norm, r, u):
     """Larger of the literature's error and the residual in m/s of impulse r for a dense W, its velocity into u."""
     product(W, r, u)

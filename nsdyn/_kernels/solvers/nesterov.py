@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.lanes import dot
 from nsdyn._kernels.problem.cones import measure_at, project
 from nsdyn._kernels.problem.unit_mass import (
@@ -39,7 +39,7 @@ def local_steps(rows, mu):
     return out
 
 
-@kernel
+@in_place
 def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
     """One sweep over the contacts that are awake, in place of r = y and of v = Ĥ y.
 
@@ -70,7 +70,7 @@ def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
                 t[c] = max(1.0, keep * t[c])
 
 
-@kernel
+@in_place
 def extrapolate(awake, rows, body, mu, v, r, x, t):
     """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it; of contacts awake."""
     for c in awake:
@@ -85,7 +85,7 @@ def extrapolate(awake, rows, body, mu, v, r, x, t):
             apply((y0 - r0, y1 - r1, y2 - r2), rows, c, body, v)
 
 
-@kernel
+@in_place
 def sweep_normals(awake, rows, body, steps, q, v, r, x, t, keep):
     """`sweep` where no contact has friction."""
     for c in awake:
@@ -99,7 +99,7 @@ def sweep_normals(awake, rows, body, steps, q, v, r, x, t, keep):
                 t[c] = max(1.0, keep * t[c])
 
 
-@kernel
+@in_place
 def extrapolate_normals(awake, rows, body, v, r, x, t):
     """`extrapolate` where no contact has friction."""
     for c in awake:
@@ -112,7 +112,7 @@ def extrapolate_normals(awake, rows, body, v, r, x, t):
             apply((r[c, 0] - r0,), rows, c, body, v)
 
 
-@kernel
+@in_place
 def refresh(rows, body, r, v):
     """v = Ĥ r."""
     v[:] = 0.0
@@ -121,7 +121,7 @@ def refresh(rows, body, r, v):
             apply((r[c, 0], r[c, 1], r[c, 2]), rows, c, body, v)
 
 
-@kernel
+@in_place
 def measure(rows, body, q, mu, scales, q_norm, r, v, u):
     """Larger of the literature's error and the residual in m/s of an impulse r, given v = Ĥ r."""
     for c in range(mu.size):
@@ -130,7 +130,7 @@ def measure(rows, body, q, mu, scales, q_norm, r, v, u):
     return measure_at(scales, u.reshape(-1), r.reshape(-1), mu, q_norm)
 
 
-@kernel
+@in_place
 def wake(u, last, r, x, awake):
     """Put the contacts worth a sweep first in `awake` and return their number.
 
@@ -220,7 +220,7 @@ def steps_of_matrix(indptr, indices, data, mu):
     return out
 
 
-@kernel
+@in_place
 def sweep_matrix(indptr, indices, data, steps, q, mu, r, x, t, keep):
     """`sweep` over all contacts of a block-sparse W, in place of r = y."""
     for c in range(mu.size):

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity
 from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
@@ -22,13 +22,13 @@ from nsdyn._kernels.problem.linear import factorise, substitute
 PATIENCE = 5  # Newton steps without settling after which a penalty is called too large
 
 
-@kernel
+@in_place
 def grown(penalty, inner):
     """Next penalty after settling in `inner` steps: twice as large after a quick success."""
     return min(2.0 * penalty, 1e8) if inner <= 2 else penalty
 
 
-@kernel
+@in_place
 def projected(u, r, rho, mu, P):
     """P(u) of every contact, into P (3 nc,)."""
     for c in range(mu.size):
@@ -43,7 +43,7 @@ def projected(u, r, rho, mu, P):
         P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
 
 
-@kernel
+@in_place
 def stiffness(u, r, rho, mu, A):
     """A_c = -dP_c/du_c of every contact, into A (nc, 3, 3)."""
     for c in range(mu.size):
@@ -65,7 +65,7 @@ def stiffness(u, r, rho, mu, A):
         B[1, 2] = B[2, 1] = -k * x * y
 
 
-@kernel
+@in_place
 def assemble_dense(blocks, A, K):
     """K = M + Σ H_c A_c H_cᵀ as a dense matrix, into K (n, n)."""
     offset, block, start, H, m_start, m, _ = blocks
@@ -107,7 +107,7 @@ def assemble_dense(blocks, A, K):
                         row[j] += y0 * h0[j] + y1 * h1[j] + y2 * h2[j]
 
 
-@kernel
+@in_place
 def defect(blocks, y, P, F, work):
     """F = M y - H P, into F (n,)."""
     offset, _, _, _, m_start, m, _ = blocks
@@ -117,7 +117,7 @@ def defect(blocks, y, P, F, work):
         F[i] = work[i] - F[i]
 
 
-@kernel
+@in_place
 def velocity_of(blocks, q, r, y, u, work):
     """y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
     offset, _, _, _, m_start, _, minv = blocks
@@ -128,7 +128,7 @@ def velocity_of(blocks, q, r, y, u, work):
         u[i] += q[i]
 
 
-@kernel
+@in_place
 def measure_of(blocks, q, mu, scales, q_norm, r, y, u, work):
     """Larger of the literature's error and the residual in m/s of impulse r, with its own y and u."""
     velocity_of(blocks, q, r, y, u, work)
@@ -280,7 +280,7 @@ def gather(contacts, q, mu, scales, r):
     return own_q, own_mu, own_scales, x
 
 
-@kernel
+@in_place
 def scatter(contacts, x, r):
     """Put the impulses x of some contacts into r."""
     for e in range(contacts.size):

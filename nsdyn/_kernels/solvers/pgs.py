@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import momentum, relative_velocity, weighted_rows
 from nsdyn._kernels.problem.cones import coulomb, measure_at, project_all, slide
 from nsdyn._kernels.solvers.anderson import mix
@@ -36,7 +36,7 @@ class Factors(NamedTuple):
     inverse: np.ndarray
 
 
-@kernel
+@in_place
 def invert(W, S):
     """Inverse of a 3 x 3 block into S; 0 where it is singular to round-off."""
     c0 = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1]
@@ -89,7 +89,7 @@ def factors(blocks):
     return Factors(blocks, y, D, S)
 
 
-@kernel(fastmath=FUSED)
+@in_place(fastmath=FUSED)
 def solve_contact(W, own, S, c, b0, b1, b2, mu):
     """Impulse of contact c with free velocity b, three scalars; its block is W[own], S[c] its inverse, 0 without."""
     if b0 >= 0.0:
@@ -104,7 +104,7 @@ def solve_contact(W, own, S, c, b0, b1, b2, mu):
     return slide(W[own], b0, b1, b2, mu)
 
 
-@kernel(fastmath=FUSED)
+@in_place(fastmath=FUSED)
 def sweep_matrix(W, q, mu, r):
     """One Gauss–Seidel sweep in place: each contact solved exactly with the others frozen."""
     indptr, indices, data, inverse = W
@@ -125,7 +125,7 @@ def sweep_matrix(W, q, mu, r):
         r[3 * c], r[3 * c + 1], r[3 * c + 2] = solve_contact(data, own, inverse, k, b0, b1, b2, mu[c])
 
 
-@kernel(fastmath=FUSED)
+@in_place(fastmath=FUSED)
 def sweep_factors(W, q, mu, v, r):
     """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
     blocks, y, diagonal, inverse = W
@@ -206,7 +206,7 @@ def _velocity_of(W, q, r, u):
     return by_factors
 
 
-@kernel(fastmath=FUSED)
+@in_place(fastmath=FUSED)
 def velocity_of(indptr, indices, data, q, r, c):
     """u_c = (W r + q)_c of contact c: three scalars."""
     u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
@@ -219,7 +219,7 @@ def velocity_of(indptr, indices, data, q, r, c):
     return u0, u1, u2
 
 
-@kernel(fastmath=FUSED)
+@in_place(fastmath=FUSED)
 def velocity(indptr, indices, data, q, r, u):
     """u = W r + q, into u (3 nc,)."""
     for c in range(indptr.size - 1):

@@ -16,10 +16,10 @@ and at constant z, with dr = κ du,
 
 import math
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 
 
-@kernel(inline="always")
+@in_place(inline="always")
 def _short(t, radius, s):
     """e = R - ‖r_T‖ > 0 with (R - e) (1 + s / (e (2 R - e))) = t, R the radius of the disk and s = 2 κ τ.
 
@@ -39,7 +39,7 @@ def _short(t, radius, s):
     return e
 
 
-@kernel
+@in_place
 def law(z, mu, kappa, tau, r, u, slip):
     """Solution (r, u) of the smoothed law for z, all (3 nc,), into r and u; λ and D into slip (nc, 2)."""
     for c in range(mu.size):
@@ -62,7 +62,7 @@ def law(z, mu, kappa, tau, r, u, slip):
             u[j] = -l * r[j]
 
 
-@kernel
+@in_place
 def stiffness(r, u, slip, mu, A):
     """A of every contact, into A (nc, 3, 3)."""
     for c in range(mu.size):
@@ -81,7 +81,7 @@ def stiffness(r, u, slip, mu, A):
         B[2, 0] = g * (B[2, 1] * x + B[2, 2] * y)
 
 
-@kernel
+@in_place
 def rate(r, u, slip, mu, kappa, tau, out):
     """dr / dlog τ at constant z, into out (3 nc,)."""
     for c in range(mu.size):
@@ -95,7 +95,7 @@ def rate(r, u, slip, mu, kappa, tau, out):
             out[i + 1], out[i + 2] = g * x, g * y
 
 
-@kernel
+@in_place
 def velocities_differ(v, u, mu, out):
     """v - u, into out (3 nc,): the tangents of a contact without friction have no equation."""
     for c in range(mu.size):
@@ -103,7 +103,7 @@ def velocities_differ(v, u, mu, out):
             out[i] = v[i] - u[i] if i == 3 * c or mu[c] > 0.0 else 0.0
 
 
-@kernel
+@in_place
 def step(A, kappa, g, Wx, mu, out):
     """dz = (A + κ) (g - W x), into out (3 nc,)."""
     for c in range(mu.size):

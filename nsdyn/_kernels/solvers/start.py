@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones
 from nsdyn._kernels.solvers import local, newton, pgs
@@ -46,7 +46,7 @@ def small(blocks, q, mu, scales, r, measure, enough, good, q_norm, limits):
     return count + steps, measure
 
 
-@kernel
+@in_place
 def closed_form(W, q, mu, r, u):
     """One contact in closed form, into r (3,) and u = W r + q."""
     r[0], r[1], r[2] = cones.coulomb(W, q[0], q[1], q[2], mu[0])
@@ -115,7 +115,7 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_no
     return found, left, count, top / q_norm, residual
 
 
-@kernel
+@in_place
 def alone(W, q, mu, scales, q_norm, r, u):
     """The only contact of a problem in closed form, W (1, 3, 3), into r and u (3,); its error and residual."""
     closed_form(W[0], q, mu, r, u)

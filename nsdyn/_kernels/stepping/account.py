@@ -1,11 +1,11 @@
 """The works of a move in one call."""
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.dynamics.motion import free_works
 from nsdyn._kernels.stepping.law import outcome
 
 
-@kernel
+@in_place
 def account(
     blocks, bodies, loads, h, theta, velocities, r, mu, transport, was, struck, local, frame, slow, out
 ):  # fmt: skip

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import unite
 from nsdyn._kernels.reductions import most
 from nsdyn._kernels.vectors import along, dot, row
@@ -18,7 +18,7 @@ what comes to rest does, nothing is given back. Nor is more than that of what ro
 spins on its face has next to no rolling, and would be tipped."""
 
 
-@kernel
+@in_place
 def gains(mass, J, gravity, external, closed, states, owed, out):
     """What the energies of the free bodies grew by, beyond the works `external` (nf,), J.
 

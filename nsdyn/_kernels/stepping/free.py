@@ -4,7 +4,7 @@ A call from Python takes as long as what it does for a few bodies. Arguments com
 kernels that are called. The frames are those of the bodies, at their centres of mass.
 """
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.dynamics import motion
 from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.problem import blocks as _blocks
@@ -12,7 +12,7 @@ from nsdyn._kernels.reductions import most
 from nsdyn._kernels.stepping import law
 
 
-@kernel
+@in_place
 def half(bodies, gravity, load, position, v, h, theta, fall, looked, arm, tol, out):
     """The first half of a move: a free flow, the velocity after the forces there, how far it reaches.
 
@@ -31,7 +31,7 @@ def half(bodies, gravity, load, position, v, h, theta, fall, looked, arm, tol, o
     return most(reach), same
 
 
-@kernel
+@in_place
 def meet(masses, here, begin, velocities, warm, reach, materials, longer, closing, again, rows, out):
     """What a move meets at its contacts and the problem that it poses; the size of H, the norm of b and its validity.
 
@@ -54,7 +54,7 @@ def meet(masses, here, begin, velocities, warm, reach, materials, longer, closin
     return size, norm, good
 
 
-@kernel
+@in_place
 def end(blocks, r, v_free, bodies, position, h, looked, reach, arm, tol, out):
     """The second half of a move: v⁺ = v_f + M⁻¹ H r and a free flow; whether what was `looked` for is found there too.
 

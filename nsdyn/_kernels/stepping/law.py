@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import delassus_scales, in_range, relative_velocity, size_of
 from nsdyn._kernels.sorting import order, place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, row
@@ -41,7 +41,7 @@ def places(old_key, new_key):
     return out
 
 
-@kernel
+@in_place
 def warm_start(place, impulse, factor, frame, r):
     """World impulses of old contacts in the frames of those that continue them, 0 for new ones, into r (3 nc,)."""
     for c in range(place.size):
@@ -52,7 +52,7 @@ def warm_start(place, impulse, factor, frame, r):
                 r[3 * c + i] = factor * (frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2])
 
 
-@kernel
+@in_place
 def begin_velocities(
     place, old_point, old_normal, x_old, linear, angular, carried, reach, frame1, frame2, point, frame, x, transport, u
 ):  # fmt: skip
@@ -89,7 +89,7 @@ def begin_velocities(
                 u[3 * c + i] += transport[3 * c + i]
 
 
-@kernel
+@in_place
 def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
     """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far."""
     for f in range(arm.size):
@@ -103,7 +103,7 @@ def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
     return True
 
 
-@kernel
+@in_place
 def approach(frame1, frame2, point, normal, x, linear, angular, out):
     """Normal velocities of contacts whose frames move as in `begin_velocities`, m/s, into out (nc,)."""
     for c in range(out.size):
@@ -202,7 +202,7 @@ def local_velocities(
     return place
 
 
-@kernel
+@in_place
 def foresee(blocks, mu, place, old_status, local, slides):
     """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
 
@@ -240,7 +240,7 @@ def foresee(blocks, mu, place, old_status, local, slides):
         slides[c] = slip > mu[c] * max(press, guess[i]) * tangential
 
 
-@kernel
+@in_place
 def offsets(local, end_gap, restitution, rebound, slides, closing, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
@@ -288,7 +288,7 @@ def pose(blocks, here, begin, velocities, warm, reach, materials, longer, closin
     return norm, good and in_range(scales)
 
 
-@kernel
+@in_place
 def reconsider(r, y, b, mu, local, slides, back):
     """Change `slides` (nc,) where the solution y = W r + b shows otherwise, and tell whether any has.
 
@@ -314,7 +314,7 @@ def reconsider(r, y, b, mu, local, slides, back):
     return some
 
 
-@kernel
+@in_place
 def state(r, mu, i):
     """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary) of rows i to i + 2."""
     if r[i] <= 0.0:
@@ -322,7 +322,7 @@ def state(r, mu, i):
     return 1 if math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu * r[i] * (1.0 - 1e-9) else 2
 
 
-@kernel
+@in_place
 def states(r, mu, out):
     """`state` of every contact, into out (nc,)."""
     for c in range(out.size):
