@@ -24,27 +24,27 @@ def pack(floats, integers):
     return both[0][0], both[1][0], both[0][1], both[1][1]
 
 
-@kernel
+@kernel(inline="always")
 def numbers(floats, integers, k):
     """Array k of floats, of shape (n,)."""
     return floats[integers[k] : integers[k + 1]]
 
 
-@kernel
+@kernel(inline="always")
 def triples(floats, integers, k):
     """Array k of floats, of shape (n, 3)."""
     flat = floats[integers[k] : integers[k + 1]]
     return flat.reshape((flat.size // 3, 3))
 
 
-@kernel
+@kernel(inline="always")
 def matrices(floats, integers, k):
     """Array k of floats, of shape (n, 3, 3)."""
     flat = floats[integers[k] : integers[k + 1]]
     return flat.reshape((flat.size // 9, 3, 3))
 
 
-@kernel
+@kernel(inline="always")
 def indices(integers, k, floats):
     """Array k of integers, beside so many of floats."""
     at = floats + 1 + k

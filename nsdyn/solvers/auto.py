@@ -249,7 +249,7 @@ class Auto:
 
     tol: float = 1e-8
     loose: float = 1e-4
-    effort: float = 6.0
+    effort: float = 10.0
     accept: float = 1.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:

@@ -78,7 +78,7 @@ class Velocities:
     def settled(self, P: Array, estimate: Array) -> bool:
         """As `Unknown.settled`."""
         given = self._scales, self._y, P, estimate
-        return bool(_kernels.settled(self._blocks.arrays, *given, self._F, self._work))
+        return bool(_kernels.settled(self._blocks.arrays, *given, self._F, self._work, self._own_u))
 
 
 class Impulses:

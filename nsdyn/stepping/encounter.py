@@ -204,14 +204,14 @@ class Encounter(NamedTuple):
             velocities = v_begin, middle.v, forces.v
             return cls._posed(contacts, rows, frame, velocities, there.x, begin, reach, h, closing)
         nr = full.nc
-        local, end_gap = np.empty((5, 3 * nr)), np.empty(nr)
+        local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
         transport = dynamics.surfaces.transport(contacts, frame, middle.position.driven_x, nr, *surfaces)
         carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
-        where = _law.local_velocities(
+        _law.local_velocities(
             full.arrays, (v_begin, middle.v, forces.v), (carried, *transport), rows.press,
             (old.key, old.point, old.normal, place.x, *twists),
             (contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame, contacts.gap, there.x),
-            (warm.key, warm.impulse), reach, h / warm.h, ahead, local, end_gap,
+            (warm.key, warm.impulse), reach, h / warm.h, ahead, local, end_gap, where,
         )  # fmt: skip
         mu, restitution = contacts.mu, contacts.restitution
         if joints is not None:

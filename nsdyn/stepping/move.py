@@ -334,7 +334,9 @@ def _respond(
 def _resume(met: Encounter, slides: Bools, last: Response) -> None:
     """Start from what the last look has left: impulses and slip of contacts that are still there, and joint rows."""
     key, r = last.met.contacts.key, last.solution.r.reshape(-1, 3)
-    where, nc = _law.places(key, met.contacts.key), met.contacts.gap.size
+    nc = met.contacts.gap.size
+    where = np.empty(nc, np.int64)
+    _law.places(key, met.contacts.key, where)
     known, guess = where >= 0, met.local[4].reshape(-1, 3)
     guess[:nc][known] = r[where[known]]
     slides[known] = last.slides[where[known]]

@@ -3,7 +3,7 @@
 from nsdyn._kernels.collision.broadphase import follow
 from nsdyn._kernels.collision.keys import collect
 from nsdyn._kernels.collision.manifold import manifolds
-from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
 
 LEFT = -1
@@ -17,7 +17,7 @@ POINT, NORMAL, GAP, COAL, MARGIN, MU, RESTITUTION, PAIRS = range(8)
 PAIR, FIRST, SECOND, SLOT = range(4)
 
 
-@kernel
+@in_place
 def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out):
     """Number of contacts, or `LEFT`, and the next key; the contacts into `out` if it has room for just so many.
 

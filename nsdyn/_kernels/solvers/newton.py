@@ -135,24 +135,29 @@ def measure_of(blocks, q, mu, scales, q_norm, r, y, u, work):
     return measure_at(scales, u, r, mu, q_norm)
 
 
-@kernel
-def measures_of_islands(label, found, scales, q_norm, u, r, mu):
-    """The measure of every island by itself, shape (found,), for the impulse r and its velocity u."""
-    residual, squares = np.zeros(found), np.zeros(found)
+@in_place
+def measures_of_islands(label, scales, q_norm, u, r, mu, out):
+    """The measure of every island by itself, for the impulse r and its velocity u, into out (islands,)."""
+    # First the errors, whose squares add up.
+    out[:] = 0.0
     for c in range(mu.size):
-        i, l = 3 * c, label[c]
-        part = slice(i, i + 3)
-        residual[l] = max(residual[l], natural_residual(scales[c : c + 1], u[part], r[part], mu[c : c + 1]))
-        squares[l] += natural_error(u[part], r[part], mu[c : c + 1]) ** 2
-    return np.maximum(residual, np.sqrt(squares) / q_norm)
+        part = slice(3 * c, 3 * c + 3)
+        out[label[c]] += natural_error(u[part], r[part], mu[c : c + 1]) ** 2
+    for k in range(out.size):
+        out[k] = math.sqrt(out[k]) / q_norm
+    for c in range(mu.size):
+        part, k = slice(3 * c, 3 * c + 3), label[c]
+        residual = natural_residual(scales[c : c + 1], u[part], r[part], mu[c : c + 1])
+        if not residual <= out[k]:  # a NaN is the worst
+            out[k] = residual
 
 
-@kernel
-def settled(blocks, scales, y, P, estimate, F, work):
+@in_place
+def settled(blocks, scales, y, P, estimate, F, work, change):
     """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)).
 
     That is a hundredth of the momentum H (P - estimate), or 1e-5 of the step weighed by lambda_max(W_cc) contact by
-    contact: redundant contacts exchange impulses without any momentum.
+    contact: redundant contacts exchange impulses without any momentum. F, work and change are for work.
     """
     offset, _, _, _, m_start, _, minv = blocks
     defect(blocks, y, P, F, work)
@@ -160,7 +165,8 @@ def settled(blocks, scales, y, P, estimate, F, work):
     left = 0.0
     for i in range(F.size):
         left += F[i] * work[i]
-    change = P - estimate
+    for i in range(change.size):
+        change[i] = P[i] - estimate[i]
     momentum(blocks, change, F)
     block_product(offset, m_start, minv, F, work)
     total, weighed = 0.0, 0.0
@@ -208,7 +214,7 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
         if measure < best:
             best = measure
             r[:] = P
-        if settled(blocks, scales, y, P, estimate, F, work):
+        if settled(blocks, scales, y, P, estimate, F, work, own_u):
             penalty = grown(penalty, inner)
             estimate[:] = P
             inner = 0

@@ -55,6 +55,28 @@ def closed_form(W, q, mu, r, u):
 
 
 @kernel
+def only_contact(blocks, c, q, mu, scales, r, q_norm):
+    """An island of one contact in closed form, in place of r; its measure."""
+    most, own, at = _blocks.widest(blocks[0]), slice(c, c + 1), slice(3 * c, 3 * c + 3)
+    x, y, w, u = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3)), np.empty(3)
+    _blocks.diagonal_block(blocks, c, x, y, w)
+    closed_form(w, q[at], mu[own], r[at], u)
+    return cones.measure_at(scales[own], u, r[at], mu[own], q_norm)
+
+
+@kernel
+def part(blocks, label, k, q, mu, scales, r, measure, enough, good, q_norm, limits):
+    """`small` for island k of several."""
+    contacts, own = newton.extract(blocks, label, k)
+    if own[0][-1] > limits[0]:
+        return 0, measure
+    own_q, own_mu, own_scales, x = newton.gather(contacts, q, mu, scales, r)
+    count, measure = small(own, own_q, own_mu, own_scales, x, measure, enough, good, q_norm, limits)
+    newton.scatter(contacts, x, r)
+    return count, measure
+
+
+@in_place
 def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, limits):
     """Solve every island of few coordinates in place of r, unless r is good `enough`.
 
@@ -66,51 +88,42 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_no
     the literature's error and the residual of r where none is left; then its u = W r + q is in u. limits = (most
     coordinates, penalty, most steps, a few steps).
     """
-    largest = limits[0]
     top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
     if top / q_norm <= enough and residual <= enough:
         return 0, False, 0, top / q_norm, residual
     offset, block = blocks[:2]
     found = _blocks.islands(block, offset.size - 1, label)
     measures, share = islands[0, :found], islands[1, :found]
-    measures[:], share[:] = newton.measures_of_islands(label, found, scales, q_norm, u, r, mu), 0.0
-    if (measures <= enough).all():
-        return found, False, 0, top / q_norm, residual
-    first = np.empty(found, np.int64)
-    for c in range(label.size - 1, -1, -1):
+    newton.measures_of_islands(label, scales, q_norm, u, r, mu, measures)
+    share[:] = 0.0
+    for c in range(label.size):
         share[label[c]] += 1.0
-        first[label[c]] = c
-    most = _blocks.widest(offset)
-    x, y, w, one = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3)), np.empty(3)
-    alone = found == 1 and offset.size == 2  # one body, nothing to extract
-    count, left = 0, False
+    count, left, changed, c = 0, False, False, 0
     for k in range(found):
         good, wanted = accept * math.sqrt(share[k] / label.size), enough
+        while label[c] != k:  # the first contact of an island comes after that of the one before
+            c += 1
         if measures[k] > enough and share[k] == 1.0:
-            c = first[k]
-            own, at = slice(c, c + 1), slice(3 * c, 3 * c + 3)
-            _blocks.diagonal_block(blocks, c, x, y, w)
-            closed_form(w, q[at], mu[own], r[at], one)
-            measures[k] = cones.measure_at(scales[own], one, r[at], mu[own], q_norm)
+            measures[k] = only_contact(blocks, c, q, mu, scales, r, q_norm)
             wanted = good
             count += 1
+            changed = True
         if not measures[k] <= wanted:
-            part, own_q, own_mu, own_scales, own = blocks, q, mu, scales, r
-            if not alone:
-                contacts, part = newton.extract(blocks, label, k)
-                own_q, own_mu, own_scales, own = newton.gather(contacts, q, mu, scales, r)
-            if part[0][-1] <= largest:
-                used, measures[k] = small(
-                    part, own_q, own_mu, own_scales, own, measures[k], enough, good, q_norm, limits
-                )
+            if found == 1 and offset.size == 2:  # one body, nothing to extract
+                if offset[-1] <= limits[0]:
+                    used, measures[k] = small(blocks, q, mu, scales, r, measures[k], enough, good, q_norm, limits)
+                    count += used
+            else:
+                used, measures[k] = part(
+                    blocks, label, k, q, mu, scales, r, measures[k], enough, good, q_norm, limits
+                )  # fmt: skip
                 count += used
-                if not alone:
-                    newton.scatter(contacts, own, r)
+            changed = True
         share[k] = math.sqrt(share[k] / label.size)
         if measures[k] <= good:
             measures[k] = 0.0
         left = left or not measures[k] <= enough
-    if not left:
+    if changed and not left:
         top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
     return found, left, count, top / q_norm, residual
 
@@ -123,14 +136,23 @@ def alone(W, q, mu, scales, q_norm, r, u):
     return top / q_norm, residual
 
 
-@kernel
+@in_place
+def opening(q):
+    """Whether all contacts open without impulses."""
+    for i in range(0, q.size, 3):
+        if not q[i] >= 0.0:
+            return False
+    return True
+
+
+@in_place
 def by_matrix(W, q, mu, scales, r, u, tol, margin, q_norm, limits):
     """Small islands of a block-sparse W by `local.solve_small` to `margin` in place of r, unless r meets `tol`.
 
     Returns the iterations, the literature's error and the residual; u = W r + q into u.
     """
     count, top, residual = 0, np.inf, np.inf
-    if r.any() or (q[::3] >= 0.0).all():
+    if r.any() or opening(q):
         pgs.velocity(W[0], W[1], W[2], q, r, u)
         top, residual = cones.measures(scales, u, r, mu)
     if not (top / q_norm <= tol and residual <= tol):
@@ -140,13 +162,14 @@ def by_matrix(W, q, mu, scales, r, u, tol, margin, q_norm, limits):
     return count, top / q_norm, residual
 
 
-@kernel
+@in_place
 def left_by_matrix(W, q, mu, scales, r, u, q_norm, label, islands):
     """Islands of W into label (nc,), their measures and shares of the tolerance into islands (2, nc); how many."""
     found = local.islands(W[0], W[1], label)
-    islands[0, :found] = newton.measures_of_islands(label, found, scales, q_norm, u, r, mu)
+    newton.measures_of_islands(label, scales, q_norm, u, r, mu, islands[0, :found])
     islands[1, :found] = 0.0
     for c in range(label.size):
         islands[1, label[c]] += 1.0 / label.size
-    islands[1, :found] = np.sqrt(islands[1, :found])
+    for k in range(found):
+        islands[1, k] = math.sqrt(islands[1, k])
     return found

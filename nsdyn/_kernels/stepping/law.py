@@ -23,22 +23,25 @@ TURNS = 0.5
 the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
 
 
-@kernel
-def places(old_key, new_key):
-    """Where every new key stands among the old ones, -1 where it does not."""
-    out = np.full(new_key.size, -1)
+@in_place
+def places(old_key, new_key, out):
+    """Where every new key stands among the old ones, -1 where it does not, into out (nc,)."""
     known = 0
     while known < min(old_key.size, new_key.size) and old_key[known] == new_key[known]:
         out[known] = known
         known += 1
     if known < new_key.size:
-        old = order(old_key)
-        keys = old_key[old]
-        for c in range(known, new_key.size):
-            k = place_of(keys, new_key[c])
-            if k < keys.size and keys[k] == new_key[c]:
-                out[c] = old[k]
-    return out
+        sorted_places(old_key, new_key, known, out)
+
+
+@kernel
+def sorted_places(old_key, new_key, begin, out):
+    """`places` from the index `begin` on."""
+    old = order(old_key)
+    keys = old_key[old]
+    for c in range(begin, new_key.size):
+        k = place_of(keys, new_key[c])
+        out[c] = old[k] if k < keys.size and keys[k] == new_key[c] else -1
 
 
 @in_place
@@ -104,26 +107,31 @@ def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
 
 
 @in_place
+def approach_of(c, frame1, frame2, point, normal, x, linear, angular):
+    """Normal velocity of contact c whose frames move as in `begin_velocities`, m/s."""
+    p, w = row(point, c), (0.0, 0.0, 0.0)
+    for s in range(2):
+        f = frame1[c] if s == 0 else frame2[c]
+        if f >= 0:
+            arm = minus(p, row(x, f))
+            w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
+    return dot(row(normal, c), w)
+
+
+@in_place
 def approach(frame1, frame2, point, normal, x, linear, angular, out):
-    """Normal velocities of contacts whose frames move as in `begin_velocities`, m/s, into out (nc,)."""
+    """`approach_of` of all contacts, into out (nc,)."""
     for c in range(out.size):
-        p, w = row(point, c), (0.0, 0.0, 0.0)
-        for s in range(2):
-            f = frame1[c] if s == 0 else frame2[c]
-            if f >= 0:
-                arm = minus(p, row(x, f))
-                w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
-        out[c] = dot(row(normal, c), w)
+        out[c] = approach_of(c, frame1, frame2, point, normal, x, linear, angular)
 
 
-@kernel
+@in_place
 def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
     """The least normal velocity of contacts that are closed, m/s, 0 if none is negative; whether all are closed."""
-    out, least, all_closed = np.empty(gap.size), 0.0, True
-    approach(frame1, frame2, point, normal, x, linear, angular, out)
+    least, all_closed = 0.0, True
     for c in range(gap.size):
         if gap[c] <= closed:
-            least = min(least, out[c])
+            least = min(least, approach_of(c, frame1, frame2, point, normal, x, linear, angular))
         else:
             all_closed = False
     return least, all_closed
@@ -132,7 +140,8 @@ def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
 @kernel
 def all_known(key, old_key, old_gap, closed):
     """Whether all contacts are among old ones that are closed."""
-    place = places(old_key, key)
+    place = np.empty(key.size, np.int64)
+    places(old_key, key, place)
     for c in range(key.size):
         if place[c] < 0 or not old_gap[place[c]] <= closed:
             return False
@@ -142,14 +151,15 @@ def all_known(key, old_key, old_gap, closed):
 @kernel
 def known(key, old_key, old_gap, closed, out):
     """Which contacts are among old ones that are closed, into out (nc,)."""
-    place = places(old_key, key)
+    place = np.empty(key.size, np.int64)
+    places(old_key, key, place)
     for c in range(key.size):
         out[c] = place[c] >= 0 and old_gap[place[c]] <= closed
 
 
-@kernel
+@in_place
 def local_velocities(
-    blocks, velocities, surfaces, press, begin, here, warm, reach, longer, ahead, out, end_gap
+    blocks, velocities, surfaces, press, begin, here, warm, reach, longer, ahead, out, end_gap, place
 ):  # fmt: skip
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
@@ -162,8 +172,8 @@ def local_velocities(
 
     `begin` has the keys, points and normals of the contacts found where the step begins, and the places and twists of
     the frames there, `here` the keys, frames, points, directions and gaps where the impulses act, and the places of the
-    frames. Returns the places of the contacts among those of `warm`, (keys, impulses in world axes), which start the
-    solver, `longer` times as large, as the move is; they need not be those found where the step begins.
+    frames. The places of the contacts among those of `warm`, (keys, impulses in world axes), which start the solver,
+    `longer` times as large, as the move is, into place (nc,); they need not be those found where the step begins.
     """
     v_begin, v, v_free = velocities
     carried, transport, transport_end = surfaces
@@ -173,14 +183,15 @@ def local_velocities(
     u_begin, u, u_free, drift, guess = out[0], out[1], out[2], out[3], out[4]
     relative_velocity(blocks, v, u)
     relative_velocity(blocks, v_free, u_free)
-    place = places(warm[0], key)
-    warm_start(place, warm[1], longer, frame, guess)
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(blocks, v_begin, u_begin)
+    places(begin_key, key, place)
     begin_velocities(
-        places(begin_key, key), begin_point, begin_normal, x_begin, linear, angular, carried, reach, frame1, frame2,
-        point, frame, x, transport, u_begin,
+        place, begin_point, begin_normal, x_begin, linear, angular, carried, reach, frame1, frame2, point, frame, x,
+        transport, u_begin,
     )  # fmt: skip
+    places(warm[0], key, place)
+    warm_start(place, warm[1], longer, frame, guess)
     for i in range(transport.size):
         u[i] += transport[i]
         u_free[i] += transport[i]
@@ -199,7 +210,6 @@ def local_velocities(
         drift[i] += transport_end[i] - transport[i]
     for i in range(press.size):
         u_free[i] += press[i]
-    return place
 
 
 @in_place
@@ -265,7 +275,7 @@ def offsets(local, end_gap, restitution, rebound, slides, closing, b):
             b[i + 1], b[i + 2] = u_free[i + 1] + drift[i + 1], u_free[i + 2] + drift[i + 2]
 
 
-@kernel
+@in_place
 def pose(blocks, here, begin, velocities, warm, reach, materials, longer, closing, scaled, scales, out):
     """The problem that a move poses at its contacts: the norm of b, and its validity.
 
@@ -278,9 +288,9 @@ def pose(blocks, here, begin, velocities, warm, reach, materials, longer, closin
     none = scales[:0]
     if not scaled:
         delassus_scales(blocks, scales)
-    place[:] = local_velocities(
+    local_velocities(
         blocks, velocities, (here[3][:0], none, none), none, begin, here, (warm[0], warm[1]), reach, longer, ahead,
-        local, end_gap,
+        local, end_gap, place,
     )  # fmt: skip
     foresee(blocks, mu, place, warm[2], local, slides)
     offsets(local, end_gap, restitution, none, slides, closing, b)
@@ -329,7 +339,7 @@ def states(r, mu, out):
         out[c] = state(r, mu[c], 3 * c)
 
 
-@kernel
+@in_place
 def outcome(blocks, v_plus, transport, r, mu, was, struck, local, frame, slow, out):
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
@@ -344,17 +354,18 @@ def outcome(blocks, v_plus, transport, r, mu, was, struck, local, frame, slow, o
     place, old_status = was
     u, u_free, drift = local[1], local[2], local[3]
     status, normal, friction, u_end, world = out
-    nc, u_plus = status.size, np.empty(u.size)
-    relative_velocity(blocks, v_plus, u_plus)
+    nc = status.size
+    relative_velocity(blocks, v_plus, u_end)
     for i in range(transport.size):
-        u_plus[i] += transport[i]
+        u_end[i] += transport[i]
     impact, slip, rest = 0.0, 0.0, 0.0
     for c in range(normal.size):
         i = 3 * c
-        normal[c] = 0.5 * (u[i] + u_plus[i]) * r[i]
-        friction[c] = 0.5 * ((u[i + 1] + u_plus[i + 1]) * r[i + 1] + (u[i + 2] + u_plus[i + 2]) * r[i + 2])
+        # So far u_end is u⁺.
+        normal[c] = 0.5 * (u[i] + u_end[i]) * r[i]
+        friction[c] = 0.5 * ((u[i + 1] + u_end[i + 1]) * r[i + 1] + (u[i + 2] + u_end[i + 2]) * r[i + 2])
         for j in range(3):
-            u_end[i + j] = u_plus[i + j] + drift[i + j]
+            u_end[i + j] += drift[i + j]
         stays, sticks = False, False
         if c < nc:
             status[c] = state(r, mu[c], i)
