@@ -7,10 +7,9 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from nsdyn.problem.blocks import Blocks
-from nsdyn.problem.linear import contact_graph
+from nsdyn.problem.linear import Lu, contact_graph
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Local", "Operator", "Velocity"]
@@ -49,6 +48,8 @@ class Local:
         self.W = W
         self.row = np.repeat(np.arange(W.shape[0] // 3), np.diff(W.indptr))
         self.diagonal = np.flatnonzero(self.row == W.indices)
+        numbered = sp.csc_matrix(sp.bsr_array((np.arange(W.data.size).reshape(W.data.shape), W.indices, W.indptr)))
+        self._take, self._lu = numbered.data, Lu(numbered.indptr, numbered.indices)
 
     def product(self, r: Array) -> Array:
         """W r."""
@@ -58,6 +59,5 @@ class Local:
         """Function g ↦ W (I + A W)⁻¹ g."""
         data = A[self.row] @ self.W.data
         data[self.diagonal] += np.eye(3)
-        S = sp.bsr_array((data, self.W.indices, self.W.indptr), shape=self.W.shape)
-        lu = splu(sp.csc_matrix(S), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        return lambda g: self.product(lu.solve(g))
+        solve = self._lu(data.reshape(-1)[self._take])
+        return lambda g: self.product(solve(g))

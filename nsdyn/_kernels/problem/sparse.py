@@ -142,8 +142,9 @@ def assemble_sparse(blocks, A, indptr, slot, diagonal, data):
                     for s in range(2):
                         k = block[c, s]
                         if k >= 0:
-                            base, hk = indptr[ol + j] + slot[c, s, t], start[c, s]
-                            for i in range(offset[k + 1] - offset[k]):
+                            # Unsigned: the compiler need not ask whether an index counts from the end.
+                            base, hk = np.uint64(indptr[ol + j] + slot[c, s, t]), np.uint64(start[c, s])
+                            for i in range(np.uint64(offset[k + 1] - offset[k])):
                                 data[base + i] += H[hk + i] * y0
                     continue
                 x0, x1, x2 = H[hl + j], H[hl + nl + j], H[hl + 2 * nl + j]
@@ -154,10 +155,10 @@ def assemble_sparse(blocks, A, indptr, slot, diagonal, data):
                     k = block[c, s]
                     if k < 0:
                         continue
-                    nk, hk = offset[k + 1] - offset[k], start[c, s]
-                    base = indptr[ol + j] + slot[c, s, t]
+                    nk, h0 = np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                    base, h1, h2 = np.uint64(indptr[ol + j] + slot[c, s, t]), h0 + nk, h0 + nk + nk
                     for i in range(nk):
-                        data[base + i] += H[hk + i] * y0 + H[hk + nk + i] * y1 + H[hk + 2 * nk + i] * y2
+                        data[base + i] += H[h0 + i] * y0 + H[h1 + i] * y1 + H[h2 + i] * y2
 
 
 @in_place
