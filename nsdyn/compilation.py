@@ -111,7 +111,10 @@ def _problems() -> None:
     solvers.by_name("auto")(FC3D(heavy.W, heavy.q, heavy.mu))
     label, islands = np.empty(factors.nc, np.int64), np.empty((2, factors.nc))
     start.left_by_matrix(factors.csr, *given[:3], r, r, factors.q_norm, label, islands)
-    gauss.certify(factors, 0.9 * r, factors.q, gauss.Opening(np.zeros(factors.blocks.n), factors.nc, 1.0))
+    for problem in (factors, Stepper(scenes.load("quadruped")(), 5e-3).step().problem):
+        assert problem.blocks is not None
+        opening = gauss.Opening(np.zeros(problem.blocks.n), problem.nc, 1.0)
+        gauss.certify(problem, np.zeros_like(problem.q), -np.ones_like(problem.q), opening)
 
 
 def _all() -> None:

@@ -1,10 +1,14 @@
-"""Every kernel runs as plain Python, too, and gives the same numbers there; `nsdyn doctor --compile` knows them all."""
+"""Kernels run as plain Python, too, give the same numbers there, and give back the memory that they take.
+
+`nsdyn doctor --compile` knows them all.
+"""
 
 import ast
 import json
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +48,34 @@ values["alone"] = nd.solve(alone, "auto", 1e-4, 1e-3 * np.ones_like(alone.q)).u.
 print(json.dumps([values, sorted(seen)]))
 """
 
+MEMORY = """
+import gc, json, warnings
+warnings.simplefilter("ignore")
+import numpy as np
+from numba.core.runtime import rtsys
+from nsdyn import compilation
+from nsdyn._kernels.compiled import in_place, kernel
+
+@kernel
+def made(n):
+    return np.zeros(n)
+
+@in_place
+def lost(n):
+    return made(n)[0]
+
+def held(function):
+    function()
+    gc.collect()
+    before = rtsys.get_allocation_stats()
+    function()
+    gc.collect()
+    after = rtsys.get_allocation_stats()
+    return after.mi_alloc - before.mi_alloc - (after.mi_free - before.mi_free)
+
+print(json.dumps([held(compilation.EXAMPLES["all"]), held(lambda: lost(3))]))
+"""
+
 
 def run(*arguments: str, **environment: str) -> tuple[dict[str, list[float]], list[str]]:
     """Results of the script in a process of its own, and the kernels that it called."""
@@ -58,7 +90,8 @@ def kernels() -> set[str]:
         node.name
         for path in (ROOT / "_kernels").rglob("*.py")
         for node in ast.parse(path.read_text()).body
-        if isinstance(node, ast.FunctionDef) and any("kernel" in ast.unparse(d) for d in node.decorator_list)
+        if isinstance(node, ast.FunctionDef)
+        and any(ast.unparse(d).startswith(("kernel", "in_place")) for d in node.decorator_list)
     }
 
 
@@ -69,3 +102,16 @@ def test_plain_python_gives_the_same_numbers():
     for name, values in compiled.items():
         # Compiled code may contract and reorder additions: some roundings of numbers of the order of one.
         np.testing.assert_allclose(plain[name], values, rtol=0, atol=1e-11, err_msg=name)
+
+
+def test_kernels_keep_no_memory():
+    """Those that do not count references must call none that returns an array of its own: what does is found here."""
+    variables = os.environ | {"PYTHONPATH": str(ROOT.parent), "NUMBA_NRT_STATS": "1"}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "memory.py")
+        path.write_text(MEMORY)
+        command = [sys.executable, str(path)]
+        output = subprocess.run(command, capture_output=True, text=True, check=True, env=variables).stdout
+    kept, lost = json.loads(output)
+    assert lost == 1
+    assert kept == 0

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from nsdyn.problem.blocks import Blocks
-from nsdyn.problem.linear import Lu, contact_graph
+from nsdyn.problem.linear import Ordered, contact_graph, elimination_order
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Local", "Operator", "Velocity"]
@@ -48,8 +48,15 @@ class Local:
         self.W = W
         self.row = np.repeat(np.arange(W.shape[0] // 3), np.diff(W.indptr))
         self.diagonal = np.flatnonzero(self.row == W.indices)
-        numbered = sp.csc_matrix(sp.bsr_array((np.arange(W.data.size).reshape(W.data.shape), W.indices, W.indptr)))
-        self._take, self._lu = numbered.data, Lu(numbered.indptr, numbered.indices)
+        count, blocks = W.shape[0] // 3, np.arange(W.data.size).reshape(W.data.shape)
+        order = elimination_order(count, self.row, W.indices)
+        number = sp.csr_array((np.arange(self.row.size), W.indices, W.indptr), shape=(count, count))[order][:, order]
+        # Where the entries of the matrix in that order are among those of W.
+        entry = sp.csc_matrix(sp.bsr_array((blocks[number.data], number.indices, number.indptr), shape=W.shape))
+        entry.sort_indices()
+        to = np.empty((count, 3), np.int64)
+        to[order] = np.arange(3 * count).reshape(-1, 3)
+        self._entry, self._ordered = entry.data, Ordered(entry.indptr, entry.indices, to.ravel())
 
     def product(self, r: Array) -> Array:
         """W r."""
@@ -59,5 +66,6 @@ class Local:
         """Function g ↦ W (I + A W)⁻¹ g."""
         data = A[self.row] @ self.W.data
         data[self.diagonal] += np.eye(3)
-        solve = self._lu(data.reshape(-1)[self._take])
+        np.take(data, self._entry, out=self._ordered.K.data)
+        solve = self._ordered.factor()
         return lambda g: self.product(solve(g))

@@ -124,7 +124,7 @@ class Search:
         if self._over(self.tol) or self.spent + most * m.factorisation > self.limit:
             return
         p = m.problem
-        used, best = interior(m.operator, p.q, p.mu, p.scales, x, self.tol, m.q_norm, most)
+        used, best = interior(m.operator, p.q, p.mu, p.scales, x, self.tol, m.q_norm, most, self.coarse)
         if self.tol < best <= self.coarse:
             more, best = m.newton(x, self.tol, TUNING.near, finish)
             used += more

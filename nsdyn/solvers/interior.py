@@ -20,11 +20,18 @@ from nsdyn.tools.arrays import Array
 
 __all__ = ["Interior", "interior"]
 
+SPAN = 10
+"""Steps over which progress is measured. Of problems that take long to begin many converge after twice as many."""
+
 
 def interior(
-    W: Operator, q_given: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, max_iter: int
-) -> tuple[int, float]:
-    """The method of `_kernels.interior.dense` with any W: (factorisations, measure of r), the best impulse into r."""
+    W: Operator, q_given: Array, mu: Array, scales: Array, r: Array, tol: float, q_norm: float, max_iter: int,
+    useful: float = np.inf,
+) -> tuple[int, float]:  # fmt: skip
+    """The method of `_kernels.interior.dense` with any W: (factorisations, measure of r), the best impulse into r.
+
+    It ends before where its progress foretells a measure of more than `useful` after all steps.
+    """
     nc = mu.size
     speed, mean = float(np.abs(q_given).max()) or 1.0, float(scales.mean())
     q = q_given / speed
@@ -34,6 +41,7 @@ def interior(
     g, trial = np.empty(3 * nc), np.empty(3 * nc)
     _kernels.start(q, mu, u, z)
     best, last, short, count = np.inf, 1.0, 0, 0
+    measures = []
     while True:
         gap = float(_kernels.scaling(u, z, mu, T, V, C, A, lam))
         _kernels.impulse(z, mu, speed / mean, trial)
@@ -43,6 +51,9 @@ def interior(
             best = now
             r[:] = trial
         if best <= tol or not gap > 1e-12 or short >= 6 or count >= max_iter:
+            return count, best
+        measures.append(best)
+        if count >= 2 * SPAN and best * (best / measures[count - SPAN]) ** ((max_iter - count) / SPAN) > useful:
             return count, best
         worst = _kernels.defect(u, v / speed, mu, F)
         try:

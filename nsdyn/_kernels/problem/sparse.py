@@ -117,12 +117,12 @@ def elimination_work(offset, block):
 
 
 @in_place
-def assemble_sparse(blocks, A, indptr, slot, diagonal, data):
-    """K = M + Σ H_c A_c H_cᵀ in the layout of `pattern`, into data."""
+def assemble_sparse(blocks, A, indptr, begin, slot, diagonal, data):
+    """K = M + Σ H_c A_c H_cᵀ in the layout of `pattern`, where block k begins at begin[k], into data."""
     offset, block, start, H, m_start, m, _ = blocks
     data[:] = 0.0
     for k in range(offset.size - 1):
-        o, n = offset[k], offset[k + 1] - offset[k]
+        o, n = begin[k], offset[k + 1] - offset[k]
         for j in range(n):
             for i in range(n):
                 data[indptr[o + j] + diagonal[k] + i] = m[m_start[k] + i * n + j]
@@ -135,7 +135,7 @@ def assemble_sparse(blocks, A, indptr, slot, diagonal, data):
             l = block[c, t]
             if l < 0:
                 continue
-            ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
+            ol, nl, hl = begin[l], offset[l + 1] - offset[l], start[c, t]
             for j in range(nl):
                 if not rubs:
                     y0 = a[0, 0] * H[hl + j]
