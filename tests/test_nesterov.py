@@ -1,10 +1,13 @@
 """Sweeps with momentum, and the piles that `auto` gives to them."""
 
+import numba
 import numpy as np
 import pytest
 
 import nsdyn as nd
+from nsdyn._kernels import lanes
 from nsdyn._kernels.problem import sparse as _matrix
+from nsdyn._kernels.problem import unit_mass
 from nsdyn.problem.solution import Status
 from nsdyn.solvers import nesterov
 
@@ -103,3 +106,34 @@ def test_sweeps_on_a_given_matrix_are_those_on_factors(pile: nd.FC3D) -> None:
         sweeps.run(1e-6, 3000, 3000)
         assert sweeps.best <= 1e-6
     assert np.abs(pile.velocity(r) - pile.velocity(x)).max() < 1e-4  # as above
+
+
+def test_rows_in_vector_instructions(rng: np.random.Generator) -> None:
+    """Compiled, the products of rows are those that the functions are in Python."""
+
+    @numba.njit
+    def compiled(a: np.ndarray, b: np.ndarray) -> float:
+        one, two, six = np.uint64(16), np.uint64(0), np.uint64(24)
+        total = lanes.dot(a, one, b, two, six)
+        lanes.add((0.5, -1.0, 2.0), a, two, b, one, six)
+        lanes.add((3.0,), a, six, b, two, one)
+        return total
+
+    a, b = rng.normal(size=(2, 48))
+    x, y = b.copy(), b.copy()
+    assert compiled(a, x) == pytest.approx(compiled.py_func(a, y), abs=1e-14)
+    np.testing.assert_allclose(x, y, rtol=0, atol=1e-14)
+
+
+def test_order_of_independent_contacts(pile: nd.FC3D) -> None:
+    """Every body keeps the order of its contacts, and most neighbours share none."""
+    blocks = pile.blocks
+    assert blocks is not None
+    order = unit_mass.independent(blocks.arrays)
+    assert sorted(order) == list(range(blocks.nc))
+    for body in range(blocks.n // 6):
+        own = [c for c in order if body in blocks.block[c]]
+        assert own == sorted(own)
+    pairs = [set(blocks.block[c][blocks.block[c] >= 0]) for c in order]
+    shared = sum(bool(a & b) for a, b in zip(pairs[1:], pairs[:-1], strict=True))
+    assert shared < 0.2 * blocks.nc
