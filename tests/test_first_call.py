@@ -19,6 +19,13 @@ import logging; logging.basicConfig(level=logging.INFO)
 from nsdyn._kernels.problem import cones, reference
 print(cones.project(2.0, 0.3, 0.4, 0.5), sum(cones.project.stats.cache_misses.values()))
 """
+BOX = """
+import nsdyn, coal, numpy
+nsdyn.Scene()
+below = coal.Transform3s(numpy.eye(3), numpy.array([0.0, 0.0, -3.0]))
+asked = coal.Capsule(0.5, 1.0), below, coal.Box(2.0, 2.0, 2.0), coal.Transform3s()
+print(coal.distance(*asked, coal.DistanceRequest(), coal.DistanceResult()))
+"""
 CALLER = """
 from nsdyn._kernels import callee
 from nsdyn._kernels.compiled import kernel
@@ -143,3 +150,8 @@ def test_a_kernel_rounds_as_it_says_whoever_calls_it_first():
     given = 1.0 + 2.0**-30, 1.0 - 2.0**-30, -1.0
     assert _contracts(*given) == 0.0
     assert _product_and_sum(*given) == 0.0
+
+
+def test_what_coal_is_asked_first_does_not_make_boxes_wider():
+    """It decides for all boxes of a process; asked along the axes Coal would say 1 - 1e-10 here."""
+    assert abs(float(python("-c", BOX).stdout) - 1.0) < 1e-14
