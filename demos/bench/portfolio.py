@@ -34,6 +34,13 @@ class Timed:
         """Solve it to the loose tolerance."""
         return self._timed(self.solver.loosely, problem, r0)
 
+    def roughly(self, problem: nd.FC3D, r0: Array) -> nd.Solution | None:
+        """Solve it to what is posed anew."""
+        start = time.process_time()
+        solution = self.solver.roughly(problem, r0)
+        self.spent += time.process_time() - start
+        return solution
+
     def _timed(self, solve: Callable[..., nd.Solution], problem: nd.FC3D, r0: Array | None) -> nd.Solution:
         start = time.process_time()
         solution = solve(problem, r0)

@@ -14,7 +14,7 @@ To add one:
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -79,6 +79,17 @@ class Solver(Protocol):
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from the impulse r0 (default 0)."""
+
+
+@runtime_checkable
+class Graded(Solver, Protocol):
+    """A solver that may be asked for less than its tolerance, as `Auto` may."""
+
+    def loosely(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem to the loose tolerance only."""
+
+    def roughly(self, problem: FC3D, r0: Array) -> Solution | None:
+        """Few sweeps from r0, None where r0 is near enough to solve the problem from."""
 
 
 SOLVERS: dict[str, type] = {

@@ -53,7 +53,8 @@ class Search:
         self.means, self.r, self.large = means, r, large
         tols = np.array([auto.tol, max(auto.tol, auto.loose), TUNING.coarse])
         self.tol, self.loose, self.coarse = (TUNING.margin * share * tols).tolist()
-        self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, TUNING.longest
+        self.best, self.count, self.spent = np.inf, 0, 0.0
+        self.limit = self._longest = TUNING.longest * means.factorisation
         self._sweeps: Interruptible | None = None
         self._followed = np.inf
         p = means.problem
@@ -78,7 +79,7 @@ class Search:
         calm = 0.0 if self.abrupt else max(self._calm * self.means.factorisation, self._effort * self.spent)
         if self.best <= self.loose:
             free = 0.0 if self.large else TUNING.free * self.means.factorisation
-            self.limit = min(TUNING.longest, max(free, calm))
+            self.limit = min(self._longest, max(free, calm))
 
     def _over(self, tol: float) -> bool:
         """Whether a tolerance is met or the effort spent."""
@@ -254,12 +255,7 @@ class Auto:
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
-        start = time.perf_counter()
-        if problem.blocks is None:
-            solution = self._given_matrix(problem, r0, start)
-        else:
-            r = np.zeros(problem.q.size) if r0 is None else problem.impulse(r0).copy()
-            solution = self._given_factors(problem, r, start) if problem.nc else self._judged(problem, r, 0, start)
+        solution = self._found(problem, r0, time.perf_counter())
         return solution if solution.status in ACCEPTED else self._explained(problem, solution)
 
     def loosely(self, problem: FC3D, r0: Array | None = None) -> Solution:
@@ -267,6 +263,24 @@ class Auto:
         found = replace(self, tol=max(self.tol, self.loose))(problem, r0)
         missed = found.converged and max(found.error, found.residual) > self.tol
         return found._replace(status=Status.LOOSE) if missed else found
+
+    def roughly(self, problem: FC3D, r0: Array) -> Solution | None:
+        """Few sweeps from r0 where that misses by `Tuning.hopeless` loose tolerances, None where it does not.
+
+        For a problem of a collision that is posed anew with what its motion shows.
+        """
+        far, start = TUNING.hopeless * max(self.tol, self.loose), time.perf_counter()
+        if problem.solved(r0, self.tol)[2] <= far:
+            return None
+        found = _Roughly(far, far)._found(problem, r0, start)
+        return self._measured(found.r, found.u, found.error, found.residual, found.iterations, start)
+
+    def _found(self, problem: FC3D, r0: Array | None, start: float) -> Solution:
+        """Solution from r0 (default 0), since the time `start`."""
+        if problem.blocks is None:
+            return self._given_matrix(problem, r0, start)
+        r = np.zeros(problem.q.size) if r0 is None else problem.impulse(r0).copy()
+        return self._given_factors(problem, r, start) if problem.nc else self._judged(problem, r, 0, start)
 
     def _judged(self, problem: FC3D, r: Array, count: int, start: float) -> Solution:
         """Solution of an impulse, since the time `start`."""
@@ -339,6 +353,22 @@ class Auto:
 
     def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
         """Solve one island in place of r, to its share of the tolerances; iterations used."""
-        search = Search(means, r, share, self, large and means.factorisation > TUNING.heavy * means.sweep)
+        search = self._search(means, r, share, large)
         search.run()
+        return search.count
+
+    def _search(self, means: Means, r: Array, share: float, large: bool) -> Search:
+        """Of an island of so many contacts that sweeps may be worth it, or fewer."""
+        return Search(means, r, share, self, large and means.factorisation > TUNING.heavy * means.sweep)
+
+
+class _Roughly(Auto):
+    """`Auto` with one round of sweeps for a large island."""
+
+    def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
+        search = self._search(means, r, share, large)
+        if search.large:
+            search.sweep(TUNING.first_sweep, search.loose)
+        else:
+            search.run()
         return search.count

@@ -36,7 +36,7 @@ class Tuning:
     dense: int = 100
     """Contacts up to which an island given by W alone is solved densely, all such islands in one kernel call."""
 
-    heavy: float = 10.0
+    heavy: float = 4.0
     """A large island whose factorisation costs more sweeps than this begins with sweeps."""
 
     abrupt: float = 10.0
@@ -64,8 +64,8 @@ class Tuning:
     free: int = 100
     """Factorisations that an island may take in any case, unless it is large: what both cold starts cost."""
 
-    longest: float = 5.0
-    """Seconds that none may exceed."""
+    longest: int = 1000
+    """Factorisations that none may exceed, ten times what paths of hard problems take."""
 
     calm: int = 12
     """Factorisations that an island may take in motion, but in a collision. A large one has those of its warm start
@@ -111,7 +111,7 @@ class Tuning:
     coarse: float = 5e-5
     """What sweeps may be asked for: beyond it they crawl, m/s; and what Newton may follow on a method from nothing."""
 
-    first_sweep: int = 12
+    first_sweep: int = 30
     """What sweeps take in the first round, in factorisations; twice as long each time, but where they are stuck."""
 
     first_newton: int = 4
@@ -139,7 +139,7 @@ class Tuning:
 
     # Last resorts
 
-    last_sweep: int = 64
+    last_sweep: int = 160
     """What sweeps take in the last rounds, in factorisations."""
 
     last_newton: int = 300

@@ -29,8 +29,8 @@ from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows, Rows
 from nsdyn.dynamics.values import Forces, Middle, Placement
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution, Status
-from nsdyn.solvers import Solver
+from nsdyn.problem.solution import Solution
+from nsdyn.solvers import Graded, Solver
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["SOLVES", "Basis", "Closing", "Encounter", "Warm", "foresee", "solve"]
@@ -266,7 +266,14 @@ class Encounter(NamedTuple):
 
 
 def solve(
-    met: Encounter, solver: Solver, last: Solution | None, closing: Closing, slides: Bools, back: bool, most: int
+    met: Encounter,
+    solver: Solver,
+    last: Solution | None,
+    closing: Closing,
+    slides: Bools,
+    back: bool,
+    most: int,
+    rough: bool = False,
 ) -> tuple[FC3D, Solution, bool]:
     """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
 
@@ -275,7 +282,8 @@ def solve(
     met : Encounter
     solver : Solver
     last : Solution, optional
-        Of the same move with other contacts. Where it is no better than loose, `Auto.loosely` is asked for no more.
+        Of the same move with other contacts, or rough. Where it is no better than loose, `Auto.loosely` is asked for
+        no more.
     closing : Closing
     slides : ndarray of bool, shape (nc,)
         Which contacts slide through, as `foresee` says; changed to what the impulses show.
@@ -283,6 +291,8 @@ def solve(
         Whether only those that stop are to be changed.
     most : int
         Most solves more for them.
+    rough : bool
+        Whether to ask for no more than `Auto.roughly` gives.
     """
     if met.posed is not None:
         problem = met.posed
@@ -290,21 +300,23 @@ def solve(
         problem = met.alike.with_velocity(met.offsets(slides, closing))
     else:
         problem = FC3D.from_blocks(met.rows.blocks, met.offsets(slides, closing), met.mu)
-    solution = _again(solver, last, problem, met.local[4])
+    solution = _again(solver, last, problem, met.local[4], rough)
     for k in range(most + 1):
         shown = solution.r, solution.u, problem.q
         if not _law.reconsider(*shown, met.mu, met.local, slides, back or k > 0):
             return problem, solution, False
         if k < most:
             problem = problem.with_velocity(met.offsets(slides, closing))
-            solution = _again(solver, solution, problem, solution.r)
+            solution = _again(solver, solution, problem, solution.r, rough)
     return problem, solution, True
 
 
-def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array) -> Solution:
+def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, rough: bool) -> Solution:
     """Solve a problem that differs little from the last one, by solvers that can no better than that was."""
-    if last is not None and last.status is Status.LOOSE:
-        solver = getattr(solver, "loosely", solver)
+    if rough and isinstance(solver, Graded) and (found := solver.roughly(problem, r)) is not None:
+        return found
+    if last is not None and not last.converged and isinstance(solver, Graded):
+        return solver.loosely(problem, r)
     return solver(problem, r)
 
 

@@ -208,18 +208,22 @@ def trial(
     """
     half = half or first_half(s, begin, t, h, callbacks)
     contacts, joints, seen = _reachable(s, begin, half, barred)
-    response = _respond(s, begin, half, contacts, joints, seen, barred, None)
+    # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
+    rough = barred is None
+    response = _respond(s, begin, half, contacts, joints, seen, barred, None, rough)
     missed = NO_SLOTS
-    for _ in range(LOOKS - 1 if barred is None else 0):
+    for left in reversed(range(LOOKS - 1 if barred is None else 0)):
         places = half.middle.placement, response.moved.placement
         found = response.moved.contacts
         real, memory, missed = shown(
             s, response.met, response.solution.r, found, seen.memory, places, half.fast, missed
         )  # fmt: skip
         seen = seen._replace(memory=memory)
-        if real is response.met.contacts and not response.otherwise:
+        same = real is response.met.contacts and not response.otherwise
+        if same and (response.solution.accepted or not rough):
             break
-        response = _respond(s, begin, half, real, joints, seen, barred, response)
+        rough = not same and left > 0
+        response = _respond(s, begin, half, real, joints, seen, barred, response, rough)
     unmet, until = None, h
     if barred is not None:
         moved = response.moved
@@ -280,9 +284,9 @@ def _reachable(
 
 def _respond(
     s: System, begin: Instant, half: Half, contacts: ContactSet, joints: JointRows | None, seen: Seen,
-    barred: Index | None, last: Response | None,
+    barred: Index | None, last: Response | None, rough: bool,
 ) -> Response:  # fmt: skip
-    """Impulses, and half a free flow; from what was found with other contacts, if anything was."""
+    """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was."""
     d, middle, forces, closing = s.dynamics, half.middle, half.forces, s.closing(half.h, barred is None)
     if d.alone:
         where = middle.placement.x, middle.placement.R, middle.v, forces.v
@@ -306,7 +310,7 @@ def _respond(
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES, last is not None)
     before = None if last is None else last.solution
-    problem, solution, otherwise = solve(met, s.solver, before, closing, slides, back, most)
+    problem, solution, otherwise = solve(met, s.solver, before, closing, slides, back, most, rough)
     v, near = forces.v if impact is None else forces.v + kick, d.nowhere
     if barred is not None and barred.size:
         near = 2.0 * half.reach
