@@ -30,7 +30,7 @@ class Timed:
         """Solve the problem."""
         return self._timed(self.solver, problem, r0)
 
-    def loosely(self, problem: nd.FC3D, r0: Array | None = None) -> nd.Solution:
+    def loosely(self, problem: nd.FC3D, r0: Array) -> nd.Solution:
         """Solve it to the loose tolerance."""
         return self._timed(self.solver.loosely, problem, r0)
 

@@ -332,7 +332,7 @@ class Detector:
         """Place the geoms, and ask Coal for the distances of the candidate pairs."""
         self._renew(x, R, reach)
         for batch in self._batches:
-            batch.run(self._R, self._t)
+            batch.run(self._R, self._t, self._reach, self._lower, self._upper)
 
     def _renew(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and renew the candidate pairs if one has left its fat box."""
@@ -367,7 +367,7 @@ class Detector:
         for k, (lo, hi) in enumerate(split(first[asked], second[asked])):
             if k == len(self._models):
                 self._models.append(empty_model(len(self._cores)))
-            pairs = first[asked][lo:hi], second[asked][lo:hi]
+            pairs = first[asked][lo:hi], second[asked][lo:hi], base[asked][lo:hi]
             self._batches.append(Batch(self._models[k], self._cores, *pairs, self._coal[lo:hi]))
 
     def _pack_geoms(self) -> None:

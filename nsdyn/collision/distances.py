@@ -14,6 +14,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from nsdyn._kernels.collision import broadphase as _broadphase
 from nsdyn.scene import shapes
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array, Index
@@ -81,15 +82,23 @@ def distance_request() -> Any:
 
 
 class Batch:
-    """Pairs whose distances are one call of `pin.computeDistances`.
+    """Pairs whose distances are one call of `pin.computeDistances`, but for those whose boxes are apart.
 
     The poses of the geoms are written and the results read through views of the memory of `pin.GeometryData`, whose
     elements lie one after the other: rotations column by column, then translations; distance, normal, nearest points.
     """
 
     def __init__(
-        self, model: pin.GeometryModel, shapes: Sequence[object], first: Index, second: Index, out: Array
+        self,
+        model: pin.GeometryModel,
+        shapes: Sequence[object],
+        first: Index,
+        second: Index,
+        margin: Array,
+        out: Array,
     ) -> None:
+        self._pairs, self._near = (first, second, margin), np.ones(first.size, np.bool_)
+        self._changed = np.empty(first.size, np.int64)
         self._geoms, slots = np.unique(np.concatenate((first, second)), return_inverse=True)
         for k, g in enumerate(self._geoms):
             model.geometryObjects[k].geometry = shapes[g]
@@ -103,10 +112,20 @@ class Batch:
             requests[k] = request
         self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
 
-    def run(self, R: Array, t: Array) -> None:
-        """Distances at these poses of all geoms, into the rows of `out`."""
+    def run(self, R: Array, t: Array, reach: Array, lower: Array, upper: Array) -> None:
+        """Distances at these poses of all geoms, into the rows of `out`, inf where boxes are farther than of interest.
+
+        That is farther than their margin and both reaches.
+        """
         self._rotation[:] = R[self._geoms]
         self._translation[:] = t[self._geoms]
+        count = _broadphase.renew(*self._pairs, reach, lower, upper, self._near, self._changed)
+        for k in self._changed[:count].tolist():
+            if self._near[k]:
+                self._data.activateCollisionPair(k)
+            else:
+                self._data.deactivateCollisionPair(k)
+                self._results[k, 0] = np.inf
         pin.computeDistances(self._model, self._data)
         self._out[:] = self._results
 

@@ -85,8 +85,8 @@ class Solver(Protocol):
 class Graded(Solver, Protocol):
     """A solver that may be asked for less than its tolerance, as `Auto` may."""
 
-    def loosely(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem to the loose tolerance only."""
+    def loosely(self, problem: FC3D, r0: Array) -> Solution:
+        """Solve the problem, what is dear to the loose tolerance only."""
 
     def roughly(self, problem: FC3D, r0: Array) -> Solution | None:
         """Few sweeps from r0, None where r0 is near enough to solve the problem from."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -44,12 +44,12 @@ class Search:
     large : bool
         Whether a factorisation is worth many sweeps.
     abrupt : bool
-        Whether it is of a collision.
+        Whether it is of a collision, by the misfit of r or since it is known.
     spent, limit : float
         Seconds by counts of operations; from the loose tolerance on the limit is a multiple of what that has cost.
     """
 
-    def __init__(self, means: Means, r: Array, share: float, auto: Auto, large: bool) -> None:
+    def __init__(self, means: Means, r: Array, share: float, auto: Auto, large: bool, abrupt: bool) -> None:
         self.means, self.r, self.large = means, r, large
         tols = np.array([auto.tol, max(auto.tol, auto.loose), TUNING.coarse])
         self.tol, self.loose, self.coarse = (TUNING.margin * share * tols).tolist()
@@ -59,8 +59,8 @@ class Search:
         self._followed = np.inf
         p = means.problem
         _, error, residual, _ = p.solved(r, self.tol)
-        self.abrupt = bool(r.any()) and residual > TUNING.abrupt * self.loose
-        self._hopeless = large and self.abrupt and residual > TUNING.hopeless * self.loose
+        self.abrupt = abrupt or (bool(r.any()) and residual > TUNING.abrupt * self.loose)
+        self._hopeless = large and (abrupt or (self.abrupt and residual > TUNING.hopeless * self.loose))
         self._effort, self._convex = auto.effort, not p.mu.any()
         self._calm = TUNING.warm[1] if large else TUNING.calm
         if residual <= TUNING.rest * self.loose:
@@ -258,22 +258,19 @@ class Auto:
         solution = self._found(problem, r0, time.perf_counter())
         return solution if solution.status in ACCEPTED else self._explained(problem, solution)
 
-    def loosely(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem to the loose tolerance only: for what follows on a LOOSE solution and differs little."""
-        found = replace(self, tol=max(self.tol, self.loose))(problem, r0)
-        missed = found.converged and max(found.error, found.residual) > self.tol
-        return found._replace(status=Status.LOOSE) if missed else found
+    def loosely(self, problem: FC3D, r0: Array) -> Solution:
+        """Solve the problem, large islands to the loose tolerance only: for what follows on such a solution."""
+        solution = _Loosely(self.tol, self.loose, self.effort, self.accept)._found(problem, r0, time.perf_counter())
+        return solution if solution.status in ACCEPTED else self._explained(problem, solution)
 
     def roughly(self, problem: FC3D, r0: Array) -> Solution | None:
-        """Few sweeps from r0 where that misses by `Tuning.hopeless` loose tolerances, None where it does not.
+        """Few sweeps of large islands from r0 where that shows a collision, which misses by `Tuning.hopeless`; or None.
 
-        For a problem of a collision that is posed anew with what its motion shows.
+        For a problem that is posed anew with what its motion shows.
         """
-        far, start = TUNING.hopeless * max(self.tol, self.loose), time.perf_counter()
-        if problem.solved(r0, self.tol)[2] <= far:
+        if not r0.any() or problem.solved(r0, self.tol)[2] <= TUNING.hopeless * max(self.tol, self.loose):
             return None
-        found = _Roughly(far, far)._found(problem, r0, start)
-        return self._measured(found.r, found.u, found.error, found.residual, found.iterations, start)
+        return _Roughly(self.tol, self.loose, self.effort, self.accept)._found(problem, r0, time.perf_counter())
 
     def _found(self, problem: FC3D, r0: Array | None, start: float) -> Solution:
         """Solution from r0 (default 0), since the time `start`."""
@@ -357,9 +354,16 @@ class Auto:
         search.run()
         return search.count
 
-    def _search(self, means: Means, r: Array, share: float, large: bool) -> Search:
+    def _search(self, means: Means, r: Array, share: float, large: bool, abrupt: bool = False) -> Search:
         """Of an island of so many contacts that sweeps may be worth it, or fewer."""
-        return Search(means, r, share, self, large and means.factorisation > TUNING.heavy * means.sweep)
+        return Search(means, r, share, self, large and means.factorisation > TUNING.heavy * means.sweep, abrupt)
+
+
+class _Loosely(Auto):
+    """`Auto` for what is known to be of a collision."""
+
+    def _search(self, means: Means, r: Array, share: float, large: bool, abrupt: bool = True) -> Search:
+        return super()._search(means, r, share, large, abrupt)
 
 
 class _Roughly(Auto):
@@ -368,7 +372,7 @@ class _Roughly(Auto):
     def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
         search = self._search(means, r, share, large)
         if search.large:
-            search.sweep(TUNING.first_sweep, search.loose)
+            search.sweep(TUNING.first_sweep, TUNING.hopeless * search.loose)
         else:
             search.run()
         return search.count

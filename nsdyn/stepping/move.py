@@ -220,7 +220,7 @@ def trial(
         )  # fmt: skip
         seen = seen._replace(memory=memory)
         same = real is response.met.contacts and not response.otherwise
-        if same and (response.solution.accepted or not rough):
+        if same and (response.solution.converged or not rough):
             break
         rough = not same and left > 0
         response = _respond(s, begin, half, real, joints, seen, barred, response, rough)

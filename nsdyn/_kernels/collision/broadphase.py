@@ -161,3 +161,22 @@ def candidates(fields, R, t, lower, upper, excluded):
                     count += 1
     codes = codes[:count]
     return codes[order_of(codes)]
+
+
+@in_place
+def renew(first, second, margin, reach, lower, upper, near, changed):
+    """Which pairs have boxes within their margin and the reach of both, into near; the number of those it changes.
+
+    Their indices come first in `changed`.
+    """
+    count = 0
+    for p in range(first.size):
+        i, j = first[p], second[p]
+        most, away = margin[p] + reach[i] + reach[j], 0.0
+        for k in range(3):
+            away = max(away, lower[j, k] - upper[i, k], lower[i, k] - upper[j, k])
+        if (away <= most) != near[p]:
+            near[p] = away <= most
+            changed[count] = p
+            count += 1
+    return count
