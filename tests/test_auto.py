@@ -111,6 +111,20 @@ def test_effort_beyond_the_loose_tolerance_is_bounded():
     assert counts[0] < more.iterations
 
 
+@pytest.mark.parametrize(("height", "rough", "loose"), [(3, 1e-8, 1e-8), (40, 1e-2, 1e-4)])
+def test_what_is_posed_anew_is_asked_for_less(height, rough, loose):
+    """In a collision large islands come to a hundred loose tolerances or to one; small ones are solved."""
+    problem, auto = kicked_stack(height=height), nd.solvers.Auto()
+    near = nd.solve(problem).r
+    assert auto.roughly(problem, near) is None and auto.roughly(problem, np.zeros_like(near)) is None
+    first, second = auto.roughly(problem, 3.0 * near), auto.loosely(problem, 3.0 * near)
+    assert first.iterations <= second.iterations
+    for solution, reached in ((first, rough), (second, loose)):
+        assert max(solution.error, solution.residual) <= reached
+        assert solution.converged is (height == 3)
+        np.testing.assert_allclose(solution.u, problem.W @ solution.r + problem.q, rtol=0, atol=1e-12)
+
+
 def test_continuation_from_nothing():
     """A kicked stack by its factors and by W alone; friction is large, so that the path turns back in places."""
     problem = kicked_stack(height=8, ratio=30.0)

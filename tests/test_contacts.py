@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from nsdyn._kernels.collision import broadphase
 from nsdyn.collision import distances
 from nsdyn.collision.contacts import ContactMemory
 from nsdyn.collision.detector import MARGIN, SKIN, Detector
@@ -607,6 +608,21 @@ def test_many_geoms_are_asked_in_batches(rng, monkeypatch):
     b = alone(small, x, R, np.zeros(len(x)))
     for one, two in zip(rows(c), rows(b), strict=True):
         assert one.tobytes() == two.tobytes()
+
+
+def test_pairs_whose_boxes_are_apart_are_not_asked(rng, monkeypatch):
+    """To the same bits, while bodies move in and out of each other's boxes."""
+    (few, x, R), velocity = pile(rng), 0.02 * rng.normal(size=(len(CROWD) - 1, 3))
+    reach = np.full(len(x), 1e-2)
+    found = [alone(few, x + k * velocity, R, reach) for k in range(8)]
+    left = np.isinf(few._coal[:, 0])
+    assert 0.1 < left.mean() < 0.9
+    monkeypatch.setattr(broadphase, "renew", lambda *_: 0)
+    everybody = detector(*CROWD)
+    for k in range(8):
+        for one, two in zip(rows(found[k]), rows(alone(everybody, x + k * velocity, R, reach)), strict=True):
+            assert one.tobytes() == two.tobytes()
+    assert not np.isinf(everybody._coal[:, 0]).any()
 
 
 def test_mesh_touches_as_its_hull(rng):

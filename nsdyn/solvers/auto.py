@@ -255,13 +255,17 @@ class Auto:
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
-        solution = self._found(problem, r0, time.perf_counter())
+        start = time.perf_counter()
+        if problem.blocks is None:
+            solution = self._given_matrix(problem, r0, start)
+        else:
+            r = np.zeros(problem.q.size) if r0 is None else problem.impulse(r0).copy()
+            solution = self._given_factors(problem, r, start) if problem.nc else self._judged(problem, r, 0, start)
         return solution if solution.status in ACCEPTED else self._explained(problem, solution)
 
     def loosely(self, problem: FC3D, r0: Array) -> Solution:
         """Solve the problem, large islands to the loose tolerance only: for what follows on such a solution."""
-        solution = _Loosely(self.tol, self.loose, self.effort, self.accept)._found(problem, r0, time.perf_counter())
-        return solution if solution.status in ACCEPTED else self._explained(problem, solution)
+        return _Loosely(self.tol, self.loose, self.effort, self.accept)(problem, r0)
 
     def roughly(self, problem: FC3D, r0: Array) -> Solution | None:
         """Few sweeps of large islands from r0 where that shows a collision, which misses by `Tuning.hopeless`; or None.
@@ -270,14 +274,7 @@ class Auto:
         """
         if not r0.any() or problem.solved(r0, self.tol)[2] <= TUNING.hopeless * max(self.tol, self.loose):
             return None
-        return _Roughly(self.tol, self.loose, self.effort, self.accept)._found(problem, r0, time.perf_counter())
-
-    def _found(self, problem: FC3D, r0: Array | None, start: float) -> Solution:
-        """Solution from r0 (default 0), since the time `start`."""
-        if problem.blocks is None:
-            return self._given_matrix(problem, r0, start)
-        r = np.zeros(problem.q.size) if r0 is None else problem.impulse(r0).copy()
-        return self._given_factors(problem, r, start) if problem.nc else self._judged(problem, r, 0, start)
+        return _Roughly(self.tol, self.loose, self.effort, self.accept)(problem, r0)
 
     def _judged(self, problem: FC3D, r: Array, count: int, start: float) -> Solution:
         """Solution of an impulse, since the time `start`."""
@@ -376,3 +373,8 @@ class _Roughly(Auto):
         else:
             search.run()
         return search.count
+
+    @staticmethod
+    def _explained(problem: FC3D, solution: Solution) -> Solution:
+        """The solution: that it is none is no surprise."""
+        return solution
