@@ -54,7 +54,7 @@ class Search:
         tols = np.array([auto.tol, max(auto.tol, auto.loose), TUNING.coarse])
         self.tol, self.loose, self.coarse = (TUNING.margin * share * tols).tolist()
         self.best, self.count, self.spent = np.inf, 0, 0.0
-        self.limit = self._longest = TUNING.longest * means.factorisation
+        self.limit = self._longest = TUNING.longest[self.loose < self.coarse] * means.factorisation
         self._sweeps: Interruptible | None = None
         self._followed = np.inf
         p = means.problem

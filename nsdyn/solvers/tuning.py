@@ -64,8 +64,9 @@ class Tuning:
     free: int = 100
     """Factorisations that an island may take in any case, unless it is large: what both cold starts cost."""
 
-    longest: int = 1000
-    """Factorisations that none may exceed, ten times what paths of hard problems take."""
+    longest: tuple[int, int] = (1000, 4000)
+    """Factorisations that none may exceed, about ten times what paths of hard problems take; and where nothing looser
+    than `coarse` is accepted, where one in ten comes to its end between them."""
 
     calm: int = 12
     """Factorisations that an island may take in motion, but in a collision. A large one has those of its warm start
