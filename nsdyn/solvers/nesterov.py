@@ -93,7 +93,7 @@ def solve_free(
 class Nesterov:
     """Gauss–Seidel sweeps with Nesterov's momentum that each contact loses by itself, for free bodies.
 
-    Good on random piles at loose tolerances: 50 ns per contact and sweep, no factorisation, and momentum survives
+    Good on random piles at loose tolerances: about 20 ns per contact and sweep, no factorisation, and momentum survives
     contacts that open, stick or slip one after the other, where combinations of past sweeps (`pgs`) stall. It fails
     where bodies are stacked high or tolerances are tight, at a linear rate. It is not among the solvers by name, since
     it takes only problems given by factors, without articulated bodies.
