@@ -119,6 +119,7 @@ def draw(profiles: dict[tuple[str, float], profile.Profile], path: Path) -> None
             runs = [run for run in profiles[regime, tol].runs if run.solver == "auto" and run.solved]
             lower.loglog([r.contacts for r in runs], [1e3 * r.seconds for r in runs], marker, ms=4, label=f"{tol:g}")
         lower.set(xlabel="contacts", ylabel="time of auto [ms]")
+        lower.xaxis.set_minor_formatter("")  # which would be labels on top of each other
         lower.legend(title="tol", fontsize="x-small")
     figure.savefig(path, dpi=110)
 
