@@ -610,14 +610,14 @@ def test_many_geoms_are_asked_in_batches(rng, monkeypatch):
         assert one.tobytes() == two.tobytes()
 
 
-def test_pairs_whose_boxes_are_apart_are_not_asked(rng, monkeypatch):
+def test_pairs_that_are_seen_to_be_apart_are_not_asked(rng, monkeypatch):
     """To the same bits, while bodies move in and out of each other's boxes."""
     (few, x, R), velocity = pile(rng), 0.02 * rng.normal(size=(len(CROWD) - 1, 3))
     reach = np.full(len(x), 1e-2)
     found = [alone(few, x + k * velocity, R, reach) for k in range(8)]
     left = np.isinf(few._coal[:, 0])
     assert 0.1 < left.mean() < 0.9
-    monkeypatch.setattr(broadphase, "renew", lambda *_: 0)
+    monkeypatch.setattr(broadphase, "of_interest", lambda *_: 0)
     everybody = detector(*CROWD)
     for k in range(8):
         for one, two in zip(rows(found[k]), rows(alone(everybody, x + k * velocity, R, reach)), strict=True):

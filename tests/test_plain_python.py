@@ -8,7 +8,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -104,14 +103,13 @@ def test_plain_python_gives_the_same_numbers():
         np.testing.assert_allclose(plain[name], values, rtol=0, atol=1e-11, err_msg=name)
 
 
-def test_kernels_keep_no_memory():
+def test_kernels_keep_no_memory(tmp_path):
     """Those that do not count references must call none that returns an array of its own: what does is found here."""
     variables = os.environ | {"PYTHONPATH": str(ROOT.parent), "NUMBA_NRT_STATS": "1"}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "memory.py")
-        path.write_text(MEMORY)
-        command = [sys.executable, str(path)]
-        output = subprocess.run(command, capture_output=True, text=True, check=True, env=variables).stdout
+    path = tmp_path / "memory.py"
+    path.write_text(MEMORY)
+    command = [sys.executable, str(path)]
+    output = subprocess.run(command, capture_output=True, text=True, check=True, env=variables).stdout
     kept, lost = json.loads(output)
     assert lost == 1
     assert kept == 0

@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import nsdyn as nd
 from nsdyn.tools.arrays import Array
@@ -28,23 +29,24 @@ class Timed:
 
     def __call__(self, problem: nd.FC3D, r0: Array | None = None) -> nd.Solution:
         """Solve the problem."""
-        return self._timed(self.solver, problem, r0)
+        return self._counted(self._timed(self.solver, problem, r0))
 
     def loosely(self, problem: nd.FC3D, r0: Array) -> nd.Solution:
         """Solve it to the loose tolerance."""
-        return self._timed(self.solver.loosely, problem, r0)
+        return self._counted(self._timed(self.solver.loosely, problem, r0))
 
     def roughly(self, problem: nd.FC3D, r0: Array) -> nd.Solution | None:
-        """Solve it to what is posed anew."""
-        start = time.process_time()
-        solution = self.solver.roughly(problem, r0)
-        self.spent += time.process_time() - start
+        """Solve it to what is posed anew, which is none of the solves that end in some way."""
+        solution: nd.Solution | None = self._timed(self.solver.roughly, problem, r0)
         return solution
 
-    def _timed(self, solve: Callable[..., nd.Solution], problem: nd.FC3D, r0: Array | None) -> nd.Solution:
+    def _timed(self, solve: Callable[..., Any], problem: nd.FC3D, r0: Array | None) -> Any:
         start = time.process_time()
         solution = solve(problem, r0)
         self.spent += time.process_time() - start
+        return solution
+
+    def _counted(self, solution: nd.Solution) -> nd.Solution:
         self.status[solution.status.name] += 1
         return solution
 

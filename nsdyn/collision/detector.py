@@ -332,7 +332,7 @@ class Detector:
         """Place the geoms, and ask Coal for the distances of the candidate pairs."""
         self._renew(x, R, reach)
         for batch in self._batches:
-            batch.run(self._R, self._t, self._reach, self._lower, self._upper)
+            batch.run(self._fields, self._R, self._t, self._reach, self._lower, self._upper)
 
     def _renew(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and renew the candidate pairs if one has left its fat box."""
@@ -364,11 +364,12 @@ class Detector:
         self._search = (self._packed, (floats, integers), self._max_points, TOLERANCE)
         self._found = i[0], first, second, self._frame, *material, *f[:3], *self._placed_geoms
         self._coal, self._batches = f[3], []
-        for k, (lo, hi) in enumerate(split(first[asked], second[asked])):
+        of_coal = first[asked], second[asked], base[asked]
+        for k, (lo, hi) in enumerate(split(*of_coal[:2])):
             if k == len(self._models):
                 self._models.append(empty_model(len(self._cores)))
-            pairs = first[asked][lo:hi], second[asked][lo:hi], base[asked][lo:hi]
-            self._batches.append(Batch(self._models[k], self._cores, *pairs, self._coal[lo:hi]))
+            one, other, margin = (part[lo:hi] for part in of_coal)
+            self._batches.append(Batch(self._models[k], self._cores, one, other, margin, self._coal[lo:hi]))
 
     def _pack_geoms(self) -> None:
         """What does not change with the candidates, as `search` takes it; the arrays become views of that."""

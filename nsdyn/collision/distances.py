@@ -82,10 +82,23 @@ def distance_request() -> Any:
 
 
 class Batch:
-    """Pairs whose distances are one call of `pin.computeDistances`, but for those whose boxes are apart.
+    """Pairs whose distances are one call of `pin.computeDistances`, but for those that are seen to be apart without.
 
     The poses of the geoms are written and the results read through views of the memory of `pin.GeometryData`, whose
     elements lie one after the other: rotations column by column, then translations; distance, normal, nearest points.
+
+    Parameters
+    ----------
+    model : pin.GeometryModel
+        Of `empty_model`, whose places it takes.
+    shapes : sequence of Coal's geometries
+        Of all geoms.
+    first, second : ndarray of int, shape (m,)
+        Geoms of the pairs.
+    margin : ndarray, shape (m,)
+        m; farther apart than this and the reach of both, pairs are of no interest.
+    out : ndarray, shape (m, 10)
+        Room for distance, m, normal, and nearest points, m.
     """
 
     def __init__(
@@ -112,14 +125,23 @@ class Batch:
             requests[k] = request
         self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
 
-    def run(self, R: Array, t: Array, reach: Array, lower: Array, upper: Array) -> None:
-        """Distances at these poses of all geoms, into the rows of `out`, inf where boxes are farther than of interest.
+    def run(self, fields: tuple[Any, ...], R: Array, t: Array, reach: Array, lower: Array, upper: Array) -> None:
+        """Distances of all pairs, into the rows of `out`, inf where they are seen to be too far apart.
 
-        That is farther than their margin and both reaches.
+        Parameters
+        ----------
+        fields : tuple
+            Of `Geometry`.
+        R, t : ndarray, shapes (geoms, 3, 3), (geoms, 3)
+            Poses, m.
+        reach : ndarray, shape (geoms,)
+            m.
+        lower, upper : ndarray, shape (geoms, 3)
+            Boxes about the geoms, m.
         """
         self._rotation[:] = R[self._geoms]
         self._translation[:] = t[self._geoms]
-        count = _broadphase.renew(*self._pairs, reach, lower, upper, self._near, self._changed)
+        count = _broadphase.of_interest(fields, R, t, reach, lower, upper, *self._pairs, self._near, self._changed)
         for k in self._changed[:count].tolist():
             if self._near[k]:
                 self._data.activateCollisionPair(k)

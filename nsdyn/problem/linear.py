@@ -24,9 +24,21 @@ __all__ = ["Factor", "Ordered", "contact_graph", "elimination_order"]
 
 
 def elimination_order(count: int, rows: Index, columns: Index) -> Index:
-    """Order of minimum degree for a symmetric pattern of so many blocks with entries in these rows and columns.
+    """Order of minimum degree for a symmetric pattern: the blocks as they are eliminated, shape (count,).
 
     Blocks take a fraction of the time of their coordinates, and a pattern is ordered once for many matrices.
+
+    Parameters
+    ----------
+    count : int
+        Blocks.
+    rows, columns : ndarray of int, shape (k,)
+        Blocks that are coupled, in one triangle or both.
+
+    References
+    ----------
+    J. W. H. Liu, Modification of the minimum-degree algorithm by multiple elimination, ACM Trans. Math. Softw. 11,
+    1985.
     """
     diagonal = np.arange(count)
     i, j = np.concatenate((diagonal, rows)), np.concatenate((diagonal, columns))
@@ -40,7 +52,7 @@ class Ordered:
 
     Parameters
     ----------
-    indptr, indices : ndarray
+    indptr, indices : ndarray, shapes (n + 1,), (entries,)
         Pattern of K by columns.
     to : ndarray, shape (n,)
         Where coordinates stand in K.
@@ -74,7 +86,7 @@ class _Layout:
     ----------
     indptr, indices, slot, diagonal
         As of `_matrix.pattern`, the diagonal blocks by the numbers of the blocks.
-    begin : ndarray
+    begin : ndarray, shape (blocks,)
         First coordinate of every block in K.
     to : ndarray, shape (n,)
         Where coordinates stand in K.

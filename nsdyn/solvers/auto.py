@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -49,7 +49,7 @@ class Search:
         Seconds by counts of operations; from the loose tolerance on the limit is a multiple of what that has cost.
     """
 
-    def __init__(self, means: Means, r: Array, share: float, auto: Auto, large: bool, abrupt: bool) -> None:
+    def __init__(self, means: Means, r: Array, share: float, auto: Auto, large: bool) -> None:
         self.means, self.r, self.large = means, r, large
         tols = np.array([auto.tol, max(auto.tol, auto.loose), TUNING.coarse])
         self.tol, self.loose, self.coarse = (TUNING.margin * share * tols).tolist()
@@ -59,8 +59,8 @@ class Search:
         self._followed = np.inf
         p = means.problem
         _, error, residual, _ = p.solved(r, self.tol)
-        self.abrupt = abrupt or (bool(r.any()) and residual > TUNING.abrupt * self.loose)
-        self._hopeless = large and (abrupt or (self.abrupt and residual > TUNING.hopeless * self.loose))
+        self.abrupt = auto.collided or (bool(r.any()) and residual > TUNING.abrupt * self.loose)
+        self._hopeless = large and (auto.collided or (self.abrupt and residual > TUNING.hopeless * self.loose))
         self._effort, self._convex = auto.effort, not p.mu.any()
         self._calm = TUNING.warm[1] if large else TUNING.calm
         if residual <= TUNING.rest * self.loose:
@@ -253,6 +253,9 @@ class Auto:
     effort: float = 10.0
     accept: float = 1.0
 
+    collided: ClassVar[bool] = False
+    """Whether problems are known to be of a collision."""
+
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         start = time.perf_counter()
@@ -264,13 +267,23 @@ class Auto:
         return solution if solution.status in ACCEPTED else self._explained(problem, solution)
 
     def loosely(self, problem: FC3D, r0: Array) -> Solution:
-        """Solve the problem, large islands to the loose tolerance only: for what follows on such a solution."""
+        """Solve the problem from r0 (3 nc,), N·s, large islands to the loose tolerance only, as those of a collision.
+
+        For what follows on such a solution and differs little.
+        """
         return _Loosely(self.tol, self.loose, self.effort, self.accept)(problem, r0)
 
     def roughly(self, problem: FC3D, r0: Array) -> Solution | None:
-        """Few sweeps of large islands from r0 where that shows a collision, which misses by `Tuning.hopeless`; or None.
+        """Few sweeps of large islands from r0 where that misses by far, None where it does not.
 
-        For a problem that is posed anew with what its motion shows.
+        For a problem that is posed anew with what its motion shows: a miss of more than `Tuning.hopeless` loose
+        tolerances is of a collision, and the sweeps end within it.
+
+        Parameters
+        ----------
+        problem : FC3D
+        r0 : ndarray, shape (3 nc,)
+            N·s.
         """
         if not r0.any() or problem.solved(r0, self.tol)[2] <= TUNING.hopeless * max(self.tol, self.loose):
             return None
@@ -347,34 +360,30 @@ class Auto:
 
     def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
         """Solve one island in place of r, to its share of the tolerances; iterations used."""
-        search = self._search(means, r, share, large)
-        search.run()
+        search = Search(means, r, share, self, large and means.factorisation > TUNING.heavy * means.sweep)
+        self._run(search)
         return search.count
 
-    def _search(self, means: Means, r: Array, share: float, large: bool, abrupt: bool = False) -> Search:
-        """Of an island of so many contacts that sweeps may be worth it, or fewer."""
-        return Search(means, r, share, self, large and means.factorisation > TUNING.heavy * means.sweep, abrupt)
+    def _run(self, search: Search) -> None:
+        """All that an island is worth."""
+        search.run()
 
 
 class _Loosely(Auto):
     """`Auto` for what is known to be of a collision."""
 
-    def _search(self, means: Means, r: Array, share: float, large: bool, abrupt: bool = True) -> Search:
-        return super()._search(means, r, share, large, abrupt)
+    collided: ClassVar[bool] = True
 
 
 class _Roughly(Auto):
-    """`Auto` with one round of sweeps for a large island."""
+    """`Auto` with one round of sweeps for a large island, of which nobody asks why it is not solved."""
 
-    def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
-        search = self._search(means, r, share, large)
+    def _run(self, search: Search) -> None:
         if search.large:
             search.sweep(TUNING.first_sweep, TUNING.hopeless * search.loose)
         else:
             search.run()
-        return search.count
 
     @staticmethod
     def _explained(problem: FC3D, solution: Solution) -> Solution:
-        """The solution: that it is none is no surprise."""
         return solution

@@ -282,8 +282,8 @@ def solve(
     met : Encounter
     solver : Solver
     last : Solution, optional
-        Of the same move with other contacts, or rough. Where it is no better than loose, `Auto.loosely` is asked for
-        no more.
+        Of the same move with other contacts, or rough. Where it has not converged no more is asked for than
+        `Graded.loosely` gives.
     closing : Closing
     slides : ndarray of bool, shape (nc,)
         Which contacts slide through, as `foresee` says; changed to what the impulses show.
@@ -292,7 +292,7 @@ def solve(
     most : int
         Most solves more for them.
     rough : bool
-        Whether to ask for no more than `Auto.roughly` gives.
+        Whether what `Graded.roughly` gives is enough.
     """
     if met.posed is not None:
         problem = met.posed
@@ -312,7 +312,7 @@ def solve(
 
 
 def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, rough: bool) -> Solution:
-    """Solve a problem that differs little from the last one, by solvers that can no better than that was."""
+    """Solve a problem roughly where that is enough, and one that follows on a loose or rough solution as loosely."""
     if rough and isinstance(solver, Graded) and (found := solver.roughly(problem, r)) is not None:
         return found
     if last is not None and not last.converged and isinstance(solver, Graded):

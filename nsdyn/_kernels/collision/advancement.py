@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.collision.broadphase import contains
-from nsdyn._kernels.collision.geometry import HALFSPACE, Geometry, place
+from nsdyn._kernels.collision.broadphase import at_least_apart, contains
+from nsdyn._kernels.collision.geometry import Geometry, place
 from nsdyn._kernels.collision.support import gap_along
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
@@ -75,19 +75,6 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
             p, q = minus(v, cross(other, begin)), minus(v, cross(other, end))
             least = min(least, math.sqrt(max(dot(p, p), dot(q, q))) + spin * arm)
     return least
-
-
-@in_place
-def at_least_apart(geometry, i, j, R, t, lower, upper):
-    """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
-    if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
-        return gap_along(geometry, i, j, R, t, (0.0, 0.0, 1.0))
-    square = 0.0
-    for k in range(3):
-        d = max(lower[j, k] - upper[i, k], lower[i, k] - upper[j, k], 0.0)
-        square += d * d
-    d = minus(row(t, j), row(t, i))
-    return max(math.sqrt(square), math.sqrt(dot(d, d)) - geometry.radius[i] - geometry.radius[j])
 
 
 @in_place

@@ -5,9 +5,11 @@ import math
 import numpy as np
 
 from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, POLYTOPE, SPHERE, Geometry, place
+from nsdyn._kernels.collision.support import gap_along
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.sorting import place_of
+from nsdyn._kernels.vectors import dot, minus, row
 
 
 @in_place
@@ -164,19 +166,31 @@ def candidates(fields, R, t, lower, upper, excluded):
 
 
 @in_place
-def renew(first, second, margin, reach, lower, upper, near, changed):
-    """Which pairs have boxes within their margin and the reach of both, into near; the number of those it changes.
+def at_least_apart(geometry, i, j, R, t, lower, upper):
+    """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
+    if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
+        return gap_along(geometry, i, j, R, t, (0.0, 0.0, 1.0))
+    square = 0.0
+    for k in range(3):
+        d = max(lower[j, k] - upper[i, k], lower[i, k] - upper[j, k], 0.0)
+        square += d * d
+    d = minus(row(t, j), row(t, i))
+    return max(math.sqrt(square), math.sqrt(dot(d, d)) - geometry.radius[i] - geometry.radius[j])
 
-    Their indices come first in `changed`.
+
+@in_place
+def of_interest(fields, R, t, reach, lower, upper, first, second, margin, near, changed):
+    """Which pairs may be within their margin and the reach of both, into near; the number of those it changes.
+
+    Their indices come first in `changed`. R, t, reach, lower and upper are of the geoms, as `follow` leaves them, the
+    arguments from `first` on have an element for each pair; lengths in m.
     """
+    geometry = Geometry(*fields)
     count = 0
     for p in range(first.size):
         i, j = first[p], second[p]
-        most, away = margin[p] + reach[i] + reach[j], 0.0
-        for k in range(3):
-            away = max(away, lower[j, k] - upper[i, k], lower[i, k] - upper[j, k])
-        if (away <= most) != near[p]:
-            near[p] = away <= most
-            changed[count] = p
+        now = at_least_apart(geometry, i, j, R, t, lower, upper) <= margin[p] + reach[i] + reach[j]
+        if now != near[p]:
+            near[p], changed[count] = now, p
             count += 1
     return count
