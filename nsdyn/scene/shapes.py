@@ -27,7 +27,7 @@ import coal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nsdyn.scene import meshes
+from nsdyn.scene import hulls, meshes
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array, Index
 
@@ -37,9 +37,6 @@ __all__ = [
 ]  # fmt: skip
 
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
-
-COPLANAR = 1e-6
-"""Facets of a hull whose corners lie within this fraction of its size of one plane are one face (float32 meshes)."""
 
 CONCAVE = 1.02
 """A mesh whose hull has more than this times its volume is reported as not convex."""
@@ -247,8 +244,6 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
     centroid : ndarray, shape (3,)
         In the frame of the points.
     """
-    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that boxes and spheres do not need
-
     try:
         points = np.array(vertices, dtype=float)
     except (TypeError, ValueError):
@@ -257,11 +252,7 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
         raise ValueError(f"vertices must have shape (n, 3) with n ≥ 4, got {points.shape}")
     if not np.isfinite(points).all():
         raise ValueError("vertices must be finite")
-    try:
-        hull = ConvexHull(points - points.mean(axis=0))
-    except QhullError:
-        raise ValueError("vertices must span a volume: all of them lie in one plane") from None
-    loops = _faces(hull)
+    loops = hulls.faces(points)
     used, flat = np.unique(np.concatenate(loops), return_inverse=True)
     face_ptr = np.cumsum([0, *map(len, loops)])
     corners = points[used]
@@ -289,48 +280,6 @@ def _area_vector(loop: Array) -> Array:
     """Area times normal of a polygon (Newell), shape (3,)."""
     out: Array = 0.5 * np.cross(loop - loop[0], np.roll(loop, -1, axis=0) - loop[0]).sum(axis=0)
     return out
-
-
-def _faces(hull: Any) -> list[Index]:
-    """Faces of a hull as loops of point indices: facets merged where they are coplanar."""
-    points, simplices, planes = hull.points, hull.simplices, hull.equations
-    tol = COPLANAR * np.linalg.norm(np.ptp(points, axis=0))
-    group = np.full(len(simplices), -1)
-    loops = []
-    # Largest facets first: their planes are the best defined, slivers join them.
-    area = np.linalg.norm(
-        np.cross(points[simplices[:, 1]] - points[simplices[:, 0]], points[simplices[:, 2]] - points[simplices[:, 0]]),
-        axis=1,
-    )
-    for seed in np.argsort(-area, kind="stable"):
-        if group[seed] >= 0:
-            continue
-        group[seed] = seed
-        stack, members = [seed], []
-        while stack:
-            f = stack.pop()
-            members.append(f)
-            for g in hull.neighbors[f]:
-                distance = np.abs(points[simplices[g]] @ planes[seed, :3] + planes[seed, 3]).max()
-                if group[g] < 0 and distance <= tol:
-                    group[g] = seed
-                    stack.append(g)
-        successor: dict[int, int] = {}
-        edges = set()
-        for f in members:
-            a, b, c = (int(k) for k in simplices[f])
-            if np.dot(np.cross(points[b] - points[a], points[c] - points[a]), planes[f, :3]) < 0.0:
-                b, c = c, b
-            edges |= {(a, b), (b, c), (c, a)}
-        for a, b in edges:
-            if (b, a) not in edges:
-                successor[a] = b
-        start = min(successor)
-        loop = [start]
-        while successor[loop[-1]] != start:
-            loop.append(successor[loop[-1]])
-        loops.append(np.array(loop))
-    return loops
 
 
 def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:

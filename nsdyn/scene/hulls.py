@@ -1,0 +1,68 @@
+"""Faces of convex hulls: what Qhull finds in triangles, put together where they lie in one plane."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["COPLANAR", "faces"]
+
+COPLANAR = 1e-6
+"""Facets of a hull whose corners lie within this fraction of its size of one plane are one face (float32 meshes)."""
+
+
+def faces(vertices: Array) -> list[Index]:
+    """Faces of the convex hull of points, (n, 3), as loops of their indices, anticlockwise seen from outside.
+
+    Facets of Qhull are merged where they are coplanar.
+
+    Raises
+    ------
+    ValueError
+        For points in one plane.
+    """
+    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that boxes and spheres do not need
+
+    try:
+        hull = ConvexHull(vertices - vertices.mean(axis=0))
+    except QhullError:
+        raise ValueError("vertices must span a volume: all of them lie in one plane") from None
+    points, simplices, planes = hull.points, hull.simplices, hull.equations
+    tol = COPLANAR * np.linalg.norm(np.ptp(points, axis=0))
+    group = np.full(len(simplices), -1)
+    loops = []
+    # Largest facets first: their planes are the best defined, slivers join them.
+    area = np.linalg.norm(
+        np.cross(points[simplices[:, 1]] - points[simplices[:, 0]], points[simplices[:, 2]] - points[simplices[:, 0]]),
+        axis=1,
+    )
+    for seed in np.argsort(-area, kind="stable"):
+        if group[seed] >= 0:
+            continue
+        group[seed] = seed
+        stack, members = [seed], []
+        while stack:
+            f = stack.pop()
+            members.append(f)
+            for g in hull.neighbors[f]:
+                distance = np.abs(points[simplices[g]] @ planes[seed, :3] + planes[seed, 3]).max()
+                if group[g] < 0 and distance <= tol:
+                    group[g] = seed
+                    stack.append(g)
+        successor: dict[int, int] = {}
+        edges = set()
+        for f in members:
+            a, b, c = (int(k) for k in simplices[f])
+            if np.dot(np.cross(points[b] - points[a], points[c] - points[a]), planes[f, :3]) < 0.0:
+                b, c = c, b
+            edges |= {(a, b), (b, c), (c, a)}
+        for a, b in edges:
+            if (b, a) not in edges:
+                successor[a] = b
+        start = min(successor)
+        loop = [start]
+        while successor[loop[-1]] != start:
+            loop.append(successor[loop[-1]])
+        loops.append(np.array(loop))
+    return loops
