@@ -3,7 +3,6 @@
     python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [FOLDER ...]
 
 Processor time. For every folder of FCLIB files: problems solved, the geometric mean, the mean and the longest solve
-
 from nothing, by their factors if the file has them and by W alone. For the wall: the mean and longest time of a step
 with the solver, at defaults, and how many solves ended within the loose tolerance only or failed.
 """

@@ -20,7 +20,7 @@ from nsdyn._kernels.problem import sparse as _matrix
 from nsdyn.problem.blocks import Blocks
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Factor", "Ordered", "contact_graph", "elimination_order"]
+__all__ = ["Factor", "Ordered", "contact_graph", "elimination_order", "forget"]
 
 
 def elimination_order(count: int, rows: Index, columns: Index) -> Index:
@@ -156,3 +156,8 @@ def _factor(thread: int, offset: bytes, block: bytes) -> Factor:
 def contact_graph(blocks: Blocks) -> Factor:
     """The factorisations on the contact graph of some blocks."""
     return _factor(get_ident(), blocks.offset.tobytes(), blocks.block.tobytes())
+
+
+def forget() -> None:
+    """Forget all contact graphs: what is timed next finds nothing prepared."""
+    _factor.cache_clear()

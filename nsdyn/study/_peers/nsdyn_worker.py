@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 from serve import serve  # type: ignore[import-not-found]  # beside this script
 
-from nsdyn.problem import fclib
+from nsdyn.problem import fclib, linear
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import by_name
 
@@ -17,14 +16,11 @@ read = lru_cache(maxsize=1)(fclib.read)
 
 
 def prepare(path: str, name: str, tol: float) -> Callable[[], Callable[[], tuple[Any, int]]]:
-    """Every call gets a problem that has computed nothing yet, and solvers that remember none."""
+    """Every call gets a problem that has computed nothing yet, and solvers that remember no contact graph."""
     given, solver = read(path), by_name(name, tol)
 
     def fresh() -> Callable[[], tuple[Any, int]]:
-        for module in [m for key, m in sys.modules.items() if key.startswith("nsdyn.solvers")]:
-            for item in vars(module).values():
-                if hasattr(item, "cache_clear"):
-                    item.cache_clear()
+        linear.forget()
         if given.blocks is None:
             problem = FC3D(given.W, given.q, given.mu)
         else:
