@@ -184,6 +184,11 @@ class Search:
             if stuck and patience <= 0:
                 self.follow(tol)
 
+    def creep(self) -> None:
+        """Sweeps to what they may be asked for and one long run of Newton from there, which more sweeps would undo."""
+        self.sweep(TUNING.first_sweep, self.coarse)
+        self.newton(TUNING.warm[0], TUNING.creep[1], self.tol)
+
     def impulses(self) -> None:
         """Newton in the impulses, where it is affordable: it factorises W, whose size grows with the contacts."""
         cost = TUNING.impulse_cost * float(self.r.size) ** 3
@@ -202,6 +207,8 @@ class Search:
             self.warm()
         if self.large and self.loose >= self.coarse:
             self.rounds(self.loose)
+        elif self.large and self.coarse <= TUNING.creep[0] * self.loose and (self.abrupt or not self.r.any()):
+            self.creep()
         if not (self.large and self.abrupt):
             self.accelerated()
             self.interior_point()

@@ -97,7 +97,7 @@ class Tuning:
     interior: tuple[int, int] = (40, 30)
     """Factorisations of the interior point method, which converges within these where it does, and of Newton after."""
 
-    path: tuple[int, int] = (60, 800)
+    path: tuple[int, int] = (60, 500)
     """Fewest factorisations worth beginning a continuation from nothing with, which takes 20 to 400 for most problems,
     and most."""
 
@@ -121,6 +121,10 @@ class Tuning:
     from_loose: int = 40
     """What Newton takes from the loose tolerance, before anything begins from nothing."""
 
+    creep: tuple[float, int] = (100.0, 300)
+    """What Newton gains at best where it creeps along folds of a collision from `coarse` on, and its steps there: half
+    of the time of a path from nothing, to a strict tolerance no finer than that."""
+
     rounds: int = 8
     """Number of rounds."""
 
@@ -143,7 +147,7 @@ class Tuning:
     last_sweep: int = 160
     """What sweeps take in the last rounds, in factorisations."""
 
-    last_newton: int = 300
+    last_newton: int = 1000
     """What Newton takes in the first of these, where it creeps along folds and is not interrupted soon; twice as long
     each time."""
 
