@@ -207,7 +207,7 @@ class Search:
             self.warm()
         if self.large and self.loose >= self.coarse:
             self.rounds(self.loose)
-        elif self.large and self.coarse <= TUNING.creep[0] * self.loose and (self.abrupt or not self.r.any()):
+        elif self.large and self.coarse <= TUNING.creep[0] * self.loose:
             self.creep()
         if not (self.large and self.abrupt):
             self.accelerated()
