@@ -231,7 +231,8 @@ class Auto:
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets a few Newton steps, since the contact states of the last step mostly
     hold. Large islands, where a factorisation is worth many sweeps, then come to `loose`
-    in rounds of sweeps with momentum and of Newton, each twice as long as the one before, after some by continuation.
+    in rounds of sweeps with momentum and of Newton, each twice as long as the one before, after some by continuation;
+    where `loose` is finer than sweeps reach, by one long run of Newton from where they end.
     Towards `tol` there are accelerated Gauss–Seidel, as long as it is foreseen to suffice, the interior point method
     followed by Newton, and continuation along smoothed laws, both from nothing; then sweeps and Newton from the best so
     far. A problem given by W alone is solved on its impulses by the same means, so that W need not be symmetric.
