@@ -22,7 +22,7 @@ def settled(Wf, f, Wd, d, scales):
         left += f[i] * Wf[i]
         total += d[i] * Wd[i]
         weighed += scales[i // 3] * d[i] ** 2
-    return left <= max(1e-2 * total, 1e-10 * weighed), left
+    return left <= max(1e-3 * total, 1e-10 * weighed), left
 
 
 @kernel

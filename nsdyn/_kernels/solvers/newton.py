@@ -158,7 +158,7 @@ def measures_of_islands(label, scales, q_norm, u, r, mu, out):
 def settled(blocks, scales, y, P, estimate, F, work, change):
     """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)), and its square.
 
-    That is a tenth of the momentum H (P - estimate), or 1e-5 of the step weighed by lambda_max(W_cc) contact by
+    That is a thirtieth of the momentum H (P - estimate), or 1e-5 of the step weighed by lambda_max(W_cc) contact by
     contact: redundant contacts exchange impulses without any momentum. F, work and change are for work.
     """
     offset, _, _, _, m_start, _, minv = blocks
@@ -176,7 +176,7 @@ def settled(blocks, scales, y, P, estimate, F, work, change):
         total += F[i] * work[i]
     for i in range(change.size):
         weighed += scales[i // 3] * change[i] ** 2
-    return left <= max(1e-2 * total, 1e-10 * weighed), left
+    return left <= max(1e-3 * total, 1e-10 * weighed), left
 
 
 @kernel
