@@ -9,7 +9,7 @@ from nsdyn._kernels.problem.blocks import unite
 from nsdyn._kernels.problem.cones import coulomb
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.solvers import interior, pgs
-from nsdyn._kernels.solvers.newton import DIVERGED, PATIENCE, SHRINKAGE, gather, grown, projected, scatter, stiffness
+from nsdyn._kernels.solvers.newton import PATIENCE, gather, grown, projected, scatter, stiffness
 
 NARROW = 30  # contacts from which on an island is worth an order
 
@@ -22,7 +22,7 @@ def settled(Wf, f, Wd, d, scales):
         left += f[i] * Wf[i]
         total += d[i] * Wd[i]
         weighed += scales[i // 3] * d[i] ** 2
-    return left <= max(1e-3 * total, 1e-10 * weighed), left
+    return left <= max(1e-4 * total, 1e-10 * weighed)
 
 
 @kernel
@@ -34,12 +34,12 @@ def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     300.
     """
     n = q.size
-    x, last, estimate, u, own_u, P, f, d, Wf, Wd = np.empty((10, n))
+    x, estimate, u, own_u, P, f, d, Wf, Wd = np.empty((9, n))
     A, S = np.empty((mu.size, 3, 3)), np.empty((n, n))
     pivot, low, end = np.empty((3, n), np.int64)
-    x[:] = estimate[:] = last[:] = r
+    x[:] = estimate[:] = r
     best = interior.measure(W, q, mu, scales, q_norm, r, u)
-    count, inner, before = 0, 0, np.inf
+    count, inner = 0, 0
     rho = penalty / scales
     projected(u, estimate, rho, mu, P)
     while best > tol and count < max_iter and penalty > 1e-3:
@@ -64,19 +64,17 @@ def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
             f[i], d[i] = x[i] - P[i], P[i] - estimate[i]
             Wf[i], Wd[i] = u[i] - own_u[i], 0.0
         interior.product(W, d, Wd)
-        done, left = settled(Wf, f, Wd, d, scales)
-        if done:
+        if settled(Wf, f, Wd, d, scales):
             penalty = grown(penalty, inner)
-            estimate[:], last[:] = P, x
-        elif inner >= PATIENCE or not left <= DIVERGED * before:
-            penalty *= SHRINKAGE
-            x[:] = last
+            estimate[:] = P
+        elif inner >= PATIENCE:
+            penalty *= 0.1
+            x[:] = estimate
             interior.product(W, x, u)
             u += q
         else:
-            before = left
             continue
-        inner, before = 0, np.inf
+        inner = 0
         rho = penalty / scales
         projected(u, estimate, rho, mu, P)
     return count, best
