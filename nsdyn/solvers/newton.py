@@ -25,6 +25,11 @@ __all__ = ["Newton", "by_islands", "island", "rows", "solve_blocks", "solve_impu
 DENSE = 120
 """Islands up to this many coordinates are factorised densely: below it LAPACK in the kernel beats a sparse call."""
 
+PART, DIVERGED, SHRINKAGE = 1e-2, 10.0, 0.3
+"""Large islands settle earlier than in the kernels, which may have to reach round-off: what the square of the defect is
+of that of the multiplier step then, its growth in one step from which on a penalty is called too large at once, and
+what is left of such a penalty. A fifth fewer steps, and more walls solved to 1e-8."""
+
 
 class Unknown(Protocol):
     """What Newton's method solves for at an estimate of the impulse.
@@ -46,8 +51,14 @@ class Unknown(Protocol):
     def step(self, A: Array, P: Array) -> None:
         """Newton's step towards the fixed point of P(u), A = -dP/du; RuntimeError where its matrix is singular."""
 
-    def settled(self, P: Array, estimate: Array) -> bool:
-        """Whether the defect is small beside the multiplier step P - estimate, P the last one measured."""
+    def settled(self, P: Array, estimate: Array) -> tuple[bool, float]:
+        """Whether the defect is small beside the step P - estimate, and its square, J; P was the last measured."""
+
+    def keep(self) -> None:
+        """Remember the unknown as it is."""
+
+    def back(self) -> None:
+        """Take what was remembered."""
 
 
 class Velocities:
@@ -57,7 +68,7 @@ class Velocities:
         self._blocks, self._graph = blocks, contact_graph(blocks)
         self._q, self._scales, self._judge = q, scales, (q, mu, scales, q_norm)
         self.u, self._own_u = np.empty((2, q.size))
-        self._y, self._own_y, self._F, self._work = np.empty((4, blocks.n))
+        self._y, self._own_y, self._last, self._F, self._work = np.empty((5, blocks.n))
 
     def restart(self, r: Array) -> None:
         """Take the velocity change of an impulse."""
@@ -72,13 +83,27 @@ class Velocities:
         """(M + Σ H_c A_c H_cᵀ) dy = H P - M y."""
         _kernels.defect(self._blocks.arrays, self._y, P, self._F, self._work)
         self._y -= self._graph.solve(self._blocks, A, self._F)
+        self._move()
+
+    def _move(self) -> None:
+        """u = Hᵀ y + q."""
         _blocks.relative_velocity(self._blocks.arrays, self._y, self.u)
         self.u += self._q
 
-    def settled(self, P: Array, estimate: Array) -> bool:
+    def settled(self, P: Array, estimate: Array) -> tuple[bool, float]:
         """As `Unknown.settled`."""
-        given = self._scales, self._y, P, estimate
-        return bool(_kernels.settled(self._blocks.arrays, *given, self._F, self._work, self._own_u))
+        given = self._scales, self._y, P, estimate, PART
+        done, left = _kernels.settled(self._blocks.arrays, *given, self._F, self._work, self._own_u)
+        return bool(done), float(left)
+
+    def keep(self) -> None:
+        """As `Unknown.keep`."""
+        self._last[:] = self._y
+
+    def back(self) -> None:
+        """As `Unknown.back`."""
+        self._y[:] = self._last
+        self._move()
 
 
 class Impulses:
@@ -87,6 +112,7 @@ class Impulses:
     def __init__(self, W: Operator, q: Array, mu: Array, scales: Array, q_norm: float) -> None:
         self._W, self._q, self._mu, self._scales, self._q_norm = W, q, mu, scales, q_norm
         self.u = self._own = self._x = q
+        self._last = q, q
 
     def restart(self, r: Array) -> None:
         """Take an impulse."""
@@ -104,21 +130,34 @@ class Impulses:
         self._x = P - (A @ du.reshape(-1, 3, 1)).ravel()
         self.u = self._W.product(self._x) + self._q
 
-    def settled(self, P: Array, estimate: Array) -> bool:
+    def settled(self, P: Array, estimate: Array) -> tuple[bool, float]:
         """As `Unknown.settled`."""
         step = P - estimate
-        return bool(_local.settled(self.u - self._own, self._x - P, self._W.product(step), step, self._scales))
+        done, left = _local.settled(self.u - self._own, self._x - P, self._W.product(step), step, PART, self._scales)
+        return bool(done), float(left)
+
+    def keep(self) -> None:
+        """As `Unknown.keep`."""
+        self._last = self._x, self.u
+
+    def back(self) -> None:
+        """As `Unknown.back`."""
+        self._x, self.u = self._last
 
 
 def _multipliers(
     x: Unknown, mu: Array, scales: Array, r: Array, tol: float, penalty: float, max_iter: int
 ) -> tuple[int, float]:
-    """The method of `_kernels.newton.dense` for any unknown, in place of r: (factorisations, measure)."""
+    """The method of `_kernels.newton.dense` for any unknown, in place of r: (factorisations, measure).
+
+    A failure goes back to where F had settled last, which is nearer than the velocity of the estimate.
+    """
     P, A = np.empty_like(r), np.empty((mu.size, 3, 3))
     x.restart(r)
+    x.keep()
     best = x.measure(r)
     estimate, rho = r.copy(), penalty / scales
-    count = inner = 0
+    count, inner, before = 0, 0, np.inf
     _kernels.projected(x.u, estimate, rho, mu, P)
     while best > tol and count < max_iter and penalty > 1e-3:
         _kernels.stiffness(x.u, estimate, rho, mu, A)
@@ -132,15 +171,18 @@ def _multipliers(
         if now < best:
             best = now
             r[:] = P
-        if x.settled(P, estimate):
+        done, left = x.settled(P, estimate)
+        if done:
             penalty = _kernels.grown(penalty, inner)
             estimate[:] = P
-        elif inner >= _kernels.PATIENCE:
-            penalty *= 0.1
-            x.restart(estimate)
+            x.keep()
+        elif inner >= _kernels.PATIENCE or not left <= DIVERGED * before:
+            penalty *= SHRINKAGE
+            x.back()
         else:
+            before = left
             continue
-        inner = 0
+        inner, before = 0, np.inf
         rho = penalty / scales
         _kernels.projected(x.u, estimate, rho, mu, P)
     return count, best

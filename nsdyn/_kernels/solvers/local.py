@@ -9,20 +9,20 @@ from nsdyn._kernels.problem.blocks import unite
 from nsdyn._kernels.problem.cones import coulomb
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.solvers import interior, pgs
-from nsdyn._kernels.solvers.newton import PATIENCE, gather, grown, projected, scatter, stiffness
+from nsdyn._kernels.solvers.newton import PART, PATIENCE, gather, grown, projected, scatter, stiffness
 
 NARROW = 30  # contacts from which on an island is worth an order
 
 
 @kernel
-def settled(Wf, f, Wd, d, scales):
+def settled(Wf, f, Wd, d, part, scales):
     """The rule of `newton.settled` for the defect f = x - P and the multiplier step d, with Wf = W f and Wd = W d."""
     left, total, weighed = 0.0, 0.0, 0.0
     for i in range(f.size):
         left += f[i] * Wf[i]
         total += d[i] * Wd[i]
         weighed += scales[i // 3] * d[i] ** 2
-    return left <= max(1e-4 * total, 1e-10 * weighed)
+    return left <= max(part * total, 1e-10 * weighed), left
 
 
 @kernel
@@ -64,7 +64,7 @@ def newton(W, q, mu, scales, r, tol, q_norm, penalty, max_iter):
             f[i], d[i] = x[i] - P[i], P[i] - estimate[i]
             Wf[i], Wd[i] = u[i] - own_u[i], 0.0
         interior.product(W, d, Wd)
-        if settled(Wf, f, Wd, d, scales):
+        if settled(Wf, f, Wd, d, PART, scales)[0]:
             penalty = grown(penalty, inner)
             estimate[:] = P
         elif inner >= PATIENCE:

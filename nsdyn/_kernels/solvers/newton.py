@@ -20,6 +20,7 @@ from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_resi
 from nsdyn._kernels.problem.linear import factorise, substitute
 
 PATIENCE = 5  # Newton steps without settling after which a penalty is called too large
+PART = 1e-4  # of the square of the multiplier step that the square of the defect is where few bodies have settled
 
 
 @in_place
@@ -153,11 +154,12 @@ def measures_of_islands(label, scales, q_norm, u, r, mu, out):
 
 
 @in_place
-def settled(blocks, scales, y, P, estimate, F, work, change):
-    """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)).
+def settled(blocks, scales, y, P, estimate, part, F, work, change):
+    """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)), and its square.
 
-    That is a hundredth of the momentum H (P - estimate), or 1e-5 of the step weighed by lambda_max(W_cc) contact by
-    contact: redundant contacts exchange impulses without any momentum. F, work and change are for work.
+    Its square is at most a `part` of that of the momentum H (P - estimate), or F is 1e-5 of the step weighed by
+    lambda_max(W_cc) contact by contact: redundant contacts exchange impulses without any momentum. F, work and change
+    are for work.
     """
     offset, _, _, _, m_start, _, minv = blocks
     defect(blocks, y, P, F, work)
@@ -174,7 +176,7 @@ def settled(blocks, scales, y, P, estimate, F, work, change):
         total += F[i] * work[i]
     for i in range(change.size):
         weighed += scales[i // 3] * change[i] ** 2
-    return left <= max(1e-4 * total, 1e-10 * weighed)
+    return left <= max(part * total, 1e-10 * weighed), left
 
 
 @kernel
@@ -214,7 +216,7 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
         if measure < best:
             best = measure
             r[:] = P
-        if settled(blocks, scales, y, P, estimate, F, work, own_u):
+        if settled(blocks, scales, y, P, estimate, PART, F, work, own_u)[0]:
             penalty = grown(penalty, inner)
             estimate[:] = P
             inner = 0
