@@ -36,7 +36,7 @@ def scene(
     J = mass * length**2 / 12
     out.add_convex(
         "rod", vertices, mass, position=(x, 0, z), quaternion=(0, -math.sin(a / 2), 0, math.cos(a / 2)),
-        linear_velocity=(slip + spin * z, 0, -fall + spin * x), angular_velocity=(0, -spin, 0), material=material,
+        linear_velocity=(slip - spin * z, 0, -fall + spin * x), angular_velocity=(0, -spin, 0), material=material,
         inertia=[[J / 100, 0, 0], [0, J, 0], [0, 0, J]],
     )  # fmt: skip
     return out

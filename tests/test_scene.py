@@ -1,5 +1,7 @@
 """What a scene accepts, and the words with which it refuses the rest."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,18 @@ def test_bad_urdf_is_named(tmp_path):
 def test_unknown_named_scene():
     with pytest.raises(ValueError, match=r"scene must be one of .*stack.*; got 'stak'"):
         nd.scenes.load("stak")
+
+
+@pytest.mark.parametrize("spin", [-2.0, 0.0, 3.0])
+def test_the_end_of_the_rod_moves_as_it_is_told(spin):
+    """And its upper end, the tip, as a length of 2 m that turns by `spin` from the ground has it."""
+    angle, slip, fall = 0.8, -1.5, 0.25
+    rod = nd.scenes.load("rod")(angle=math.degrees(angle), slip=slip, fall=fall, spin=spin, length=2.0).bodies["rod"]
+    along = np.array([math.cos(angle), 0.0, math.sin(angle)])
+    end, tip = (rod.linear_velocity + np.cross(rod.angular_velocity, side * along) for side in (-1.0, 1.0))
+    np.testing.assert_allclose(end, (slip, 0.0, -fall), rtol=0.0, atol=1e-15)
+    turned = 2.0 * spin * np.array([-math.sin(angle), 0.0, math.cos(angle)])
+    np.testing.assert_allclose(tip - end, turned, rtol=0.0, atol=1e-14)
 
 
 def test_close_quaternion_is_normalised():

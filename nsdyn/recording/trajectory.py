@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,9 @@ from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, Solv
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import meant
+
+if TYPE_CHECKING:
+    from nsdyn.recording.viewer import PageOptions
 
 __all__ = ["Trajectory"]
 
@@ -204,7 +207,7 @@ class Trajectory:
         """
         return cls(*recording.read(Path(path)))
 
-    def to_html(self, path: str | Path, **options: Any) -> None:
+    def to_html(self, path: str | Path, **options: Unpack[PageOptions]) -> None:
         """Write a self-contained page that plays the recording; options as in `nsdyn.recording.viewer.html`."""
         from nsdyn.recording.viewer import write_html
 

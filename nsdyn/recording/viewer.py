@@ -14,7 +14,7 @@ import warnings
 from functools import lru_cache
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 
@@ -25,7 +25,18 @@ from nsdyn.tools.naming import choice
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["html", "write_html"]
+__all__ = ["PageOptions", "html", "write_html"]
+
+
+class PageOptions(TypedDict, total=False):
+    """Keywords of `html`; see there."""
+
+    fps: float
+    forces: bool | str
+    max_frames: int
+    at: float | None
+    beside: Trajectory | None
+
 
 LARGE_PAGE = 50e6
 """Bytes; browsers get slow."""
@@ -34,7 +45,7 @@ SCRIPTS = ("format", "recording", "clock", "stage", "overlay", "chart", "ledger"
 """Of the folder `page`, in the order of their use."""
 
 
-def write_html(trajectory: Trajectory, path: str | Path, **options: Any) -> None:
+def write_html(trajectory: Trajectory, path: str | Path, **options: Unpack[PageOptions]) -> None:
     """Write the page of `html` to a file, which replaces one of that name once complete.
 
     Raises

@@ -6,7 +6,7 @@ import json
 import math
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from nsdyn.recording.recorder import Recorder
 from nsdyn.recording.trajectory import Trajectory
@@ -15,7 +15,30 @@ from nsdyn.solvers import Solver
 from nsdyn.stepping import checkpoint
 from nsdyn.stepping.stepper import Callback, Stepper
 
-__all__ = ["simulate"]
+__all__ = ["Options", "RunOptions", "simulate"]
+
+
+class RunOptions(TypedDict, total=False):
+    """Keywords of `simulate` but for its dt and its files; see there."""
+
+    theta: float
+    solver: str | Solver | None
+    controller: Callback | None
+    external_force: Callback | None
+    on_fail: str
+    max_points: int
+    dump_on_fail: str | Path | None
+    impact: str
+    every: int
+    contacts: bool
+    overlap: float
+    lift: bool
+
+
+class Options(RunOptions, total=False):
+    """Keywords of `simulate` but for its files; see there."""
+
+    dt: float
 
 
 def simulate(

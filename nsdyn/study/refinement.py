@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from scipy.optimize import brentq
@@ -14,7 +14,8 @@ from nsdyn.recording.comparison import differences
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
-from nsdyn.stepping.simulation import simulate
+from nsdyn.stepping.simulation import RunOptions, simulate
+from nsdyn.tools.naming import known_only
 
 __all__ = ["Refinement", "Row", "order", "refine"]
 
@@ -79,7 +80,7 @@ class Refinement:
 
 def refine(
     scene: str | Callable[[], Scene], dts: Sequence[float], duration: float, parameters: dict[str, Any] | None = None,
-    progress: bool = False, **options: Any,
+    progress: bool = False, **options: Unpack[RunOptions],
 ) -> Refinement:  # fmt: skip
     """Simulate a scene at several steps and compare with the finest.
 
@@ -96,7 +97,7 @@ def refine(
     progress : bool
         Show progress bars on stderr when it is a terminal.
     **options
-        For `nsdyn.simulate`.
+        For `nsdyn.simulate`, but its dt and files: theta, solver, ...
 
     Returns
     -------
@@ -122,6 +123,7 @@ def refine(
     >>> round(found.rows[0].orders["position"], 1)
     2.0
     """
+    known_only(options, RunOptions.__optional_keys__)
     chosen = sorted({float(dt) for dt in dts}, reverse=True)
     if len(chosen) < 2 or not chosen[-1] > 0.0 or not math.isfinite(chosen[0]):
         raise ValueError(f"dts must be at least two different positive numbers of seconds, got {list(dts)}")
@@ -158,7 +160,7 @@ def order(e1: float, e2: float, h1: float, h2: float, h0: float) -> float:
 
 def _run(
     scene: str | Callable[[], Scene], dt: float, duration: float, parameters: dict[str, Any], progress: bool,
-    options: dict[str, Any],
+    options: RunOptions,
 ) -> Trajectory:  # fmt: skip
     if isinstance(scene, str):
         setup = scenes.setup(scene, **parameters)

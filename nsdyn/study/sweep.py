@@ -10,7 +10,7 @@ from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -18,9 +18,10 @@ from nsdyn.problem.solution import NotConverged
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
-from nsdyn.stepping.simulation import simulate
+from nsdyn.stepping.simulation import Options, simulate
 from nsdyn.study.gathering import gather
 from nsdyn.study.store import Store
+from nsdyn.tools.naming import known_only
 
 __all__ = ["Member", "figures", "sweep"]
 
@@ -52,7 +53,7 @@ def sweep(
     keep: Callable[[Trajectory], Any] | None = None,
     progress: bool = False,
     store: str | Path | None = None,
-    **options: Any,
+    **options: Unpack[Options],
 ) -> list[Member]:
     """Simulate a scene for every combination of parameters.
 
@@ -78,7 +79,7 @@ def sweep(
         File to which every run is added when it is done. Where it exists, what it has is not run again. `keep` must
         then return what JSON holds: numbers, texts, lists and dicts.
     **options
-        For `nsdyn.simulate`: dt, theta, solver, ...
+        For `nsdyn.simulate`, but its files: dt, theta, solver, ...
 
     Returns
     -------
@@ -97,6 +98,7 @@ def sweep(
     >>> [(run.parameters, round(run.result, 4)) for run in runs]
     [({'mu': 0.25}, 1.5095), ({'mu': 0.5}, 1.019)]
     """
+    known_only(options, Options.__optional_keys__)
     for name, values in parameters.items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
             raise ValueError(f"{name} must have a list of at least one value, got {values!r}")
@@ -141,7 +143,7 @@ def _gathered(
 
 
 def _opened(
-    store: str | Path | None, scene: str | Callable[..., Scene], duration: float, keep: Any, options: dict[str, Any]
+    store: str | Path | None, scene: str | Callable[..., Scene], duration: float, keep: Any, options: Options
 ) -> AbstractContextManager[Store | None]:
     """The store of a sweep, to be used in a with statement."""
     if store is None:
@@ -163,16 +165,15 @@ def _run(
     parameters: dict[str, Any],
     duration: float,
     keep: Callable[[Trajectory], Any] | None,
-    options: dict[str, Any],
+    options: Options,
 ) -> tuple[Any, str, bool]:
     """One simulation, wherever it runs: (result, why there is none, whether it was refused)."""
     try:
         if isinstance(scene, str):
             setup = scenes.setup(scene, **parameters)
-            built, options = setup.scene, setup.options(**options)
+            trajectory = simulate(setup.scene, duration, **setup.options(**options))
         else:
-            built = scene(**parameters)
-        trajectory = simulate(built, duration, **options)
+            trajectory = simulate(scene(**parameters), duration, **options)
         return trajectory if keep is None else keep(trajectory), "", False
     except NotConverged as failure:
         return None, str(failure), False

@@ -57,7 +57,7 @@ def check_folder(path: str | Path) -> None:
     there = resolved(path)
     while not os.path.lexists(there):
         there = there.parent
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+    if not there.is_dir() or not _may(there, os.W_OK | os.X_OK):
         raise ValueError(f"cannot write in {path}: {'permission denied' if there.is_dir() else f'{there} is a file'}")
 
 
@@ -68,10 +68,13 @@ def _check_writable(path: str | Path) -> None:
         raise ValueError(f"cannot write {path}: it is a folder")
     if not special and not target.parent.is_dir():
         raise ValueError(f"cannot write {path}: there is no folder {target.parent}")
-    if not os.access(path if special else target.parent, os.W_OK) or (
-        target.exists() and not os.access(target, os.W_OK)
-    ):
+    if not _may(path if special else target.parent, os.W_OK) or (target.exists() and not _may(target, os.W_OK)):
         raise ValueError(f"cannot write {path}: permission denied")
+
+
+def _may(path: str | Path, mode: int) -> bool:
+    """`os.access` by the rights that opening goes by, the effective ones, where the system can tell."""
+    return os.access(path, mode, effective_ids=os.access in os.supports_effective_ids)
 
 
 @contextmanager

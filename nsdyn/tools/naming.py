@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
-__all__ = ["choice", "meant"]
+__all__ = ["choice", "known_only", "meant"]
 
 
 def choice(value: Any, known: Iterable[str], what: str) -> str:
@@ -15,6 +15,13 @@ def choice(value: Any, known: Iterable[str], what: str) -> str:
     if not isinstance(value, str) or value not in names:
         raise ValueError(f"{what} must be one of {', '.join(names) or 'none'}; got {value!r}{meant(value, names)}")
     return value
+
+
+def known_only(keywords: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse keywords that are not known with a ValueError naming those there are, and the one that was meant."""
+    names = sorted(known)
+    for unknown in sorted(set(keywords) - set(names)):
+        raise ValueError(f"unknown argument {unknown!r}; known are {names}{meant(unknown, names)}")
 
 
 def meant(value: Any, known: Iterable[str]) -> str:
