@@ -421,19 +421,72 @@ def test_driven_joint_moves_as_told_and_its_work_is_booked():
     assert trajectory.energy.constraint.sum() == pytest.approx(total[-1] - total[0], abs=5e-6)  # O(h²), of 13 J
 
 
-def test_bodies_and_links_that_cannot_give_way_ignore_each_other():
-    """A driven wall through the ground and a driven rod through it: no contact of theirs could be solved."""
+def swinging(rate, depth, **keywords):
+    """A scene with a driven crank of 0.5 m whose tip, a ball, meets the ground `depth` [m] above its lowest place."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground", offset=-0.52 + depth)
+    tip = {"j0": [(shapes.sphere(0.02), at((0, 0, -0.5)))]}
+    add(scene, "arm", pendulum(1), q=(1.2,), collisions=tip, **keywords)
+    scene.set_motion("arm/j0", rate)
+    return scene
+
+
+@pytest.mark.parametrize(("rate", "dt"), [(-1.0, 5e-3), (-1.0, 1e-2), (-50.0, 5e-2), (lambda t: -3.0 * t, 2e-3)])
+def test_a_driven_link_does_not_go_through_the_ground(rate, dt):
+    with pytest.raises(
+        ValueError, match=r"prescribed motions contradict: 'ground' and 'arm/j0_0' overlap by [\d.e-]+ m at"
+    ):
+        nd.simulate(swinging(rate, 0.1), 1.5, dt)
+    run = nd.simulate(swinging(rate, -1e-3), 0.5, dt)
+    assert run.solver.status.max() == 0 and nd.check(run).passed
+
+
+def test_a_driven_link_that_touches_goes_on_and_is_audited():
+    """It reaches a thousandth of its radius into the ground: no more than what a scene may start with, and told."""
+    run = nd.simulate(swinging(-1.0, 2e-5), 1.5, 5e-3)
+    into = 0.5 * np.cos(run.q[1:, 0]) > 0.5 - 2e-5 + 1e-9
+    np.testing.assert_array_equal(run.solver.status == nd.Status.OVERLAP, into)
+    audit = nd.check(run)
+    assert not audit.passed and audit["overlap"].worst == pytest.approx(2e-5 / 0.04, rel=0.01)
+
+
+def test_driven_bodies_do_not_go_through_each_other():
+    scene = nd.Scene()
+    for name, x, speed in (("left", -1.0, 80.0), ("right", 1.0, -80.0)):
+        scene.add_box(name, (0.01, 1.0, 1.0), position=(x, 0, 0), fixed=True)
+        scene.set_motion(name, (speed, 0, 0))
+    # They have changed sides after a step.
+    with pytest.raises(ValueError, match="prescribed motions contradict: 'left' and 'right' overlap"):
+        nd.simulate(scene, 0.1, 5e-2)
+
+
+def test_a_driven_joint_ends_at_its_limit():
+    def driven(upper):
+        scene, model = nd.Scene(), pendulum(1)
+        model.lowerPositionLimit, model.upperPositionLimit = np.array([-1.0]), np.array([upper])
+        scene.add_model("a", model)
+        scene.set_motion("a/j0", 1.0)
+        return nd.simulate(scene, 0.25, 1e-2)
+
+    assert driven(0.25).q[-1] == pytest.approx(0.25, abs=1e-12)
+    with pytest.raises(ValueError, match=r"contradict: joint 'a/j0' is 0\.01 rad or m beyond its limits, -1 and 0\.1"):
+        driven(0.1)
+
+
+def test_driven_bodies_and_links_move_beside_what_is_there():
+    """A driven wall on the ground and a driven rod above it: nothing pushes them, and they push what gives way."""
     scene = nd.Scene()
     scene.add_halfspace("ground")
-    scene.add_box("wall", (0.1, 0.1, 1), position=(1, 0, 0.4), fixed=True)
+    scene.add_box("wall", (0.1, 0.1, 1), position=(1, 0, 0.5), fixed=True)
     scene.set_motion("wall", velocity=(0.5, 0, 0))
     rod = {"j0": [(shapes.sphere(0.1), at((0, 0, -1.0)))]}
-    add(scene, "a", pendulum(2), position=(0, 0, 1.0), collisions=rod, q=(0.0, 3.0))
+    add(scene, "a", pendulum(2), position=(0, 0, 1.1), collisions=rod, q=(0.0, 3.0))
     scene.set_motion("a/j0", velocity=2.0)
     scene.add_sphere("ball", 0.1, 1.0, position=(1.16, 0, 0.1))
     trajectory = nd.simulate(scene, 0.1)
     touched = {frozenset((c.body1[0], c.body2[0])) for c in map(trajectory.contacts, range(1, 101)) if len(c)}
     assert touched <= {frozenset(("ground", "ball")), frozenset(("wall", "ball"))} and touched
+    assert nd.check(trajectory)["overlap"].passed
 
 
 def test_wrong_motions_are_refused():

@@ -52,6 +52,13 @@ class Dynamics:
     Parameters
     ----------
     scene : Scene
+
+    Attributes
+    ----------
+    held : ndarray of bool, shape (frames,)
+        Frames that nothing but prescribed motion moves.
+    prescribed : bool
+        Whether there are such frames or joint coordinates.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -100,6 +107,10 @@ class Dynamics:
         self.weight = float(np.linalg.norm(self.gravity))
         self.no_impulses = NO_VECTORS, np.zeros((3, self.n))
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
+        self.held = np.concatenate(
+            [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(len(driven), np.bool_)]
+        )
+        self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
         self.surfaces = Surfaces(scene)
         self.alone = self.frames == self.free and not self.trees and not self.surfaces.count
         starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]

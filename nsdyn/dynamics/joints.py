@@ -73,11 +73,11 @@ class JointLaws:
         table = []
         for block, (a, t) in enumerate(zip(articulations, trees, strict=True), start=first):
             start = t.coordinates.start
-            lower, upper = t.limits() if a.limits else (np.full(a.model.nv, -np.inf), np.full(a.model.nv, np.inf))
+            lower, upper = t.limits()
             for j in range(a.model.nv):
                 near = NEAR * (upper[j] - lower[j]) if np.isfinite(upper[j] - lower[j]) else NEAR
                 for sign, bound in ((1.0, lower[j]), (-1.0, upper[j])):
-                    if np.isfinite(bound):
+                    if np.isfinite(bound) and not t.held[j]:
                         table.append((start + j, block, sign, bound, near, a.restitution))
                 if a.friction[j] > 0.0:
                     table.append((start + j, block, 0.0, a.friction[j], 0.0, 0.0))

@@ -16,7 +16,7 @@ from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, L
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.control import PD
 from nsdyn.scene.prescribed import Motion
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.naming import meant
 
 __all__ = ["Tree"]
@@ -38,6 +38,9 @@ order errs by the square of that: round-off of the velocity itself."""
 Control = tuple[Array, Array, Array, Array, Array]
 """(kp, kd, target, constant, limit) of a control."""
 
+HELD = 1e-12
+"""Velocity, per root of a kinetic energy of ½ J, that is round-off of 0: of a ball of 1e24 kg."""
+
 DIFFERENCE = 1e-5
 """Step of central differences of smooth functions, rad, m or s: truncation and round-off are both of 1e-10."""
 
@@ -57,6 +60,13 @@ class Tree:
         Index of the first of these frames.
     driven : mapping of int to Motion
         Coordinates whose velocity is prescribed.
+
+    Attributes
+    ----------
+    held : ndarray of bool, shape (nv,)
+        Coordinates that nothing but prescribed motion moves: driven ones, and those that loops then leave no freedom.
+    held_links : ndarray of bool, shape (k,)
+        The links of `joints` that nothing else moves.
     """
 
     def __init__(
@@ -97,6 +107,7 @@ class Tree:
         self.scalar = scalar
         self._springs = bool(a.stiffness.any())
         self._implicit = self._springs or bool(a.damping.any())
+        self._limited = a.limits
         self.driven = tuple(driven.values())
         self._driven_rows = np.zeros((len(driven), nv))
         self._driven_rows[np.arange(len(driven)), list(driven)] = 1.0
@@ -113,6 +124,7 @@ class Tree:
         self._round[[j for j, _ in self._turning]] = True
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self._turns = self._J[3:].any(axis=0)
+        self.held, self.held_links = self._held(a.q)
 
     def _scalar_coordinates(self) -> tuple[Index, Index, list[tuple[int, int]]]:
         """Coordinates whose rate is the velocity, their places in q, and (v, q) places of joints given by cos, sin."""
@@ -130,9 +142,15 @@ class Tree:
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper limits of the joint coordinates, (nv,) each, infinite where there are none."""
         lower, upper = np.full(self.model.nv, -np.inf), np.full(self.model.nv, np.inf)
-        lower[self._linear] = self.model.lowerPositionLimit[self._linear_q]
-        upper[self._linear] = self.model.upperPositionLimit[self._linear_q]
+        if self._limited:
+            lower[self._linear] = self.model.lowerPositionLimit[self._linear_q]
+            upper[self._linear] = self.model.upperPositionLimit[self._linear_q]
         return lower, upper
+
+    def joint_of(self, coordinate: int) -> str:
+        """Name of the joint that a coordinate belongs to."""
+        starts = [joint.idx_v for joint in self.model.joints[1:]]
+        return str(self.model.names[int(np.searchsorted(starts, coordinate, side="right"))])
 
     def angle(self, q: Array) -> Array:
         """Joint coordinates in rad or m, shape (nv,); 0 where a joint has none of its own (free, spherical)."""
@@ -148,6 +166,19 @@ class Tree:
         for j, _ in self._turning:
             out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
         return out
+
+    def _held(self, q: Array) -> tuple[Bools, Bools]:
+        """Which coordinates (nv,) and which links (k,) nothing but prescribed motion moves at q."""
+        nv = self.model.nv
+        if not self.driven:
+            return np.zeros(nv, np.bool_), np.zeros(len(self.joints), np.bool_)
+        q = self.close(q)
+        M = np.array(pin.crba(self.model, self.data, q)).reshape(nv, nv)
+        Z = self._restrict(q, np.linalg.inv(np.linalg.cholesky(M)))[2]
+        J = self.links(q).J
+        fields = np.einsum("ij,kj,jy->kiy", J, self.support, Z)
+        # Of what constraints leave free a velocity of 1 is that of unit kinetic energy: no mass is so large.
+        return np.array((np.abs(Z) <= HELD).all(axis=1)), np.array((np.abs(fields) <= HELD).all(axis=(1, 2)))
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Initial configuration and velocity with closed loops and driven joints at their speed."""

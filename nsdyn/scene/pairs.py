@@ -10,7 +10,7 @@ import numpy as np
 
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.materials import COMBINATION_RULES
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
     from nsdyn.scene.scene import Scene
@@ -64,23 +64,15 @@ def pair_material(scene: Scene, geoms: Sequence[Geom]) -> Callable[[Index, Index
 
 
 def excluded(scene: Scene, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
-    """Pairs of geoms never tested: those that articulations exclude among their links, and held ones."""
+    """Pairs of geoms never tested: those that articulations exclude among their links."""
     out = set()
-    held = _held_frames(scene)
-    stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or g.frame in held] if held else []
-    out |= {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}
     for name, a in scene.articulations.items():
         own = [k for k, g in enumerate(geoms) if g.body == name]
         out |= {(own[i], own[j]) for i, j in a.excluded}
     return out
 
 
-def _held_frames(scene: Scene) -> set[int]:
-    """Frames that nothing but prescribed motion moves: driven bodies, and links that hang on driven joints only."""
-    links, first = scene.link_frames(), len(scene.free_bodies)
-    held = set(range(first + len(links), first + len(links) + len(scene.driven_bodies)))
-    for k, (name, joint) in enumerate(links, start=first):
-        model = scene.articulations[name].model
-        if all(f"{name}/{model.names[j]}" in scene.motions for j in model.supports[joint] if j):
-            held.add(k)
-    return held
+def among(geoms: Sequence[Geom], held: Bools) -> set[tuple[int, int]]:
+    """Pairs of geoms on frames that are `held` (frames,), or of one such and a fixed one."""
+    stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or held[g.frame]] if held.any() else []
+    return {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}

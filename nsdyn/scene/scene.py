@@ -323,6 +323,9 @@ class Scene:
     def set_motion(self, name: str, velocity: Velocity | None = None, surface_velocity: Velocity | None = None) -> None:
         """Prescribe the motion of a fixed body, of its surface, or of a joint; its work is in the ledger.
 
+        It pushes what gives way. Where it goes into what does not, a fixed body, another prescribed motion or the limit
+        of its own joint, a step raises a ValueError that names both, the depth and the time.
+
         Parameters
         ----------
         name : str

@@ -33,6 +33,7 @@ from nsdyn.stepping.initial import begin
 from nsdyn.stepping.instant import Impulses, System
 from nsdyn.stepping.move import Callbacks
 from nsdyn.stepping.passage import through
+from nsdyn.stepping.prescribed import Prescribed
 from nsdyn.stepping.state import Start, State, Step
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
@@ -155,7 +156,9 @@ class Stepper:
         geoms = scene.geoms()
         self.failures = Failures(on_fail, dump_on_fail, [g.name for g in geoms])
         self.dynamics = Dynamics(scene)
-        self.detector = Detector(geoms, pairs.pair_material(scene, geoms), pairs.excluded(scene, geoms), max_points)
+        # Pairs that only prescribed motion moves exert no impulses: no velocity could obey them.
+        apart = pairs.excluded(scene, geoms) | pairs.among(geoms, self.dynamics.held)
+        self.detector = Detector(geoms, pairs.pair_material(scene, geoms), apart, max_points)
         # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
         size = min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
         # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
@@ -173,6 +176,9 @@ class Stepper:
                 f"got {several}",
                 stacklevel=2,
             )
+        self._prescribed = None
+        if self.dynamics.prescribed:
+            self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
         instant, d = begin(self.system, geoms, float(overlap), lift), self.dynamics
         energies = d.energies(instant.position, instant.v, instant.energies)
         self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies, np.zeros(d.free))
@@ -236,6 +242,9 @@ class Stepper:
     def _advance(self) -> Step:
         s = self._state
         now, rate, owed, clear, done, solved, works = through(self.system, s, self._loads)
+        if self._prescribed is not None:
+            depth = self._prescribed.check(s.instant.placement, now.placement, s.t + s.dt)
+            clear = clear and depth <= self.closed
         k = worst(solved)
         if not solved[k][1].accepted:
             self.failures.tell(*solved[k], done[k].contacts, s, self.solver.tol)
