@@ -70,7 +70,8 @@ def excluded(scene: Scene, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
     stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or g.frame in held] if held else []
     out |= {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}
     for name, a in scene.articulations.items():
-        own = [k for k, g in enumerate(geoms) if g.body == name]
+        fixed = {body.name for body in a.fixed}
+        own = [k for k, g in enumerate(geoms) if g.body == name] + [k for k, g in enumerate(geoms) if g.body in fixed]
         out |= {(own[i], own[j]) for i, j in a.excluded}
     return out
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
-__all__ = ["choice", "meant"]
+__all__ = ["check_known", "choice", "meant"]
 
 
 def choice(value: Any, known: Iterable[str], what: str) -> str:
@@ -15,6 +15,13 @@ def choice(value: Any, known: Iterable[str], what: str) -> str:
     if not isinstance(value, str) or value not in names:
         raise ValueError(f"{what} must be one of {', '.join(names) or 'none'}; got {value!r}{meant(value, names)}")
     return value
+
+
+def check_known(given: Iterable[str], known: Iterable[str]) -> None:
+    """ValueError for keywords that are not among the known ones, naming these and the one that was meant."""
+    names = sorted(known)
+    for name in sorted(set(given) - set(names)):
+        raise ValueError(f"unknown argument {name!r}; known are {names}{meant(name, names)}")
 
 
 def meant(value: Any, known: Iterable[str]) -> str:
