@@ -5,7 +5,7 @@
 nd.Scene, nd.Material, nd.scenes           describe a scene, or take a named one
 nd.simulate, nd.Stepper, nd.PD             run it, step by step if need be, under control
 nd.Trajectory                              what happened: states, energies, contacts, forces, certificates, files, pages
-nd.check, nd.compare, nd.plots             audit a motion, say where two part, draw what is recorded
+nd.check, nd.compare, nd.plots             audit a motion or a model, say where two part, draw what is recorded
 nd.sweep, nd.refine                        many parameters, several time steps
 nd.FC3D, nd.solve, nd.solvers, nd.fclib    contact problems alone
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nsdyn.problem.fc3d import FC3D
     from nsdyn.problem.solution import NotConverged, Solution, Status
     from nsdyn.recording import plots
-    from nsdyn.recording.audit import Audit, check
+    from nsdyn.recording.audit import Audit
     from nsdyn.recording.comparison import Comparison, compare
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.scene import named as scenes
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from nsdyn.stepping.simulation import simulate
     from nsdyn.stepping.state import State, Step
     from nsdyn.stepping.stepper import Stepper
+    from nsdyn.study.checking import check
+    from nsdyn.study.inspection import Inspection
     from nsdyn.study.refinement import Refinement, refine
     from nsdyn.study.sweep import sweep
 
@@ -43,6 +45,7 @@ __all__ = [
     "Audit",
     "Comparison",
     "FC3D",
+    "Inspection",
     "PD",
     "Material",
     "NotConverged",
@@ -69,7 +72,7 @@ __all__ = [
 _HOME = {
     "problem.fc3d": ("FC3D",),
     "problem.solution": ("NotConverged", "Solution", "Status"),
-    "recording.audit": ("Audit", "check"),
+    "recording.audit": ("Audit",),
     "recording.comparison": ("Comparison", "compare"),
     "recording.trajectory": ("Trajectory",),
     "scene.control": ("PD",),
@@ -79,6 +82,8 @@ _HOME = {
     "stepping.simulation": ("simulate",),
     "stepping.state": ("State", "Step"),
     "stepping.stepper": ("Stepper",),
+    "study.checking": ("check",),
+    "study.inspection": ("Inspection",),
     "study.refinement": ("Refinement", "refine"),
     "study.sweep": ("sweep",),
 }

@@ -1,5 +1,8 @@
 """Articulated trees in a scene: what is read from robot files and models, and their matrices against Pinocchio."""
 
+import inspect
+import re
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -8,6 +11,8 @@ from scipy.linalg import null_space
 
 import nsdyn as nd
 from nsdyn.scene import pairs, shapes
+from nsdyn.scene.articulations import ArticulationOptions
+from nsdyn.scene.assembly import assemble
 
 
 def loaded(robot, **keywords):
@@ -326,15 +331,26 @@ def test_links_that_overlap_at_the_start_may_stay_apart(crowded):
     with pytest.raises(ValueError, match=r"'r/a_0' and 'r/c_0' overlap .*; self_collisions='apart' of 'r', or an SRDF"):
         nd.Stepper(scene)
     scene = nd.Scene()
-    scene.add_urdf("r", crowded, clip=True, self_collisions="apart")
+    left = "contact of 'a_0' and 'c_0' (0.1 m deep), which overlap at the start"
+    with pytest.warns(UserWarning, match=rf"^'r' leaves out: {re.escape(left)}$"):
+        scene.add_urdf("r", crowded, clip=True, self_collisions="apart")
     a = scene.articulations["r"]
     names = [link.name for link in a.links]
     assert {frozenset((names[i], names[j])) for i, j in a.excluded} == {
         frozenset(("a_0", "c_0")), frozenset(("c_0", "d_0")),
     }, "the overlapping pair and the neighbours, but not a and d"  # fmt: skip
+    assert a.report == (left,)
     nd.Stepper(scene).step()
     with pytest.raises(ValueError, match="self_collisions of 'r' must be True, False or 'apart', got 'together'"):
         nd.Scene().add_urdf("r", crowded, clip=True, self_collisions="together")
+
+
+def test_keywords_are_typed():
+    """Each that `assemble` takes is one that a type checker knows of, and the other way round."""
+    taken = {p.name for p in inspect.signature(assemble).parameters.values() if p.kind == p.KEYWORD_ONLY}
+    assert taken == set(ArticulationOptions.__annotations__)
+    with pytest.raises(ValueError, match=r"unknown argument 'limts'; known are \[.*\]; did you mean 'limits'\?"):
+        nd.Scene().add_model("r", pin.Model(), limts=True)
 
 
 HAND = f"""<robot name="r"><link name="base">{INERTIAL}

@@ -314,10 +314,14 @@ def test_check_of_a_robot(robot, run):
     assert found["name"] == "robot.urdf" and any("transmission" in note for note in found["unused"])
     (ja,) = (joint for joint in found["joints"] if joint["name"] == "robot/ja")
     assert (ja["lower"], ja["upper"], ja["effort"], ja["friction"], ja["damping"]) == (-1.0, 2.0, 9.0, 0.7, 0.5)
-    assert sum(body["mass"] for body in found["masses"]) == pytest.approx(3.0)  # the base is fixed, the tip has none
-    assert code == (0 if found["passed"] else 1)
+    assert [(body["mass"], body["fixed"]) for body in found["masses"]] == [(1.0, True)] + 3 * [(1.0, False)]
+    assert code == 1 and found["missing"] == ["robot: joint 'jc': <mimic> of 'ja', it moves on its own"]
     path.write_text(path.read_text().replace('lower="-1" upper="2"', 'lower="0.5" upper="2"'))
     code, out, _ = run("check", path, "--package-dir", share)
+    assert "4 kg in all, 1 kg of it fixed, moving from 1 to 1 kg" in out.splitlines()[0]
+    assert "outside its limits: nothing" in out
+    assert "note: starts outside its limits unless q is given: robot/ja at 0, from 0.5 to 2" in out
+    code, out, _ = run("check", path, "--package-dir", share, "-q", "0,1,0,0")
     assert code == 1 and "outside its limits: robot/ja at 0, from 0.5 to 2" in out
     code, _, err = run("check", path)
     assert code == 2 and "box.stl" in err

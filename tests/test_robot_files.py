@@ -229,7 +229,9 @@ def mjcf(tmp_path):
 
 def loaded_mjcf(path, **keywords):
     scene = nd.Scene()
-    with pytest.warns(UserWarning, match="'m' leaves out: <actuator>"):
+    with pytest.warns(
+        UserWarning, match="'m' leaves out: joint 'jc': range of a ball joint; equality 'joint2' of type 'joint'; <act"
+    ):
         scene.add_mjcf("m", path, **keywords)
     return scene.articulations["m"]
 
@@ -248,15 +250,14 @@ def test_mjcf(mjcf):
     np.testing.assert_array_equal(a.stiffness, [0] * 7 + [5] + [0] * 4 + [2] + [0] * 7)
     np.testing.assert_allclose(a.rest, [0] * 7 + [0.1] + [0] * 4 + [np.pi / 2] + [0] * 7, rtol=1e-15)
     names = [(link.name, link.joint) for link in a.links]
-    assert names == [
-        ("floor", 0), ("t", 1), ("ga", 2), ("gb", 3), ("gc", 4), ("d_0", 5), ("g2", 6), ("ge", 7),
-    ]  # fmt: skip
-    assert a.links[0].shape.kind == shapes.HALFSPACE
-    assert a.report == (
-        "<actuator>", "contact: <pair> of 'ga' and 'gb'", "joint 'jc': range of a ball joint",
-        "equality 'joint2' of type 'joint'", "mujoco: <option> (1)", "mujoco: <sensor> (1)",
-        "body 'world': <light> (1)", "keyframe 'home'",
+    assert names == [("t", 1), ("ga", 2), ("gb", 3), ("gc", 4), ("d_0", 5), ("g2", 6), ("ge", 7)]
+    assert [(body.name, body.shape.kind) for body in a.fixed] == [("m/floor", shapes.HALFSPACE)]
+    assert a.missing == ("joint 'jc': range of a ball joint", "equality 'joint2' of type 'joint'")
+    assert a.dropped == ("<actuator> 'ja'", "contact: <pair> of 'ga' and 'gb'")
+    assert a.unused == (
+        "mujoco: <option> (1)", "mujoco: <sensor> (1)", "body 'world': <light> (1)", "keyframe 'home'",
     )  # fmt: skip
+    assert a.report == (*a.missing, *a.dropped, *a.unused)
 
 
 def test_mjcf_names_every_attribute_it_leaves_out(tmp_path):
@@ -277,7 +278,7 @@ def test_mjcf_names_every_attribute_it_leaves_out(tmp_path):
 
 def test_mjcf_masks_and_exclusions(mjcf):
     a = loaded_mjcf(mjcf)
-    names = [link.name for link in a.links]
+    names = [*(link.name for link in a.links), "floor"]
     pairs = {frozenset((names[i], names[j])) for i, j in a.excluded}
     assert frozenset(("t", "gb")) in pairs, "<exclude>"
     assert {frozenset(("gc", n)) for n in names if n != "gc"} <= pairs, "masks 2 and 4 meet no 1"

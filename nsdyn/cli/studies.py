@@ -11,8 +11,6 @@ from nsdyn.cli.simulation import add_solver, chosen_solver
 
 __all__ = ["add_check", "add_compare", "add_study", "check_anything", "compare_recordings", "study_steps"]
 
-RECORDINGS = ".h5", ".hdf5"
-
 
 def add_study(parser: argparse.ArgumentParser) -> None:
     """The options of ``nsdyn study`` besides its scene."""
@@ -83,8 +81,14 @@ def add_check(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="parameter of the scene; may be repeated"
     )
+    parser.add_argument("--base", choices=("fixed", "free"), help="of a URDF (default: fixed)")
+    parser.add_argument("--keyframe", metavar="NAME", help="that an MJCF file starts from")
     parser.add_argument(
-        "--package-dir", metavar="DIR", action="append", default=[], type=Path,
+        "-q", metavar="Q,Q,...",
+        help="where a robot starts, Pinocchio's order, with commas between; -q=-1,2 if the first is negative",
+    )  # fmt: skip
+    parser.add_argument(
+        "--package-dir", metavar="DIR", action="append", type=Path,
         help="where the meshes of a robot are looked up; may be repeated",
     )  # fmt: skip
     add_json(parser)
@@ -94,16 +98,23 @@ def check_anything(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn check``: 0 only if all is well."""
     import nsdyn
     from nsdyn.scene import settings
-    from nsdyn.study import inspection
+    from nsdyn.study import checking, inspection
 
-    what, suffix = arguments.what, Path(arguments.what).suffix.lower()
-    found: Any
-    if suffix in RECORDINGS:
-        found = nsdyn.check(nsdyn.Trajectory.load(what))
-    elif suffix in inspection.ROBOTS:
-        found = inspection.inspect_robot(what, arguments.package_dir)
-    else:
-        setup = nsdyn.scenes.setup(what, **settings.values(what, arguments.set))
-        found = inspection.inspect_scene(setup.scene, what)
+    what, ending = arguments.what, Path(arguments.what).suffix.lower()
+    options: dict[str, Any] = {}
+    for name, given in (("base", arguments.base), ("keyframe", arguments.keyframe), ("q", arguments.q)):
+        if given is not None:
+            options[name] = given
+    if arguments.package_dir:
+        options["package_dirs"] = arguments.package_dir
+    if options and ending not in inspection.ROBOTS:
+        raise ValueError(f"{next(iter(options))} is for robot files, which {what} is not")
+    if arguments.q is not None:
+        options["q"] = [settings.parse(text, 0.0, "-q") for text in arguments.q.split(",")]
+    if arguments.set:
+        if ending in (*inspection.ROBOTS, *checking.RECORDINGS):
+            raise ValueError(f"--set is for scenes, which {what} is not")
+        options = settings.values(what, arguments.set)
+    found = nsdyn.check(what, **options)
     say_found(arguments, found)
     return 0 if found.passed else 1

@@ -81,7 +81,7 @@ class Dynamics:
                 a.model.joints[a.model.getJointId(joint)].idx_v: m
                 for key, m in scene.motions.items()
                 for owner, _, joint in [key.partition("/")]
-                if owner == name
+                if owner == name and m.kind == "joint"
             }
             self.trees.append(Tree(a, self.gravity, start, joints, first, motions))
             start, first = start + a.model.nv, first + len(joints)

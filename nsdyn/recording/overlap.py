@@ -107,7 +107,7 @@ class Solid:
             reach, extent = float(size.max()), 2.0 * float(size.min())
         elif kind in ("box", "convex"):
             corners = np.array(shape["vertices"], dtype=float)
-            normals, edges, feet, depth = _features(corners)
+            normals, edges, feet, depth = _features(corners, str(shape.get("name", kind)))
             reach, extent = float(np.linalg.norm(corners, axis=1).max()), 2.0 * depth
         else:
             raise ValueError(f"shape must be one that Shape.describe names, got {kind!r}")
@@ -413,11 +413,14 @@ def _sphere(count: int) -> Array:
     return np.column_stack([side * np.cos(turn), side * np.sin(turn), z])
 
 
-def _features(corners: Array) -> tuple[Array, Array, Array, float]:
+def _features(corners: Array, name: str) -> tuple[Array, Array, Array, float]:
     """Normals, edges, lines of edges and distance of the closest face of a hull, from its corners alone."""
-    from scipy.spatial import ConvexHull  # a tenth of a second that spheres do not need
+    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that spheres do not need
 
-    hull = ConvexHull(corners)
+    try:
+        hull = ConvexHull(corners)
+    except QhullError:
+        raise ValueError(f"{name!r} must be thicker than the rounding of its corners for its overlaps") from None
     normals, depth = hull.equations[:, :3], float(-hull.equations[:, 3].max())
     lines = []
     for facet, neighbours in enumerate(hull.neighbors):

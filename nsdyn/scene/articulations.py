@@ -6,19 +6,28 @@ work with.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks
+from nsdyn.scene.bodies import Body
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Articulation", "Description", "Link", "Loop", "check_count", "check_size", "describe_model"]
+__all__ = [
+    "WORLD", "Articulation", "ArticulationOptions", "Description", "Link", "Loop", "check_count", "check_size",
+    "describe_model",
+]  # fmt: skip
+
+WORLD = "world"
+"""Name of the body of an MJCF file that does not move."""
 
 COORDINATES = 256
 """Most of a tree: Pinocchio's data hold three-way tables of them, 64 nv³ bytes, which is 1 GB."""
@@ -88,10 +97,16 @@ class Articulation:
     effort : ndarray, shape (nv,)
         Most that a `nsdyn.PD` control gives unless it says otherwise, N m or N; infinite for none.
     loops : tuple of Loop
+    fixed : tuple of Body
+        What the file holds besides its trees: the shapes of its world, which are bodies of the scene.
     excluded : frozenset of (int, int)
-        Pairs of `links`, by index, that are never tested for contact.
-    report : tuple of str
-        What the file contains that is not used.
+        Pairs of `links` and, counted after them, `fixed`, by index, that are never tested for contact.
+    missing : tuple of str
+        What is not used of the file and without which the mechanism is another: shapes, masses, constraints.
+    dropped : tuple of str
+        What else is not used and changes the motion.
+    unused : tuple of str
+        What is not used besides, for instance pictures.
     """
 
     name: str
@@ -110,8 +125,16 @@ class Articulation:
     rest: Array
     effort: Array
     loops: tuple[Loop, ...] = ()
+    fixed: tuple[Body, ...] = ()
     excluded: frozenset[tuple[int, int]] = frozenset()
-    report: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
+
+    @property
+    def report(self) -> tuple[str, ...]:
+        """All that the file contains and is not used."""
+        return (*self.missing, *self.dropped, *self.unused)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +158,11 @@ class Description:
         Pairs of links, by name, that are never tested for contact.
     world_touches : bool
         Whether the links that joints join to the world may touch it, as in MJCF.
-    dropped : tuple of str
-        What is not used and changes the motion; it is warned of.
-    unused : tuple of str
-        What is not used besides, for instance pictures.
+    trees : mapping of str to str
+        Where the file holds several, that of every body and joint, by name: what one body of its world carries. Links
+        of different trees are no robot's own. `WORLD` is that of what is fixed.
+    missing, dropped, unused : tuple of str
+        What is not used, as in `Articulation`; the first two are warned of.
     flaws : tuple of str
         What no body can have in the inertias.
     materials : mapping of str to Material
@@ -155,10 +179,34 @@ class Description:
     excluded: frozenset[frozenset[str]] = frozenset()
     filtered: frozenset[frozenset[str]] = frozenset()
     world_touches: bool = False
+    trees: Mapping[str, str] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
     flaws: tuple[str, ...] = ()
     materials: Mapping[str, Material] = field(default_factory=dict)
+
+
+class ArticulationOptions(TypedDict, total=False):
+    """Keywords of ``Scene.add_urdf`` and its like; see `Scene.add_model`."""
+
+    position: ArrayLike
+    quaternion: ArrayLike
+    q: ArrayLike | None
+    v: ArrayLike | None
+    material: Material | Mapping[str, Material] | None
+    collisions: bool | Mapping[str, Sequence[Any]]
+    self_collisions: bool | str
+    srdf: str | Path | None
+    limits: bool
+    clip: bool
+    restitution: float
+    friction: ArrayLike | None
+    damping: ArrayLike | None
+    armature: ArrayLike | None
+    stiffness: ArrayLike | None
+    rest: ArrayLike | None
+    inertias: str
 
 
 def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str] = (), **more: Any) -> Description:

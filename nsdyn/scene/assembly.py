@@ -15,10 +15,11 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks, exclusions
-from nsdyn.scene.articulations import Articulation, Description, Link, Loop, check_size
+from nsdyn.scene.articulations import WORLD, Articulation, Description, Link, Loop, check_size
+from nsdyn.scene.bodies import Body, BodyOptions, make_body
 from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.materials import Material
-from nsdyn.scene.shapes import Shape
+from nsdyn.scene.shapes import HALFSPACE, Shape, halfspace
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
@@ -57,10 +58,10 @@ def assemble(
     check_size(name, description.model)
     model = description.model.copy()
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
-    dropped, unused = list(description.dropped), list(description.unused)
+    unused = list(description.unused)
     if description.flaws and choice(inertias, ("check", "trust"), f"inertias of {name!r}") == "check":
         raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
-    dropped += description.flaws
+    dropped = [*description.dropped, *description.flaws]
 
     of_joints = partial(_of_joints, name, free)
     _check_choices(name, limits, clip, self_collisions)
@@ -88,25 +89,38 @@ def assemble(
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
     materials = _materials(name, material, links, bodies, description.materials)
     _check_joints(name, model, q0, limits, in_joints["stiffness"])
-    named = {
-        (i, j)
-        for i, j in combinations(range(len(links)), 2)
-        if not self_collisions
-        or {bodies[i], bodies[j]} in excluded
-        or {links[i].name, links[j].name} in description.filtered
-    }
-    if dropped:
-        more = [f"{len(dropped) - SHOWN} more, in its report"] if len(dropped) > SHOWN else []
-        warnings.warn(f"{name!r} leaves out: {'; '.join(dropped[:SHOWN] + more)}", stacklevel=4)
-    apart = exclusions.joined(links, exclusions.neighbours(model, loops, description.world_touches)) | named
+    trees = [description.trees.get(body) for body in bodies]
+    n = len(trees) - trees.count(WORLD)
+    apart = exclusions.filtered(links, bodies, excluded, description.filtered, n)
+    apart |= exclusions.joined(links[:n], exclusions.neighbours(model, loops, description.world_touches))
+    if not self_collisions:
+        apart |= {(i, j) for i, j in combinations(range(n), 2) if trees[i] == trees[j]}
     if self_collisions == "apart":
-        apart |= exclusions.overlapping(model, q0, links, apart)
+        overlaps = exclusions.overlapping(model, q0, links[:n], trees, apart)
+        pairs = [f"{links[i].name!r} and {links[j].name!r} ({d:.3g} m deep)" for (i, j), d in overlaps.items()]
+        dropped[:0] = [f"contact of {', '.join(pairs)}, which overlap at the start"] if pairs else []
+        apart |= overlaps.keys()
+    _warn(name, [*description.missing, *dropped])
     return Articulation(
-        name, model, links, bodies, q0, v0, materials, limits,
+        name, model, links[:n], bodies[:n], q0, v0, materials[:n], limits,
         float(restitution), **in_joints, rest=rest0, effort=_effort(model), loops=loops,
-        excluded=apart,
-        report=(*dropped, *unused),
+        fixed=tuple(_fixed(name, *each) for each in zip(links[n:], materials[n:], strict=True)),
+        excluded=apart, missing=description.missing, dropped=tuple(dropped), unused=tuple(unused),
     )  # fmt: skip
+
+
+def _warn(name: str, notes: Sequence[str]) -> None:
+    """Warn of what is left out and changes the motion."""
+    if notes:
+        more = [f"{len(notes) - SHOWN} more, in its report"] if len(notes) > SHOWN else []
+        warnings.warn(f"{name!r} leaves out: {'; '.join([*notes[:SHOWN], *more])}", stacklevel=5)
+
+
+def _fixed(name: str, link: Link, material: Material) -> Body:
+    """A shape of the world of a file as a body of the scene."""
+    x, quaternion = link.placement.translation, pin.Quaternion(link.placement.rotation).coeffs()
+    options: BodyOptions = {"position": x, "quaternion": quaternion, "material": material, "fixed": True}
+    return make_body(f"{name}/{link.name}", link.shape, None, options)
 
 
 def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | str) -> None:
@@ -164,12 +178,12 @@ def _clip(model: Any, q: Array) -> None:
 def _collisions(
     name: str, description: Description, collisions: bool | Mapping[str, Sequence[Any]]
 ) -> tuple[tuple[Link, ...], tuple[str, ...]]:
-    """Links and the bodies they belong to, after the user's choice of shapes."""
-    if isinstance(collisions, bool):
-        return (description.links, description.bodies) if collisions else ((), ())
-    if not isinstance(collisions, Mapping):
+    """Links and the bodies they belong to, after the user's choice of shapes; those of the file's world last."""
+    if collisions is False:
+        return (), ()
+    if collisions is not True and not isinstance(collisions, Mapping):
         raise ValueError(f"collisions of {name!r} must be True, False or {{body: shapes}}, got {collisions!r}")
-    model, kept = description.model, []
+    model, kept, collisions = description.model, [], {} if collisions is True else collisions
     known = {f.name: f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT)}
     for body, link in zip(description.bodies, description.links, strict=True):
         if body not in collisions:
@@ -183,6 +197,7 @@ def _collisions(
                 raise ValueError(f"collisions of {name!r} must be shapes or (Shape, SE3) for {body!r}, got {item!r}")
             frame = known[body]
             kept.append((body, Link(f"{body}_{k}", int(frame.parentJoint), frame.placement * placement, shape)))
+    kept.sort(key=lambda each: description.trees.get(each[0]) == WORLD)
     return tuple(link for _, link in kept), tuple(body for body, _ in kept)
 
 
@@ -230,12 +245,21 @@ def _place(
         return at * placement if joint == 0 else placement
 
     return (
-        tuple(link._replace(placement=moved(link.joint, link.placement)) for link in links),
+        tuple(_flat(link._replace(placement=moved(link.joint, link.placement))) for link in links),
         tuple(
             Loop(c.name, c.joint1, moved(c.joint1, c.placement1), c.joint2, moved(c.joint2, c.placement2), c.kind)
             for c in loops
         ),
     )
+
+
+def _flat(link: Link) -> Link:
+    """A half-space of the world in world axes, as `nsdyn.Scene.add_halfspace` has them; any other link as it is."""
+    if link.joint > 0 or link.shape.kind != HALFSPACE:
+        return link
+    normal = link.placement.rotation @ link.shape.size
+    plane = halfspace(normal, link.shape.offset + normal @ link.placement.translation)
+    return link._replace(placement=pin.SE3.Identity(), shape=plane)
 
 
 def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Array) -> None:

@@ -12,7 +12,7 @@ from nsdyn.scene import checks
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import known_only
+from nsdyn.tools.naming import check_known
 
 __all__ = ["Body", "BodyOptions", "Geom", "make_body"]
 
@@ -111,7 +111,7 @@ DEFAULTS: dict[str, Any] = {
 
 def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions) -> Body:
     """A body, with defaults for what is not given; ValueError naming the argument, what was expected and what came."""
-    known_only(options, DEFAULTS)
+    check_known(options, DEFAULTS)
     given: dict[str, Any] = {**DEFAULTS, **options}
     centre = checks.vector(given["com"], 3, f"com of {name!r}")
     v = checks.vector(given["linear_velocity"], 3, f"linear_velocity of {name!r}")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from nsdyn.scene.articulations import Link, Loop
 
 
-__all__ = ["FREE", "disabled_pairs", "joined", "neighbours", "overlapping"]
+__all__ = ["FREE", "disabled_pairs", "filtered", "joined", "neighbours", "overlapping"]
 
 FREE = "JointModelFreeFlyer"
 
@@ -44,6 +44,22 @@ def disabled_pairs(name: str, path: Path, model: Any, unused: list[str]) -> set[
     return out
 
 
+def filtered(
+    links: Sequence[Link],
+    bodies: Sequence[str],
+    of_bodies: set[frozenset[str]],
+    of_links: frozenset[frozenset[str]],
+    moving: int,
+) -> frozenset[tuple[int, int]]:
+    """Pairs of links, by index, that files name, by their bodies or themselves; one of both is among the `moving`."""
+    return frozenset(
+        (i, j)
+        for i in range(moving)
+        for j in range(i + 1, len(links))
+        if {bodies[i], bodies[j]} in of_bodies or {links[i].name, links[j].name} in of_links
+    )
+
+
 def joined(links: Sequence[Link], joined: set[frozenset[int]]) -> frozenset[tuple[int, int]]:
     """Pairs of links, by index, that share a joint or hang on two joints that are `joined`."""
     return frozenset(
@@ -63,19 +79,22 @@ def neighbours(model: Any, loops: Sequence[Loop], world_touches: bool) -> set[fr
     return out
 
 
-def overlapping(model: Any, q: Array, links: Sequence[Link], apart: frozenset[tuple[int, int]]) -> set[tuple[int, int]]:
-    """Pairs of links, by index, that overlap at q, save those that are kept `apart` already."""
+def overlapping(
+    model: Any, q: Array, links: Sequence[Link], trees: Sequence[str | None], apart: frozenset[tuple[int, int]]
+) -> dict[tuple[int, int], float]:
+    """Pairs of links of one tree, by index, that overlap at q and are not `apart` already, and how deep [m]."""
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     poses = [data.oMi[link.joint] * link.placement for link in links]
     places = [coal.Transform3s(pose.rotation, pose.translation) for pose in poses]
-    out = set()
+    out = {}
     for i, j in combinations(range(len(links)), 2):
         a, b = links[i].shape, links[j].shape
         far = np.linalg.norm(poses[i].translation - poses[j].translation) > a.bounding_radius + b.bounding_radius
-        if far or (i, j) in apart or HALFSPACE == a.kind == b.kind:
+        if far or trees[i] != trees[j] or (i, j) in apart or HALFSPACE == a.kind == b.kind:
             continue
         pair = a.geometry, places[i], b.geometry, places[j]
-        if coal.collide(*pair, coal.CollisionRequest(), coal.CollisionResult()):
-            out.add((i, j))
+        found = coal.CollisionResult()
+        if coal.collide(*pair, coal.CollisionRequest(), found):
+            out[i, j] = -float(found.getContact(0).penetration_depth)
     return out

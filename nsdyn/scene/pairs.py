@@ -67,7 +67,8 @@ def excluded(scene: Scene, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
     """Pairs of geoms never tested: those that articulations exclude among their links."""
     out = set()
     for name, a in scene.articulations.items():
-        own = [k for k, g in enumerate(geoms) if g.body == name]
+        fixed = {body.name for body in a.fixed}
+        own = [k for k, g in enumerate(geoms) if g.body == name] + [k for k, g in enumerate(geoms) if g.body in fixed]
         out |= {(own[i], own[j]) for i, j in a.excluded}
     return out
 

@@ -5,7 +5,6 @@ A scene only collects and checks; nothing is simulated here. SI units, world fra
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,13 +15,13 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from nsdyn.scene import assembly, checks, description, robot_files, shapes
-from nsdyn.scene.articulations import Articulation, Description
+from nsdyn.scene.articulations import Articulation, ArticulationOptions, Description
 from nsdyn.scene.bodies import Body, BodyOptions, Geom, make_body
 from nsdyn.scene.materials import COMBINATION_RULES, Material
 from nsdyn.scene.prescribed import Motion, Velocity
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import choice, meant
+from nsdyn.tools.naming import check_known, choice, meant
 
 __all__ = ["Scene"]
 
@@ -183,7 +182,9 @@ class Scene:
 
     # -- articulations -----------------------------------------------------------------------------------------
 
-    def add_model(self, name: str, model: Any, geometry_model: Any | None = None, **keywords: Any) -> None:
+    def add_model(
+        self, name: str, model: Any, geometry_model: Any | None = None, **keywords: Unpack[ArticulationOptions]
+    ) -> None:
         """Add an articulated tree: one Pinocchio model, its collision shapes on its links.
 
         Parameters
@@ -199,12 +200,13 @@ class Scene:
         q, v : sequences, shapes (nq,), (nv,)
             Initial configuration and velocity, Pinocchio's convention; those of a free base may be left out.
         material : Material or mapping
-            Of all links, or {body: Material}, in place of the friction that an MJCF or SDF file gives.
+            Of all shapes, or {body: Material}, in place of the friction that an MJCF or SDF file gives.
         collisions : bool or mapping
             False for none, or {body: shapes in place of the file's}, each a Shape or (Shape, SE3 in the body's frame).
         self_collisions : bool or "apart"
             Whether its links may touch each other, save those that a joint or a loop joins; with "apart" also save
-            those that overlap in the initial configuration.
+            those that overlap in the initial configuration, which a warning names. Of an MJCF file with several trees
+            it is of the links of each: trees touch each other and the world.
         srdf : path, optional
             Its ``disable_collisions`` are obeyed.
         limits : bool
@@ -235,7 +237,7 @@ class Scene:
         path: str | Path,
         base: str = "fixed",
         package_dirs: Sequence[str | Path] = (),
-        **keywords: Any,
+        **keywords: Unpack[ArticulationOptions],
     ) -> None:
         """Add an articulated tree from a URDF file; see `add_model` for the other keywords.
 
@@ -252,21 +254,30 @@ class Scene:
         description = robot_files.read_urdf(name, checks.path(path, f"path of {name!r}"), base, folders)
         self._add_articulation(name, description, keywords)
 
-    def add_mjcf(self, name: str, path: str | Path, keyframe: str | None = None, **keywords: Any) -> None:
+    def add_mjcf(
+        self, name: str, path: str | Path, keyframe: str | None = None, **keywords: Unpack[ArticulationOptions]
+    ) -> None:
         """Add the articulated trees of an MJCF file; see `add_model` for the other keywords.
 
         Parameters
         ----------
         name : str
         path : path
-            Its bases are fixed or free as it says; geoms of its world are fixed.
+            Its bases are fixed or free as it says. The geoms of its world, and of bodies there that carry no joint, are
+            fixed bodies of the scene, "name/geom"; its body "world" has the former in `material` and `collisions`.
         keyframe : str, optional
             Name of the one to start from.
         """
         description = robot_files.read_mjcf(name, checks.path(path, f"path of {name!r}"), keyframe)
         self._add_articulation(name, description, keywords)
 
-    def add_sdf(self, name: str, path: str | Path, package_dirs: Sequence[str | Path] = (), **keywords: Any) -> None:
+    def add_sdf(
+        self,
+        name: str,
+        path: str | Path,
+        package_dirs: Sequence[str | Path] = (),
+        **keywords: Unpack[ArticulationOptions],
+    ) -> None:
         """Add the articulated tree of an SDF file with one model; see `add_model` for the other keywords.
 
         Parameters
@@ -308,15 +319,13 @@ class Scene:
             self.articulations[articulation], name, frame1, frame2, position, quaternion, kind
         )
 
-    def _add_articulation(self, name: str, description: Description, keywords: dict[str, Any]) -> None:
+    def _add_articulation(self, name: str, description: Description, keywords: ArticulationOptions) -> None:
         self._check_name(name)
-        known = [p.name for p in inspect.signature(assembly.assemble).parameters.values() if p.kind == p.KEYWORD_ONLY]
-        unknown = sorted(set(keywords) - set(known))
-        if unknown:
-            raise ValueError(f"unknown argument {unknown[0]!r}; known are {sorted(known)}{meant(unknown[0], known)}")
+        check_known(keywords, ArticulationOptions.__optional_keys__)
         articulation = assembly.assemble(name, description, **keywords)
         articulation.model.gravity = pin.Motion(self.gravity, np.zeros(3))
         self.articulations[name] = articulation
+        self.bodies |= {body.name: body for body in articulation.fixed}
 
     # -- prescribed motion -------------------------------------------------------------------------------------
 
@@ -344,7 +353,7 @@ class Scene:
         if (velocity is None) == (surface_velocity is None):
             raise ValueError(f"motion of {name!r} needs either velocity or surface_velocity")
         owner, _, joint = name.partition("/")
-        if joint and owner in self.articulations:
+        if name not in self.bodies and owner in self.articulations:
             a = self.articulations[owner]
             if joint not in list(a.model.names)[1:]:
                 raise ValueError(f"{owner!r} has no joint {joint!r}; it has {list(a.model.names)[1:]}")

@@ -62,7 +62,7 @@ def _overlap(geoms: list[Geom], contacts: ContactSet, most: float) -> str:
     size = min(g.shape.inscribed_radius for g in (a, b) if g.frame >= 0)
     where = f"{a.name!r} and {b.name!r} overlap at the start by {depth:.3g} m"
     if depth > most * size:
-        remedy = f"; self_collisions='apart' of {a.body!r}, or an SRDF file, keeps such links from touching"
+        remedy = f"; self_collisions='apart' of {a.body!r}, or an SRDF file, keeps links of one robot from touching"
         remedy = remedy if a.body == b.body else ""
         raise ValueError(f"{where}, more than {most:.0%} of the smaller one's radius ({size:.3g} m){remedy}")
     # Less is the rounding of a user's own numbers.

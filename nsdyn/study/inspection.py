@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,22 +23,30 @@ __all__ = ["ROBOTS", "Inspection", "Joint", "Mass", "inspect_robot", "inspect_sc
 ROBOTS = (".urdf", ".sdf", ".xml", ".mjcf")
 """Endings of the names of robot files."""
 
+UNITS = {"at": "rad, m", "lower": "rad, m", "upper": "rad, m", "effort": "N m, N", "friction": "N m, N",
+         "damping": "N m s, N s/m"}  # fmt: skip
+"""Of the columns of the table of joints."""
+
+ONLY = {"base": (".urdf",), "keyframe": (".xml", ".mjcf"), "package_dirs": (".urdf", ".sdf")}
+"""Options of some kinds of robot files, by their endings."""
+
 SHOWN = 40
 """Rows of a table that are printed."""
 
 
 @dataclass(frozen=True)
 class Mass:
-    """A moving body, or what a joint carries: its mass [kg] and principal moments of inertia [kg m²], ascending."""
+    """A body, or what a joint or a fixed base carries: its mass [kg] and principal moments [kg m²], ascending."""
 
     name: str
     mass: float
     moments: tuple[float, float, float]
+    fixed: bool = False
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint coordinate: where it is and its range [rad or m], effort and dry friction [N m or N], damping [per s]."""
+    """A joint coordinate: where it is and its range, what acts in it; units as in `UNITS`, of a turn or a shift."""
 
     name: str
     at: float
@@ -64,8 +72,14 @@ class Inspection:
         Shapes that overlap at the start by more than 1e-7 of the smaller one, and how deep [m], the deepest first.
     outside : tuple of str
         Joints that start outside their limits.
+    missing : tuple of str
+        What files contain that is not used and without which the mechanism is another: shapes, masses, constraints.
+    dropped : tuple of str
+        What else they contain that changes the motion and is not used; inertias that no body can have.
     unused : tuple of str
-        What files contain that is not used, and inertias that no body can have.
+        What is not used besides, for instance pictures.
+    notes : tuple of str
+        What else is worth knowing.
     """
 
     name: str
@@ -74,46 +88,59 @@ class Inspection:
     joints: tuple[Joint, ...]
     overlaps: tuple[tuple[str, str, float], ...]
     outside: tuple[str, ...]
+    missing: tuple[str, ...]
+    dropped: tuple[str, ...]
     unused: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether nothing overlaps and no joint starts outside its limits."""
-        return not (self.overlaps or self.outside)
+        """Whether nothing overlaps, no joint starts outside its limits, and nothing is missing."""
+        return not (self.overlaps or self.outside or self.missing)
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON values."""
         return asdict(self) | {"passed": self.passed}
 
     def __repr__(self) -> str:
-        masses = [body.mass for body in self.masses if body.mass > 0.0]
-        total = f"{sum(masses):.6g} kg in all"
-        if masses:
-            total += f", from {min(masses):.3g} to {max(masses):.3g} kg"
         counts = f"{len(self.masses)} masses, {len(self.joints)} joint coordinates, {self.shapes} shapes"
-        lines = [f"{self.name}: {counts}, {total}"]
-        width = max([10, *(len(body.name) for body in self.masses), *(len(joint.name) for joint in self.joints)])
+        lines = [f"{self.name}: {counts}, {self._totals()}"]
+        labels = [f"{body.name} (fixed)" if body.fixed else body.name for body in self.masses]
+        width = max([10, *map(len, labels), *(len(joint.name) for joint in self.joints)])
         if self.masses:
             lines.append(f"{'':{width}} {'mass [kg]':>10} {'principal moments [kg m²]':>32}")
-            for body in self.masses[:SHOWN]:
+            for label, body in list(zip(labels, self.masses, strict=True))[:SHOWN]:
                 moments = "".join(f"{moment:11.3g}" for moment in body.moments)
-                lines.append(f"{body.name:{width}} {body.mass:10.4g}{moments}")
+                lines.append(f"{label:{width}} {body.mass:10.4g}{moments}")
             lines += _more(self.masses)
         if self.joints:
-            head = "at", "lower", "upper", "effort", "friction", "damping"
-            lines.append(f"{'joint':{width}}" + "".join(f"{word:>10}" for word in head))
+            columns = {word: max(10, len(unit) + 3) for word, unit in UNITS.items()}
+            lines.append(f"{'joint':{width}}" + "".join(f"{word:>{n}}" for word, n in columns.items()))
+            lines.append(f"{'':{width}}" + "".join(f"{f'[{UNITS[word]}]':>{n}}" for word, n in columns.items()))
             for joint in self.joints[:SHOWN]:
-                values = (getattr(joint, word) for word in head)
-                lines.append(f"{joint.name:{width}}" + "".join(f"{value:10.4g}" for value in values))
+                values = (f"{getattr(joint, word):{n}.4g}" for word, n in columns.items())
+                lines.append(f"{joint.name:{width}}" + "".join(values))
             lines += _more(self.joints)
         for what, items in (
             ("overlaps at the start", [f"{a} and {b} by {depth:.3g} m" for a, b, depth in self.overlaps]),
-            ("outside its limits", list(self.outside)),
-            ("not used", list(self.unused)),
+            ("outside its limits", self.outside),
+            ("missing, not read", self.missing),
+            ("left out, changes the motion", self.dropped),
+            ("not used", self.unused),
         ):
             lines += [f"{what}: {item}" for item in items[:SHOWN]] + _more(items) if items else [f"{what}: nothing"]
+        lines += [f"note: {note}" for note in self.notes[:SHOWN]] + _more(self.notes)
         lines.append(f"{self.name}: {'passed' if self.passed else 'FAILED'}")
         return "\n".join(lines)
+
+    def _totals(self) -> str:
+        """The masses in one line."""
+        fixed = sum(body.mass for body in self.masses if body.fixed)
+        moving = [body.mass for body in self.masses if body.mass > 0.0 and not body.fixed]
+        out = f"{sum(moving) + fixed:.6g} kg in all"
+        if fixed:
+            out += f", {fixed:.6g} kg of it fixed"
+        return f"{out}, moving from {min(moving):.3g} to {max(moving):.3g} kg" if moving else out
 
 
 def _more(rows: Sequence[Any]) -> list[str]:
@@ -134,43 +161,56 @@ def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:
     """
     masses = [Mass(body.name, body.mass, _moments(body.inertia)) for body in scene.free_bodies]
     joints: list[Joint] = []
-    unused: list[str] = []
+    told: dict[str, list[str]] = {"missing": [], "dropped": [], "unused": []}
     for a in scene.articulations.values():
         model = a.model
-        for joint in range(1, model.njoints):
-            inertia = model.inertias[joint]
-            masses.append(Mass(f"{a.name}/{model.names[joint]}", float(inertia.mass), _moments(inertia.inertia)))
+        for joint, inertia in enumerate(model.inertias):
+            if joint > 0 or inertia.mass > 0.0:
+                name_ = f"{a.name}/{model.names[joint]}" if joint else a.name
+                masses.append(Mass(name_, float(inertia.mass), _moments(inertia.inertia), joint == 0))
         joints += _joints(a)
-        unused += [f"{a.name}: {note}" for note in a.report]
+        for what, notes in told.items():
+            notes += [f"{a.name}: {note}" for note in getattr(a, what)]
     outside = tuple(
         f"{joint.name} at {joint.at:.6g}, from {joint.lower:.6g} to {joint.upper:.6g}"
         for joint in joints
         if not joint.lower - 1e-9 <= joint.at <= joint.upper + 1e-9  # the rounding of a user's own numbers
     )
     title = scene.name if name is None else name
-    found = _overlaps(scene)
-    return Inspection(title, len(scene.geoms()), tuple(masses), tuple(joints), found, outside, tuple(unused))
+    listed = {what: tuple(notes) for what, notes in told.items()}
+    return Inspection(title, len(scene.geoms()), tuple(masses), tuple(joints), _overlaps(scene), outside, **listed)
 
 
-def inspect_robot(path: str | Path, package_dirs: Sequence[str | Path] = ()) -> Inspection:
+def inspect_robot(path: str | Path, **options: Any) -> Inspection:
     """Inspect a URDF, SDF or MJCF file, alone, in the configuration that it starts from; see `inspect_scene`.
+
+    Parameters
+    ----------
+    path : path
+    **options
+        Of `nsdyn.Scene.add_urdf`, `add_sdf` or `add_mjcf`. Without `q` and `keyframe` a start outside limits is a
+        note, as is what overlaps there: nothing can start so, another start can be given.
 
     Raises
     ------
     ValueError
-        For what cannot be read or simulated at all, naming it.
+        For what cannot be read or simulated at all, and options that are not for such a file, naming it.
     """
     path, scene = Path(path), Scene()
-    keywords: dict[str, Any] = {"inertias": "trust", "limits": False}
+    ending = path.suffix.lower()
+    for option in options:
+        if ending not in ONLY.get(option, ROBOTS):
+            raise ValueError(f"{option} is for {' and '.join(ONLY[option])} files, which {path.name} is not")
+    add: Any = {".urdf": scene.add_urdf, ".sdf": scene.add_sdf}.get(ending, scene.add_mjcf)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what is left out is in the report
-        if path.suffix == ".urdf":
-            scene.add_urdf("robot", path, package_dirs=package_dirs, **keywords)
-        elif path.suffix == ".sdf":
-            scene.add_sdf("robot", path, package_dirs=package_dirs, **keywords)
-        else:
-            scene.add_mjcf("robot", path, **keywords)
-    return inspect_scene(scene, path.name)
+        add("robot", path, **{"inertias": "trust", "limits": False} | options)
+    found = inspect_scene(scene, path.name)
+    if options.keys() & {"q", "keyframe"} or not found.outside:
+        return found
+    notes = [f"starts outside its limits unless q is given: {joint}" for joint in found.outside]
+    notes += [f"overlaps there: {a} and {b} by {depth:.3g} m" for a, b, depth in found.overlaps]
+    return replace(found, outside=(), overlaps=(), notes=tuple(notes))
 
 
 def _moments(inertia: Any) -> tuple[float, float, float]:

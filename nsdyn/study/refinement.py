@@ -15,7 +15,7 @@ from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import RunOptions, simulate
-from nsdyn.tools.naming import known_only
+from nsdyn.tools.naming import check_known
 
 __all__ = ["Refinement", "Row", "order", "refine"]
 
@@ -123,7 +123,7 @@ def refine(
     >>> round(found.rows[0].orders["position"], 1)
     2.0
     """
-    known_only(options, RunOptions.__optional_keys__)
+    check_known(options, RunOptions.__optional_keys__)
     chosen = sorted({float(dt) for dt in dts}, reverse=True)
     if len(chosen) < 2 or not chosen[-1] > 0.0 or not math.isfinite(chosen[0]):
         raise ValueError(f"dts must be at least two different positive numbers of seconds, got {list(dts)}")

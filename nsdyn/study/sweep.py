@@ -21,7 +21,7 @@ from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import Options, simulate
 from nsdyn.study.gathering import gather
 from nsdyn.study.store import Store
-from nsdyn.tools.naming import known_only
+from nsdyn.tools.naming import check_known
 
 __all__ = ["Member", "figures", "sweep"]
 
@@ -98,7 +98,7 @@ def sweep(
     >>> [(run.parameters, round(run.result, 4)) for run in runs]
     [({'mu': 0.25}, 1.5095), ({'mu': 0.5}, 1.019)]
     """
-    known_only(options, Options.__optional_keys__)
+    check_known(options, Options.__optional_keys__)
     for name, values in parameters.items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
             raise ValueError(f"{name} must have a list of at least one value, got {values!r}")

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
-__all__ = ["choice", "known_only", "meant"]
+__all__ = ["check_known", "choice", "meant"]
 
 
 def choice(value: Any, known: Iterable[str], what: str) -> str:
@@ -17,11 +17,11 @@ def choice(value: Any, known: Iterable[str], what: str) -> str:
     return value
 
 
-def known_only(keywords: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse keywords that are not known with a ValueError naming those there are, and the one that was meant."""
+def check_known(given: Iterable[str], known: Iterable[str]) -> None:
+    """ValueError for keywords that are not among the known ones, naming these and the one that was meant."""
     names = sorted(known)
-    for unknown in sorted(set(keywords) - set(names)):
-        raise ValueError(f"unknown argument {unknown!r}; known are {names}{meant(unknown, names)}")
+    for name in sorted(set(given) - set(names)):
+        raise ValueError(f"unknown argument {name!r}; known are {names}{meant(name, names)}")
 
 
 def meant(value: Any, known: Iterable[str]) -> str:

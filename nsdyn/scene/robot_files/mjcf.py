@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -21,18 +21,16 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene import meshes
-from nsdyn.scene.articulations import Description, Loop, check_count, check_size, describe_model
-from nsdyn.scene.materials import Material
+from nsdyn.scene.articulations import WORLD, Description, Loop, check_count, check_size, describe_model
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
+from nsdyn.scene.robot_files.mjcf_geoms import POSE, Geoms, mesh_name
 from nsdyn.scene.robot_files.model import links_of
-from nsdyn.scene.robot_files.xml import Notes, inside, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Notes, Report, inside, mesh_file, numbers, parse
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 __all__ = ["read_mjcf"]
-
-WORLD = "world"
 
 SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
 """(nq, nv) of every type of joint."""
@@ -40,12 +38,12 @@ SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
 MACROS = {"attach", "composite", "flexcomp", "frame", "plugin", "replicate"}
 """Elements inside bodies that MuJoCo's compiler replaces by others."""
 
-SOLID = {"box", "capsule", "cylinder", "ellipsoid", "mesh", "plane", "sphere"}
-"""Types of geoms that have a shape here."""
+COMPILER = {"settotalmass": "missing", "inertiagrouprange": "missing", "balanceinertia": "dropped",
+            "fitaabb": "dropped"}  # fmt: skip
+"""Attributes of the compiler that are not read, and where that is told."""
 
-ASSETS = {"mesh"}
-
-POSE = {"pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"}
+PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
+"""Attributes by which a tendon acts of itself; without them it does what an actuator says."""
 
 NUMBERS = {*POSE, "axis", "size", "fromto", "ref", "scale", "vertex"}
 """Attributes that are numbers: Pinocchio takes what is none for anything."""
@@ -54,7 +52,7 @@ ATTRIBUTES = {
     "joint": {"name", "type", "pos", "axis", "range", "limited", "ref", "stiffness", "springref", "springdamper",
               "damping", "armature", "frictionloss"},
     "geom": {"name", "type", "size", "fromto", "mesh", "mass", "density", "contype", "conaffinity", "friction",
-             "condim", *POSE},
+             "condim", "hfield", *POSE},
     "connect": {"name", "active", "body1", "body2", "site1", "site2", "anchor"},
     "weld": {"name", "active", "body1", "body2", "site1", "site2", "relpose"},
     "mesh": {"name", "file", "scale", "vertex"},
@@ -67,31 +65,31 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     root = _with_includes(name, path, parse(name, path, "MJCF"), {path.resolve()})
     if root.tag != "mujoco":
         raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <mujoco>")
-    dropped, unused = Notes(), Notes()
+    report = Report()
     try:
         _write_out_defaults(root)
-        masks, materials = _simplify(root, dropped, unused)
+        geoms, trees = _simplify(root, report)
         flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
         # Before Pinocchio builds it: of several joints of one body it makes one, whose tables are as large as that.
         check_count(name, sum(SIZES[kind][1] for _, kind, _, _ in _joints(root)))
         model, geometry = _build(root, path)
         check_size(name, model)
-        stiffness, rest = _set_joints(root, model, dropped)
-        q = _initial(root, model, keyframe, dropped, unused)
-        loops = tuple(_loops(root, model, q, dropped))
-        links, bodies = links_of(model, geometry.geometryObjects, dropped)
+        stiffness, rest = _set_joints(root, model, report)
+        q = _initial(root, model, keyframe, report)
+        loops = tuple(_loops(root, model, q, report.missing))
+        links, bodies = links_of(model, geometry.geometryObjects, report.dropped)
         excluded = frozenset(frozenset((e.get("body1", ""), e.get("body2", ""))) for e in root.iter("exclude"))
-        solid = [k for k, link in enumerate(links) if any(masks[link.name])]
+        solid = [k for k, link in enumerate(links) if any(geoms.masks[link.name])]
         links, bodies = [links[k] for k in solid], [bodies[k] for k in solid]
         filtered = frozenset(
-            frozenset((a.name, b.name)) for a, b in combinations(links, 2) if not _collide(masks[a.name], masks[b.name])
+            frozenset((a.name, b.name)) for a, b in combinations(links, 2) if not geoms.collide(a.name, b.name)
         )
     except (ValueError, RuntimeError, LookupError) as failure:  # all of them Pinocchio raises
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
     return describe_model(
         model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, excluded=excluded, filtered=filtered,
-        world_touches=True, dropped=tuple(dropped), unused=tuple(unused),
-        flaws=tuple(flaws), materials=materials,
+        world_touches=True, trees=_of_joints(trees, model) | trees, flaws=tuple(flaws), materials=geoms.materials,
+        **report.told(),
     )  # fmt: skip
 
 
@@ -137,7 +135,8 @@ def _write_out_defaults(root: Element) -> None:
         name = element.attrib.pop("class", inherited)
         if name not in classes:
             raise ValueError(f"class {name!r} of a <{element.tag}> is not defined")
-        element.attrib.update(classes[name].get(element.tag, {}) | element.attrib)
+        tag = "tendon" if element.tag in ("fixed", "spatial") else element.tag
+        element.attrib.update(classes[name].get(tag, {}) | element.attrib)
         for child in element:
             apply(child, inherited)
 
@@ -148,23 +147,19 @@ def _write_out_defaults(root: Element) -> None:
         apply(section, "main")
 
 
-def _simplify(root: Element, dropped: Notes, unused: Notes) -> tuple[dict[str, tuple[int, int]], dict[str, Material]]:
-    """Keep what Pinocchio reads, all of it named and under one body.
-
-    Returns (contype, conaffinity) of the geoms and the materials that they tell, by name.
-    """
-    world = root.find("worldbody")
-    if world is None:
-        raise ValueError("it has no <worldbody>")
-    compiler = root.find("compiler")
-    for attribute in ("settotalmass", "balanceinertia", "inertiagrouprange", "fitaabb"):
+def _note(root: Element, world: Element, report: Report) -> None:
+    """Note what is not read, and refuse what is no number."""
+    missing, dropped, unused = report.missing, report.dropped, report.unused
+    compiler, option = root.find("compiler"), root.find("option")
+    for attribute, notes in COMPILER.items():
         if compiler is not None and compiler.get(attribute):
-            dropped.append(f"compiler: {attribute}")
-    for tag in ("actuator", "tendon", "deformable"):
-        if root.find(tag) is not None:
-            dropped.append(f"<{tag}>")
-    dropped += [f"contact: <pair> of {e.get('geom1')!r} and {e.get('geom2')!r}" for e in root.iter("pair")]
-    option = root.find("option")
+            getattr(report, notes).append(f"compiler: {attribute}")
+    for element in root.iterfind("actuator/*"):
+        driven = next((element.attrib[a] for a in ("joint", "tendon", "site", "body") if a in element.attrib), None)
+        dropped.append(f"<actuator> {element.get('name', driven)!r}")
+    for element in root.iterfind("tendon/*"):
+        (missing if PASSIVE & element.attrib.keys() else dropped).append(f"<tendon> {element.get('name')!r}")
+    missing += [f"<{tag}>" for tag in ("deformable",) if root.find(tag) is not None]
     for attribute in ("density", "viscosity", "wind"):
         if option is not None and any(float(x) for x in option.get(attribute, "0").split()):
             dropped.append(f"option: {attribute}")
@@ -177,54 +172,64 @@ def _simplify(root: Element, dropped: Notes, unused: Notes) -> tuple[dict[str, t
         for attribute in NUMBERS & element.attrib.keys():
             label = f"{attribute} of <{element.tag}> {element.get('name', '')!r}"
             numbers(element.attrib[attribute], None, None, label)
-    masks: dict[str, tuple[int, int]] = {}
-    materials: dict[str, Material] = {}
+
+
+def _trees(world: Element, moving: set[str]) -> dict[str, str]:
+    """The body of the world that every body hangs on, by name; the world itself where that carries nothing `moving`."""
+    out = {WORLD: WORLD}
+    for body in world.findall("body"):
+        names = {e.get("name", "") for e in body.iter("body")}
+        out |= dict.fromkeys(names, body.get("name", "") if names & moving else WORLD)
+    return out
+
+
+def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
+    """Keep what Pinocchio reads, all of it named and under one body; returns the geoms and the trees of the bodies."""
+    world = root.find("worldbody")
+    if world is None:
+        raise ValueError("it has no <worldbody>")
+    _note(root, world, report)
     for number, body in enumerate(world.iter("body")):
         body.attrib.setdefault("name", f"body{number}")
+    world.set("name", WORLD)
+    carriers = [b for b in world.iter("body") if any(e.tag in ("joint", "freejoint") for e in b)]
+    moving = {e.get("name", "") for carrier in carriers for e in carrier.iter("body")}
+    trees, geoms = _trees(world, moving), Geoms({mesh_name(e) for e in root.iterfind("asset/mesh")})
+    # What is fixed is a body of the scene, whose name no link and no joint has.
+    taken = {name for name, tree in trees.items() if tree != WORLD} | {e.get("name", "") for e in world.iter("joint")}
     for body in [world, *world.iter("body")]:
-        where = body.attrib.setdefault("name", WORLD)
-        unused.of_children(
-            [body], {"body", "joint", "freejoint", "inertial", "geom", "site"} | MACROS, f"body {where!r}"
-        )
+        where = body.get("name", "")
+        used = {"body", "joint", "freejoint", "inertial", "geom", "site"}
+        report.unused.of_children([body], used | MACROS, f"body {where!r}")
         for attribute in ("mocap", "gravcomp"):
             if body.get(attribute, "0") not in ("0", "false"):
-                dropped.append(f"body {where!r}: {attribute}")
+                report.dropped.append(f"body {where!r}: {attribute}")
         for child in list(body):
             if child.tag in MACROS:
                 raise ValueError(
                     f"body {where!r} has a <{child.tag}>: save the file as MuJoCo compiles it, then read that"
                 )
-            if child.tag not in ("body", "joint", "freejoint", "inertial", "geom", "site"):
+            if child.tag not in used:
                 body.remove(child)
-        meshes = [g for g in body.findall("geom") if g.get("type", "sphere") == "mesh" and g.get("mass") != "0"]
-        if meshes and body.find("inertial") is None and body is not world:
-            dropped.append(f"body {where!r}: inertia of its meshes")
-        for number, geom in enumerate(body.findall("geom")):
-            geom.attrib.pop("material", None)
-            if geom.get("type", "sphere") not in SOLID:
-                dropped.append(f"body {where!r}: geom of type {geom.get('type')!r}")
-                body.remove(geom)
-                continue
-            label = geom.attrib.setdefault("name", f"{where}_{number}")
-            if label in masks:
-                raise ValueError(f"geom {label!r} of body {where!r} must have a name of its own")
-            if material := _material(geom, label):
-                materials[label] = material
-            if geom.get("condim") in ("4", "6"):
-                dropped.append(f"geom {label!r}: friction of spinning and rolling")
-            masks[label] = int(geom.get("contype", "1")), int(geom.get("conaffinity", "1"))
-            if geom.get("type", "sphere") != "mesh":
-                # Pinocchio leaves the mass of a geom that touches nothing out; that of a mesh it never counts.
-                geom.attrib |= {"contype": "1", "conaffinity": "1"}
+        solids = [g for g in body.findall("geom") if g.get("type", "sphere") == "mesh" and g.get("mass") != "0"]
+        if solids and body.find("inertial") is None and where in moving:
+            report.missing.append(f"body {where!r}: inertia of its meshes")
+        if trees[where] == WORLD:  # of which only the shapes count; Pinocchio says that a plane has 1 kg
+            for inertial in body.findall("inertial"):
+                body.remove(inertial)
+            ElementTree.SubElement(body, "inertial", {"mass": "0", "pos": "0 0 0", "diaginertia": "0 0 0"})
+        geoms.read(body, taken if trees[where] == WORLD else set(), report)
+    geoms.note_pairs(root, report)
     world.tag = "body"
+    needed = {geom.get("mesh") for geom in world.iter("geom")}
     for section in list(root):
         if section.tag not in ("compiler", "equality", "contact", "asset", "keyframe"):
             root.remove(section)
     for asset in root.findall("asset"):
-        for child in [c for c in asset if c.tag not in ASSETS]:
+        for child in [c for c in asset if c.tag != "mesh" or mesh_name(c) not in needed]:
             asset.remove(child)
     ElementTree.SubElement(root, "worldbody").append(world)
-    return masks, materials
+    return geoms, trees
 
 
 def _build(root: Element, path: Path) -> tuple[Any, Any]:
@@ -245,23 +250,21 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
 
 
 def _copy_meshes(root: Element, home: Path, folder: str, scratch: Path) -> None:
-    """Have the meshes of a file in `scratch`, as Pinocchio reads them without doubt; ValueError as `meshes.read`."""
-    for number, element in enumerate(e for e in root.iter("mesh") if "file" in e.attrib):
-        given = Path(folder) / element.attrib["file"]
-        surface = meshes.read(mesh_file(str(given), [home]))
-        element.attrib.setdefault("name", given.stem)
+    """Have the meshes of a file in `scratch`, as Pinocchio reads them without doubt; ValueError names their geom."""
+    users = {geom.get("mesh"): geom.get("name") for geom in root.iter("geom")}
+    for number, element in enumerate(root.iter("mesh")):
+        name = mesh_name(element)
+        element.set("name", name)
+        if "vertex" in element.attrib:
+            continue
+        try:
+            if "file" not in element.attrib:
+                raise ValueError(f"mesh {name!r} has neither a file nor vertices")
+            surface = meshes.read(mesh_file(str(Path(folder) / element.attrib["file"]), [home], ""))
+        except ValueError as failure:
+            raise ValueError(f"geom {users[name]!r}: {failure}") from None
         element.set("file", f"mesh{number}.stl")
         meshes.write_stl(scratch / f"mesh{number}.stl", surface)
-
-
-def _material(geom: Element, label: str) -> Material | None:
-    """Material of a geom that gives Coulomb's friction, of sliding; a `condim` of 1 has none."""
-    if geom.get("condim") == "1":
-        return Material(mu=0.0)
-    given = geom.get("friction")
-    if given is None:
-        return None
-    return Material(mu=float(numbers(" ".join(given.split()[:1]), 1, None, f"friction of geom {label!r}")[0]))
 
 
 def _flaws(body: Element) -> Iterator[str]:
@@ -280,9 +283,10 @@ def _flaws(body: Element) -> Iterator[str]:
         yield fault
 
 
-def _collide(a: tuple[int, int], b: tuple[int, int]) -> bool:
-    """Whether two geoms may touch, from their (contype, conaffinity)."""
-    return bool(a[0] & b[1] or b[0] & a[1])
+def _of_joints(trees: Mapping[str, str], model: Any) -> dict[str, str]:
+    """The trees of the joints, by name: those of the bodies that they carry."""
+    carried = [f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0]
+    return {model.names[f.parentJoint]: trees[f.name] for f in carried}
 
 
 # -- joints ----------------------------------------------------------------------------------------------------
@@ -301,7 +305,7 @@ def _joints(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
             q, v = q + nq, v + nv
 
 
-def _set_joints(root: Element, model: Any, dropped: Notes) -> tuple[Array, Array]:
+def _set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]:
     """Put limits, damping, dry friction and armature into the model; returns (stiffness, rest) of the springs."""
     compiler = root.find("compiler")
     settings: dict[str, str] = {} if compiler is None else compiler.attrib
@@ -328,19 +332,19 @@ def _set_joints(root: Element, model: Any, dropped: Notes) -> tuple[Array, Array
                 lower[at], upper[at] = bounds[0], bounds[1]
         else:
             if limited == "true":
-                dropped.append(f"{label}: range of a {kind} joint")
+                report.missing.append(f"{label}: range of a {kind} joint")
             if value("stiffness"):
-                dropped.append(f"{label}: stiffness of a {kind} joint")
+                report.dropped.append(f"{label}: stiffness of a {kind} joint")
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
     model.damping, model.armature = damping, armature
     model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -friction, friction
     return stiffness, rest
 
 
-def _initial(root: Element, model: Any, keyframe: str | None, dropped: Notes, unused: Notes) -> Array:
+def _initial(root: Element, model: Any, keyframe: str | None, report: Report) -> Array:
     """Initial configuration: that of the bodies as they are written, or of a keyframe."""
     keys = {e.get("name", f"key{k}"): e for k, e in enumerate(root.iterfind("keyframe/key"))}
-    unused += [f"keyframe {key!r}" for key in keys if key != keyframe]
+    report.unused.extend(f"keyframe {key!r}" for key in keys if key != keyframe)
     if keyframe is None:
         return np.array(model.referenceConfigurations["qpos0"])
     key = keys[choice(keyframe, keys, "keyframe")]
@@ -349,14 +353,14 @@ def _initial(root: Element, model: Any, keyframe: str | None, dropped: Notes, un
         if kind in ("free", "ball"):  # MuJoCo writes w x y z
             q[at.stop - 4 : at.stop] = np.roll(q[at.stop - 4 : at.stop], -1)
     if key.get("qvel") and numbers(key.get("qvel"), model.nv, None, f"qvel of keyframe {keyframe!r}").any():
-        dropped.append(f"keyframe {keyframe!r}: qvel")
+        report.dropped.append(f"keyframe {keyframe!r}: qvel")
     return q
 
 
 # -- loops -----------------------------------------------------------------------------------------------------
 
 
-def _loops(root: Element, model: Any, q: Array, dropped: Notes) -> Iterator[Loop]:
+def _loops(root: Element, model: Any, q: Array, missing: Notes) -> Iterator[Loop]:
     """Loops of <connect> and <weld>; where the file gives no second point, they are closed at q."""
     frames = {f.name: f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME)}
     data = model.createData()
@@ -366,7 +370,7 @@ def _loops(root: Element, model: Any, q: Array, dropped: Notes) -> Iterator[Loop
         if element.get("active", "true") == "false":
             continue
         if element.tag not in ("connect", "weld"):
-            dropped.append(f"equality {label!r} of type {element.tag!r}")
+            missing.append(f"equality {label!r} of type {element.tag!r}")
             continue
         names = [element.get(f"{what}{k}") for what in ("site", "body") for k in (1, 2)]
         sites = names[0] is not None

@@ -21,7 +21,7 @@ from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, Loop, describe_model
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.xml import Notes, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Report, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
@@ -49,7 +49,7 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
         if len(found) != 1:
             raise ValueError(f"it must hold one model, got {[m.get('name') for m in found]}")
         reader = _Reader(found[0], [path.parent, *package_dirs])
-        reader.unused.of_children([root, *root.findall("world")], {"model", "world"}, "world")
+        reader.report.unused.of_children([root, *root.findall("world")], {"model", "world"}, "world")
         return reader.description()
     except (ValueError, RuntimeError) as failure:  # the latter Pinocchio's, of inertias below zero
         raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, [])}") from None
@@ -72,7 +72,8 @@ class _Reader:
 
     def __init__(self, element: Element, folders: Sequence[Path]) -> None:
         self.element, self.folders = element, folders
-        self.dropped, self.unused, self.flaws = Notes(), Notes(), Notes()
+        self.report = Report()
+        self.flaws: list[str] = []
         for tag in ("model", "include"):
             if element.find(tag) is not None:
                 raise ValueError(f"a <{tag}> inside the model is not read: write it out")
@@ -95,33 +96,32 @@ class _Reader:
         self.materials: dict[str, Material] = {}
 
     def _note_unused(self, joints: Sequence[Element]) -> None:
+        missing, dropped, unused = self.report.missing, self.report.dropped, self.report.unused
         links = list(self.links.values())
         used = {"link", "joint", "frame", "pose", "static", "self_collide", "enable_wind"}
-        self.unused.of_children([self.element], used, "model")
-        self.unused.of_children(links, {"pose", "inertial", "collision", *BEHAVIOUR}, "link")
-        self.unused.of_children(
-            [i for e in links for i in e.findall("inertial")], {"pose", "mass", "inertia"}, "inertial"
-        )
-        self.unused.of_children(joints, {"parent", "child", "pose", "axis", "axis2"}, "joint")
+        unused.of_children([self.element], used, "model")
+        unused.of_children(links, {"pose", "inertial", "collision", *BEHAVIOUR}, "link")
+        unused.of_children([i for e in links for i in e.findall("inertial")], {"pose", "mass", "inertia"}, "inertial")
+        unused.of_children(joints, {"parent", "child", "pose", "axis", "axis2"}, "joint")
         collisions = [c for e in links for c in e.findall("collision")]
-        self.unused.of_children(collisions, {"pose", "geometry", "surface"}, "collision")
+        unused.of_children(collisions, {"pose", "geometry", "surface"}, "collision")
         surfaces = [s for c in collisions for s in c.findall("surface")]
-        self.unused.of_children(surfaces, {"friction"}, "surface")
-        self.unused.of_children([f for s in surfaces for f in s.iter("friction")], {"ode"}, "friction")
-        self.unused.of_children([o for s in surfaces for o in s.iterfind("friction/ode")], {"mu"}, "friction")
+        unused.of_children(surfaces, {"friction"}, "surface")
+        unused.of_children([f for s in surfaces for f in s.iter("friction")], {"ode"}, "friction")
+        unused.of_children([o for s in surfaces for o in s.iterfind("friction/ode")], {"mu"}, "friction")
         fast = [e.get("name") for e in joints for v in e.iterfind("*/limit/velocity") if float(v.text or 0.0) > 0.0]
         if fast:
-            self.dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
+            dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
         limits = [limit for e in joints for limit in e.iter("limit")]
-        self.unused.of_children(limits, {"lower", "upper", "effort", "velocity"}, "limit")
+        unused.of_children(limits, {"lower", "upper", "effort", "velocity"}, "limit")
         switches = [("model", self.element, "enable_wind"), *(("link", e, tag) for e in links for tag in BEHAVIOUR)]
-        self.dropped += [
+        dropped += [
             f"{kind} {e.get('name')!r}: <{tag}>"
             for kind, e, tag in switches
             if e.find(tag) is not None and e.findtext(tag, "").strip() != BEHAVIOUR[tag]
         ]
-        self.dropped += [f"joint {e.get('name')!r}: <mimic>" for e in joints if e.find("*/mimic") is not None]
-        self.dropped += [
+        missing += [f"joint {e.get('name')!r}: <mimic>" for e in joints if e.find("*/mimic") is not None]
+        missing += [
             f"link {e.get('name')!r}: automatic inertia" for e in links if e.find("inertial[@auto='true']") is not None
         ]
 
@@ -194,8 +194,7 @@ class _Reader:
             apart = frozenset(frozenset(pair) for pair in combinations(self.links, 2))
         return describe_model(
             model, self.shapes, self.bodies, q=q, stiffness=stiffness, rest=rest, loops=tuple(self.loops),
-            excluded=apart, dropped=tuple(self.dropped), unused=tuple(self.unused),
-            flaws=tuple(self.flaws), materials=self.materials,
+            excluded=apart, flaws=tuple(self.flaws), materials=self.materials, **self.report.told(),
         )  # fmt: skip
 
     def _descend(self, parent: str) -> None:
@@ -292,10 +291,10 @@ class _Reader:
         self._add_mass(link, joint)
         for number, collision in enumerate(element.findall("collision")):
             label = f"{link}_{number}"
-            with self.dropped.of_warnings(label):
+            with self.report.dropped.of_warnings(label):
                 found = self._shape(collision.find("geometry"))
             if found is None:
-                self.dropped.append(f"collision {collision.get('name')!r} of link {link!r}: its shape")
+                self.report.missing.append(f"collision {collision.get('name')!r} of link {link!r}: its shape")
                 continue
             shape, shift = found
             placement = pose * _pose(collision.find("pose")) * pin.SE3(np.eye(3), shift)

@@ -14,7 +14,7 @@ import pinocchio as pin
 from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, describe_model
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.xml import XACRO, Notes, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import XACRO, Report, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
@@ -36,9 +36,10 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
         raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <robot>")
     if any("xacro" in e.tag or "${" in "".join(e.attrib.values()) for e in root.iter()):
         raise ValueError(f"path of {name!r}: {path} {XACRO}")
-    dropped, unused = Notes(), Notes()
+    report = Report()
+    missing, dropped, unused = report.missing, report.dropped, report.unused
     elements, joints = list(root.iter("link")), [e for e in root if e.tag == "joint"]
-    dropped += [
+    missing += [
         f"joint {e.get('name')!r}: <mimic> of {m.get('joint')!r}, it moves on its own"
         for e in joints
         for m in e.iter("mimic")
@@ -76,7 +77,7 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
             raise ValueError(f"path of {name!r}: {path}, collision of {body!r}: {failure}") from None
         links.append(Link(link, int(frame.parentJoint), placement, shape))
         bodies.append(body)
-    return describe_model(model, links, bodies, dropped=tuple(dropped), unused=tuple(unused), flaws=tuple(flaws))
+    return describe_model(model, links, bodies, flaws=tuple(flaws), **report.told())
 
 
 def _check_tree(links: Sequence[Element], joints: Sequence[Element]) -> None:

@@ -6,6 +6,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -16,7 +17,7 @@ from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import is_file
 
-__all__ = ["Notes", "inside", "mesh_file", "numbers", "parse"]
+__all__ = ["Notes", "Report", "inside", "mesh_file", "numbers", "parse"]
 
 DEEPEST = 400
 """Elements inside each other: what reads them calls itself for each, which ends the process at some thousands."""
@@ -44,6 +45,29 @@ class Notes(list[str]):
         """Note the attributes of `elements` that are not `used`."""
         found = Counter(attribute for element in elements for attribute in element.attrib if attribute not in used)
         self += [f"{where}: {attribute} ({n})" for attribute, n in sorted(found.items())]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a reader leaves out.
+
+    Attributes
+    ----------
+    missing : Notes
+        Shapes, masses and constraints, without which the mechanism is another.
+    dropped : Notes
+        What else changes the motion: forces, drives, coefficients.
+    unused : Notes
+        The rest, for instance pictures.
+    """
+
+    missing: Notes = field(default_factory=Notes)
+    dropped: Notes = field(default_factory=Notes)
+    unused: Notes = field(default_factory=Notes)
+
+    def told(self) -> dict[str, tuple[str, ...]]:
+        """As attributes of a `nsdyn.scene.articulations.Description`."""
+        return {name: tuple(notes) for name, notes in vars(self).items()}
 
 
 def parse(name: str, path: Path, kind: str) -> Element:
@@ -81,7 +105,7 @@ def numbers(text: str | None, count: int | None, default: Sequence[float] | None
     return out
 
 
-def mesh_file(uri: str, folders: Sequence[Path]) -> Path:
+def mesh_file(uri: str, folders: Sequence[Path], remedy: str = "; give its folder in package_dirs") -> Path:
     """File of ``package://package/rest``, ``model://...``, ``file://...`` or a path, in one of `folders`."""
     scheme, _, rest = uri.rpartition("://")
     if not rest:
@@ -95,7 +119,7 @@ def mesh_file(uri: str, folders: Sequence[Path]) -> Path:
     for path in tried:
         if is_file(path):
             return inside(path, rest, folders, f"mesh {uri!r}")
-    raise ValueError(f"mesh {uri!r} was not found in {', '.join(map(str, folders))}; give its folder in package_dirs")
+    raise ValueError(f"mesh {uri!r} was not found in {', '.join(map(str, folders))}{remedy}")
 
 
 def inside(path: Path, given: str, folders: Sequence[Path], what: str) -> Path:
