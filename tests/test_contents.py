@@ -128,6 +128,17 @@ def test_what_is_held_has_no_impacts(gravity):
     assert impacts.find(trajectory).step.size == 0
 
 
+def test_corners_share_the_impulse_of_a_landing():
+    """A box of 1 kg that falls flat and bounces: a quarter of (1 + e) m sqrt(2 g 0.05 m) each."""
+    scene, material = nd.Scene(), nd.Material(restitution=0.5)
+    scene.add_halfspace("ground", material=material)
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.15), material=material)
+    found = impacts.find(nd.simulate(scene, 0.12, dt=1e-3))
+    # It is located to a billionth of the size of the box.
+    assert found.speed == pytest.approx([np.sqrt(2 * 9.81 * 0.05)], rel=1e-6)
+    assert found.impulse == pytest.approx(1.5 / 4 * found.speed, rel=1e-6)
+
+
 @pytest.mark.parametrize(("mass", "carried"), [(0.01, 1.0), (10.0, 0.01)])
 def test_what_lands_on_what_rests_is_an_impact(mass, carried):
     """A ball on a box, which only rests on the ground: sqrt(2 g 0.05 m), in one step or two."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from nsdyn.recording.contact_points import identities
+from nsdyn.recording.tables import impulses
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ class Impacts(NamedTuple):
     speed : ndarray, shape (n,)
         At which the contact closed, m/s.
     impulse : ndarray, shape (n,)
-        Normal impulse, N·s.
+        Normal impulse, N·s, of redundant contacts that of least norm.
     geoms : ndarray, shape (n, 2)
         The shapes.
     """
@@ -66,10 +67,12 @@ def find(trajectory: Trajectory) -> Impacts:
     least = np.linalg.norm(trajectory.scene["gravity"]) * trajectory.dt + 1e-9 * speed.max(initial=0.0)
     held = _before(identities(c), step, np.where(push & (u <= HELD), impulse, 0.0)) >= 0.5 * impulse
     hit = np.flatnonzero((speed > least) & ~held)
-    hit = hit[np.lexsort((-impulse[hit], step[hit]))]
+    there, shown = np.flatnonzero(np.isin(step, step[hit])), np.zeros(step.size)
+    shown[there] = impulses(trajectory, there)[:, 0]
+    hit = hit[np.lexsort((-shown[hit], step[hit]))]
     hit = hit[np.unique(step[hit], return_index=True)[1]]
     geoms = np.column_stack([c["geom1"][hit], c["geom2"][hit]]).astype(np.int64)
-    return Impacts(step[hit], speed[hit], impulse[hit], geoms)
+    return Impacts(step[hit], speed[hit], shown[hit], geoms)
 
 
 def _before(identity: Index, step: Index, values: Array) -> Array:
