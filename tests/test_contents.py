@@ -71,11 +71,105 @@ def test_what_slides_or_rests_has_no_impacts(sliding):
     assert impacts.find(stack).step.size == 0
 
 
+def rolling(speed, height=0.0, restitution=0.0, dt=1e-3, duration=0.06):
+    """A ball of 0.1 m that rolls, once it is on the ground."""
+    scene, material = nd.Scene(), nd.Material(mu=0.5, restitution=restitution)
+    scene.add_halfspace("ground", material=material)
+    scene.add_sphere(
+        "ball", 0.1, 1.0, position=(0, 0, 0.1 + height), material=material,
+        linear_velocity=(speed, 0, 0), angular_velocity=(0, 10 * speed, 0),
+    )  # fmt: skip
+    return nd.simulate(scene, duration, dt=dt)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("speed", [1.0, 5.0, 100.0])
+def test_what_rolls_has_no_impacts(speed, restitution):
+    """However fast: v² is up to 10000 times r g."""
+    assert impacts.find(rolling(speed, restitution=restitution)).step.size == 0
+
+
+@pytest.mark.parametrize("speed", [0.0, 100.0])
+def test_a_ball_that_rolls_has_landed_once(speed):
+    """It falls 1 cm, and the impact is that of its fall, not of its roll; a slower landing is one too."""
+    trajectory = rolling(speed, height=0.01, duration=0.1)
+    found = impacts.find(trajectory)
+    fallen = np.sqrt(2 * 9.81 * 0.01)
+    assert trajectory.t[found.step] == pytest.approx([fallen / 9.81], abs=1.1e-3)
+    assert 0.8 * fallen < found.speed[0] < fallen * (1 + 1e-9)  # it may be stopped in two parts
+    slow = impacts.find(rolling(speed, height=1e-4))  # 0.044 m/s
+    assert slow.step.size == 1 and 0.03 < slow.speed[0] < 0.0443
+
+
+@pytest.mark.parametrize(
+    ("name", "duration", "dt"), [("roll", 1.0, 1e-2), ("roll_down", 1.0, 1e-2), ("euler_disk", 0.1, 1e-3)]
+)
+def test_scenes_that_roll_have_no_impacts(name, duration, dt):
+    assert impacts.find(nd.simulate(nd.scenes.load(name)(), duration, dt=dt)).step.size == 0
+
+
+def test_a_new_scene_has_no_impacts(tmp_path):
+    """A ball that rolls down, a crate that slides."""
+    (tmp_path / "mine.py").write_text(nd.scenes.template())
+    scene = nd.scenes.load(str(tmp_path / "mine.py"))()
+    assert impacts.find(nd.simulate(scene, 1.0, dt=5e-3)).step.size == 0
+
+
+@pytest.mark.parametrize("gravity", [9.81, 0.0])
+def test_what_is_held_has_no_impacts(gravity):
+    """An ellipsoid that rolls at 30 rad/s under 200 times its weight: its gap opens and closes by what steps err."""
+    scene, material = nd.Scene(gravity=(0, 0, -gravity)), nd.Material(mu=0.8)
+    scene.add_halfspace("ground", material=material)
+    scene.add_ellipsoid(
+        "ellipsoid", (0.1, 0.09, 0.08), 1.0, position=(0, 0, 0.08), material=material,
+        linear_velocity=(0, -2.4, 0), angular_velocity=(30, 0, 3),
+    )  # fmt: skip
+    trajectory = nd.simulate(scene, 0.2, dt=1e-3, external_force=lambda t, q, v: {"ellipsoid": (0, 0, -2000.0)})
+    assert impacts.find(trajectory).step.size == 0
+
+
+def test_corners_share_the_impulse_of_a_landing():
+    """A box of 1 kg that falls flat and bounces: a quarter of (1 + e) m sqrt(2 g 0.05 m) each."""
+    scene, material = nd.Scene(), nd.Material(restitution=0.5)
+    scene.add_halfspace("ground", material=material)
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.15), material=material)
+    found = impacts.find(nd.simulate(scene, 0.12, dt=1e-3))
+    # It is located to a billionth of the size of the box.
+    assert found.speed == pytest.approx([np.sqrt(2 * 9.81 * 0.05)], rel=1e-6)
+    assert found.impulse == pytest.approx(1.5 / 4 * found.speed, rel=1e-6)
+
+
+@pytest.mark.parametrize(("mass", "carried"), [(0.01, 1.0), (10.0, 0.01)])
+def test_what_lands_on_what_rests_is_an_impact(mass, carried):
+    """A ball on a box, which only rests on the ground: sqrt(2 g 0.05 m), in one step or two."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_box("box", (0.2, 0.2, 0.2), carried, position=(0, 0, 0.1))
+    scene.add_sphere("ball", 0.05, mass, position=(0, 0, 0.3))
+    found = impacts.find(nd.simulate(scene, 0.15, dt=1e-3))
+    assert found.speed[0] == pytest.approx(np.sqrt(2 * 9.81 * 0.05), abs=9.81e-3)
+    assert (found.geoms == (1, 2)).all() and found.step[-1] - found.step[0] < 2
+
+
+@pytest.mark.parametrize(
+    ("name", "duration", "dt", "count"), [("rocking", 1.0, 1e-3, 2), ("domino", 0.3, 2e-3, 4), ("cradle", 0.3, 1e-3, 4)]
+)
+def test_impacts_are_where_the_ledger_has_them(name, duration, dt, count):
+    """All but a hundredth of what impacts took was taken in steps with a mark, or in the step after it."""
+    trajectory = nd.simulate(nd.scenes.load(name)(), duration, dt=dt)
+    found = impacts.find(trajectory)
+    assert found.step.size == count
+    taken = np.abs(trajectory.energy.normal)
+    marked = np.unique(np.concatenate([found.step, found.step + 1]).clip(max=trajectory.steps)) - 1
+    assert taken.sum() - taken[marked].sum() <= 0.01 * taken.sum()
+
+
 def test_impacts_of_links_are_found():
-    """The feet of a robot, whose velocities are not recorded."""
+    """The sleeve of the woodpecker strikes its pole at 0.3 m/s, then more softly, twice a period."""
     trajectory = nd.simulate(nd.scenes.load("woodpecker")(), 0.3, dt=1e-3)
     found = impacts.find(trajectory)
-    assert found.step.size > 2 and (found.speed > 9.81e-3).all()
+    assert found.step.size > 4 and (found.speed > 9.81e-3).all()
+    assert np.sort(found.speed)[-2:] == pytest.approx(0.298, abs=5e-3)
 
 
 def test_sparse_recordings_have_no_impacts(bouncing):

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from nsdyn.recording.tables import need_contacts
+from nsdyn.recording.shares import distinct
+from nsdyn.recording.tables import body_names, impulses, need_contacts
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     rows : ndarray of int
         Indices of states; to each keyframe belong the steps since the one before.
     by : {"pair", "point"}
-        One force for each pair of bodies, at their centre of pressure; or one for each contact point,
-        whose impulses, not unique, are those of least norm with the same force and torque if none of them pulls.
+        One force for each pair of bodies, at their centre of pressure; or one for each contact point, of redundant
+        ones those of least norm in each step (`nsdyn.recording.shares`).
 
     Raises
     ------
@@ -57,27 +58,27 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     step = np.repeat(np.arange(1, trajectory.steps + 1), np.diff(c["offset"]))
     k = np.flatnonzero((step > rows[0]) & (step <= rows[-1]))
     step, c = step[k], {name: x[k] for name, x in c.items() if name != "offset"}
+    impulse = impulses(trajectory, k)
     geoms = trajectory.scene["geoms"]
     frame_of = np.array([geom["frame"] for geom in geoms], dtype=np.int64)
-    names = [geom.get("link", geom["name"]) for geom in geoms]
-    link_of = np.array([names.index(name) for name in names], dtype=np.int64)
+    link_of = np.unique(body_names(trajectory), return_inverse=True)[1]
     second = frame_of[c["geom2"]] >= 0
     pushed, other = (np.where(second, *pair) for pair in ((c["geom2"], c["geom1"]), (c["geom1"], c["geom2"])))
     axes = np.stack([c["normal"], c["tangent"], np.cross(c["normal"], c["tangent"])], axis=1)
     sign = np.where(second, 1.0, -1.0)[:, None]
-    push, normal = sign * np.einsum("ci,cij->cj", c["impulse"], axes), sign * c["normal"]
+    push = sign * np.einsum("ci,cij->cj", impulse, axes)
     frame, point = frame_of[pushed], c["point"].copy()
     for f in np.unique(frame):
         on, motion = frame == f, trajectory.body(trajectory.scene["frames"][f])
         turn = Rotation.from_quat(motion.quaternion[step[on]]).inv()
         point[on] = turn.apply(point[on] - motion.position[step[on]])
-        push[on], normal[on] = turn.apply(push[on]), turn.apply(normal[on])
+        push[on] = turn.apply(push[on])
     keyframe = np.searchsorted(rows, step)
     pair = np.column_stack([keyframe, link_of[pushed], link_of[other], frame])
     if by == "point":
         pair = np.column_stack([pair, c["geom1"], c["geom2"], c["key"]])
-    groups, member = _distinct(pair)
-    weight = np.maximum(c["impulse"][:, 0], 0.0)
+    groups, member = distinct(pair)
+    weight = np.maximum(impulse[:, 0], 0.0)
     n = len(groups)
 
     def total(values: Array) -> Array:
@@ -87,29 +88,5 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
 
     weights = np.maximum(np.bincount(member, weight, n), 1e-300)[:, None]
     force, mean = total(push), total(weight[:, None] * point) / weights
-    if by == "point" and n:
-        _spread(groups[:, :4], mean, total(weight[:, None] * normal), force)
     length = np.diff(trajectory.t[rows])[groups[:, 0] - 1] / trajectory.every  # of the steps that are recorded
     return Forces(groups[:, 0], groups[:, 3], mean, force / length[:, None])
-
-
-def _spread(pairs: Index, point: Array, normal: Array, impulse: Array) -> None:
-    """Give the points of each pair the impulses of least norm with the same sum and moment, where none pulls."""
-    same, member = _distinct(pairs)
-    for k in range(len(same)):
-        on = np.flatnonzero(member == k)
-        # [I; x ×] of every point, shape (6, 3 n).
-        wrench = np.concatenate([np.concatenate([np.eye(3), np.cross(x, np.eye(3)).T]) for x in point[on]], axis=1)
-        least = (np.linalg.pinv(wrench, rcond=1e-9) @ (wrench @ impulse[on].ravel())).reshape(-1, 3)
-        if (np.einsum("ci,ci->c", least, normal[on]) >= 0.0).all():
-            impulse[on] = least
-
-
-def _distinct(rows: Index) -> tuple[Index, Index]:
-    """Distinct rows, ascending, and which of them each row is; much faster than `np.unique` of rows."""
-    order = np.lexsort(rows.T[::-1])
-    ordered = rows[order]
-    new = np.concatenate([np.ones(min(1, len(rows)), bool), (np.diff(ordered, axis=0) != 0).any(axis=1)])
-    member = np.empty(len(rows), np.int64)
-    member[order] = np.cumsum(new) - 1
-    return ordered[new], member

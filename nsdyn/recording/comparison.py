@@ -174,7 +174,7 @@ def _touching(a: Trajectory, b: Trajectory, d: Differences) -> tuple[float, str,
         pushing = []
         for run in (a, b):
             c = run.contacts(int(k))
-            some = np.flatnonzero(c.impulse[:, 0] > 0.0)
+            some = np.flatnonzero(c.impulse_raw[:, 0] > 0.0)
             pushing.append({tuple(sorted((c.body1[n], c.body2[n]))) for n in some})
         if differ := sorted(pushing[0] ^ pushing[1]):
             return float(t), differ[0][0], differ[0][1]

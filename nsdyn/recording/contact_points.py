@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording import bundle
-from nsdyn.recording.tables import need_contacts
+from nsdyn.recording.tables import impulses, need_contacts
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["EDGE", "at", "axes", "counts"]
+__all__ = ["EDGE", "at", "axes", "counts", "identities"]
 
 EDGE = 4
 """Added to the state of a contact whose impulse is at the edge of its friction cone."""
@@ -35,9 +35,10 @@ def at(trajectory: Trajectory, rows: Index) -> dict[str, NDArray[Any]]:
     -------
     dict of str to ndarray
         offset (len(rows) + 1), and for each contact, by state and identity: id; state, 0 open, 1 stick, 2 slip, and
-        EDGE where |r_T| = μ r_N to 1e-4; point, normal (., 3), world; r (., 3), N·s, in the normal and its `axes`;
-        u_N, u_T, m/s, the size of the latter; gap, m; taken, what it dissipated since the recording began, J. For
-        each identity, the same features of the same pair of shapes: geoms (., 2) and mu.
+        EDGE where |r_T| = μ r_N to 1e-4; point, normal (., 3), world; r (., 3), N·s, in the normal and its `axes`, as
+        `nsdyn.recording.tables.impulses` has them; u_N, u_T, m/s, the size of the latter; gap, m; taken, what it
+        dissipated since the recording began, J. For each identity, the same features of the same pair of shapes:
+        geoms (., 2) and mu.
 
     Raises
     ------
@@ -46,14 +47,14 @@ def at(trajectory: Trajectory, rows: Index) -> dict[str, NDArray[Any]]:
     """
     size = counts(trajectory, rows)
     c = {name.removeprefix("contacts/"): x for name, x in trajectory.columns.items() if name.startswith("contacts/")}
-    identity = _identities(c)
+    identity = identities(c)
     taken = _so_far(identity, -(c["work_normal"] + c["work_friction"]))
     start = c["offset"][np.maximum(rows - 1, 0)]
     k = np.repeat(start - np.concatenate([[0], np.cumsum(size)[:-1]]), size) + np.arange(size.sum())
     frame = np.repeat(np.arange(rows.size), size)
     k = k[np.lexsort((identity[k], frame))]
     known, first, number = np.unique(identity[k], return_index=True, return_inverse=True)
-    t1, r = c["tangent"][k], c["impulse"][k]
+    t1, r = c["tangent"][k], impulses(trajectory, k)
     normal = bundle.rounded(c["normal"][k]).astype(float)  # as the page has it, whose axes follow from it
     drag = r[:, 1:2] * t1 + r[:, 2:] * np.cross(c["normal"][k], t1)
     own1, own2 = axes(normal)
@@ -83,7 +84,7 @@ def axes(normal: Array) -> tuple[Array, Array]:
     return t1, np.cross(normal, t1)
 
 
-def _identities(c: dict[str, NDArray[Any]]) -> Index:
+def identities(c: dict[str, NDArray[Any]]) -> Index:
     """One number for each pair of shapes and key of the warm start."""
     g1, g2 = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
     keys, key = np.unique(c["key"], return_inverse=True)

@@ -29,7 +29,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /contacts/geom1, geom2, key                    indices of the shapes; key of the warm start
     /contacts/point, normal, tangent               (., 3)  world; normal from 1 to 2; t1, and t2 = n x t1
     /contacts/gap, mu, restitution                 m, -, -
-    /contacts/u, impulse                           (., 3)  (N, T1, T2) of 2 relative to 1, m/s; on 2, N·s
+    /contacts/u, impulse                           (., 3)  (N, T1, T2) of 2 relative to 1, m/s; on 2, N·s, as the solver
+                                                   found it: `impulse_raw` of `nsdyn.recording.series.ContactTable`
     /contacts/status                               0 open, 1 stick, 2 slip
     /contacts/work_normal, work_friction           J
     /contacts/time                                 s after the beginning of the step; since version 6

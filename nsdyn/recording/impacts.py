@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from nsdyn.recording.contact_points import identities
+from nsdyn.recording.tables import impulses
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
 __all__ = ["Impacts", "find"]
+
+HELD = 1e-6
+"""m/s, a hundred times the solver's default tolerance: what parts no faster is held."""
 
 
 class Impacts(NamedTuple):
@@ -25,7 +29,7 @@ class Impacts(NamedTuple):
     speed : ndarray, shape (n,)
         At which the contact closed, m/s.
     impulse : ndarray, shape (n,)
-        Normal impulse, N·s.
+        Normal impulse, N·s, of redundant contacts that of least norm.
     geoms : ndarray, shape (n, 2)
         The shapes.
     """
@@ -37,46 +41,44 @@ class Impacts(NamedTuple):
 
 
 def find(trajectory: Trajectory) -> Impacts:
-    """Impacts of a recording: r_N > 0, and u_N < -|g| h at the start of the step, h its length.
+    """Impacts of a recording: contacts that push, closed faster than |g| h before, and carried no such load before.
 
-    What gravity gives within one step is not told from rest. Nothing is found where contacts are not recorded, or not
-    of every step. Links, whose velocities are not recorded, move as in the step before.
+    How fast a contact closed, where its shapes were nearest then, follows from the work of its normal impulse, which is
+    r_N times the mean of the velocities before and after: -u_N⁻ = u_N - 2 w_N / r_N. So what rolls closes at no speed,
+    however fast, and an impact located within a step has the speed of its instant. h is the length of the step: what
+    gravity gives within it is not told from rest.
+
+    A contact that pushed at least half as much when it last acted, in this step or the one before, and did not part,
+    goes on to carry a load: by what its gap still closes, of second order in h, it does not strike. Under loads of many
+    times the weight, and without gravity, that would be more than |g| h.
+
+    Nothing is found where contacts are not recorded, or not of every step.
     """
     none = Impacts(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty((0, 2), np.int64))
     if not trajectory.has_contacts or trajectory.every > 1:
         return none
-    c = trajectory.columns
-    step = np.repeat(np.arange(1, trajectory.steps + 1), np.diff(c["contacts/offset"]))
-    push = np.flatnonzero(c["contacts/impulse"][:, 0] > 0.0)
-    step, point, normal = step[push], c["contacts/point"][push], c["contacts/normal"][push]
-    geoms = np.column_stack([c["contacts/geom1"][push], c["contacts/geom2"][push]]).astype(np.int64)
-    frame = np.array([geom["frame"] for geom in trajectory.scene["geoms"]], dtype=np.int64)[geoms]
-    speed = np.zeros(push.size)
-    for f, name in enumerate(trajectory.scene["frames"]):
-        x, v, w = _velocities(trajectory, name)
-        for side, sign in ((0, 1.0), (1, -1.0)):
-            on = np.flatnonzero(frame[:, side] == f)
-            k = step[on] - 1
-            velocity = v[k] + np.cross(w[k], point[on] - x[k])
-            speed[on] += sign * (velocity * normal[on]).sum(axis=1)
+    c = {name.removeprefix("contacts/"): x for name, x in trajectory.columns.items() if name.startswith("contacts/")}
+    step = np.repeat(np.arange(1, trajectory.steps + 1), np.diff(c["offset"]))
+    impulse, u = c["impulse"][:, 0], c["u"][:, 0]
+    push = impulse > 0.0
+    speed = np.zeros(u.size)
+    speed[push] = u[push] - 2.0 * c["work_normal"][push] / impulse[push]
     # Round-off of velocities is no impact where there is no gravity.
-    least = np.linalg.norm(trajectory.scene["gravity"]) * trajectory.dt + 1e-9 * np.abs(speed).max(initial=0.0)
-    hit = np.flatnonzero(speed > least)
-    impulse = c["contacts/impulse"][push[hit], 0]
-    order = np.lexsort((-impulse, step[hit]))
-    hit, impulse = hit[order], impulse[order]
-    first = np.unique(step[hit], return_index=True)[1]
-    return Impacts(step[hit][first], speed[hit][first], impulse[first], geoms[hit][first])
+    least = np.linalg.norm(trajectory.scene["gravity"]) * trajectory.dt + 1e-9 * speed.max(initial=0.0)
+    held = _before(identities(c), step, np.where(push & (u <= HELD), impulse, 0.0)) >= 0.5 * impulse
+    hit = np.flatnonzero((speed > least) & ~held)
+    there, shown = np.flatnonzero(np.isin(step, step[hit])), np.zeros(step.size)
+    shown[there] = impulses(trajectory, there)[:, 0]
+    hit = hit[np.lexsort((-shown[hit], step[hit]))]
+    hit = hit[np.unique(step[hit], return_index=True)[1]]
+    geoms = np.column_stack([c["geom1"][hit], c["geom2"][hit]]).astype(np.int64)
+    return Impacts(step[hit], speed[hit], shown[hit], geoms)
 
 
-def _velocities(trajectory: Trajectory, name: str) -> tuple[Array, Array, Array]:
-    """Place, velocity there and angular velocity of a moving frame in all states, world axes."""
-    motion = trajectory.body(name)
-    if trajectory.scene["frames"].index(name) < trajectory.scene["free"]:
-        return motion.position, motion.linear_velocity, motion.angular_velocity
-    v, w = np.zeros_like(motion.position), np.zeros_like(motion.position)
-    if trajectory.steps:
-        h = np.diff(trajectory.t)[:, None]
-        turn = Rotation.from_quat(motion.quaternion)
-        v[1:], w[1:] = np.diff(motion.position, axis=0) / h, (turn[1:] * turn[:-1].inv()).as_rotvec() / h
-    return motion.position, v, w
+def _before(identity: Index, step: Index, values: Array) -> Array:
+    """Values of the same contacts when they last acted, in the same step or the one before, else 0."""
+    order = np.argsort(identity, kind="stable")
+    last, now = order[:-1], order[1:]
+    out = np.zeros(step.size)
+    out[now] = np.where((identity[last] == identity[now]) & (step[now] - step[last] <= 1), values[last], 0.0)
+    return out

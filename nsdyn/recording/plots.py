@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsdyn.recording.tables import contact_rows, pair_rows
+from nsdyn.recording.tables import contact_rows, impulses, pair_rows
 from nsdyn.tools.naming import choice
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def pair(trajectory: Trajectory, a: str, b: str, quantity: str = "gap", ax: Any 
         row, step, _ = pair_rows(trajectory, a, b)
         values = np.zeros(t.size)
         if quantity == "r_N":
-            np.add.at(values, step - 1, c["contacts/impulse"][row, 0])
+            np.add.at(values, step - 1, impulses(trajectory, row)[:, 0])
         else:
             values[:] = np.nan
             order = np.argsort(-c["contacts/gap"][row], kind="stable")  # the smallest comes last and stays
@@ -99,11 +99,12 @@ def pair(trajectory: Trajectory, a: str, b: str, quantity: str = "gap", ax: Any 
 def friction(trajectory: Trajectory, ax: Any = None) -> Any:
     """Draw the tangential impulse of every contact that pushes against mu r_N: on the line it slips, below it sticks.
 
+    Of redundant contacts they are those of least norm, as everywhere (`nsdyn.recording.shares`).
     ValueError where contacts were not recorded.
     """
     ax, c = _axes(ax), trajectory.columns
     row, _ = contact_rows(trajectory)
-    r, state = c["contacts/impulse"][row], c["contacts/status"][row]
+    r, state = impulses(trajectory, row), c["contacts/status"][row]
     most, drag = c["contacts/mu"][row] * r[:, 0], np.hypot(r[:, 1], r[:, 2])
     for value, name, colour in ((1, "stick", "C0"), (2, "slip", "C3")):
         some = (state == value) & (most > 0.0)

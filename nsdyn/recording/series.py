@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn.recording import shares
 from nsdyn.recording.file import CONTACT_STATES, ENERGIES, WORKS
 from nsdyn.tools.arrays import Array
 
@@ -183,7 +185,10 @@ class ContactTable:
     u : ndarray, shape (nc, 3)
         Velocity of body 2 relative to body 1 after the step, (N, T1, T2), m/s.
     impulse : ndarray, shape (nc, 3)
-        On body 2, its opposite on body 1, (N, T1, T2), N·s; not unique when contacts are redundant.
+        On body 2, its opposite on body 1, (N, T1, T2), N·s. Of redundant contacts of two bodies those of least norm
+        that obey the law of contact with the same force and torque: see `nsdyn.recording.shares`.
+    impulse_raw : ndarray, shape (nc, 3)
+        The same as the solver found them, not unique when contacts are redundant.
     mu, restitution : ndarray, shape (nc,)
     key : ndarray of int64, shape (nc,)
         The same for the same features of the same pair of shapes in the next step.
@@ -192,7 +197,7 @@ class ContactTable:
     time : ndarray, shape (nc,)
         When the impulse acted, s after the beginning of the step; NaN in recordings before format 6.
     work_normal, work_friction : ndarray, shape (nc,)
-        J.
+        Of the solver's impulses, J; their sum over two bodies is that of any impulses with the same force and torque.
     """
 
     body1: tuple[str, ...]
@@ -204,7 +209,7 @@ class ContactTable:
     tangent: Array
     gap: Array
     u: Array
-    impulse: Array
+    impulse_raw: Array
     mu: Array
     restitution: Array
     key: NDArray[np.int64]
@@ -212,6 +217,13 @@ class ContactTable:
     time: Array
     work_normal: Array
     work_friction: Array
+
+    @cached_property
+    def impulse(self) -> Array:
+        """Impulse on body 2, shape (nc, 3), (N, T1, T2), N·s."""
+        bodies = np.unique([self.body1, self.body2], return_inverse=True)[1].reshape(2, -1).T
+        columns = {name: getattr(self, name) for name in shares.COLUMNS if name != "impulse"}
+        return shares.shared(bodies, np.zeros(len(self), np.int64), columns | {"impulse": self.impulse_raw})
 
     @property
     def impulse_world(self) -> Array:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn.recording import shares
 from nsdyn.recording.file import CONTACT_STATES, JOINTS
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ __all__ = [
     "contact_rows",
     "contact_table",
     "force",
+    "impulses",
     "joint",
     "need_contacts",
     "pair",
@@ -94,7 +96,7 @@ def contact_table(trajectory: Trajectory) -> Any:
     """All contacts of all steps by columns; see `nsdyn.Trajectory.contact_table`."""
     columns, names = trajectory.columns, body_names(trajectory)
     row, step = contact_rows(trajectory)
-    frame = _frames(columns)
+    frame, shown = _frames(columns), impulses(trajectory, row)
     out: dict[str, NDArray[Any]] = {"step": step, "t": trajectory.t[step]}
     for side in "12":
         out[f"body{side}"] = names[columns[f"contacts/geom{side}"][row]]
@@ -103,12 +105,12 @@ def contact_table(trajectory: Trajectory) -> Any:
     for name, vector in (
         ("point", columns["contacts/point"]),
         ("normal", columns["contacts/normal"]),
-        ("impulse", np.einsum("ci,cij->cj", columns["contacts/impulse"], frame)),
+        ("impulse", np.einsum("ci,cij->cj", shown, frame)),
+        ("impulse_raw", _impulses(columns)),
         ("velocity", np.einsum("ci,cij->cj", columns["contacts/u"], frame)),
     ):
         out |= {f"{name}_{axis}": vector[row, k] for k, axis in enumerate("xyz")}
-    for name in ("impulse", "u"):
-        values = columns[f"contacts/{name}"][row]
+    for name, values in (("impulse", shown), ("u", columns["contacts/u"])):
         out |= {f"{name}_N": values[:, 0], f"{name}_T": np.hypot(values[:, 1], values[:, 2])}
     out |= {name: columns[f"contacts/{name}"][row] for name in ("mu", "restitution", "work_normal", "work_friction")}
     try:
@@ -196,6 +198,19 @@ def contact_rows(trajectory: Trajectory) -> tuple[NDArray[np.int64], NDArray[np.
     return np.arange(int(counts.sum())), np.repeat(np.arange(1, trajectory.steps + 1), counts)
 
 
+def impulses(trajectory: Trajectory, row: Index) -> Array:
+    """Impulses of contacts as everything shows them, shape (., 3), (N, T1, T2), N·s, in some rows.
+
+    Of two bodies that touch in a step all rows are needed. Of redundant contacts they are those of least norm, see
+    `nsdyn.recording.shares`; `/contacts/impulse` are the solver's.
+    """
+    _, step = contact_rows(trajectory)
+    c = {name: trajectory.columns[f"contacts/{name}"][row] for name in shares.COLUMNS}
+    body = np.unique(body_names(trajectory), return_inverse=True)[1]
+    bodies = np.column_stack([body[trajectory.columns[f"contacts/geom{side}"][row]] for side in "12"])
+    return shares.shared(bodies, step[row], c)
+
+
 def _frames(columns: dict[str, NDArray[Any]]) -> Array:
     """Axes (n, t1, t2) of all contacts, shape (., 3, 3)."""
     normal, tangent = columns["contacts/normal"], columns["contacts/tangent"]
@@ -203,7 +218,7 @@ def _frames(columns: dict[str, NDArray[Any]]) -> Array:
 
 
 def _impulses(columns: dict[str, NDArray[Any]]) -> Array:
-    """Impulses on body 2 of all contacts in world axes, shape (., 3), N·s."""
+    """The solver's impulses on body 2 of all contacts in world axes, shape (., 3), N·s."""
     out: Array = np.einsum("ci,cij->cj", columns["contacts/impulse"], _frames(columns))
     return out
 

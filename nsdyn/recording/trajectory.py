@@ -142,6 +142,7 @@ class Trajectory:
         offset = self.columns["contacts/offset"]
         rows = slice(int(offset[step - 1]), int(offset[step]))
         part = {name: self.columns[f"contacts/{name}"][rows] for name in CONTACT}
+        part["impulse_raw"] = part.pop("impulse")
         geoms = self.scene["geoms"]
         sides = [[geoms[g] for g in part.pop(side)] for side in ("geom1", "geom2")]
         # Recordings before format 4 have no names of links.
@@ -155,9 +156,9 @@ class Trajectory:
         Returns
         -------
         pandas.DataFrame, or dict of str to ndarray where pandas is not installed
-            step, t of its end, body1, body2, state, gap, point, normal, impulse on body 2 and velocity of body 2
-            relative to body 1 (each _x, _y, _z; the latter two also _N, _T), mu, restitution, work_normal,
-            work_friction.
+            step, t of its end, body1, body2, state, gap, point, normal, impulse on body 2, velocity of body 2 relative
+            to body 1, impulse_raw (each _x, _y, _z; impulse and velocity u also _N, _T), mu, restitution, work_normal,
+            work_friction; impulse and impulse_raw as in `nsdyn.recording.series.ContactTable`.
         """
         return tables.contact_table(self)
 

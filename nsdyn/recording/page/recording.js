@@ -177,14 +177,16 @@ class Recording {
     return {sum, carrying};
   }
 
-  // Sums over the contacts of a body of r_N and |r_T|, N·s, in all states that have contacts.
+  // Sums over the contacts of a body of r_N and |r_T|, N·s, in the steps that end at states; none ends at the first.
   loads(body) {
-    const times = this.arrays["contacts/t"];
+    const states = this.arrays["contacts/t"];
+    const first = Math.min(1, states.length - 1);
+    const times = states.subarray(first);
     const [normal, drag] = [new Float32Array(times.length), new Float32Array(times.length)];
     const offset = this.arrays["contacts/offset"];
     const r = this.arrays["contacts/r"];
     for (let k = 0; k < times.length; k++) {
-      for (const {row} of this.contactsOf(body, {first: offset[k], last: offset[k + 1]})) {
+      for (const {row} of this.contactsOf(body, {first: offset[first + k], last: offset[first + k + 1]})) {
         normal[k] += r[3 * row];
         drag[k] += Math.hypot(r[3 * row + 1], r[3 * row + 2]);
       }
