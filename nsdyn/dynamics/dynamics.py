@@ -17,14 +17,17 @@ from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics.rotation import principal
 from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.forests import Part, parts
 from nsdyn.dynamics.joints import JointLaws, JointRows, Rows
 from nsdyn.dynamics.surfaces import Surfaces
 from nsdyn.dynamics.tree_values import FreeMotion, Links, TreeEnd
 from nsdyn.dynamics.trees import Tree
 from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
 from nsdyn.problem.blocks import Blocks
+from nsdyn.scene.control import PD
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.naming import meant
 
 __all__ = ["Dynamics"]
 
@@ -74,17 +77,27 @@ class Dynamics:
         self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self.trees: list[Tree] = []
+        self._forests: dict[str, list[tuple[int, Part]]] = {name: [] for name in scene.articulations}
         start, first = 6 * self.free, self.free
         for name, a in scene.articulations.items():
-            joints = [joint for owner, joint in frames if owner == name]
-            motions = {
-                a.model.joints[a.model.getJointId(joint)].idx_v: m
+            driven_joints = {
+                a.model.getJointId(joint): m
                 for key, m in scene.motions.items()
                 for owner, _, joint in [key.partition("/")]
                 if owner == name and m.kind == "joint"
             }
-            self.trees.append(Tree(a, self.gravity, start, joints, first, motions))
-            start, first = start + a.model.nv, first + len(joints)
+            for part in parts(a):
+                before = part.joints.start - 1
+                joints = [joint - before for owner, joint in frames if owner == name and joint in part.joints]
+                motions = {
+                    a.model.idx_vs[joint] - part.v.start: m
+                    for joint, m in driven_joints.items()
+                    if joint in part.joints
+                }
+                self._forests[name].append((len(self.trees), part))
+                self.trees.append(Tree(part.articulation, self.gravity, start, joints, first, motions))
+                start, first = start + self.trees[-1].model.nv, first + len(joints)
+        grown = [part.articulation for forest in self._forests.values() for _, part in forest]
         # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
         self._lone = len(self.trees) == 1 and self.frames == len(frames) and not self.free
         self._constrained = any(t.constrained for t in self.trees)
@@ -103,17 +116,18 @@ class Dynamics:
         self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
-        self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
+        self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
+        self._shared: dict[str, tuple[Any, list[Any]]] = {}
         self.weight = float(np.linalg.norm(self.gravity))
         self.no_impulses = NO_VECTORS, np.zeros((3, self.n))
-        self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
+        self.joints = JointLaws(grown, self.trees, self.free)
         self.held = np.concatenate(
             [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(len(driven), np.bool_)]
         )
         self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
         self.surfaces = Surfaces(scene)
         self.alone = self.frames == self.free and not self.trees and not self.surfaces.count
-        starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]
+        starts = [t.start(a.q, a.v) for t, a in zip(self.trees, grown, strict=True)]
         self._start = (
             Position(
                 np.array([b.position for b in bodies]).reshape(-1, 3),
@@ -267,10 +281,7 @@ class Dynamics:
         if wrenches is not None:
             force, torque, applied = self._applied(middle.position, _mapping(wrenches, "external_force"))
         if tau is not None:
-            given = _mapping(tau, "controller")
-            if not self._tree_names.keys() >= given.keys():
-                unknown = given.keys() - self._tree_names.keys()
-                raise ValueError(f"controller names {min(unknown)!r}; articulations are {list(self._tree_names)}")
+            given = self._by_tree(_mapping(tau, "controller"))
         out = np.empty(self.n)
         if self.free:
             _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
@@ -278,11 +289,11 @@ class Dynamics:
             return Forces(out, force, torque, self._m, self._minv, ())
         if self._lone:
             tree = self.trees[0]
-            only = tree.free_motion(middle.trees[0], t, given.get(tree.name), applied.get(0))
+            only = tree.free_motion(middle.trees[0], t, given.get(0), applied.get(0))
             return Forces(only.v, force, torque, only.m.ravel(), only.minv.ravel(), (only,))
         motions = []
         for k, (tree, half) in enumerate(zip(self.trees, middle.trees, strict=True)):
-            motions.append(tree.free_motion(half, t, given.get(tree.name), applied.get(k)))
+            motions.append(tree.free_motion(half, t, given.get(k), applied.get(k)))
             out[tree.coordinates] = motions[-1].v
         return self._with_trees(out, force, torque, motions)
 
@@ -317,25 +328,62 @@ class Dynamics:
         applied: dict[int, Array] = {}
         for name, wrench in wrenches.items():
             try:
-                parts = np.array(wrench, dtype=float)
+                given = np.array(wrench, dtype=float)
             except (TypeError, ValueError):
-                parts = np.array(np.nan)
-            if parts.shape not in ((3,), (2, 3)) or not np.isfinite(parts).all():
+                given = np.array(np.nan)
+            if given.shape not in ((3,), (2, 3)) or not np.isfinite(given).all():
                 raise ValueError(f"external_force on {name!r} must be finite with shape (3,) or (2, 3), got {wrench!r}")
-            pull, turn = parts if parts.ndim == 2 else (parts, np.zeros(3))
-            owner, _, body = name.partition("/")
+            pull, turn = given if given.ndim == 2 else (given, np.zeros(3))
             if name in self.names:
                 k = self.names[name]
                 force[k], torque[k] = pull, _rotation(middle.quaternion[k]).T @ turn
-            elif body and owner in self._tree_names:
-                k = self._tree_names[owner]
+            elif name in self._bodies:
+                k, body = self._bodies[name], name.partition("/")[2]
                 applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(middle.trees[k], body, pull, turn)
             else:
-                raise ValueError(
-                    f"external_force names {name!r}, which is no free body and no 'articulation/body'; free bodies are "
-                    f"{list(self.names)}, articulations {list(self._tree_names)}"
-                )
+                self._refuse_body(name)
         return force, torque, applied
+
+    def _refuse_body(self, name: str) -> None:
+        """ValueError for a wrench on what does not move, naming what does."""
+        owner, _, body = name.partition("/")
+        if body and owner in self._forests:
+            known = [one.partition("/")[2] for one in self._bodies if one.startswith(f"{owner}/")]
+            raise ValueError(
+                f"external_force: {owner!r} has no moving body {body!r}; it has {known}{meant(body, known)}"
+            )
+        raise ValueError(
+            f"external_force names {name!r}, which is no free body and no 'articulation/body'; free bodies are "
+            f"{list(self.names)}, articulations {list(self._forests)}"
+        )
+
+    def _by_tree(self, given: Mapping[str, Any]) -> dict[int, Any]:
+        """What a controller gave to articulations, by the index of the tree."""
+        out = {}
+        for name, value in given.items():
+            if name not in self._forests:
+                raise ValueError(f"controller names {name!r}; articulations are {list(self._forests)}")
+            forest = self._forests[name]
+            if len(forest) == 1:
+                out[forest[0][0]] = value
+            elif value is not None:
+                # The same control as before is the same to each tree.
+                if name not in self._shared or self._shared[name][0] is not value:
+                    self._shared[name] = value, self._share(name, value)
+                out |= {k: own for (k, _), own in zip(forest, self._shared[name][1], strict=True)}
+        return out
+
+    def _share(self, name: str, value: Any) -> list[Any]:
+        """Parts of a control of an articulation of several trees."""
+        trees, slices = ([self.trees[k] for k, _ in self._forests[name]], [part.v for _, part in self._forests[name]])
+        if isinstance(value, PD):
+            scalar, effort = (np.concatenate([getattr(t, what) for t in trees]) for what in ("scalar", "effort"))
+            laws = value.on(name, scalar, effort)
+            return [PD(*(law[v] for law in laws)) for v in slices]
+        given = np.asarray(value)
+        if given.shape != (slices[-1].stop,):
+            raise ValueError(f"controller must give {slices[-1].stop} finite joint forces for {name!r}, got {value!r}")
+        return [given[v] for v in slices]
 
     # -- rows --------------------------------------------------------------------------------------------------
 

@@ -17,7 +17,6 @@ from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.control import PD
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools, Index
-from nsdyn.tools.naming import meant
 
 __all__ = ["Tree"]
 
@@ -65,6 +64,8 @@ class Tree:
     ----------
     held : ndarray of bool, shape (nv,)
         Coordinates that nothing but prescribed motion moves: driven ones, and those that loops then leave no freedom.
+    bodies : dict of str to int
+        Frames of the model's moving bodies and joints, by name.
     held_links : ndarray of bool, shape (k,)
         The links of `joints` that nothing else moves.
     """
@@ -115,7 +116,7 @@ class Tree:
         self.constrained = bool(driven) or self._closures is not None
         self._controlled: tuple[Any, Any] = (None, None)
         kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
-        self._bodies = {
+        self.bodies = {
             f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
         }
         self._zero = np.zeros(nv)  # not read-only, for which all kernels would be compiled once more
@@ -236,12 +237,7 @@ class Tree:
 
         World axes.
         """
-        if body not in self._bodies:
-            known = list(self._bodies)
-            raise ValueError(
-                f"external_force: {self.name!r} has no moving body {body!r}; it has {known}{meant(body, known)}"
-            )
-        at = self._bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        at = self.bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         J = pin.computeFrameJacobian(self.model, self.data, q, *at).reshape(6, -1, order="A")
         out: Array = J.T @ np.concatenate((force, torque))
         return out

@@ -1,0 +1,67 @@
+"""Articulations cut at the world: what no joint and no loop joins moves by itself, as a tree of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import pinocchio as pin
+
+from nsdyn.scene.articulations import Articulation
+
+__all__ = ["Part", "parts"]
+
+
+class Part(NamedTuple):
+    """One tree of an articulation, or several that loops join.
+
+    Attributes
+    ----------
+    articulation : Articulation
+        As if there were no other; it has the name of the whole.
+    q, v : slice
+        Its coordinates in those of the whole.
+    joints : range
+        Its joints in the whole: the first is its joint 1.
+    """
+
+    articulation: Articulation
+    q: slice
+    v: slice
+    joints: range
+
+
+def parts(a: Articulation) -> list[Part]:
+    """Trees of an articulation, in the order of their coordinates."""
+    model = a.model
+    roots = [joint for joint in range(1, model.njoints) if model.parents[joint] == 0]
+    ends = [*roots[1:], model.njoints]
+    for loop in a.loops:  # all trees from the first that it joins to the last move together
+        low, high = sorted((loop.joint1, loop.joint2))
+        kept = [k for k, end in enumerate(ends) if not (low and low < end <= high)]
+        roots, ends = [roots[0], *(ends[k] for k in kept[:-1])], [ends[k] for k in kept]
+    if len(roots) == 1:
+        return [Part(a, slice(0, model.nq), slice(0, model.nv), range(1, model.njoints))]
+    return [_part(a, range(first, end)) for first, end in zip(roots, ends, strict=True)]
+
+
+def _part(a: Articulation, joints: range) -> Part:
+    model, shift = a.model, joints.start - 1
+    others = [joint for joint in range(1, model.njoints) if joint not in joints]
+    own = pin.buildReducedModel(model, others, a.q)
+    own.gravity = model.gravity
+    q_start, v_start = model.idx_qs[joints.start], model.idx_vs[joints.start]
+    q, v = slice(q_start, q_start + own.nq), slice(v_start, v_start + own.nv)
+    links = [k for k, link in enumerate(a.links) if link.joint in joints]
+    moved = replace(
+        a, model=own, q=a.q[q], v=a.v[v],
+        **{name: getattr(a, name)[v] for name in ("friction", "damping", "armature", "stiffness", "rest", "effort")},
+        links=tuple(a.links[k]._replace(joint=a.links[k].joint - shift) for k in links),
+        bodies=tuple(a.bodies[k] for k in links), materials=tuple(a.materials[k] for k in links),
+        loops=tuple(
+            replace(loop, joint1=max(0, loop.joint1 - shift), joint2=max(0, loop.joint2 - shift))
+            for loop in a.loops if {loop.joint1, loop.joint2} & set(joints)
+        ),
+        fixed=(), excluded=frozenset(),
+    )  # fmt: skip
+    return Part(moved, q, v, joints)
