@@ -171,7 +171,7 @@ def _run(
             setup = scenes.setup(scene, **parameters)
             built, options = setup.scene, setup.options(**options)
         else:
-            built = scene(**parameters)
+            built = scenes.made(scene, **parameters)
         trajectory = simulate(built, duration, **options)
         return trajectory if keep is None else keep(trajectory), "", False
     except NotConverged as failure:
