@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import umsgpack
 from numpy.typing import NDArray
 
-from nsdyn.recording import arrows, bundle, contact_points, curves, impacts, keyframes, motion
+from nsdyn.recording import arrows, bundle, contact_points, curves, impacts, keyframes, motion, titles
 from nsdyn.recording.commands import Json
 from nsdyn.recording.solids import body_path, geom_path, shape_commands
 from nsdyn.recording.stage import FIELD_OF_VIEW, View, stage_commands
@@ -126,11 +125,8 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
 def _made(trajectory: Trajectory) -> dict[str, str]:
     """How to make the recording again, where it is known."""
     meta = trajectory.meta
-    parameters = json.loads(meta.get("parameters", "{}")).items()
     out = {
-        "parameters": ", ".join(
-            f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in parameters
-        ),
+        "parameters": titles.parameters(trajectory),
         "step": f"{trajectory.dt:g} s",
         "solver": str(meta.get("solver", "")),
         "command": meta.get("command", ""),

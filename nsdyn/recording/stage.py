@@ -35,7 +35,9 @@ class View:
     """Where scenes are: a ball around fixed bodies and all that moving ones ever reach; camera and sun."""
 
     def __init__(self, trajectories: Sequence[Trajectory]) -> None:
-        points, reach, sizes = [], [], []
+        points: list[Array] = []
+        reach: list[Array] = []
+        sizes: list[float] = []
         planes: dict[tuple[float, ...], None] = {}
         for trajectory in trajectories:
             every = 1 + trajectory.steps // 1000  # enough to see where a body goes
@@ -51,9 +53,8 @@ class View:
                 reach.append(np.full(len(points[-1]), ball))
                 sizes += [_radius(geom)] * moves
         self.planes = [(np.array(normal), offset) for *normal, offset in planes]
-        empty = [np.zeros((1, 3))], [np.ones(1)]  # of which the unit ball is shown
-        x, r = (np.concatenate(parts or none) for parts, none in zip((points, reach), empty, strict=True))
-        r = r[:, None]
+        # Where there is nothing, the unit ball.
+        x, r = np.concatenate(points or [np.zeros((1, 3))]), np.concatenate(reach or [np.ones(1)])[:, None]
         lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
         self.centre = 0.5 * (lower + upper)
         self.radius = 0.5 * float(np.linalg.norm(upper - lower))

@@ -9,13 +9,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["differing", "document", "labels"]
+__all__ = ["differing", "document", "labels", "parameters"]
 
 UNTOLD = {"parameters", "command", "checksums"}
 """Of the attributes of a recording, what is no option of its run."""
 
 SHOWN = {"dt": " s", "theta": "", "impact": "", "solver": ""}
 """Options that make a motion another, and their units."""
+
+
+LONG = 60
+"""Letters of a value; what a longer one has beyond is left out."""
 
 
 def differing(a: Trajectory, b: Trajectory) -> dict[str, tuple[Any, Any]]:
@@ -31,8 +35,8 @@ def labels(shown: list[Trajectory]) -> list[str]:
     if len(shown) == 1:
         return names
     differ = differing(shown[0], shown[1])
-    both = dict.fromkeys((*_parameters(shown[0]), *SHOWN))
-    told = [_told(name, *differ[name]) for name in both if None not in differ.get(name, (None,))]
+    of_scene = _parameters(shown[0]) if names[0] == names[1] else ()
+    told = [_told(k, *differ[k]) for k in dict.fromkeys((*of_scene, *SHOWN)) if None not in differ.get(k, (None,))]
     out = []
     for name, parts in zip(names, zip(*told, strict=True) if told else ((), ()), strict=True):
         own = [name] if names[0] != names[1] or not parts else []
@@ -47,9 +51,19 @@ def document(shown: list[Trajectory]) -> str:
     return common + " | ".join(parts)
 
 
+def parameters(trajectory: Trajectory) -> str:
+    """All parameters of a scene: "mu=0.2, speed=2.0"."""
+    return ", ".join(f"{name}={_text(value)}" for name, value in _parameters(trajectory).items())
+
+
 def _parameters(trajectory: Trajectory) -> dict[str, Any]:
     out: dict[str, Any] = json.loads(trajectory.meta.get("parameters", "{}"))
     return out
+
+
+def _text(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= LONG else text[:LONG] + "…"
 
 
 def _told(name: str, *values: Any) -> list[str]:
@@ -60,7 +74,7 @@ def _told(name: str, *values: Any) -> list[str]:
             return [f"solver={kind}" for kind in kinds]
         words = [text.split(", ") for text in inner]
         return [", ".join(w for w in mine if w not in other) for mine, other in zip(words, words[::-1], strict=True)]
-    texts = [value if isinstance(value, str) else json.dumps(value) for value in values]
+    texts = [_text(value) for value in values]
     short = [f"{value:.6g}" if isinstance(value, float) else text for value, text in zip(values, texts, strict=True)]
     if short[0] != short[1]:
         texts = short

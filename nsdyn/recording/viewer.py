@@ -32,7 +32,7 @@ __all__ = ["html", "write_html"]
 LARGE_PAGE = 50e6
 """Bytes; browsers get slow."""
 
-SCRIPTS = ("format", "recording", "clock", "stage", "overlay", "chart", "ledger", "inspector", "pane", "main")
+SCRIPTS = ("format", "recording", "clock", "stage", "overlay", "chart", "ledger", "inspector", "pane", "tools", "main")
 """Of the folder `page`, in the order of their use."""
 
 

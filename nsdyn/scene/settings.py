@@ -76,5 +76,5 @@ def _plain(value: Any) -> Any:
     """What stands in JSON for a value that it does not know: never an address in memory."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    named = hasattr(value, "__qualname__") or type(value).__repr__ is object.__repr__
-    return getattr(value, "__qualname__", type(value).__qualname__) if named else repr(value)
+    text = repr(value)
+    return getattr(value, "__qualname__", type(value).__qualname__) if " at 0x" in text else text

@@ -16,8 +16,8 @@ class Chart {
   }
 
   // What is shown: {begin, end} of time, and lanes, one above the other, each {low, high, log, unit, areas, lines, note}.
-  // An area is {values: [lower, upper], colour}, a line {values, colour, dash}; all have the times `t`; `steps` where
-  // each value is of the time since the one before.
+  // An area is {values: [lower, upper], colour}, a line {values, colour, dash, width, rim}; all have the times `t`, but
+  // for lines that have their own; `steps` where each value is of the time since the one before.
   show(content) {
     Object.assign(this, content);
     this.redraw();
@@ -90,14 +90,16 @@ class Chart {
       this.trace(context, lane, lower, true);
       context.fill();
     }
-    for (const {values, colour, dash, width} of lane.lines ?? []) {
-      context.strokeStyle = colour;
-      context.lineWidth = width ?? 1.5;
+    context.lineCap = "round";
+    for (const {values, colour, dash, width, t, rim} of lane.lines ?? []) {
       context.setLineDash(dash ?? []);
       context.beginPath();
-      this.trace(context, lane, values);
-      context.stroke();
-      context.setLineDash([]);
+      this.trace(context, lane, values, false, t);
+      for (const [stroke, more] of rim ? [["white", 1.6], [colour, 0]] : [[colour, 0]]) {
+        context.strokeStyle = stroke;
+        context.lineWidth = width + more;
+        context.stroke();
+      }
     }
     context.restore();
     context.textAlign = "left";
@@ -120,7 +122,7 @@ class Chart {
   }
 
   // Add a curve to the path; what is not finite leaves a gap.
-  trace(context, lane, values, backwards = false) {
+  trace(context, lane, values, backwards = false, t = this.t) {
     const count = values.length;
     let pen = backwards;
     for (let i = 0; i < count; i++) {
@@ -129,9 +131,9 @@ class Chart {
         pen = false;
         continue;
       }
-      const [x, y] = [this.x(this.t[k]), this.y(lane, values[k])];
+      const [x, y] = [this.x(t[k]), this.y(lane, values[k])];
       if (this.steps && k > 0) {
-        const before = this.x(this.t[k - 1]);
+        const before = this.x(t[k - 1]);
         for (const corner of backwards ? [x, before] : [before, x]) {
           if (pen) context.lineTo(corner, y); else context.moveTo(corner, y);
           pen = true;
