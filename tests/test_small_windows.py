@@ -17,7 +17,8 @@ PHONE, ZOOMED, LYING = (390, 844), (640, 360), (844, 390)
 SEEN = """
 (() => {
   const parts = ".heading, .legend > span, .view, .sheet, .values, .curves .plot, button, #scrubber, #clock, #speed *";
-  const elements = Array.from(document.querySelectorAll(parts)).filter(e => e.checkVisibility() && !e.closest("dialog"));
+  const shown = e => e.checkVisibility() && !e.closest("dialog");
+  const elements = Array.from(document.querySelectorAll(parts)).filter(shown);
   const name = e => e.id || e.className || e.tagName;
   return elements.map(e => {
     const box = e.getBoundingClientRect(), frame = e.parentElement.closest(".sheet")?.getBoundingClientRect();
@@ -79,7 +80,6 @@ def check(page, size, count, name, folder):
     assert page.run("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]") == [width, height]
     views = [row[1:5] for row in seen if row[0] == "view"]
     shares = [(bottom - top) / height for _, top, _, bottom in views]
-    print(size, count, name, shares)
     picture = page.picture()
     (folder / f"{count} {name} {width}x{height}.png").write_bytes(picture)
     assert len(views) == count and len({(right - left, bottom - top) for left, top, right, bottom in views}) == 1
@@ -111,10 +111,15 @@ def test_nothing_lies_on_the_scene_or_on_a_control(window, pages, size, count, t
         # The body is where it can be seen, and the pointer finds it there.
         assert window.run(
             "(({stage}) => { const box = stage.viewer.dom_element.getBoundingClientRect();"
-            " const [x, y] = stage.project(stage.origin(0)); const met = document.elementFromPoint(box.left + x, box.top + y);"
+            " const [x, y] = stage.project(stage.origin(0));"
+            " const met = document.elementFromPoint(box.left + x, box.top + y);"
             " return met.closest('.view') !== null && stage.pick(x, y) !== null; })(nsdyn.panes[0])"
         )
         assert window.run("document.querySelector('.inspector h2').checkVisibility()")
+    window.run("nsdyn.panes[0].inspector.clear()")
+    window.run(press("tree"))
+    assert check(window, size, count, "tree", tmp_path) >= least
+    assert window.run("document.querySelector('.gui li').checkVisibility()")
 
 
 def test_targets_are_large_under_fingers_in_any_window(window, pages):

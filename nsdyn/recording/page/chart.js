@@ -2,6 +2,7 @@
 
 const MARGIN = {left: 58, right: 14, top: 8, bottom: 20};
 const GAP = 11;  // between lanes
+const LABELLED = 26;  // height from which on the name of a lane leaves room for its curves
 
 class Chart {
   // `onSeek(t)` is called where the pointer is pressed or drawn.
@@ -103,7 +104,7 @@ class Chart {
     }
     context.restore();
     context.textAlign = "left";
-    if (lane.label) {
+    if (lane.label && bottom - top > LABELLED) {
       context.fillStyle = "#ffffffc8";
       context.fillRect(MARGIN.left + 2, top, context.measureText(lane.label).width + 7, 15);
       context.fillStyle = "#3a444f";
@@ -117,7 +118,7 @@ class Chart {
     context.save();
     context.translate(12, 0.5 * (top + bottom));
     context.rotate(-Math.PI / 2);
-    context.fillText(lane.unit, 0, 0);
+    if (context.measureText(lane.unit).width < bottom - top + GAP) context.fillText(lane.unit, 0, 0);
     context.restore();
   }
 
@@ -162,7 +163,7 @@ class Chart {
 // Powers of ten in a range, so many at most.
 function decades(low, high, most) {
   const [first, last] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];
-  const step = Math.max(1, Math.ceil((last - first + 1) / Math.max(2, most)));
+  const step = Math.max(1, Math.ceil((last - first + 1) / Math.max(1, most)));
   const out = [];
   for (let k = first; k <= last; k += step) out.push(10 ** k);
   return out;

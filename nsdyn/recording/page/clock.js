@@ -81,9 +81,9 @@ class Dock {
 
   key(event) {
     const help = document.getElementById("help");
-    if (event.ctrlKey || event.altKey || event.metaKey) return;
-    if (event.key === " " ? event.target.closest("button") : event.target.type === "range" && event.key !== "?") return;
-    if (help.open && event.key !== "?") return;
+    const focused = document.activeElement;
+    if (event.ctrlKey || event.altKey || event.metaKey || (help.open && event.key !== "?")) return;
+    if (event.key === " " ? focused.matches("button") : focused.type === "range" && event.key !== "?") return;
     const action = {
       " ": () => this.toggle(),
       "?": () => { if (help.open) help.close(); else help.showModal(); },

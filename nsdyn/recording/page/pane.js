@@ -14,11 +14,11 @@ class Pane {
     const three = view.appendChild(element("div", "three"));
     this.stage = new Stage(three.appendChild(element("div", "three")), recording);
     this.overlay = new Overlay(view.appendChild(element("canvas")), this.stage, recording);
-    this.gui = view.appendChild(this.stage.viewer.gui.domElement);
-    this.gui.classList.add("gui");
     const below = this.root.appendChild(element("div", "below"));
     const aside = below.appendChild(element("aside", "sheet")).appendChild(element("div", "inspector"));
     this.inspector = new Inspector(aside, recording, this.stage, this.overlay);
+    below.appendChild(element("aside", "sheet")).append(this.stage.viewer.gui.domElement);
+    this.stage.viewer.gui.domElement.classList.add("gui");
     this.makeLegend();
     this.makeCurves(below.appendChild(element("div", "curves")));
     this.stage.drawn.push(() => this.scaleBars(), () => this.inspector.showFollowed());
@@ -32,6 +32,13 @@ class Pane {
     this.overlay.layers[layer] = on;
     this.showLegend();
     this.stage.viewer.set_dirty();
+  }
+
+  // Whether meshcat's own controls are open.
+  showTree(on) {
+    const {gui} = this.stage.viewer;
+    gui.domElement.classList.toggle("shown", on);
+    if (on) gui.open(); else gui.close();
   }
 
   makeLegend() {

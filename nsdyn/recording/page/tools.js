@@ -33,7 +33,7 @@ class Tools {
     this.group(Object.keys(VIEWS).map(name => [name, `Camera: ${name}`]), name => panes[0].stage.look(name));
     const touching = panes.find(pane => pane.recording.contacts);
     if (touching) toggles(DRAWN, name => touching.overlay.layers[name], (pane, now, name) => pane.draw(name, now));
-    toggles({tree: "meshcat's own controls"}, () => false, (pane, now) => pane.gui.classList.toggle("shown", now));
+    toggles({tree: "meshcat's own controls"}, () => false, (pane, now) => pane.showTree(now));
     this.makeHelp();
     this.show("energy");
   }
