@@ -497,6 +497,19 @@ def test_two_recordings_are_seen_from_one_place(opened, falling, sliding):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("at", ["#t=0", "#picture"])  # the latter is what films show
+def test_headings_tell_what_differs(opened, at):
+    one, other = (nd.simulate(nd.scenes.load("slide")(mu=mu), 0.02, dt=1e-2) for mu in (0.2, 0.5))
+    page = opened(one, beside=other, at=at)
+    assert page.run("document.title") == "slide: mu=0.2 | mu=0.5 - nsdyn"
+    headings = "Array.from(document.querySelectorAll('.heading'), h => h.firstChild.textContent)"
+    assert page.run(headings) == ["mu=0.2", "mu=0.5"]
+    boxes = page.run("Array.from(document.querySelectorAll('.heading'), h => h.getBoundingClientRect().toJSON())")
+    assert 0 <= boxes[0]["left"] < boxes[0]["right"] <= SIZE[0] / 2 <= boxes[1]["left"] < boxes[1]["right"] <= SIZE[0]
+    assert all(0 <= box["top"] and 15 < box["height"] < 40 for box in boxes)
+    assert "h = 10 ms" in text(page, ".heading small")
+
+
 def test_forces_of_two_recordings_have_one_scale(opened, sliding):
     scene = nd.Scene()
     scene.add_halfspace("ground")

@@ -29,11 +29,12 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def packed(
-    trajectory: Trajectory, label: str, view: View, fps: float, forces: bool | str, max_frames: int, at: float | None
-) -> str:
-    """Text of `nsdyn.recording.bundle` of a recording that is called `label` and seen in `view`.
+    trajectory: Trajectory, fps: float, forces: bool | str, max_frames: int, at: float | None,
+    label: str = "", view: View | None = None,
+) -> str:  # fmt: skip
+    """Text of `nsdyn.recording.bundle`; parameters and errors are those of `nsdyn.recording.viewer.html`.
 
-    Other parameters and errors are those of `nsdyn.recording.viewer.html`.
+    Where it is shown beside another, the recording has a `label` and a `view` that serves both.
     """
     t = trajectory.t
     finite = np.isfinite(trajectory.q).all(axis=1)
@@ -46,6 +47,7 @@ def packed(
         if not t[0] <= at <= t[-1]:
             raise ValueError(f"at must lie between {t[0]:g} and {t[-1]:g} s, got {at}")
         rows = keyframes.nearest(t, np.array([at]))
+    view = view or View([trajectory])
     values, arrays = _scene(trajectory, view)
     arrays["t"] = t[rows]
     commands = stage_commands(view) + shape_commands(trajectory.scene, view)
@@ -81,7 +83,7 @@ def packed(
         units = {"forces": usual, "cones": _usual(found["r"][:, 0] / trajectory.dt)}
         lengths = {"forces": view.radius / 5, "cones": min(view.radius / 5, view.body_radius)}
         values |= {"forces": bool(forces), "units": units, "lengths": lengths}
-    values |= {"label": label, "picture": at is not None, "notes": [] if at is not None else notes}
+    values |= {"label": label or values["name"], "picture": at is not None, "notes": [] if at is not None else notes}
     return bundle.pack(values, arrays)
 
 

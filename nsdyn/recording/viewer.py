@@ -100,7 +100,7 @@ def html(
         script="\n".join(_part(f"{name}.js") for name in SCRIPTS),
         recordings="\n".join(
             '<script type="text/plain" class="recording">'
-            f"{packed(t, label, view, fps, forces, max_frames, moment)}</script>"
+            f"{packed(t, fps, forces, max_frames, moment, label, view)}</script>"
             for (t, moment), label in zip(shown, labels, strict=True)
         ),
     )
