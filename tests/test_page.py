@@ -113,7 +113,7 @@ def test_nothing_is_loaded_and_nothing_goes_wrong(opened, sliding, tmp_path):
         return [url for url in requests if not url.startswith(("file:", "blob:", "data:"))], failed
 
     for button in ("forces", "cones", "power", "checks", "top", "tree"):
-        click_on(page, f".{button}")
+        click_on(page, f".tools .{button}")
     show(page, 0.3)
     assert requests_and_exceptions() == ([], [])
     # The same look at a page that does load something, so that nothing means something.
@@ -232,7 +232,7 @@ def test_power_is_what_each_step_took(opened, sliding):
     # The difference of sums so far in single precision, over 1 ms.
     assert cells["friction"] == pytest.approx(-sliding.energy.friction[k - 1] / sliding.dt, rel=1e-2)
     # The impact of the ball, of ½ m (1 - e²) v² = 1.47 J in a millisecond, is cut.
-    assert "peaks up to 1.4" in page.run("nsdyn.panes[0].ledger.power().lanes[0].label")
+    assert "peaks up to 1.4" in page.run("nsdyn.panes[0].chart.lanes[0].label")
 
 
 def test_checks_are_those_of_the_steps(opened, sliding):
@@ -317,7 +317,7 @@ def test_scale_of_forces(opened, sliding):
         "(s => { const c = s.recording.view.centre; "
         f"return [-0.5, 0.5].map(k => s.project([c[0] + k * {metres}, c[1], c[2]])[0]) }})(nsdyn.panes[0].stage)"
     )
-    assert x[1] - x[0] == pytest.approx(width, rel=0.01) and 40 <= width <= 100
+    assert x[1] - x[0] == pytest.approx(width, rel=0.01) and 24 <= width <= 60
     # Of the box, on four points that carry a quarter of its weight each.
     forces = page.run("(a => Array.from(a['forces/force']).slice(-12))(nsdyn.recordings[0].arrays)")
     np.testing.assert_allclose(np.reshape(forces, (4, 3)), np.tile((0, 0, 2 * 9.81 / 4), (4, 1)), rtol=0, atol=1e-2)
@@ -458,6 +458,196 @@ def test_two_recordings_have_one_clock(opened, falling, sliding):
     assert boxes[1] > boxes[0] + 0.4 * SIZE[0]
 
 
+def cameras(page):
+    """Of every pane the place of the camera, where it looks, and how many pixels a metre there has."""
+    return page.run(
+        "nsdyn.panes.map(({stage: s}) => [...s.camera.position.toArray(), ...s.viewer.controls.target.toArray(),"
+        " s.pixelsPerMetre])"
+    )
+
+
+def test_two_recordings_are_seen_from_one_place(opened, falling, sliding):
+    page = opened(sliding, beside=falling)
+    one, other = cameras(page)
+    assert one == other
+    balls = page.run("nsdyn.recordings.map(r => Array.from(r.arrays.outline))")
+    assert balls[0] == balls[1] and max(balls[0][2::4]) == 5.0  # where the falling box begins
+    left, top, width, height = place(page, ".pane + .pane .view")
+    x, y = left + width / 2, top + height / 2
+    page.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", buttons=1)
+    for k in range(1, 6):
+        page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x - 20 * k, y=y - 3 * k, button="left", buttons=1)
+    page.call("Input.dispatchMouseEvent", type="mouseReleased", x=x - 100, y=y - 15, button="left")
+    page.call("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=-240)
+    show(page, 0.1)
+    turned = cameras(page)
+    assert turned[0] == pytest.approx(turned[1], rel=1e-9)  # round-off of the angles that the controls keep
+    assert math.dist(turned[0][:3], one[:3]) > 0.5 and turned[0][6] > 1.04 * one[6]  # turned, and nearer
+    page.run("document.querySelector('.tools .front').click()")
+    show(page, 0.2)
+    assert cameras(page)[0] == cameras(page)[1] != turned[0]
+    # A body of one pane takes both cameras along, and then one of the other does.
+    for k, name in enumerate(("ball", "falling")):
+        show(page, 0.05)
+        page.run(
+            f"(p => p.inspector.body(p.recording.bodies.findIndex(b => b.name === '{name}')))(nsdyn.panes[{k}]);"
+            f"document.querySelectorAll('.pane')[{k}].querySelector('.follow').click()"
+        )
+        before = cameras(page)
+        show(page, 0.15)
+        after = cameras(page)
+        # Each falls, between keys as above.
+        assert after[0] == after[1] and before[0][1] - after[0][1] == pytest.approx(9.81 * 0.01, abs=4e-3)
+    assert page.run("Array.from(document.querySelectorAll('.follow'), b => b.getAttribute('aria-pressed'))") == [
+        "false", "true",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("at", ["#t=0", "#picture"])  # the latter is what films show
+def test_headings_tell_what_differs(opened, at):
+    one, other = (nd.simulate(nd.scenes.load("slide")(mu=mu), 0.02, dt=1e-2) for mu in (0.2, 0.5))
+    page = opened(one, beside=other, at=at)
+    assert page.run("document.title") == "slide: mu=0.2 | mu=0.5 - nsdyn"
+    headings = "Array.from(document.querySelectorAll('.heading'), h => h.firstChild.textContent)"
+    assert page.run(headings) == ["mu=0.2", "mu=0.5"]
+    boxes = page.run("Array.from(document.querySelectorAll('.heading'), h => h.getBoundingClientRect().toJSON())")
+    assert 0 <= boxes[0]["left"] < boxes[0]["right"] <= SIZE[0] / 2 <= boxes[1]["left"] < boxes[1]["right"] <= SIZE[0]
+    assert all(0 <= box["top"] and 15 < box["height"] < 40 for box in boxes)
+    assert "h = 10 ms" in text(page, ".heading small")
+
+
+def test_forces_of_two_recordings_have_one_scale(opened, sliding):
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_sphere("ball", 0.1, 0.1, position=(0, 0, 0.1))
+    light = nd.simulate(scene, 0.1, dt=1e-2)
+    own = opened(light, forces=True).run("nsdyn.recordings[0].units.forces")
+    assert own == pytest.approx(0.981, rel=1e-2)
+    page = opened(light, beside=sliding, forces=True)
+    assert page.run("nsdyn.panes[0].overlay.scale('forces') === nsdyn.panes[1].overlay.scale('forces')")
+    assert page.run("nsdyn.recordings.map(r => r.units.forces)")[0] > 19.0  # of the box of 2 kg
+
+
+def test_curves_of_the_other_recording_are_laid_over(opened, sliding):
+    faster = nd.Scene(name="sliding")
+    faster.add_halfspace("ground", material=nd.Material(mu=0.3))
+    faster.add_box("box", (0.2, 0.2, 0.2), 2.0, position=(0, 0, 0.1), linear_velocity=(2, 0, 0))
+    faster.parameters["mu"] = 0.3
+    other = nd.simulate(faster, 0.7, dt=1e-3)
+    known = nd.Trajectory(sliding.meta | {"parameters": '{"mu": 0.6}'}, sliding.scene, sliding.columns)
+    page = opened(known, beside=other)
+    lines = "nsdyn.panes.map(pane => pane.chart.lanes.map(lane => (lane.lines ?? []).filter(line => line.rim)))"
+    assert page.run(lines) == [[[]], [[]]]
+    lengths = lines.replace("line.rim)", "line.rim).map(line => [line.values.length, line.dash.join()])")
+    click_on(page, ".tools .overlay")
+    sizes = page.run("nsdyn.panes.map(pane => pane.ledger.t.length)")
+    for kind, counts in (("energy", (3, 4)), ("power", (1, 2)), ("checks", (3, 3))):
+        click_on(page, f".tools .{kind}")
+        laid = [[line for lane in lanes for line in lane] for lanes in page.run(lengths)]
+        assert [len(lines) for lines in laid] == list(counts), kind
+        assert all(line == [sizes[1 - k], "0,5"] for k, lines in enumerate(laid) for line in lines)
+    click_on(page, ".tools .energy")
+    # What is drawn is what the other pane has, all of it within the axes.
+    kinetic = page.run("nsdyn.panes[0].chart.lanes[0].lines.find(line => line.rim).values[0]")
+    assert kinetic == pytest.approx(0.5 * 2.0 * 2.0**2)
+    ranges = page.run("nsdyn.panes.map(pane => [pane.chart.lanes[0].low, pane.chart.lanes[0].high])")
+    assert ranges[0] == ranges[1] and ranges[0][1] > 4.0
+    legend = (
+        "Array.from(nsdyn.panes[0].figures.querySelectorAll('.stroke'),"
+        " i => i.parentElement.textContent + getComputedStyle(i).borderTopStyle)"
+    )
+    assert page.run(legend) == ["mu=0.6 solid", "mu=0.3 dotted"]
+    click_on(page, ".tools .overlay")
+    assert page.run(lines) == [[[]], [[]]] and page.run(legend) == []
+
+
+def test_space_presses_the_button_that_has_the_focus(opened, sliding):
+    page = opened(sliding)
+    space = {"code": "Space", "windowsVirtualKeyCode": 32, "text": " "}
+    forces = "document.querySelector('.tools .forces')"
+    page.run(f"{forces}.focus()")
+    press(page, " ", **space)
+    assert page.run(f"{forces}.getAttribute('aria-pressed')") == "true" and not page.run("nsdyn.clock.playing")
+    page.run("document.activeElement.blur()")
+    for other in ("document.body", "document.getElementById('scrubber')", "document.querySelector('#speed input')"):
+        page.run(f"{other}.focus()")
+        press(page, " ", **space)
+        assert page.run("nsdyn.clock.playing"), other
+        press(page, " ", **space)
+        assert not page.run("nsdyn.clock.playing"), other
+    # What the pointer presses does not take the focus: space goes on playing.
+    page.run("document.activeElement.blur()")
+    click_on(page, ".tools .forces")
+    press(page, " ", **space)
+    assert page.run("nsdyn.clock.playing") and page.run(f"{forces}.getAttribute('aria-pressed')") == "false"
+
+
+def test_keys_are_listed(opened, sliding):
+    page = opened(sliding)
+    shown = "document.getElementById('help').open"
+    escape = {"code": "Escape", "windowsVirtualKeyCode": 27}
+    press(page, "?")
+    assert page.run(shown)
+    for key in ("space", "←", "Shift", "Home", "?"):
+        assert page.run(f"Array.from(document.querySelectorAll('#help kbd'), k => k.textContent).includes('{key}')")
+    assert "Auto(tol=1e-08" in text(page, "#help") and "recorded states" in text(page, "#help")
+    press(page, "End")  # not while it is read
+    assert now(page) == 0.0
+    press(page, "Escape", **escape)
+    assert not page.run(shown)
+    click_on(page, ".tools span:last-child button")
+    assert page.run(shown)
+    left, top, width, height = place(page, "#help")
+    click(page, left + width / 2, top + height - 40)  # to mark what it says
+    assert page.run(shown)
+    click(page, left / 2, top + height / 2)
+    assert not page.run(shown)
+    press(page, "?")
+    click_on(page, "#help .close")
+    assert not page.run(shown)
+    press(page, "?")
+    press(page, "?")
+    assert not page.run(shown)
+
+
+def test_the_scrubber_is_a_slider(opened, sliding):
+    page = opened(sliding, at="#t=0.2")
+    names = ("role", "aria-label", "aria-valuemin", "aria-valuemax", "aria-valuenow", "aria-valuetext")
+    values = page.run(f"{list(names)}.map(name => document.getElementById('scrubber').getAttribute(name))")
+    assert values == ["slider", "time", "0", "0.5", "0.2", "0.200 s of 0.5 s"]
+    press(page, "End")
+    assert page.run("document.getElementById('scrubber').getAttribute('aria-valuetext')") == "0.500 s of 0.5 s"
+
+
+def test_the_address_points_at_the_time_shown(opened, sliding, window):
+    page = opened(sliding, at="")
+    # Counts what is written to the address while it plays, is scrubbed and rests.
+    page.run(
+        "(() => { const write = history.replaceState; window.written = [];"
+        " history.replaceState = function (...given) { written.push(given[2]); return write.apply(this, given); } })()"
+    )
+    rest = "new Promise(done => setTimeout(done, 400))"
+    page.run("nsdyn.clock.play()")
+    page.run(rest)
+    assert page.run("[written.length, location.hash]") == [0, ""]
+    page.run("for (let k = 0; k <= 100; k++) { nsdyn.clock.pause(); nsdyn.clock.seek(0.003 * k); }")
+    page.run(rest)
+    assert page.run("written.length") == 1 and page.run("location.hash") == "#t=0.3"
+    press(page, "ArrowRight", modifiers=8)  # to an impact
+    page.run(rest)
+    address, t = page.run("[location.href, nsdyn.clock.t]")
+    assert address.startswith("file:") and t == pytest.approx(0.4, abs=2e-3)
+    window.open(address, SIZE)
+    assert now(page) == pytest.approx(t, abs=1e-12) and not page.run("nsdyn.clock.playing")
+    page.run("(location.hash = '#t=0.125', new Promise(done => setTimeout(done, 100)))")  # pasted into the address
+    assert now(page) == 0.125
+    # Of a film nothing is written.
+    page = opened(sliding, at="#picture")
+    page.run("nsdyn.show(0.25)")
+    page.run(rest)
+    assert page.run("location.hash") == "#picture"
+
+
 def test_what_is_not_recorded_is_told(opened, tmp_path):
     scene = nd.scenes.load("bounce")()
     page = opened(nd.simulate(scene, 0.6, dt=1e-3, every=10, contacts=False))
@@ -489,7 +679,7 @@ def test_picture_has_a_clock_and_no_controls(sliding, opened):
     assert page.run("getComputedStyle(document.querySelector('.tools')).display") == "flex"
     page = opened(sliding, at="#picture")
     hidden = page.run(
-        "['.tools', '.curves', '#transport', '#notes'].map(s => getComputedStyle(document.querySelector(s)).display)"
+        "['.tools', '.below', '#transport', '#notes'].map(s => getComputedStyle(document.querySelector(s)).display)"
     )
     assert hidden == ["none"] * 4 and text(page, "#clock").startswith("0.000 s")
     assert not page.run("nsdyn.clock.playing")

@@ -220,7 +220,7 @@ def test_given_colour_is_used():
 
 
 def test_camera_sees_everything_and_is_outside(falling):
-    view = stage.View(falling)
+    view = stage.View([falling])
     assert view.eye[2] > 0.0
     forward = view.centre - view.eye
     forward /= np.linalg.norm(forward)

@@ -11,6 +11,7 @@ import argparse
 import logging
 import os
 import re
+import shlex
 import sys
 import warnings
 from collections.abc import Callable
@@ -37,6 +38,7 @@ SCENE = "a name that 'nsdyn scenes' lists, or a file of your own, which 'nsdyn n
 def main(argv: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
     arguments = _parser().parse_args(argv)
+    arguments.typed = shlex.join(["nsdyn", *(sys.argv[1:] if argv is None else argv)])
     logging.basicConfig(level=logging.INFO, format="nsdyn: %(message)s", stream=sys.stderr)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning

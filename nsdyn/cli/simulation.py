@@ -125,6 +125,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
 
     import nsdyn
     from nsdyn.scene import settings
+    from nsdyn.stepping.simulation import command
     from nsdyn.tools import files
 
     name = arguments.scene
@@ -136,6 +137,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
     setup = nsdyn.scenes.setup(name, **parameters)
     recording = arguments.output or arguments.resume
     start = time.perf_counter()
+    outside = command.set(arguments.typed)
     try:
         trajectory = nsdyn.simulate(
             setup.scene,
@@ -151,6 +153,8 @@ def run_scene(arguments: argparse.Namespace) -> int:
         kept = f"; the steps before it are in {recording}" if recording else ""
         print(f"nsdyn: not converged: {one_line(failure)}{kept}", file=sys.stderr)
         return 1
+    finally:
+        command.reset(outside)
     wall = time.perf_counter() - start
     # The first step loads or compiles what it needs, beyond what is done before it.
     each = trajectory.wall_time / trajectory.every

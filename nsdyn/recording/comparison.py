@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from nsdyn.recording.titles import differing
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Index
 
@@ -86,7 +87,7 @@ class Comparison:
     Attributes
     ----------
     options : dict of str to (value, value)
-        Of the runs, where they differ.
+        Parameters of the scenes and options of the runs, where they differ.
     times : int
         That both have.
     identical : int
@@ -157,13 +158,8 @@ def compare(a: Trajectory, b: Trajectory) -> Comparison:
             if parted and parted[-1][1] == d.t[k]:
                 parted.pop()  # what is passed at once is told once, with the largest
             parted.append((level, float(d.t[k]), d.names[body[k]]))
-    options = {
-        name: (a.meta.get(name), b.meta.get(name))
-        for name in sorted(a.meta.keys() | b.meta.keys())
-        if a.meta.get(name) != b.meta.get(name) and name != "checksums"
-    }
     largest = {name: float(getattr(d, name).max()) for name in ("position", "rotation", "velocity", "energy")}
-    return Comparison(options, d.t.size, identical, tuple(parted), _touching(a, b, d), largest)
+    return Comparison(differing(a, b), d.t.size, identical, tuple(parted), _touching(a, b, d), largest)
 
 
 def _touching(a: Trajectory, b: Trajectory, d: Differences) -> tuple[float, str, str] | None:

@@ -8,7 +8,7 @@ import numpy as np
 import umsgpack
 from numpy.typing import NDArray
 
-from nsdyn.recording import arrows, bundle, contact_points, curves, impacts, keyframes, motion
+from nsdyn.recording import arrows, bundle, contact_points, curves, impacts, keyframes, motion, titles
 from nsdyn.recording.commands import Json
 from nsdyn.recording.solids import body_path, geom_path, shape_commands
 from nsdyn.recording.stage import FIELD_OF_VIEW, View, stage_commands
@@ -28,8 +28,14 @@ MAX_IMPACTS = 200
 Arrays = dict[str, NDArray[Any]]
 
 
-def packed(trajectory: Trajectory, fps: float, forces: bool | str, max_frames: int, at: float | None) -> str:
-    """Text of `nsdyn.recording.bundle`; parameters and errors are those of `nsdyn.recording.viewer.html`."""
+def packed(
+    trajectory: Trajectory, fps: float, forces: bool | str, max_frames: int, at: float | None,
+    label: str = "", view: View | None = None,
+) -> str:  # fmt: skip
+    """Text of `nsdyn.recording.bundle`; parameters and errors are those of `nsdyn.recording.viewer.html`.
+
+    Where it is shown beside another, the recording has a `label` and a `view` that serves both.
+    """
     t = trajectory.t
     finite = np.isfinite(trajectory.q).all(axis=1)
     if not finite.all():
@@ -41,7 +47,7 @@ def packed(trajectory: Trajectory, fps: float, forces: bool | str, max_frames: i
         if not t[0] <= at <= t[-1]:
             raise ValueError(f"at must lie between {t[0]:g} and {t[-1]:g} s, got {at}")
         rows = keyframes.nearest(t, np.array([at]))
-    view = View(trajectory)
+    view = view or View([trajectory])
     values, arrays = _scene(trajectory, view)
     arrays["t"] = t[rows]
     commands = stage_commands(view) + shape_commands(trajectory.scene, view)
@@ -77,7 +83,7 @@ def packed(trajectory: Trajectory, fps: float, forces: bool | str, max_frames: i
         units = {"forces": usual, "cones": _usual(found["r"][:, 0] / trajectory.dt)}
         lengths = {"forces": view.radius / 5, "cones": min(view.radius / 5, view.body_radius)}
         values |= {"forces": bool(forces), "units": units, "lengths": lengths}
-    values |= {"picture": at is not None, "notes": [] if at is not None else notes}
+    values |= {"label": label or values["name"], "picture": at is not None, "notes": [] if at is not None else notes}
     return bundle.pack(values, arrays)
 
 
@@ -96,7 +102,7 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         "begin": float(trajectory.t[0]),
         "end": float(trajectory.t[-1]),
         "dt": trajectory.dt,
-        "solver": str(trajectory.meta.get("solver", "")),
+        "made": _made(trajectory),
         "contacts": trajectory.has_contacts,
         "gravity": scene["gravity"],
         "largest": trajectory.largest_energy,
@@ -116,6 +122,19 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         },
     }
     return values, {"outline": view.outline.astype("<f4")}
+
+
+def _made(trajectory: Trajectory) -> dict[str, str]:
+    """How to make the recording again, where it is known."""
+    meta = trajectory.meta
+    out = {
+        "parameters": titles.parameters(trajectory),
+        "step": f"{trajectory.dt:g} s",
+        "solver": str(meta.get("solver", "")),
+        "command": meta.get("command", ""),
+        "nsdyn": str(meta.get("nsdyn_version", "")),
+    }
+    return {name: text for name, text in out.items() if text}
 
 
 def _contacts(found: Arrays) -> Arrays:

@@ -5,7 +5,9 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /meta            attributes: format "nsdyn", format_version, dt, theta, solver, scene_name, external_force
                      (whether there was one; since version 3), versions of nsdyn, pin, coal, numpy; since
                      version 5 controller (whether there was one), impact, max_points, every, contacts, and
-                     checksums, JSON {what: CRC-32} of what moves the scene and its description does not tell
+                     checksums, JSON {what: CRC-32} of what moves the scene and its description does not tell;
+                     where they are known parameters, JSON {name: value} of what the scene was made with, and
+                     command, the words typed after the prompt
     /meta/scene      JSON string, what `Scene.describe` returns: shapes, poses, gravity, frames; since version 3 the
                      pairs of shapes that may overlap
     /t               (n+1,)  s
@@ -114,7 +116,7 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
     (6, "contacts/time", (), math.nan),
 ]
 # Attributes of /meta that older files lack.
-ADDED_META = {"every": 1, "contacts": True}
+ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": ""}
 CONTACTS = [f"contacts/{name}" for name in CONTACT]
 
 GROWING, PACKED = 1 << 16, 1 << 18

@@ -172,7 +172,8 @@ class Recorder:
             raise ValueError(f"{path} cannot be resumed: it holds no state of its run")
         given, begun = _full(meta, scene), _pack([_read_state(first)], [])
         versions = [name for name in given if name.endswith("_version")]
-        _refuse(path, {k: v for k, v in found.items() if k not in versions}, given, "option")
+        told = {*versions, "parameters", "command"}  # what they make of the scene and the options is compared
+        _refuse(path, {k: v for k, v in found.items() if k not in told}, given, "option")
         _refuse(path, described, json.loads(json.dumps(dict(scene))), "scene")
         for name in ("q", "v"):
             if columns[name][0].tobytes() != begun[name][0].tobytes():

@@ -41,7 +41,9 @@ SCENE: dict[str, Any] = {
 }  # fmt: skip
 """What `nsdyn.Scene.describe` returns."""
 
-META = {"dt": float, "theta": float, "every": int, "contacts": bool, "scene_name": str}
+META = {
+    "dt": float, "theta": float, "every": int, "contacts": bool, "scene_name": str, "parameters": str, "command": str,
+}  # fmt: skip
 
 
 def column(file: Any, name: str, rows: int | None, kind: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
@@ -62,14 +64,20 @@ def check_meta(meta: Mapping[str, Any]) -> None:
         value = meta.get(name)
         if not _fits(value, kind):
             raise ValueError(f"the attribute {name} of /meta is {value!r}, {kind.__name__} expected")
+    if not isinstance(_from_json(meta["parameters"], "/meta/parameters"), dict):
+        raise ValueError(f"/meta/parameters is {meta['parameters']}, a JSON object expected")
+
+
+def _from_json(text: Any, name: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, TypeError, RecursionError) as failure:
+        raise ValueError(f"{name} is no JSON: {failure}") from None
 
 
 def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     """The scene that a recording describes, which its columns fit; ValueError saying what does not."""
-    try:
-        out = json.loads(text)
-    except (ValueError, TypeError, RecursionError) as failure:
-        raise ValueError(f"/meta/scene is no JSON: {failure}") from None
+    out = _from_json(text, "/meta/scene")
     if where := _misfit(out, SCENE, "scene"):
         raise ValueError(f"/meta/scene has a wrong {where}")
     found: dict[str, Any] = out

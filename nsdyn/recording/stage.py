@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -32,24 +32,29 @@ BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffse
 
 
 class View:
-    """Where the scene is: a ball around fixed bodies and all that moving ones ever reach; camera and sun."""
+    """Where scenes are: a ball around fixed bodies and all that moving ones ever reach; camera and sun."""
 
-    def __init__(self, trajectory: Trajectory) -> None:
-        scene = trajectory.scene
-        every = 1 + trajectory.steps // 1000  # enough to see where a body goes
-        positions = [trajectory.body(name).position[::every] for name in scene["frames"]]
-        self.planes = [(np.array(g["size"]), float(g["offset"])) for g in scene["geoms"] if g["shape"] == "halfspace"]
-        points, reach, sizes = [np.zeros((1, 3))], [np.ones(1)], []
-        for geom in scene["geoms"]:
-            if geom["shape"] != "halfspace":
+    def __init__(self, trajectories: Sequence[Trajectory]) -> None:
+        points: list[Array] = []
+        reach: list[Array] = []
+        sizes: list[float] = []
+        planes: dict[tuple[float, ...], None] = {}
+        for trajectory in trajectories:
+            every = 1 + trajectory.steps // 1000  # enough to see where a body goes
+            positions = [trajectory.body(name).position[::every] for name in trajectory.scene["frames"]]
+            for geom in trajectory.scene["geoms"]:
+                if geom["shape"] == "halfspace":
+                    planes[(*geom["size"], float(geom["offset"]))] = None
+                    continue
                 placement = np.array(geom["placement"])
                 moves = geom["frame"] >= 0
                 points.append(positions[geom["frame"]] if moves else placement[None, :3, 3])
                 ball = _radius(geom) + (float(np.linalg.norm(placement[:3, 3])) if moves else 0.0)
                 reach.append(np.full(len(points[-1]), ball))
                 sizes += [_radius(geom)] * moves
-        skip = 1 if len(points) > 1 else 0  # an empty scene shows the unit ball
-        x, r = np.concatenate(points[skip:]), np.concatenate(reach[skip:])[:, None]
+        self.planes = [(np.array(normal), offset) for *normal, offset in planes]
+        # Where there is nothing, the unit ball.
+        x, r = np.concatenate(points or [np.zeros((1, 3))]), np.concatenate(reach or [np.ones(1)])[:, None]
         lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
         self.centre = 0.5 * (lower + upper)
         self.radius = 0.5 * float(np.linalg.norm(upper - lower))

@@ -32,7 +32,7 @@ class Trajectory:
     Attributes
     ----------
     meta : dict
-        dt, theta, solver, scene_name, format and versions.
+        dt, theta, solver, scene_name, parameters (JSON) and command where known, format and versions.
     scene : dict
         What `Scene.describe` returned: enough to draw it.
     columns : dict of str to ndarray

@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 
+from nsdyn.recording import titles
 from nsdyn.recording.contents import packed
+from nsdyn.recording.stage import View
 from nsdyn.tools import files
 from nsdyn.tools.naming import choice
 
@@ -41,7 +43,7 @@ class PageOptions(TypedDict, total=False):
 LARGE_PAGE = 50e6
 """Bytes; browsers get slow."""
 
-SCRIPTS = ("format", "recording", "clock", "stage", "overlay", "chart", "ledger", "inspector", "pane", "main")
+SCRIPTS = ("format", "recording", "clock", "stage", "overlay", "chart", "ledger", "inspector", "pane", "tools", "main")
 """Of the folder `page`, in the order of their use."""
 
 
@@ -83,7 +85,7 @@ def html(
     at : float, optional
         Show only the recorded state nearest to this time, s, for a picture: without controls.
     beside : Trajectory, optional
-        A second recording, shown beside the first on the same clock.
+        A second recording, shown beside the first on the same clock and from the same place.
 
     Raises
     ------
@@ -100,14 +102,17 @@ def html(
     shown = [(trajectory, at)]
     if beside is not None:  # before it begins and after it ends it shows its first and last state
         shown.append((beside, None if at is None else float(np.clip(at, beside.t[0], beside.t[-1]))))
+    trajectories = [t for t, _ in shown]
+    view, labels = View(trajectories), titles.labels(trajectories)
     page = Template(_part("page.html")).substitute(
-        title=_escape.escape(" | ".join(t.meta["scene_name"] for t, _ in shown) + " - nsdyn"),
+        title=_escape.escape(titles.document(trajectories) + " - nsdyn"),
         style=_part("page.css"),
         meshcat=_meshcat_script(),
         script="\n".join(_part(f"{name}.js") for name in SCRIPTS),
         recordings="\n".join(
-            f'<script type="text/plain" class="recording">{packed(t, fps, forces, max_frames, moment)}</script>'
-            for t, moment in shown
+            '<script type="text/plain" class="recording">'
+            f"{packed(t, fps, forces, max_frames, moment, label, view)}</script>"
+            for (t, moment), label in zip(shown, labels, strict=True)
         ),
     )
     if len(page) > LARGE_PAGE:

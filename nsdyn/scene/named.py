@@ -18,7 +18,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,7 +27,7 @@ from nsdyn.scene.scene import Scene
 from nsdyn.tools.files import is_file
 from nsdyn.tools.naming import choice
 
-__all__ = ["Setup", "folder", "load", "module", "name_of", "names", "setup", "template"]
+__all__ = ["Setup", "folder", "load", "made", "module", "name_of", "names", "setup", "template"]
 
 _PREFIX, _OWN = "nsdyn_models_", "nsdyn_own_"
 
@@ -69,7 +69,7 @@ def module(name: str) -> ModuleType:
 
 @cache
 def _named(name: str) -> ModuleType:
-    return _executed(_PREFIX + name, folder() / f"{name}.py")
+    return _knowing(_executed(_PREFIX + name, folder() / f"{name}.py"))
 
 
 @cache
@@ -93,6 +93,28 @@ def _own(path: Path) -> ModuleType:
     for p in inspect.signature(out.scene).parameters.values():
         if p.default is p.empty:
             raise ValueError(f"parameter {p.name} of scene in {path.name} must have a default; see 'nsdyn new'")
+    return _knowing(out)
+
+
+def _knowing(source: ModuleType) -> ModuleType:
+    """A module of a scene, whose function gives scenes that know their parameters."""
+    function = source.scene
+
+    @wraps(function)
+    def scene(*arguments: Any, **parameters: Any) -> Scene:
+        return made(function, *arguments, **parameters)
+
+    source.scene = scene  # type: ignore[attr-defined]
+    return source
+
+
+def made(function: Callable[..., Scene], *arguments: Any, **parameters: Any) -> Scene:
+    """The scene that a function makes, with its parameters, those that were left at their defaults too."""
+    out = function(*arguments, **parameters)
+    if isinstance(out, Scene):  # what else it may be is told where it is used
+        known = inspect.signature(function)
+        defaults = {p.name: p.default for p in known.parameters.values() if p.default is not p.empty}
+        out.parameters = defaults | known.bind_partial(*arguments).arguments | parameters | out.parameters
     return out
 
 

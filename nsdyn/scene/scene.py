@@ -39,6 +39,13 @@ class Scene:
     name : str
         Shown in recordings.
 
+    Attributes
+    ----------
+    parameters : dict
+        What the scene was made with, by name, kept in its recordings: two of them beside each other show where they
+        differ. Scenes of `nsdyn.scenes` and those that `nsdyn.sweep` and `nsdyn.refine` make have the arguments of
+        their function; for others it is yours to fill.
+
     Raises
     ------
     ValueError
@@ -63,6 +70,7 @@ class Scene:
     articulations: dict[str, Articulation] = field(default_factory=dict, init=False)
     pairs: dict[frozenset[str], tuple[float | None, float | None]] = field(default_factory=dict, init=False)
     motions: dict[str, Motion] = field(default_factory=dict, init=False)
+    parameters: dict[str, Any] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self.gravity = checks.vector(self.gravity, 3, "gravity")

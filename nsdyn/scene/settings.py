@@ -1,15 +1,18 @@
-"""Parameters of named scenes as text: ``name=value``."""
+"""Parameters of scenes as text: ``name=value`` of named ones, JSON in recordings."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping
 from typing import Any
+
+import numpy as np
 
 from nsdyn.scene import named as scenes
 from nsdyn.tools.naming import choice
 
-__all__ = ["as_text", "lists", "parameters", "values"]
+__all__ = ["as_json", "as_text", "lists", "parameters", "values"]
 
 
 def parameters(name: str) -> dict[str, Any]:
@@ -62,3 +65,16 @@ def parse(text: str, default: Any, name: str) -> Any:
 def as_text(value: Any) -> str:
     """How a value is written after ``--set name=``."""
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def as_json(parameters: Mapping[str, Any]) -> str:
+    """Parameters of any kind as JSON; equal ones give equal text."""
+    return json.dumps({str(name): value for name, value in parameters.items()}, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    """What stands in JSON for a value that it does not know: never an address in memory."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    text = repr(value)
+    return getattr(value, "__qualname__", type(value).__qualname__) if " at 0x" in text else text

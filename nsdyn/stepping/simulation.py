@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 import math
+from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict
 
 from nsdyn.recording.recorder import Recorder
 from nsdyn.recording.trajectory import Trajectory
+from nsdyn.scene import settings
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Solver
 from nsdyn.stepping import checkpoint
 from nsdyn.stepping.stepper import Callback, Stepper
 
-__all__ = ["Options", "RunOptions", "simulate"]
+__all__ = ["Options", "RunOptions", "command", "simulate"]
+
+command: ContextVar[str] = ContextVar("command", default="")
+"""The `nsdyn` command that simulates, as it was typed, for its recording."""
 
 
 class RunOptions(TypedDict, total=False):
@@ -142,6 +147,7 @@ def _recorder(
         "dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver), "impact": stepper.system.impact,
         "controller": stepper.controller is not None, "external_force": stepper.external_force is not None,
         "checksums": json.dumps(checkpoint.checksums(scene)), **kept,
+        "parameters": settings.as_json(scene.parameters), "command": command.get(),
     }  # fmt: skip
     begin = stepper.get_state()
     if resume is None:

@@ -165,7 +165,7 @@ def _run(
     if isinstance(scene, str):
         setup = scenes.setup(scene, **parameters)
         return simulate(setup.scene, duration, **setup.options(**options | {"dt": dt, "progress": progress}))
-    return simulate(scene(**parameters), duration, dt=dt, progress=progress, **options)
+    return simulate(scenes.made(scene, **parameters), duration, dt=dt, progress=progress, **options)
 
 
 def _time(run: Trajectory) -> float:

@@ -173,7 +173,7 @@ def _run(
             setup = scenes.setup(scene, **parameters)
             trajectory = simulate(setup.scene, duration, **setup.options(**options))
         else:
-            trajectory = simulate(scene(**parameters), duration, **options)
+            trajectory = simulate(scenes.made(scene, **parameters), duration, **options)
         return trajectory if keep is None else keep(trajectory), "", False
     except NotConverged as failure:
         return None, str(failure), False

@@ -2,6 +2,7 @@
 
 const MARGIN = {left: 58, right: 14, top: 8, bottom: 20};
 const GAP = 11;  // between lanes
+const LABELLED = 26;  // height from which on the name of a lane leaves room for its curves
 
 class Chart {
   // `onSeek(t)` is called where the pointer is pressed or drawn.
@@ -16,8 +17,8 @@ class Chart {
   }
 
   // What is shown: {begin, end} of time, and lanes, one above the other, each {low, high, log, unit, areas, lines, note}.
-  // An area is {values: [lower, upper], colour}, a line {values, colour, dash}; all have the times `t`; `steps` where
-  // each value is of the time since the one before.
+  // An area is {values: [lower, upper], colour}, a line {values, colour, dash, width, rim}; all have the times `t`, but
+  // for lines that have their own; `steps` where each value is of the time since the one before.
   show(content) {
     Object.assign(this, content);
     this.redraw();
@@ -90,18 +91,20 @@ class Chart {
       this.trace(context, lane, lower, true);
       context.fill();
     }
-    for (const {values, colour, dash, width} of lane.lines ?? []) {
-      context.strokeStyle = colour;
-      context.lineWidth = width ?? 1.5;
+    context.lineCap = "round";
+    for (const {values, colour, dash, width, t, rim} of lane.lines ?? []) {
       context.setLineDash(dash ?? []);
       context.beginPath();
-      this.trace(context, lane, values);
-      context.stroke();
-      context.setLineDash([]);
+      this.trace(context, lane, values, false, t);
+      for (const [stroke, more] of rim ? [["white", 1.6], [colour, 0]] : [[colour, 0]]) {
+        context.strokeStyle = stroke;
+        context.lineWidth = width + more;
+        context.stroke();
+      }
     }
     context.restore();
     context.textAlign = "left";
-    if (lane.label) {
+    if (lane.label && bottom - top > LABELLED) {
       context.fillStyle = "#ffffffc8";
       context.fillRect(MARGIN.left + 2, top, context.measureText(lane.label).width + 7, 15);
       context.fillStyle = "#3a444f";
@@ -115,12 +118,12 @@ class Chart {
     context.save();
     context.translate(12, 0.5 * (top + bottom));
     context.rotate(-Math.PI / 2);
-    context.fillText(lane.unit, 0, 0);
+    if (context.measureText(lane.unit).width < bottom - top + GAP) context.fillText(lane.unit, 0, 0);
     context.restore();
   }
 
   // Add a curve to the path; what is not finite leaves a gap.
-  trace(context, lane, values, backwards = false) {
+  trace(context, lane, values, backwards = false, t = this.t) {
     const count = values.length;
     let pen = backwards;
     for (let i = 0; i < count; i++) {
@@ -129,9 +132,9 @@ class Chart {
         pen = false;
         continue;
       }
-      const [x, y] = [this.x(this.t[k]), this.y(lane, values[k])];
+      const [x, y] = [this.x(t[k]), this.y(lane, values[k])];
       if (this.steps && k > 0) {
-        const before = this.x(this.t[k - 1]);
+        const before = this.x(t[k - 1]);
         for (const corner of backwards ? [x, before] : [before, x]) {
           if (pen) context.lineTo(corner, y); else context.moveTo(corner, y);
           pen = true;
@@ -160,7 +163,7 @@ class Chart {
 // Powers of ten in a range, so many at most.
 function decades(low, high, most) {
   const [first, last] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];
-  const step = Math.max(1, Math.ceil((last - first + 1) / Math.max(2, most)));
+  const step = Math.max(1, Math.ceil((last - first + 1) / Math.max(1, most)));
   const out = [];
   for (let k = first; k <= last; k += step) out.push(10 ** k);
   return out;

@@ -62,7 +62,11 @@ class Dock {
       if (event.buttons) clock.seek(this.timeAt(event.offsetX));
       else this.hint(event.offsetX);
     });
+    const bounds = {min: clock.begin, max: clock.end};
+    for (const [name, t] of Object.entries(bounds)) this.scrubber.setAttribute(`aria-value${name}`, t);
     document.addEventListener("keydown", event => this.key(event));
+    // What is pressed with the pointer does not take the focus, and with it the space bar.
+    document.addEventListener("mousedown", event => { if (event.target.closest("button")) event.preventDefault(); });
     clock.listeners.push(() => this.draw());
   }
 
@@ -76,9 +80,13 @@ class Dock {
   }
 
   key(event) {
-    if (event.target.type === "range" || event.ctrlKey || event.altKey || event.metaKey) return;
+    const help = document.getElementById("help");
+    const focused = document.activeElement;
+    if (event.ctrlKey || event.altKey || event.metaKey || (help.open && event.key !== "?")) return;
+    if (event.key === " " ? focused.matches("button") : focused.type === "range" && event.key !== "?") return;
     const action = {
       " ": () => this.toggle(),
+      "?": () => { if (help.open) help.close(); else help.showModal(); },
       ArrowLeft: () => this.step(-1, event.shiftKey),
       ArrowRight: () => this.step(1, event.shiftKey),
       Home: () => this.clock.seek(this.clock.begin),
@@ -148,8 +156,10 @@ class Dock {
     context.stroke();
     document.querySelector("#play path").setAttribute("d", clock.playing ? PAUSE : PLAY);
     const face = document.getElementById("clock");
-    face.textContent = clock.t.toFixed(this.decimals) + " s";
-    face.append(element("small", "", ` / ${clock.end.toPrecision(3).replace(/\.?0+$/, "")}`));
+    const [shown, end] = [`${clock.t.toFixed(this.decimals)} s`, clock.end.toPrecision(3).replace(/\.?0+$/, "")];
+    face.textContent = shown;
+    face.append(element("small", "", ` / ${end}`));
     scrubber.setAttribute("aria-valuenow", clock.t);
+    scrubber.setAttribute("aria-valuetext", `${shown} of ${end} s`);
   }
 }

@@ -69,6 +69,11 @@ class Inspector {
     add("Trail", "Where it has been", on => { this.overlay.trail = on ? this.recording.path(frame, this.stage.origin(frame)) : null; });
   }
 
+  // Another pane may have taken the camera along.
+  showFollowed() {
+    this.place.querySelector(".follow")?.setAttribute("aria-pressed", this.stage.followed !== null);
+  }
+
   curves(number, body) {
     const {recording} = this;
     const path = recording.path(body.frame, this.stage.origin(body.frame));

@@ -47,16 +47,29 @@ class Ledger {
     return this.sum(this.putIn).map(x => start + x);
   }
 
-  energy(range) {
+  // What a chart shows of a kind of curves: the ledger `beside`, if there is one, has the same scale, and where it is
+  // `laid` over this one its curves are drawn too.
+  lanes(kind, beside, laid) {
+    return {t: this.t, steps: kind !== "energy", lanes: this[kind](beside, laid)};
+  }
+
+  energy(beside, laid) {
     const heights = this.stack();
-    const lane = {unit: "energy [J]", ...this.range("energy", range)};
+    const lane = {unit: "energy [J]", ...this.range("extremes", beside, laid)};
     lane.areas = this.layers.map(({colour}, k) => ({values: [heights[k], heights[k + 1]], colour}));
     lane.lines = [
       {values: heights[heights.length - 1], colour: "#1f2933", width: 1.5},
       {values: this.expected(), colour: "#1f2933", dash: [5, 4], width: 1},
     ];
+    if (laid) laid.stack().slice(1).forEach((values, k) => lane.lines.push(laid.dotted(values, laid.layers[k].colour)));
     if (this.atRest) lane.note = `at rest: nothing of ${withUnit(this.recording.largest, "J")} moves`;
-    return {t: this.t, steps: false, lanes: [lane]};
+    return [lane];
+  }
+
+  // A curve of this recording over those of another.
+  dotted(values, colour) {
+    const dark = colour.match(/[0-9a-f]{2}/g).map(part => Math.round(0.65 * parseInt(part, 16)));
+    return {t: this.t, values, colour: `rgb(${dark})`, dash: [0, 5], width: 2.6, rim: true};
   }
 
   // Least and largest value of the stack, which spans at least a millionth of the largest energy.
@@ -76,16 +89,24 @@ class Ledger {
     return taken.map(layer => ({...layer, values: rate(this.curve(layer.name)).map(x => -x)}));
   }
 
-  power(range) {
-    const powers = this.powers();
+  // Heights of their stack.
+  powerStack() {
     const heights = [this.t.map(() => 0)];
-    for (const {values} of powers) heights.push(values.map((x, k) => heights[heights.length - 1][k] + x));
-    const lane = {unit: "power [W]", ...this.range("power", range)};
+    for (const {values} of this.powers()) heights.push(values.map((x, k) => heights[heights.length - 1][k] + x));
+    return heights;
+  }
+
+  power(beside, laid) {
+    const powers = this.powers();
+    const heights = this.powerStack();
+    const lane = {unit: "power [W]", ...this.range("powerExtremes", beside, laid)};
     lane.areas = powers.map(({colour}, k) => ({values: [heights[k], heights[k + 1]], colour}));
     if (!powers.length) lane.note = "friction, impacts and damping take nothing";
+    const others = laid ? laid.powers() : [];
+    lane.lines = others.map(({colour}, k) => laid.dotted(laid.powerStack()[k + 1], colour));
     const top = heights[heights.length - 1].reduce((a, b) => b > a ? b : a, 0);
     if (top > lane.high) lane.label = `peaks up to ${withUnit(top, "W")} are cut`;
-    return {t: this.t, steps: true, lanes: [lane]};
+    return [lane];
   }
 
   // Peaks of impacts, which a short step makes arbitrarily high, do not hide the rest.
@@ -98,25 +119,29 @@ class Ledger {
     return [Math.min(0, ...sums), Math.min(most, 5 * usual)];
   }
 
-  // Of this recording and what it is compared with, one scale.
-  range(kind, shared) {
-    const [low, high] = shared ?? (kind === "energy" ? this.extremes() : this.powerExtremes());
+  // One for this recording and the one beside it, unless the curves of one would be too small to see in it.
+  range(extremes, beside, laid) {
+    const ranges = [this, beside].filter(Boolean).map(ledger => ledger[extremes]());
+    const all = [Math.min(...ranges.map(range => range[0])), Math.max(...ranges.map(range => range[1]))];
+    const seen = ranges.every(([low, high]) => high - low > 0.2 * (all[1] - all[0]));
+    const [low, high] = laid || seen ? all : ranges[0];
     const room = 0.06 * (high - low || 1);
     return {low: low < 0 ? low - room : low, high: high + room};
   }
 
-  checks() {
-    const lanes = CHECKS.map(({name, label, unit, colour}) => {
+  checks(beside, laid) {
+    return CHECKS.map(({name, label, unit, colour}) => {
       const values = this.curve(name);
-      const positive = values.filter(x => x > 0 && Number.isFinite(x));
+      const other = laid ? laid.curve(name) : [];
+      const positive = [...values, ...other].filter(x => x > 0 && Number.isFinite(x));
       const [least, most] = [positive.reduce((a, b) => Math.min(a, b), Infinity), positive.reduce((a, b) => Math.max(a, b), 0)];
       const recorded = values.some(x => !Number.isNaN(x));
       const low = positive.length ? 10 ** Math.max(Math.floor(Math.log10(least)), Math.floor(Math.log10(most)) - 8) : 1e-16;
       const high = positive.length ? Math.max(10 * low, 10 ** Math.ceil(Math.log10(most) + 1e-9)) : 1e-8;
       const note = !recorded ? "not recorded" : positive.length ? "" : "0 everywhere";
-      return {label, unit, log: true, low, high, note, lines: [{values, colour, width: 1.2}]};
+      const lines = [{values, colour, width: 1.2}, ...(laid ? [laid.dotted(other, colour)] : [])];
+      return {label, unit, log: true, low, high, note, lines};
     });
-    return {t: this.t, steps: true, lanes};
   }
 
   // [label, colour, value, unit] at a time, for each kind of plot.

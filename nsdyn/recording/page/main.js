@@ -1,43 +1,71 @@
-// The page: its recordings on one clock.
+// The page: its recordings on one clock, seen from one place.
 
 async function main() {
   const texts = Array.from(document.querySelectorAll("script.recording"), script => script.textContent);
   const recordings = await Promise.all(texts.map(text => Recording.unpack(text)));
   const clock = new Clock(Math.min(...recordings.map(r => r.begin)), Math.max(...recordings.map(r => r.end)));
   if (recordings[0].picture || location.hash.startsWith("#picture")) document.body.classList.add("picture");
+  document.body.classList.toggle("two", recordings.length > 1);
+  oneScale(recordings);
   const panes = recordings.map(recording => new Pane(recording, clock));
-  const energy = common(panes.map(pane => pane.ledger.extremes()));
-  const power = common(panes.map(pane => pane.ledger.powerExtremes()));
-  for (const pane of panes) pane.ranges = {energy, power};
+  const stages = panes.map(pane => pane.stage);
+  panes.forEach((pane, k) => {
+    pane.stage.together = stages;
+    pane.beside = panes.find(other => other !== pane);
+    clock.listeners.push(t => pane.seek(t));
+  });
+  const tools = new Tools(panes);
   const states = Float64Array.from(new Set(recordings.flatMap(r => Array.from(r.t)))).sort();
   const dock = new Dock(
     clock, states, recordings.flatMap(impactsOf).sort((a, b) => a.t - b.t),
     Math.min(...recordings.map(r => r.dt)));
   notes(recordings);
-  for (const pane of panes) {
-    clock.listeners.push(t => pane.seek(t));
-    pane.show("energy");
-    pane.stage.resize();
-  }
+  for (const stage of stages) stage.resize();
   window.addEventListener("resize", () => dock.draw());
-  const asked = location.hash.match(/t=([0-9.eE+-]+)/);
-  const still = asked || document.body.classList.contains("picture");
-  const start = recordings[0].picture ? recordings[0].t[0] : asked ? Number(asked[1]) : clock.begin;
+  const asked = timeAsked();
+  const still = asked !== null || document.body.classList.contains("picture");
+  const start = recordings[0].picture ? recordings[0].t[0] : asked ?? clock.begin;
   // A time, drawn as a scene that stands still, at once.
   const show = t => {
     clock.seek(t);
-    for (const pane of panes) pane.stage.still();
+    for (const stage of stages) stage.still();
   };
-  window.nsdyn = {recordings, clock, dock, panes, show};
+  window.nsdyn = {recordings, clock, dock, panes, tools, show};
+  if (!document.body.classList.contains("picture")) linkTo(clock);
   show(start);
   if (!still) clock.play();
   window.ready = true;
 }
 
-// One range for curves that are to be compared; none where one of them would be too small to see in it.
-function common(ranges) {
-  const out = [Math.min(...ranges.map(range => range[0])), Math.max(...ranges.map(range => range[1]))];
-  return ranges.every(([low, high]) => high - low > 0.2 * (out[1] - out[0])) ? out : null;
+// Forces of all recordings are as long as those of the one that has the largest.
+function oneScale(recordings) {
+  const touching = recordings.filter(recording => recording.contacts);
+  for (const layer of ["forces", "cones"]) {
+    const most = Math.max(...touching.map(({units}) => units[layer]));
+    for (const {units} of touching) units[layer] = most;
+  }
+}
+
+// The time in the address, null if there is none.
+function timeAsked() {
+  const asked = location.hash.match(/t=([0-9.eE+-]+)/);
+  return asked && Number(asked[1]);
+}
+
+// The address points at the time shown as soon as that rests, for browsers refuse addresses that change more often than
+// 200 times in 30 s; and the time at the address that is given.
+function linkTo(clock) {
+  const page = location.href.split("#")[0];
+  let rest;
+  clock.listeners.push(t => {
+    clearTimeout(rest);
+    const write = () => history.replaceState(history.state, "", `${page}#t=${Number(t.toPrecision(12))}`);
+    if (!clock.playing) rest = setTimeout(write, 200);
+  });
+  window.addEventListener("hashchange", () => {
+    clock.pause();
+    clock.seek(timeAsked() ?? clock.t);
+  });
 }
 
 // When there were impacts, and words for the pointer.
@@ -51,12 +79,12 @@ function impactsOf(recording) {
 }
 
 function notes(recordings) {
-  const lines = recordings.map(({name, notes: all}) => (recordings.length > 1 ? `${name}: ` : "") + all.join("; "));
+  const lines = recordings.map(({label, notes: all}) => (recordings.length > 1 ? `${label}: ` : "") + all.join("; "));
   document.getElementById("notes").textContent = lines.join(" | ");
 }
 
 main().catch(error => {
   window.failure = error;
-  document.getElementById("notes").textContent = `This page cannot be shown: ${error.message}`;
+  document.getElementById("panes").replaceChildren(element("p", "failure", `This page cannot be shown: ${error.message}`));
   throw error;
 });

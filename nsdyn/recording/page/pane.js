@@ -2,68 +2,57 @@
 
 class Pane {
   constructor(recording, clock) {
-    Object.assign(this, {recording, clock, kind: "energy"});
+    Object.assign(this, {recording, clock, kind: "energy", laid: false, beside: null});
     this.root = document.getElementById("panes").appendChild(element("section", "pane"));
+    const head = this.root.appendChild(element("div", "head"));
+    const heading = head.appendChild(element("div", "heading", recording.label));
+    const {label, name, dt, made: {solver = ""}} = recording;
+    const more = [label === name ? "" : name, `h = ${plain(dt, "s")}`, solver.match(/^\w*/)[0]];
+    heading.append(element("small", "", more.filter(Boolean).join(", ")));
+    this.legend = head.appendChild(element("div", "legend"));
     const view = this.root.appendChild(element("div", "view"));
     const three = view.appendChild(element("div", "three"));
     this.stage = new Stage(three.appendChild(element("div", "three")), recording);
     this.overlay = new Overlay(view.appendChild(element("canvas")), this.stage, recording);
+    const below = this.root.appendChild(element("div", "below"));
+    const aside = below.appendChild(element("aside", "sheet")).appendChild(element("div", "inspector"));
+    this.inspector = new Inspector(aside, recording, this.stage, this.overlay);
+    below.appendChild(element("aside", "sheet")).append(this.stage.viewer.gui.domElement);
     this.stage.viewer.gui.domElement.classList.add("gui");
-    const heading = element("div", "heading", recording.name);
-    heading.append(element("small", "", `h = ${plain(recording.dt, "s")}${recording.solver && ", " + recording.solver}`));
-    view.append(this.stage.viewer.gui.domElement, heading);
-    this.tools = view.appendChild(element("div", "tools"));
-    this.legend = view.appendChild(element("div", "legend"));
-    this.inspector = new Inspector(view.appendChild(element("aside", "inspector")), recording, this.stage, this.overlay);
-    this.makeTools();
     this.makeLegend();
-    this.makeCurves();
-    this.stage.drawn.push(() => this.scaleBars());
+    this.makeCurves(below.appendChild(element("div", "curves")));
+    this.stage.drawn.push(() => this.scaleBars(), () => this.inspector.showFollowed());
     this.pickOn(three);
     new ResizeObserver(() => this.stage.resize()).observe(view);
     new ResizeObserver(() => this.chart.redraw()).observe(this.chart.place);
   }
 
-  makeTools() {
-    const group = () => this.tools.appendChild(element("span"));
-    const add = (place, id, text, title, action) => {
-      const button = place.appendChild(element("button", id, text));
-      button.title = title;
-      button.addEventListener("click", () => action(button));
-      return button;
-    };
-    const views = group();
-    for (const name of Object.keys(VIEWS)) {
-      add(views, name, name[0].toUpperCase() + name.slice(1), `Camera: ${name}`, () => this.stage.look(name));
-    }
-    const layers = group();
-    const titles = {
-      contacts: "Contact points: stick, slip, open",
-      forces: "Contact forces on bodies, mean since the state before",
-      cones: "Friction cones with the force inside, red at its edge; of redundant contacts forces are not unique",
-    };
-    for (const [name, title] of Object.entries(titles)) {
-      if (!this.recording.contacts) break;
-      const button = add(layers, name, name[0].toUpperCase() + name.slice(1), title, () => {
-        this.overlay.layers[name] = !this.overlay.layers[name];
-        button.setAttribute("aria-pressed", this.overlay.layers[name]);
-        this.showLegend();
-        this.stage.viewer.set_dirty();
-      });
-      button.setAttribute("aria-pressed", this.overlay.layers[name]);
-    }
-    add(group(), "tree", "Tree", "meshcat's own controls", button => {
-      button.setAttribute("aria-pressed", this.stage.viewer.gui.domElement.classList.toggle("shown"));
-    });
+  // Whether contacts, forces or cones are drawn.
+  draw(layer, on) {
+    this.overlay.layers[layer] = on;
+    this.showLegend();
+    this.stage.viewer.set_dirty();
+  }
+
+  // Whether meshcat's own controls are open.
+  showTree(on) {
+    const {gui} = this.stage.viewer;
+    gui.domElement.classList.toggle("shown", on);
+    if (on) gui.open(); else gui.close();
   }
 
   makeLegend() {
+    const offset = this.recording.arrays["contacts/offset"] ?? [];
+    const most = offset.reduce((most, end, k) => Math.max(most, end - (offset[k - 1] ?? end)), 0);
     this.counts = [1, 2, 0].map(state => {
       const entry = this.legend.appendChild(element("span", STATES[state]));
       const sample = entry.appendChild(element("canvas"));
       sample.width = sample.height = 14;
       drawDot(sample.getContext("2d"), 7, 7, state, 4.2);
-      return {state, number: entry.appendChild(element("span"))};
+      const number = entry.appendChild(element("span"));
+      number.style.display = "inline-block";
+      number.style.minWidth = `${`${most} ${STATES[state]}`.length}ch`;  // whatever it is, the view keeps its size
+      return {state, number};
     });
     this.bars = ["forces", "cones"].map(layer => {
       const entry = this.legend.appendChild(element("span", `scale ${layer}`, layer + " "));
@@ -87,48 +76,45 @@ class Pane {
     for (const {layer, bar, text} of this.bars) {
       const pixels = this.overlay.scale(layer) * this.stage.pixelsPerMetre;
       if (!pixels) continue;
-      const force = roundStep(40 / pixels);
+      const force = roundStep(24 / pixels);
       bar.style.width = `${force * pixels}px`;
       text.textContent = plain(force, "N");
     }
   }
 
-  makeCurves() {
-    const {recording} = this;
-    this.ledger = new Ledger(recording);
-    this.ranges = {};
-    const curves = this.root.appendChild(element("div", "curves"));
-    const header = curves.appendChild(element("header"));
-    const tabs = header.appendChild(element("nav"));
-    this.tabs = {};
-    for (const [kind, text, title] of [
-      ["energy", "Energy", "Kinetic and potential energy, and over them what was taken: their sum is what there was"],
-      ["power", "Power", "What friction, impacts and damping take, mean of each interval"],
-      ["checks", "Checks", "Residual, certificate and overlap of each step"],
-    ]) {
-      const button = this.tabs[kind] = tabs.appendChild(element("button", kind, text));
-      button.title = title;
-      button.addEventListener("click", () => this.show(kind));
-    }
-    this.figures = header.appendChild(element("div", "values"));
+  makeCurves(curves) {
+    this.ledger = new Ledger(this.recording);
+    this.figures = curves.appendChild(element("div", "values"));
     this.chart = new Chart(curves.appendChild(element("div", "plot")), t => {
       this.clock.pause();
       this.clock.seek(t);
     });
   }
 
+  // Whether the curves of the recording beside are drawn over these.
+  lay(on) {
+    this.laid = on;
+    this.show(this.kind);
+  }
+
   show(kind) {
     this.kind = kind;
-    for (const [name, button] of Object.entries(this.tabs)) button.setAttribute("aria-selected", name === kind);
-    this.chart.show({begin: this.clock.begin, end: this.clock.end, ...this.ledger[kind](this.ranges[kind])});
+    const other = this.laid ? this.beside.ledger : null;
+    const lanes = this.ledger.lanes(kind, this.beside?.ledger, other);
+    this.chart.show({begin: this.clock.begin, end: this.clock.end, ...lanes});
     this.figures.replaceChildren();
-    this.cells = this.ledger.values(kind, this.clock.t).map(([label, colour]) => {
-      const entry = this.figures.appendChild(element("span"));
-      const sample = entry.appendChild(element("i"));
-      sample.style.background = colour;
-      entry.append(label + " ");
-      return entry.appendChild(element("b"));
-    });
+    const entry = (label, className, colour) => {
+      const place = this.figures.appendChild(element("span"));
+      place.appendChild(element("i", className)).style[className ? "color" : "background"] = colour;
+      place.append(label + " ");
+      return place;
+    };
+    if (other) {
+      entry(this.recording.label, "stroke", "#1f2933");
+      entry(this.beside.recording.label, "stroke other", "#1f2933");
+    }
+    this.cells = this.ledger.values(kind, this.clock.t).map(([label, colour]) => (
+      entry(label, "", colour).appendChild(element("b"))));
     this.seek(this.clock.t);
   }
 

@@ -31,7 +31,9 @@ class Stage {
     this.shapes = nodes(recording.geoms.map(geom => geom.path));
     this.followed = null;
     this.moved = false;  // whether the user has turned the camera
-    this.viewer.controls.addEventListener("start", () => { this.moved = true; });
+    this.together = [this];  // stages of which all have the place of one camera
+    this.viewer.controls.addEventListener("start", () => { for (const stage of this.together) stage.moved = true; });
+    this.viewer.controls.addEventListener("change", () => this.share());
     this.quality = {moving: 0, now: 0, last: null, late: 0, still: false};
     this.sun = sun;
     this.edges = [];
@@ -49,6 +51,16 @@ class Stage {
 
   get camera() { return this.viewer.camera; }
 
+  // Takes the other cameras to where this one is.
+  share() {
+    for (const {camera, viewer} of this.together) {
+      if (viewer === this.viewer) continue;
+      camera.position.copy(this.camera.position);
+      viewer.controls.target.copy(this.viewer.controls.target);
+      viewer.set_dirty();
+    }
+  }
+
   resize() {
     const {clientWidth: width, clientHeight: height} = this.viewer.dom_element;
     if (!width || !height) return;
@@ -56,7 +68,7 @@ class Stage {
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     if (!this.moved) this.look(this.preset);
-    this.viewer.set_dirty();
+    this.viewer.render();  // at once, for what was drawn is gone
   }
 
   // To a time: the bodies, and the camera if it follows one.
@@ -69,6 +81,7 @@ class Stage {
       for (const vector of [this.camera.position, this.viewer.controls.target]) {
         vector.set(vector.x + by[0], vector.y + by[2], vector.z - by[1]);
       }
+      this.share();
     }
     this.viewer.set_dirty();
   }
@@ -110,14 +123,17 @@ class Stage {
   }
 
   follow(frame) {
-    this.followed = frame === null ? null : {frame, place: this.origin(frame)};
+    for (const stage of this.together) {
+      stage.followed = null;
+      stage.viewer.set_dirty();
+    }
+    if (frame !== null) this.followed = {frame, place: this.origin(frame)};
   }
 
   // A preset direction from which all that ever moves is in the picture, whatever the window's proportions.
   look(preset) {
     const {centre, slope, back} = this.recording.view;
-    this.preset = preset;
-    this.moved = false;
+    for (const stage of this.together) Object.assign(stage, {preset, moved: false});
     let towards = back;
     if (VIEWS[preset]) {
       const [azimuth, elevation] = VIEWS[preset].map(angle => angle * Math.PI / 180);
@@ -129,18 +145,22 @@ class Stage {
     const up = cross(towards, right);
     const along = (p, d) => p.reduce((sum, x, k) => sum + (x - centre[k]) * d[k], 0);
     const outline = this.recording.arrays.outline;
+    const aspect = Math.min(...this.together.map(stage => stage.camera.aspect));
     let distance = 0;
     for (let k = 0; k < outline.length; k += 4) {
       const [point, r] = [Array.from(outline.subarray(k, k + 3)), outline[k + 3]];
       const high = (Math.abs(along(point, up)) + r) / slope;
-      const wide = (Math.abs(along(point, right)) + r) / (slope * this.camera.aspect);
+      const wide = (Math.abs(along(point, right)) + r) / (slope * aspect);
       distance = Math.max(distance, along(point, towards) + 1.08 * Math.max(high, wide));
     }
     const eye = centre.map((x, k) => x + distance * towards[k]);
     this.camera.position.set(eye[0], eye[2], -eye[1]);
     this.viewer.controls.target.set(centre[0], centre[2], -centre[1]);
-    if (this.followed) this.followed.place = this.origin(this.followed.frame);
+    for (const stage of this.together) {
+      if (stage.followed) stage.followed.place = stage.origin(stage.followed.frame);
+    }
     this.viewer.set_dirty();
+    this.share();
   }
 
   // Lift the camera out of half-spaces on which things stand.
