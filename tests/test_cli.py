@@ -276,14 +276,17 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["bench", "sleigh"], "case must be one of slide"),
         (["bench", "--peer", "ode"], "peer must be one of"),
         (["profile", ".", "--plot", "missing/p.png"], "cannot write missing/p.png: there is no folder"),
-        (["energy", "missing.h5"], "no such recording: missing.h5"),
+        (["energy", "missing.h5"], "no such file: missing.h5"),
         (["energy", "text.h5", "--csv", "e.csv"], "text.h5 is not a recording of nsdyn"),
-        (["view", "text.h5"], "nothing to make"),
+        (["view", "text.h5"], "text.h5 is not a recording of nsdyn"),
+        (["view", "missing.h5"], "no such file: missing.h5"),
+        (["plot", "missing.h5", "-o", "text.h5"], "no such file: missing.h5"),
+        (["compare", "text.h5", "missing.h5"], "no such file: missing.h5"),
         (["view", "text.h5", "-o", "run.html", "--at", "1"], "--at is the time of the picture"),
         (["view", "text.h5", "-o", "run.html"], "text.h5 is not a recording of nsdyn"),
         (["view", "text.h5", "--png", "frame.jpg"], "cannot write frame.jpg: a picture must be png, got .jpg"),
         (["view", "text.h5", "--mp4", "run.avi"], "cannot write run.avi: a film must be mp4, got .avi"),
-        (["view", "a.h5", "text.h5", "-o", "text.h5"], "cannot write text.h5: it is read"),
+        (["view", "text.h5", "text.h5", "--mp4", "text.h5"], "cannot write text.h5: it is read"),
         (["energy", "text.h5", "--plot", "e.xyz"], "a picture must be png or pdf or svg, got .xyz"),
         (["energy", "text.h5", "--csv", "text.h5"], "cannot write text.h5: it is read"),
         (["run", "slide", "-o", "run.h5", "--html", "run.h5"], "cannot write run.h5: it is named twice"),
@@ -476,6 +479,8 @@ def test_timings_leave_start_up_apart(run, monkeypatch):
 def test_view(run, recording, tmp_path):
     assert run("view", "run.h5", "-o", "run.html", "--forces", "--fps", "100") == (0, "", "")
     assert (tmp_path / "run.html").read_text() == viewer.html(Trajectory.load(recording), fps=100, forces=True)
+    assert run("view", "run.h5") == (0, "run.html\n", "")
+    assert (tmp_path / "run.html").read_text() == viewer.html(Trajectory.load(recording))
     code, _, err = run("view", "run.h5", "-o", "new.html", "--fps", "0")
     assert code == 2 and "fps must be positive" in err and not (tmp_path / "new.html").exists()
 
@@ -486,7 +491,7 @@ def test_view_of_two(run, recording, tmp_path):
     both = [Trajectory.load(tmp_path / name) for name in ("run.h5", "other.h5")]
     assert (tmp_path / "both.html").read_text() == viewer.html(both[0], beside=both[1])
     code, _, err = run("view", "run.h5", "missing.h5", "-o", "new.html")
-    assert code == 2 and "no such recording: missing.h5" in err and not (tmp_path / "new.html").exists()
+    assert code == 2 and "no such file: missing.h5" in err and not (tmp_path / "new.html").exists()
 
 
 def test_film_without_ffmpeg(run, recording, tmp_path, monkeypatch):

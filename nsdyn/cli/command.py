@@ -19,13 +19,14 @@ from pathlib import Path
 from typing import NoReturn, TextIO
 
 from nsdyn.cli.doctor import diagnose, version_of
-from nsdyn.cli.output import OUTPUTS, add_json, one_line
+from nsdyn.cli.output import OUTPUTS, add_input, add_json, add_output, one_line
 from nsdyn.cli.plots import add_plot, draw
 from nsdyn.cli.problems import bench_engines, profile_solvers, solve_file
 from nsdyn.cli.results import show_contacts, show_energy, write_page
 from nsdyn.cli.simulation import add_simulation, begin_scene, list_scenes, run_scene
 from nsdyn.cli.studies import add_check, add_compare, add_study, check_anything, compare_recordings, study_steps
 from nsdyn.cli.sweeps import add_sweep, sweep_scene
+from nsdyn.tools.files import FILM, FRAME, PAGE, PICTURE, PROBLEM, RECORDING, TABLE
 
 __all__ = ["main"]
 
@@ -120,16 +121,16 @@ def _add_simulations(command: Command) -> None:
     )
     add_simulation(p, "raise", "dump", "ignore")
     where = p.add_mutually_exclusive_group()
-    where.add_argument("-o", "--output", type=Path, metavar="RUN.h5", help="recording, written while it runs")
-    where.add_argument(
-        "--resume", type=Path, metavar="RUN.h5",
+    add_output(where, "-o", "--output", kind=RECORDING, metavar="RUN.h5", help="recording, written while it runs")
+    add_output(
+        where, "--resume", kind=RECORDING, metavar="RUN.h5",
         help="recording of a run of the same arguments that ended or was killed: go on with it, bit for bit",
     )  # fmt: skip
     p.add_argument(
         "--every", type=int, default=1, metavar="N", help="record only every N-th step (default: %(default)s)"
     )
     p.add_argument("--no-contacts", action="store_true", help="leave the contacts out of the recording")
-    p.add_argument("--html", type=Path, metavar="RUN.html", help="self-contained animated page")
+    add_output(p, "--html", kind=PAGE, metavar="RUN.html", help="self-contained animated page")
     p.add_argument(
         "--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail, as FCLIB files"
     )
@@ -150,10 +151,10 @@ def _add_simulations(command: Command) -> None:
 def _add_problems(command: Command) -> None:
     """Commands for contact problems, solvers and engines."""
     p = command("solve", solve_file, "Solve a frictional contact problem in an FCLIB file.")
-    p.add_argument("problem", type=Path, metavar="PROBLEM.hdf5")
+    add_input(p, "problem", metavar="PROBLEM.hdf5")
     p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
     p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
-    p.add_argument("-o", "--output", type=Path, metavar="SOLUTION.hdf5", help="the problem and its solution")
+    add_output(p, "-o", "--output", kind=PROBLEM, metavar="SOLUTION.hdf5", help="the problem and its solution")
     add_json(p)
 
     p = command(
@@ -169,8 +170,8 @@ def _add_problems(command: Command) -> None:
         "--limit", type=float, default=10.0, metavar="SECONDS", help="time limit of each solve (default: %(default)s)"
     )
     p.add_argument("--peer", action="append", default=[], metavar="NAME", help="siconos or pinocchio: all its solvers")
-    p.add_argument("--csv", type=Path, metavar="F.csv", help="all runs, one a line")
-    p.add_argument("--plot", type=Path, metavar="F.png", help="picture of the profiles (png, pdf or svg)")
+    add_output(p, "--csv", kind=TABLE, metavar="F.csv", help="all runs, one a line")
+    add_output(p, "--plot", kind=PICTURE, metavar="F.png", help="picture of the profiles (png, pdf or svg)")
     add_json(p)
 
     p = command(
@@ -187,39 +188,43 @@ def _add_problems(command: Command) -> None:
     p.add_argument(
         "--limit", type=float, default=30.0, metavar="SECONDS", help="time limit of each run (default: %(default)s)"
     )
-    p.add_argument("--csv", type=Path, metavar="F.csv", help="all runs, one a line")
-    p.add_argument("--plot", type=Path, metavar="F.png", help="picture of time against error (png, pdf or svg)")
+    add_output(p, "--csv", kind=TABLE, metavar="F.csv", help="all runs, one a line")
+    add_output(p, "--plot", kind=PICTURE, metavar="F.png", help="picture of time against error (png, pdf or svg)")
     add_json(p)
 
 
 def _add_results(command: Command) -> None:
     """Commands that read recordings."""
     p = command("energy", show_energy, "Print, plot or export the energy ledger of a recording.")
-    p.add_argument("recording", type=Path, metavar="RUN.h5")
-    p.add_argument("--plot", type=Path, metavar="E.png", help="picture of energies and works (png, pdf or svg)")
+    add_input(p, "recording", metavar="RUN.h5")
+    add_output(p, "--plot", kind=PICTURE, metavar="E.png", help="picture of energies and works (png, pdf or svg)")
     p.add_argument(
         "--by", choices=("pair", "body"),
         help="in place of the ledger, works of the contacts of each pair of bodies, or energies of each body",
     )  # fmt: skip
-    p.add_argument("--csv", type=Path, metavar="E.csv", help="all times: energies, and the works of each step, in J")
+    add_output(p, "--csv", kind=TABLE, metavar="E.csv", help="all times: energies, and the works of each step, in J")
     add_json(p)
 
     p = command("contacts", show_contacts, "Print or export the contacts of a recording.")
-    p.add_argument("recording", type=Path, metavar="RUN.h5")
+    add_input(p, "recording", metavar="RUN.h5")
     p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
-    p.add_argument("--csv", type=Path, metavar="C.csv", help="all contacts of all steps, one a line")
+    add_output(p, "--csv", kind=TABLE, metavar="C.csv", help="all contacts of all steps, one a line")
 
     p = command("view", write_page, "Make a web page, a picture or a film of a recording, or of two side by side.")
-    p.add_argument("recording", type=Path, metavar="RUN.h5")
-    p.add_argument("beside", type=Path, metavar="OTHER.h5", nargs="?", help="shown beside it, on the same clock")
-    p.add_argument("-o", "--output", type=Path, metavar="RUN.html", help="self-contained animated page")
+    add_input(p, "recording", metavar="RUN.h5")
+    add_input(p, "beside", metavar="OTHER.h5", nargs="?", help="shown beside it, on the same clock")
+    add_output(
+        p, "-o", "--output", kind=PAGE, metavar="RUN.html",
+        help="self-contained animated page (default, if nothing else is asked for: named after the recording, in this "
+        "folder)",
+    )  # fmt: skip
     p.add_argument(
         "--forces", nargs="?", const="pair", default=False, metavar="BY",
         help="draw the contact forces, one for each pair of bodies (the default) or each contact point: pair, point",
     )  # fmt: skip
     p.add_argument("--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)")
-    p.add_argument("--png", type=Path, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
-    p.add_argument("--mp4", type=Path, metavar="RUN.mp4", help="film, made by a headless Chromium and ffmpeg")
+    add_output(p, "--png", kind=FRAME, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
+    add_output(p, "--mp4", kind=FILM, metavar="RUN.mp4", help="film, made by a headless Chromium and ffmpeg")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
 
     add_compare(command("compare", compare_recordings, "Say where two recordings of one scene part."))

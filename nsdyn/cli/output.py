@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.tools.arrays import Array
+    from nsdyn.tools.files import Kind
 
 __all__ = [
     "OUTPUTS",
-    "PLOTS",
+    "add_input",
     "add_json",
-    "check_outputs",
-    "check_picture",
+    "add_output",
+    "check_files",
     "ledger",
     "one_line",
     "picture",
@@ -40,8 +42,9 @@ def one_line(message: object) -> str:
 
 
 OUTPUTS = (
-    "Output files that exist are overwritten once the new ones are complete. Links are followed, what is no regular "
-    "file (a FIFO, a device) is written through, and - is stdout; the figures then go to stderr."
+    "Output files that exist are overwritten once the new ones are complete, but none of another kind. Links are "
+    "followed, what is no regular file (a FIFO, a device) is written through, and - is stdout; the figures then go to "
+    "stderr."
 )
 
 
@@ -84,27 +87,35 @@ def plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def check_outputs(source: Path | None, *paths: Path | None) -> None:
-    """Refuse paths that cannot all be written beside the `source` that is read, before any work is done."""
+def add_input(parser: argparse.ArgumentParser, name: str, **options: Any) -> None:
+    """An argument that is the path of a file to read."""
+    read = parser.add_argument(name, type=Path, **options).dest
+    parser.set_defaults(inputs=(*(parser.get_default("inputs") or ()), read))
+
+
+def add_output(parser: argparse._ActionsContainer, *names: str, kind: Kind, **options: Any) -> None:
+    """An option that is the path of a file to write, of a kind."""
+    written = parser.add_argument(*names, type=Path, **options).dest
+    parser.set_defaults(outputs={**(parser.get_default("outputs") or {}), written: kind})
+
+
+def check_files(arguments: argparse.Namespace) -> None:
+    """Refuse, before any work is done, files to read that are not there, and to write that cannot all be written."""
     from nsdyn.tools import files
 
-    outputs = [path for path in paths if path]
-    for path in outputs:
-        files.check_writable(path)
-    named = [files.resolved(path) for path in outputs if path == files.STDOUT or not files.is_special(path)]
-    if source is not None and (where := files.resolved(source)) in named:
-        raise ValueError(f"cannot write {outputs[named.index(where)]}: it is read")
-    if len(set(named)) < len(named):
-        raise ValueError(f"cannot write {outputs[-1]}: it is named twice")
-
-
-PLOTS = "png", "pdf", "svg"
-
-
-def check_picture(path: Path | None, *kinds: str, what: str = "picture") -> None:
-    """Refuse the name of a picture, or what it is, of another kind."""
-    if path and path.suffix and path.suffix[1:].lower() not in kinds:
-        raise ValueError(f"cannot write {path}: a {what} must be {' or '.join(kinds)}, got {path.suffix}")
+    given = vars(arguments)
+    read = [path for name in given.get("inputs", ()) if (path := given[name])]
+    for path in read:
+        if not os.path.exists(path):
+            raise ValueError(f"no such file: {path}")
+    taken = {files.resolved(path): "it is read" for path in read}
+    for name, kind in given.get("outputs", {}).items():
+        if path := given[name]:
+            if path == files.STDOUT or not files.is_special(path):
+                if why := taken.get(where := files.resolved(path)):
+                    raise ValueError(f"cannot write {path}: {why}")
+                taken[where] = "it is named twice"
+            files.check_writable(path, kind)
 
 
 def plot_to(path: Path, *draw: Callable[[Any], Any]) -> None:
@@ -147,9 +158,9 @@ def write_rows(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: 
     """Write rows as a CSV file; what a row lacks is empty."""
     import csv
 
-    from nsdyn.tools.files import writing
+    from nsdyn.tools import files
 
-    with writing(path) as part, open(part, "w", newline="") as file:
+    with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
         sink = csv.DictWriter(file, columns)
         sink.writeheader()
         sink.writerows(rows)
@@ -174,9 +185,9 @@ def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], d
     """Picture of what `draw` draws on a matplotlib figure of `size` in inches."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
 
-    from nsdyn.tools.files import writing
+    from nsdyn.tools import files
 
     figure = Figure(figsize=size, layout="constrained")
     draw(figure)
-    with writing(path) as part:
+    with files.writing(path, files.PICTURE) as part:
         figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=dpi)

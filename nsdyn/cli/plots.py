@@ -9,7 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsdyn.cli.output import PLOTS, check_outputs, check_picture, picture, say
+from nsdyn.cli.output import add_input, add_output, check_files, picture, say
+from nsdyn.tools.files import PICTURE
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -21,9 +22,9 @@ KINDS = "energy", "dissipation", "friction", "certificate", "penetration"
 
 def add_plot(parser: argparse.ArgumentParser) -> None:
     """The options of ``nsdyn plot``."""
-    parser.add_argument("recording", type=Path, metavar="RUN.h5")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="P.png",
+    add_input(parser, "recording", metavar="RUN.h5")
+    add_output(
+        parser, "-o", "--output", kind=PICTURE, metavar="P.png",
         help="picture (png, pdf or svg; default: named after the recording, in this folder)",
     )  # fmt: skip
     parser.add_argument(
@@ -39,9 +40,8 @@ def draw(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn plot``."""
     from nsdyn.recording.trajectory import Trajectory
 
-    path = arguments.output or Path(f"{arguments.recording.stem}.png")
-    check_outputs(arguments.recording, path)
-    check_picture(path, *PLOTS)
+    path = arguments.output = arguments.output or Path(f"{arguments.recording.stem}.png")
+    check_files(arguments)
     trajectory = Trajectory.load(arguments.recording)
     panels = _panels(trajectory, arguments.kind, arguments.pair)
     columns = min(3, len(panels))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from nsdyn.cli.output import PLOTS, check_outputs, check_picture, picture, plot_to, say, say_json
+from nsdyn.cli.output import check_files, picture, plot_to, say, say_json
 
 __all__ = ["bench_engines", "profile_solvers", "solve_file"]
 
@@ -15,7 +15,7 @@ def solve_file(arguments: argparse.Namespace) -> int:
     from nsdyn.problem import fclib
 
     solver = solvers.by_name(arguments.solver, arguments.tol)
-    check_outputs(arguments.problem, arguments.output)
+    check_files(arguments)
     problem = fclib.read(arguments.problem)
     solution = solver(problem)
     if arguments.output:
@@ -51,8 +51,7 @@ def profile_solvers(arguments: argparse.Namespace) -> int:
 
     from nsdyn.study import profile
 
-    check_outputs(None, arguments.csv, arguments.plot)
-    check_picture(arguments.plot, *PLOTS)
+    check_files(arguments)
     solvers, smallest = arguments.solver or ["auto"], arguments.min_contacts
     found = [
         profile.measure(arguments.folder, solvers, tol, arguments.limit, arguments.peer, smallest, progress=True)
@@ -78,8 +77,7 @@ def bench_engines(arguments: argparse.Namespace) -> int:
 
     from nsdyn.study import bench
 
-    check_outputs(None, arguments.csv, arguments.plot)
-    check_picture(arguments.plot, *PLOTS)
+    check_files(arguments)
     found = bench.measure(arguments.case, arguments.peer, arguments.limit, progress=True)
     if arguments.csv:
         found.write_csv(arguments.csv)

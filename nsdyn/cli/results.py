@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nsdyn.cli.output import PLOTS, check_outputs, check_picture, ledger, plot_to, say, say_json, write_columns
+from nsdyn.cli.output import check_files, ledger, plot_to, say, say_json, write_columns
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -19,10 +19,9 @@ __all__ = ["show_contacts", "show_energy", "write_page"]
 def show_energy(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn energy``."""
     from nsdyn.recording.trajectory import Trajectory
-    from nsdyn.tools.files import writing
+    from nsdyn.tools import files
 
-    check_outputs(arguments.recording, arguments.plot, arguments.csv)
-    check_picture(arguments.plot, *PLOTS)
+    check_files(arguments)
     trajectory = Trajectory.load(arguments.recording)
     if arguments.plot:
         plot_to(arguments.plot, trajectory.plot_energy)
@@ -30,7 +29,7 @@ def show_energy(arguments: argparse.Namespace) -> int:
         return _energy_by(arguments, trajectory)
     if arguments.csv:
         energy = trajectory.energy
-        with writing(arguments.csv) as part:
+        with files.writing(arguments.csv, files.TABLE) as part:
             write_columns(trajectory, {name: getattr(energy, name) for name in energy.names}, part)
     if arguments.json:
         say_json(arguments, ledger(trajectory))
@@ -42,7 +41,7 @@ def show_energy(arguments: argparse.Namespace) -> int:
 def _energy_by(arguments: argparse.Namespace, trajectory: Trajectory) -> int:
     """Works by pair of bodies, or energies by body."""
     from nsdyn.recording import breakdown
-    from nsdyn.tools.files import writing
+    from nsdyn.tools import files
 
     pairs = arguments.by == "pair"
     series: dict[str, tuple[Array, Array]] = (
@@ -53,7 +52,7 @@ def _energy_by(arguments: argparse.Namespace, trajectory: Trajectory) -> int:
     words = ("normal", "friction") if pairs else ("kinetic", "potential")
     if arguments.csv:
         columns = {f"{name} {word}": v for name, both in series.items() for word, v in zip(words, both, strict=True)}
-        with writing(arguments.csv) as part:
+        with files.writing(arguments.csv, files.TABLE) as part:
             write_columns(trajectory, columns, part)
     if arguments.json:
         last = {name: dict(zip(words, both, strict=True)) for name, both in series.items()}
@@ -68,15 +67,15 @@ def show_contacts(arguments: argparse.Namespace) -> int:
     import csv
 
     from nsdyn.recording.trajectory import Trajectory
-    from nsdyn.tools.files import writing
+    from nsdyn.tools import files
 
-    check_outputs(arguments.recording, arguments.csv)
+    check_files(arguments)
     trajectory = Trajectory.load(arguments.recording)
     if not 1 <= abs(arguments.step) <= trajectory.steps:
         raise ValueError(f"--step must be one of 1 to {trajectory.steps}, or -1 back, got {arguments.step}")
     if arguments.csv:
         table = trajectory.contact_table()
-        with writing(arguments.csv) as part, open(part, "w", newline="") as file:
+        with files.writing(arguments.csv, files.TABLE) as part, open(part, "w", newline="") as file:
             sink = csv.writer(file)
             sink.writerow(table)
             sink.writerows(zip(*(table[name].tolist() for name in table), strict=True))
@@ -89,14 +88,12 @@ def write_page(arguments: argparse.Namespace) -> int:
     from nsdyn.recording import pictures, viewer
     from nsdyn.recording.trajectory import Trajectory
 
-    if not (arguments.output or arguments.png or arguments.mp4):
-        raise ValueError("nothing to make: give -o RUN.html, --png FRAME.png or --mp4 RUN.mp4")
+    named = arguments.output or arguments.png or arguments.mp4
+    if not named:
+        arguments.output = Path(f"{arguments.recording.stem}.html")
+    check_files(arguments)
     if arguments.at is not None and not arguments.png:
         raise ValueError("--at is the time of the picture: give --png FRAME.png too")
-    for recording in filter(None, (arguments.recording, arguments.beside)):
-        check_outputs(recording, arguments.output, arguments.png, arguments.mp4)
-    check_picture(arguments.png, "png")
-    check_picture(arguments.mp4, "mp4", what="film")
     if arguments.mp4:
         pictures.check_film()
     trajectory = Trajectory.load(arguments.recording)
@@ -113,4 +110,6 @@ def write_page(arguments: argparse.Namespace) -> int:
             pictures.film(page, arguments.mp4, arguments.fps)
     if arguments.output:
         viewer.write_html(trajectory, arguments.output, **options)
+    if not named:
+        say(arguments, arguments.output)
     return 0

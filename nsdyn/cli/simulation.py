@@ -10,7 +10,7 @@ from collections import Counter
 from dataclasses import replace
 from typing import Any
 
-from nsdyn.cli.output import check_outputs, ledger, one_line, say, say_json
+from nsdyn.cli.output import check_files, ledger, one_line, say, say_json
 
 __all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "chosen_steps", "list_scenes", "run_scene"]
 
@@ -66,7 +66,7 @@ def begin_scene(arguments: argparse.Namespace) -> int:
         raise ValueError(f"a scene file must end in .py, got {path}")
     if path.exists():
         raise ValueError(f"{path} exists, and may be your work: give another name")
-    with files.writing(path) as part:
+    with files.writing(path, files.SCENE) as part:
         part.write_text(scenes.template())
     print(f"{path}: edit it, then nsdyn run {path} --html {path.stem}.html")
     return 0
@@ -131,7 +131,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
     name = arguments.scene
     parameters = settings.values(name, arguments.set)
     solver = chosen_solver(arguments)
-    check_outputs(None, arguments.output, arguments.resume, arguments.html)
+    check_files(arguments)
     if arguments.dump_on_fail:
         files.check_folder(arguments.dump_on_fail)
     setup = nsdyn.scenes.setup(name, **parameters)

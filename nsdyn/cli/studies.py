@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from nsdyn.cli.output import add_json, check_outputs, say_found, write_rows
+from nsdyn.cli.output import add_input, add_json, add_output, check_files, say_found, write_rows
 from nsdyn.cli.simulation import add_solver, chosen_solver
+from nsdyn.tools.files import TABLE
 
 __all__ = ["add_check", "add_compare", "add_study", "check_anything", "compare_recordings", "study_steps"]
 
@@ -23,7 +24,7 @@ def add_study(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="parameter; may be repeated")
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     add_solver(parser, "raise", "ignore")
-    parser.add_argument("--csv", type=Path, metavar="F.csv", help="the table")
+    add_output(parser, "--csv", kind=TABLE, metavar="F.csv", help="the table")
     add_json(parser)
 
 
@@ -34,7 +35,7 @@ def study_steps(arguments: argparse.Namespace) -> int:
 
     name = arguments.scene
     module, parameters = nsdyn.scenes.module(name), settings.values(name, arguments.set)
-    check_outputs(None, arguments.csv)
+    check_files(arguments)
     found = nsdyn.refine(
         name,
         [settings.parse(text, 0.1, "--dt") for text in arguments.dt.split(",")],
@@ -58,8 +59,8 @@ def study_steps(arguments: argparse.Namespace) -> int:
 
 def add_compare(parser: argparse.ArgumentParser) -> None:
     """The options of ``nsdyn compare``."""
-    parser.add_argument("first", type=Path, metavar="A.h5")
-    parser.add_argument("second", type=Path, metavar="B.h5")
+    add_input(parser, "first", metavar="A.h5")
+    add_input(parser, "second", metavar="B.h5")
     add_json(parser)
 
 
@@ -67,6 +68,7 @@ def compare_recordings(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn compare``."""
     import nsdyn
 
+    check_files(arguments)
     found = nsdyn.compare(*(nsdyn.Trajectory.load(path) for path in (arguments.first, arguments.second)))
     say_found(arguments, found)
     return 0

@@ -8,11 +8,11 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nsdyn.cli.output import add_json, check_outputs, one_line, say, say_json, table, write_rows
+from nsdyn.cli.output import add_json, add_output, check_files, one_line, say, say_json, table, write_rows
 from nsdyn.cli.simulation import add_simulation, chosen_solver, chosen_steps
+from nsdyn.tools.files import STORE, TABLE
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -30,11 +30,11 @@ def add_sweep(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: as many as cores)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster whose workers have nsdyn")
-    parser.add_argument(
-        "--store", type=Path, metavar="S.jsonl",
+    add_output(
+        parser, "--store", kind=STORE, metavar="S.jsonl",
         help="file to which every run is added when it is done; what it already has is not run again",
     )  # fmt: skip
-    parser.add_argument("--csv", type=Path, metavar="F.csv", help="the table")
+    add_output(parser, "--csv", kind=TABLE, metavar="F.csv", help="the table")
     add_json(parser)
 
 
@@ -48,7 +48,7 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
     module = nsdyn.scenes.module(name)
     parameters = settings.lists(name, arguments.set)
     solver = chosen_solver(arguments)
-    check_outputs(None, arguments.store, arguments.csv)
+    check_files(arguments)
     with _executor(arguments) as executor:
         members = ensemble.sweep(
             name,

@@ -328,7 +328,7 @@ def _created(path: str | Path, overwrite: bool) -> Iterator[Any]:
     """Create a file that takes its place when the block succeeds; else nothing is left."""
     if Path(path).exists() and not overwrite:
         raise ValueError(f"cannot write {path}: it exists")
-    with files.writing(path) as part, created(part) as file:
+    with files.writing(path, files.PROBLEM) as part, created(part) as file:
         yield file
 
 

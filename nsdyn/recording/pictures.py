@@ -30,7 +30,7 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
     ValueError
         If there is no Chromium, or no picture came of it.
     """
-    with browsing() as browser, files.writing(picture) as part:
+    with browsing() as browser, files.writing(picture, files.FRAME) as part:
         browser.open(_as_picture(page), size)
         part.write_bytes(browser.picture())
 
@@ -61,7 +61,7 @@ def film(page: str | Path, target: str | Path, fps: float = 30.0, size: tuple[in
         If there is no Chromium or no ffmpeg, or it fails.
     """
     check_film()
-    with browsing() as browser, files.writing(target) as part:
+    with browsing() as browser, files.writing(target, files.FILM) as part:
         browser.open(_as_picture(page), size)
         begin, end = browser.run("[nsdyn.clock.begin, nsdyn.clock.end]")
         command = [

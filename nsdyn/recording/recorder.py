@@ -134,7 +134,7 @@ class Recorder:
         self._blocks = [columns]
         self._rows, self._contacts = len(columns["t"]) - 1, int(columns["contacts/offset"][-1])
         if self.path is not None:
-            with files.writing(self.path) as part:
+            with files.writing(self.path, files.RECORDING) as part:
                 recording.create(part, self.meta, self.scene, columns, grow=True, state=saved)
             self._blocks = []
         self._wall: list[float] = []
@@ -246,7 +246,7 @@ class Recorder:
         if self.path is not None:
             contents = recording.read_state(self.path)
             try:
-                with files.writing(self.path) as part:
+                with files.writing(self.path, files.RECORDING) as part:
                     recording.create(part, *contents[:3], grow=False, state=contents[3])
             except ValueError as failure:  # for instance of a full disk
                 warnings.warn(f"{self.path} is complete, but not compressed: {failure}", stacklevel=2)

@@ -193,7 +193,7 @@ class Trajectory:
 
     def save(self, path: str | Path) -> None:
         """Write an HDF5 file, which replaces one of that name once complete; ValueError naming the path."""
-        with files.writing(path) as part:
+        with files.writing(path, files.RECORDING) as part:
             recording.create(part, self.meta, self.scene, self.columns, grow=False)
 
     @classmethod

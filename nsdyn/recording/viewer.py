@@ -56,7 +56,7 @@ def write_html(trajectory: Trajectory, path: str | Path, **options: Unpack[PageO
         If an option is out of range or the file cannot be written.
     """
     page = html(trajectory, **options).encode()
-    with files.writing(path) as part:
+    with files.writing(path, files.PAGE) as part:
         part.write_bytes(page)
 
 

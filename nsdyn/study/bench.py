@@ -151,7 +151,7 @@ class Bench:
 
     def write_csv(self, path: str | Path) -> None:
         """All runs, one a line; numbers that there are not are empty."""
-        with files.writing(path) as part, open(part, "w", newline="") as file:
+        with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
             sink = csv.writer(file)
             sink.writerow([field.name for field in fields(Run)])
             for run in self.runs:

@@ -29,8 +29,8 @@ import numpy as np
 from nsdyn.problem import fclib
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import SOLVERS, by_name
+from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.files import writing
 from nsdyn.tools.naming import choice
 from nsdyn.tools.workers import Worker
 
@@ -189,7 +189,7 @@ class Profile:
 
 def write_csv(path: str | Path, profiles: Sequence[Profile]) -> None:
     """All runs of some profiles, one a line with its tolerance first; seconds are empty where there is no answer."""
-    with writing(path) as part, open(part, "w", newline="") as file:
+    with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
         sink = csv.writer(file)
         sink.writerow(["tol", *(field.name for field in fields(Run))])
         for profile in profiles:

@@ -37,7 +37,7 @@ class Store:
 
     def __init__(self, path: str | Path, sweep: Mapping[str, Any]) -> None:
         self.path = Path(path)
-        files.check_writable(self.path)
+        files.check_writable(self.path, files.STORE)
         if files.is_special(self.path):
             raise ValueError(f"cannot store a sweep in {path}: it is no regular file, which lines could be added to")
         self._sweep = _read(_write({"sweep": sweep}))["sweep"]

@@ -1,16 +1,59 @@
-"""Files to write: complete or not at all, links followed, what is no regular file written through."""
+"""Files to write: complete or not at all, none in place of another kind, links followed, devices written through."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["STDOUT", "check_folder", "check_writable", "is_file", "is_special", "resolved", "writing"]
+__all__ = [
+    "FILM",
+    "FRAME",
+    "PAGE",
+    "PICTURE",
+    "PROBLEM",
+    "RECORDING",
+    "SCENE",
+    "STDOUT",
+    "STORE",
+    "TABLE",
+    "Kind",
+    "check_folder",
+    "check_writable",
+    "is_file",
+    "is_special",
+    "resolved",
+    "writing",
+]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a file is, in a word, and the endings that its name may have, if it has any."""
+
+    what: str
+    endings: tuple[str, ...]
+
+
+RECORDING, PROBLEM = Kind("recording", ("h5", "hdf5")), Kind("contact problem", ("hdf5", "h5"))
+PAGE, FILM = Kind("page", ("html", "htm")), Kind("film", ("mp4",))
+PICTURE, FRAME = Kind("picture", ("png", "pdf", "svg")), Kind("picture", ("png",))
+TABLE, STORE, SCENE = Kind("table", ("csv", "txt")), Kind("store", ("jsonl",)), Kind("scene file", ("py",))
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_BEGIN = {
+    "picture": rb"\x89PNG|%PDF|\s*<\?xml.*<svg|\s*<svg",
+    "film": rb".{4}ftyp",
+    "page": rb"(?i:\s*<(!doctype )?html)",
+    "store": rb'\{"sweep"',
+}
+"""How files of a kind begin."""
 
 STDOUT = Path("-")
 """Stands for standard output."""
@@ -42,14 +85,46 @@ def is_special(path: str | Path) -> bool:
     return os.path.exists(path) and not path.is_dir() and (opened or not path.is_file())
 
 
-def check_writable(path: str | Path) -> None:
+def check_writable(path: str | Path, kind: Kind) -> None:
     """Raise a ValueError that names a path `writing` could not write, as far as one can tell before."""
-    if path == STDOUT:
+    if (path := Path(path)) == STDOUT:
         return
     try:
         _check_writable(path)
+        if not is_special(path):
+            _check_kind(path, kind)
     except PermissionError:  # of a folder on the way, which hides what is in it
         raise ValueError(f"cannot write {path}: permission denied") from None
+
+
+def _check_kind(path: Path, kind: Kind) -> None:
+    """Refuse an ending that is not of the kind, and to replace what is known to be of another."""
+    if path.suffix and path.suffix[1:].lower() not in kind.endings:
+        raise ValueError(f"cannot write {path}: a {kind.what} must be {' or '.join(kind.endings)}, got {path.suffix}")
+    if is_file(path) and (there := _kind_of(path)) and there != kind.what:
+        raise ValueError(f"cannot write {path}: the file there is a {there}, no {kind.what}; remove it first")
+
+
+def _kind_of(path: Path) -> str:
+    """What a file is; empty where it is not known, or too damaged to tell."""
+    with suppress(OSError), open(path, "rb") as file:
+        head = file.read(1024)
+        if head.startswith(_HDF5):
+            return _kind_of_hdf5(path)
+        return next((what for what, begin in _BEGIN.items() if re.match(begin, head, re.DOTALL)), "")
+    return ""
+
+
+def _kind_of_hdf5(path: Path) -> str:
+    import h5py  # heavy, and seldom needed here
+
+    with suppress(Exception), h5py.File(path, "r", locking=False) as file:  # of damaged files it raises many kinds
+        if "meta" in file and file["meta"].attrs.get("format") == "nsdyn":
+            return RECORDING.what
+        if any(name.startswith("fclib_") for name in file):
+            return PROBLEM.what
+        return "HDF5 file of another program" if len(file) else ""
+    return ""
 
 
 def check_folder(path: str | Path) -> None:
@@ -78,8 +153,8 @@ def _may(path: str | Path, mode: int) -> bool:
 
 
 @contextmanager
-def writing(path: str | Path) -> Iterator[Path]:
-    """Yield a file to write, which becomes `path` when the block succeeds; else nothing is left.
+def writing(path: str | Path, kind: Kind) -> Iterator[Path]:
+    """Yield a file of a kind to write, which becomes `path` when the block succeeds; else nothing is left.
 
     A regular file is replaced as a whole and keeps its permissions; a link is followed. What is no regular file, and
     standard output for ``-``, is written through, also when the block succeeds only.
@@ -87,10 +162,10 @@ def writing(path: str | Path) -> Iterator[Path]:
     Raises
     ------
     ValueError
-        Naming the path, when it cannot be written.
+        Naming the path, when it cannot be written, its ending is of another kind, or what is there.
     """
     path = Path(path)
-    check_writable(path)
+    check_writable(path, kind)
     try:
         if is_special(path):
             with tempfile.TemporaryDirectory(prefix="nsdyn-") as folder:
