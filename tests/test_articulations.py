@@ -240,7 +240,7 @@ def test_step_against_dense_pinocchio(name):
     # matrix: M Δv = h (τ - g) with gravity terms g, damping and springs at its end; Coriolis terms are the flow's.
     q, v = before.position, before.v
     middle = d.halfway(q, v, h, 1.0, d.surfaces.twists(0.0))
-    forces = d.forces(middle, h, h, None, None)
+    forces = d.forces(middle, h, h)
     M, jacobians = dense(d, q, middle.placement.R)
     N, v_free = np.eye(d.n), forces.v
     rows, frame = d.rows(step.contacts, middle.placement, forces, None)

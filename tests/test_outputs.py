@@ -3,6 +3,7 @@
 import csv
 import json
 import pydoc
+import re
 
 import matplotlib
 import numpy as np
@@ -177,6 +178,79 @@ def test_a_scene_of_ones_own(run, tmp_path):
     assert found[0].failure == ""
 
 
+def test_the_template_runs_with_its_lines_uncommented(run, tmp_path):
+    """Both functions: the crate is pushed, and what drives robots finds none."""
+    run("new", "my.py")
+    lines = (tmp_path / "my.py").read_text().splitlines()
+    begin = next(k for k, line in enumerate(lines) if line.startswith("# def "))
+    taken = [re.sub(r"^# (?=def |    )", "", line) for line in lines[begin:]]
+    assert sum(line.startswith("def ") for line in taken) == 2
+    (tmp_path / "my.py").write_text("\n".join(lines[:begin] + taken))
+    code, _, err = run("run", "my.py", "--time", "0.3", "-o", "my.h5")
+    assert (code, err) == (0, "") and nd.Trajectory.load("my.h5").energy.external.sum() > 0.0
+
+
+SCENE = """import nsdyn as nd
+DURATION = DT = 0.1
+def scene(mass=1.0):
+    out = nd.Scene()
+    out.add_sphere("ball", 0.1, mass)
+    return out
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "def controller(scene):\n    return lambda t, q, v: {'a': PD()}",
+            "line 8: NameError: name 'PD' is not defined",
+        ),
+        (
+            "def external_force(scene): pass",
+            "line 7: external_force(scene) must return a function of (t, q, v), got None",
+        ),
+        ("def controller(scene): 1 / 0", "line 7: ZeroDivisionError: division by zero"),
+        (
+            "def external_force(scene):\n    return lambda t, q, v: None",
+            "line 8: external_force must return a mapping of",
+        ),
+        (
+            "def external_force(scene):\n    return lambda t: {}",
+            "line 8: external_force.<locals>.<lambda>() takes",
+        ),
+        (
+            "def external_force(scene):\n    return lambda t, q, v: {'bal': (0, 0, 1)}",
+            "line 8: external_force names 'bal'",
+        ),
+        (
+            "def external_force(scene):\n    return lambda t, q, v: nd.PD(-1, 0, 0)",
+            "line 8: kp of a PD control must not be",
+        ),
+        ("def scene(): pass", "line 7: scene must return a nsdyn.Scene, got None"),
+        ("def scene(): raise KeyError('x')", "line 7: KeyError: 'x'"),
+        ("def scene():\n    out = nd.Scene()\n    out.add_sphere('b', -1.0, 1.0)", "line 9: radius must be"),
+    ],
+)
+def test_mistakes_in_functions_of_scene_files(run, tmp_path, text, words):
+    """In one line, which begins with the user's; in a sweep too."""
+    (tmp_path / "bad.py").write_text(f"{SCENE}{text}\n")
+    for command in (["run", "bad.py", "-o", "bad.h5"], ["sweep", "bad.py", "--workers", "1"]):
+        code, out, err = run(*command)
+        assert code == 2 and out == "" and err.startswith(f"nsdyn: error: bad.py, {words}") and err.count("\n") == 1
+
+
+def test_mistakes_in_functions_of_sweeps():
+    def make(mu):
+        return None
+
+    line = make.__code__.co_firstlineno
+    with pytest.raises(ValueError, match=f"test_outputs.py, line {line}: scene must return a nsdyn.Scene, got None"):
+        nd.sweep(make, {"mu": [0.5]}, 0.1)
+    with pytest.raises(ValueError, match=r"test_outputs.py, line \d+: ZeroDivisionError: division by zero"):
+        nd.sweep("slide", {"mu": [0.5]}, 0.02, dt=0.01, keep=lambda run: 1 / 0)
+
+
 def float_of_end(trajectory):
     return float(trajectory.energy.kinetic[-1])
 
@@ -189,7 +263,7 @@ def float_of_end(trajectory):
         ("DT = 1", "bad.py must define a function scene(...) that returns a Scene; see 'nsdyn new'"),
         ("def scene(): pass\nDT = 1", "bad.py must define DURATION, how long to simulate in s"),
         ("def scene(mu): pass\nDT = DURATION = 1", "parameter mu of scene in bad.py must have a default"),
-        ("def scene(): return 1\nDT = DURATION = 1", "scene must be a nsdyn.Scene, got 1"),
+        ("def scene(): return 1\nDT = DURATION = 1", "bad.py, line 1: scene must return a nsdyn.Scene, got 1"),
     ],
 )
 def test_scene_files_with_mistakes(run, tmp_path, text, words):

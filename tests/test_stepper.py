@@ -1,6 +1,8 @@
 """The stepper itself: resuming, determinism, callbacks, failures, arguments, the ledger and the certificate."""
 
 import pickle
+import traceback
+from functools import partial
 
 import numpy as np
 import pytest
@@ -227,19 +229,91 @@ def test_torque_and_controller():
         ({"external_force": lambda t, q, v: {"arm": (0, 0, 1)}}, r"articulations \['arm'\]"),
         ({"external_force": lambda t, q, v: {"arm/leg": (0, 0, 1)}}, "'arm' has no moving body 'leg'; it has"),
         ({"external_force": lambda t, q, v: {"box": "up"}}, "external_force on 'box' must be finite .* got 'up'"),
-        ({"external_force": lambda t, q, v: 5}, "external_force must return a mapping of names or None, got 5"),
-        ({"controller": lambda t, q, v: np.zeros(2)}, "controller must return a mapping of names or None"),
+        ({"external_force": lambda t, q, v: 5}, "external_force must return a mapping of names, got 5"),
+        ({"controller": lambda t, q, v: np.zeros(2)}, "controller must return a mapping of names"),
         ({"external_force": lambda t, q, v: {"box": (0, 1)}}, "external_force on 'box'"),
         ({"external_force": lambda t, q, v: {"box": (0, 0, np.nan)}}, "external_force on 'box'"),
         ({"controller": lambda t, q, v: {"arm": [1.0]}}, "controller must give 2 finite joint forces"),
         ({"controller": lambda t, q, v: {"leg": [1.0, 0.0]}}, "controller names 'leg'"),
+        ({"controller": lambda t, q, v: None}, "controller must return a mapping of names, got None"),
+        ({"external_force": lambda t, q, v: None}, "external_force must return a mapping of names, got None"),
+        ({"controller": lambda t, q, v: {"arm": None}}, "controller must give 2 finite joint forces for 'arm', got"),
+        ({"controller": lambda t, q, v: {"amr": [1.0, 0.0]}}, "did you mean 'arm'"),
+        ({"external_force": lambda t, q, v: {1: (0, 1, 0)}}, "external_force names 1, which is no free body"),
     ],
 )
 def test_bad_callbacks(callback, words):
-    """Each is named, in the step that calls it."""
+    """Each is told with its file and line first, and the step that calls it in a note; nothing is kept of the step."""
     stepper = nd.Stepper(nd.scenes.load("arm_pushes_box")(), **callback)
-    with pytest.raises(ValueError, match=words):
+    (function,) = callback.values()
+    state = stepper.get_state()
+    with pytest.raises(ValueError, match=words) as refused:
         stepper.step()
+    here = f"test_stepper.py, line {function.__code__.co_firstlineno}: "
+    assert str(refused.value).startswith(here) and refused.value.__notes__ == ["in step 1 from t = 0 s"]
+    assert stepper.get_state() is state
+
+
+def test_an_exception_in_a_callback_shows_its_line():
+    """Its type stays; the traceback ends in the user's lines, with two of ours above; the note tells where and when."""
+
+    def deep(t):
+        return 1.0 / (0.02 - t) if t < 0.02 else [][1]
+
+    def push(t, q, v):
+        return {"box": (0.0 * deep(t), 0.0, 0.0)}
+
+    with pytest.raises(IndexError) as failure:
+        nd.simulate(nd.scenes.load("slide")(), 0.1, dt=0.01, external_force=push)
+    frames = traceback.extract_tb(failure.tb)
+    assert [frame.name for frame in frames[1:]] == ["simulate", "called", "push", "deep"]
+    line = deep.__code__.co_firstlineno + 1
+    assert failure.value.__notes__ == [
+        f"test_stepper.py, line {line}: in external_force", "in step 3 from t = 0.02 s",
+    ]  # fmt: skip
+    assert "".join(traceback.format_exception(failure.value)).count("During handling") == 0
+
+
+class Push:
+    def __call__(self, t, q):
+        return {}
+
+
+def test_what_is_no_plain_function_has_a_place_too():
+    """That of its class, of the function in a partial; a built-in one is named."""
+    line = Push.__call__.__code__.co_firstlineno
+    for push, place in ((Push(), line), (partial(Push(), q=3), line), (abs, None)):
+        with pytest.raises(ValueError, match="argument") as failure:
+            nd.Stepper(nd.scenes.load("slide")(), external_force=push).step()
+        where = f"test_stepper.py, line {place}" if place else "<built-in function abs>"
+        assert str(failure.value).startswith(f"{where}: ")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (None, r"must be finite with shape \(3,\) or \(2, 3\), got None at t = "),
+        ((0.0, np.nan, 0.0), "must be finite with shape"),
+        ((0.0, 1.0), "must be finite with shape"),
+        ("fast", "must be finite with shape .*, got 'fast'"),
+    ],
+)
+def test_bad_velocities(given, words):
+    """Of a function from t = 0.05 s on, and at once where it is wrong at t = 0."""
+
+    def scene(begin):
+        out = nd.Scene()
+        out.add_box("belt", (1, 1, 0.1), fixed=True, position=(0, 0, -0.05))
+        out.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))
+        out.set_motion("belt", surface_velocity=lambda t: given if t > begin else (0.1, 0, 0))
+        return out
+
+    here = rf"test_stepper\.py, line \d+: velocity of 'belt' {words}"
+    with pytest.raises(ValueError, match=here):
+        scene(-1.0)
+    with pytest.raises(ValueError, match=here) as refused:
+        nd.simulate(scene(0.05), 0.1, dt=0.01)
+    assert refused.value.__notes__[0].startswith("in step 6 from t = 0.05")
 
 
 def test_callbacks_must_be_functions():

@@ -26,6 +26,7 @@ from nsdyn.cli.results import show_contacts, show_energy, write_page
 from nsdyn.cli.simulation import add_simulation, begin_scene, list_scenes, run_scene
 from nsdyn.cli.studies import add_check, add_compare, add_study, check_anything, compare_recordings, study_steps
 from nsdyn.cli.sweeps import add_sweep, sweep_scene
+from nsdyn.tools import callbacks
 from nsdyn.tools.files import FILM, FRAME, PAGE, PICTURE, PROBLEM, RECORDING, TABLE
 
 __all__ = ["main"]
@@ -48,10 +49,13 @@ def main(argv: list[str] | None = None) -> int:
         except BrokenPipeError:  # the reader of our output is gone
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1
-        except (ValueError, OSError) as error:
+        except Exception as error:
+            theirs = callbacks.below(error) is not None
+            if not theirs and not isinstance(error, (ValueError, OSError)):
+                raise
             # Of ours, which name the file in their words, the words alone.
             ours = isinstance(error, OSError) and error.filename is None and error.strerror
-            print(f"nsdyn: error: {one_line(ours or error)}", file=sys.stderr)
+            print(f"nsdyn: error: {one_line(callbacks.text(error) if theirs else ours or error)}", file=sys.stderr)
             return 2
         except KeyboardInterrupt:
             print("nsdyn: interrupted", file=sys.stderr)

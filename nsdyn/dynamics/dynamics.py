@@ -21,7 +21,7 @@ from nsdyn.dynamics.forests import Part, parts
 from nsdyn.dynamics.joints import JointLaws, JointRows, Rows
 from nsdyn.dynamics.surfaces import Surfaces
 from nsdyn.dynamics.tree_values import FreeMotion, Links, TreeEnd
-from nsdyn.dynamics.trees import Tree
+from nsdyn.dynamics.trees import Control, Tree
 from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
 from nsdyn.problem.blocks import Blocks
 from nsdyn.scene.control import PD
@@ -29,9 +29,11 @@ from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import meant
 
-__all__ = ["Dynamics"]
+__all__ = ["Controls", "Dynamics", "Wrenches"]
 
 NOTHING: Mapping[Any, Any] = {}
+Wrenches = tuple[Array, Array, Mapping[int, Array]]
+Controls = Mapping[int, Control]
 NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
 
 NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
@@ -45,7 +47,7 @@ def _rotation(quaternion: Array) -> Array:
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:
     """What a callback returned, checked."""
     if not isinstance(given, (dict, Mapping)):  # a dict is known at once
-        raise ValueError(f"{what} must return a mapping of names or None, got {given!r}")
+        raise ValueError(f"{what} must return a mapping of names, got {given!r}")
     return given
 
 
@@ -262,7 +264,7 @@ class Dynamics:
     # -- forces ------------------------------------------------------------------------------------------------
 
     def forces(
-        self, middle: Middle, t: float, h: float, wrenches: Mapping[str, Any] | None, tau: Mapping[str, Any] | None
+        self, middle: Middle, t: float, h: float, wrenches: Wrenches | None = None, control: Controls = NOTHING
     ) -> Forces:
         """What acts in a step: M̃ (v_f - v⁻) = h f̃.
 
@@ -271,17 +273,12 @@ class Dynamics:
         middle : Middle
         t, h : float
             Time at the end of the step, and step, s.
-        wrenches : mapping, optional
-            Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes. For a
-            body of an articulation, "articulation/body", the force acts at the origin of its frame.
-        tau : mapping, optional
-            Articulation name to its joint forces (nv,), or to a `PD`.
+        wrenches : (ndarray, ndarray, dict), optional
+            As `wrenches` makes them.
+        control : mapping
+            As `controls` makes it.
         """
-        force, torque, applied, given = self.no_load, self.no_load, NOTHING, NOTHING
-        if wrenches is not None:
-            force, torque, applied = self._applied(middle.position, _mapping(wrenches, "external_force"))
-        if tau is not None:
-            given = self._by_tree(_mapping(tau, "controller"))
+        force, torque, applied = wrenches or (self.no_load, self.no_load, NOTHING)
         out = np.empty(self.n)
         if self.free:
             _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
@@ -289,11 +286,11 @@ class Dynamics:
             return Forces(out, force, torque, self._m, self._minv, ())
         if self._lone:
             tree = self.trees[0]
-            only = tree.free_motion(middle.trees[0], t, given.get(0), applied.get(0))
+            only = tree.free_motion(middle.trees[0], t, control.get(0), applied.get(0))
             return Forces(only.v, force, torque, only.m.ravel(), only.minv.ravel(), (only,))
         motions = []
         for k, (tree, half) in enumerate(zip(self.trees, middle.trees, strict=True)):
-            motions.append(tree.free_motion(half, t, given.get(k), applied.get(k)))
+            motions.append(tree.free_motion(half, t, control.get(k), applied.get(k)))
             out[tree.coordinates] = motions[-1].v
         return self._with_trees(out, force, torque, motions)
 
@@ -322,18 +319,26 @@ class Dynamics:
         minv = np.concatenate([self._minv, *[motion.minv.ravel() for motion in motions]])
         return Forces(v, force, torque, m, minv, tuple(motions))
 
-    def _applied(self, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
-        """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
+    def wrenches(self, middle: Position, given: Mapping[str, Any]) -> Wrenches:
+        """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index.
+
+        Parameters
+        ----------
+        middle : Position
+        given : mapping
+            Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes. For a
+            body of an articulation, "articulation/body", the force acts at the origin of its frame.
+        """
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
         applied: dict[int, Array] = {}
-        for name, wrench in wrenches.items():
+        for name, wrench in _mapping(given, "external_force").items():
             try:
-                given = np.array(wrench, dtype=float)
+                parts = np.array(wrench, dtype=float)
             except (TypeError, ValueError):
-                given = np.array(np.nan)
-            if given.shape not in ((3,), (2, 3)) or not np.isfinite(given).all():
+                parts = np.array(np.nan)
+            if parts.shape not in ((3,), (2, 3)) or not np.isfinite(parts).all():
                 raise ValueError(f"external_force on {name!r} must be finite with shape (3,) or (2, 3), got {wrench!r}")
-            pull, turn = given if given.ndim == 2 else (given, np.zeros(3))
+            pull, turn = parts if parts.ndim == 2 else (parts, np.zeros(3))
             if name in self.names:
                 k = self.names[name]
                 force[k], torque[k] = pull, _rotation(middle.quaternion[k]).T @ turn
@@ -346,7 +351,7 @@ class Dynamics:
 
     def _refuse_body(self, name: str) -> None:
         """ValueError for a wrench on what does not move, naming what does."""
-        owner, _, body = name.partition("/")
+        owner, _, body = str(name).partition("/")
         if body and owner in self._forests:
             known = [one.partition("/")[2] for one in self._bodies if one.startswith(f"{owner}/")]
             raise ValueError(
@@ -357,20 +362,28 @@ class Dynamics:
             f"{list(self.names)}, articulations {list(self._forests)}"
         )
 
-    def _by_tree(self, given: Mapping[str, Any]) -> dict[int, Any]:
-        """What a controller gave to articulations, by the index of the tree."""
+    def controls(self, given: Mapping[str, Any]) -> Controls:
+        """Laws of the joints by the index of the tree, from what a controller gives to articulations.
+
+        Parameters
+        ----------
+        given : mapping
+            Articulation name to its joint forces (nv,), or to a `PD`.
+        """
         out = {}
-        for name, value in given.items():
+        for name, value in _mapping(given, "controller").items():
             if name not in self._forests:
-                raise ValueError(f"controller names {name!r}; articulations are {list(self._forests)}")
+                known = list(self._forests)
+                raise ValueError(f"controller names {name!r}; articulations are {known}{meant(name, known)}")
             forest = self._forests[name]
             if len(forest) == 1:
-                out[forest[0][0]] = value
-            elif value is not None:
+                parts = [value]
+            else:
                 # The same control as before is the same to each tree.
                 if name not in self._shared or self._shared[name][0] is not value:
                     self._shared[name] = value, self._share(name, value)
-                out |= {k: own for (k, _), own in zip(forest, self._shared[name][1], strict=True)}
+                parts = self._shared[name][1]
+            out |= {k: self.trees[k].control(own) for (k, _), own in zip(forest, parts, strict=True)}
         return out
 
     def _share(self, name: str, value: Any) -> list[Any]:

@@ -212,17 +212,15 @@ class Tree:
         """The closest configuration whose loops are closed; q itself when they are."""
         return q if self._closures is None else self._closures.close(q, self._driven_rows)
 
-    def _control(self, given: Any) -> Control:
+    def control(self, given: Any) -> Control:
         """(kp, kd, target, constant, limit) of what a controller returned; ValueError if unfit."""
-        if given is None:
-            return self._no_control
         if isinstance(given, PD):
             if given is not self._controlled[0]:
                 parts = given.on(self.name, self.scalar, self.effort)
                 kp, kd, target, rate, feedforward, limit = map(np.array, parts)  # which can be written, as all others
                 self._controlled = given, (kp, kd, target, feedforward + kd * rate, limit)
-            control: Control = self._controlled[1]
-            return control
+            known: Control = self._controlled[1]
+            return known
         zero, _, _, _, unlimited = self._no_control
         try:
             tau = np.array(given, dtype=float)
@@ -320,7 +318,7 @@ class Tree:
         M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD)).reshape(v.size, v.size)
         return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
-    def free_motion(self, halfway: Halfway, t: float, given: Any, applied: Array | None) -> FreeMotion:
+    def free_motion(self, halfway: Halfway, t: float, control: Control | None, applied: Array | None) -> FreeMotion:
         """Velocity after the forces of a step without contacts and joint rows.
 
         M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces, in which the forces linear
@@ -336,24 +334,24 @@ class Tree:
         halfway : Halfway
         t : float
             Time at the end of the step, s.
-        given : array or PD or None
-            What the controller returned.
+        control : (kp, kd, target, constant, limit), optional
+            As `control` makes it.
         applied : ndarray, shape (nv,), optional
             Joint forces of external wrenches.
 
         Raises
         ------
         ValueError
-            For joint forces that do not fit, and where a joint moves no mass.
+            Where a joint moves no mass.
         """
         angle, v0, h, theta = halfway.links.angle, halfway.v, halfway.h, halfway.theta
-        kp, kd, _, _, limit = control = self._control(given)
+        kp, kd, _, _, limit = control = control or self._no_control
         own = np.empty_like(v0)
         _trees.command(control, angle, self._round, own)
         tau, push = (own, self._zero) if applied is None else (own + applied, applied)
         stretch = self._deviation(angle, self.rest) if self._springs else self._zero
         weight = pin.computeGeneralizedGravity(self.model, self.data, halfway.q)
-        loads = TreeLoads(tau, push, kp, kd, stretch, weight, self._implicit or isinstance(given, PD))
+        loads = TreeLoads(tau, push, kp, kd, stretch, weight, self._implicit or kp is not self._zero)
         out, beyond = self._respond(halfway, t, loads, control, own)
         if not beyond:
             return out

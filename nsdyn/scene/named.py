@@ -18,12 +18,13 @@ import sys
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from nsdyn.scene.scene import Scene
+from nsdyn.tools.callbacks import called
 from nsdyn.tools.files import is_file
 from nsdyn.tools.naming import choice
 
@@ -110,12 +111,20 @@ def _knowing(source: ModuleType) -> ModuleType:
 
 def made(function: Callable[..., Scene], *arguments: Any, **parameters: Any) -> Scene:
     """The scene that a function makes, with its parameters, those that were left at their defaults too."""
-    out = function(*arguments, **parameters)
-    if isinstance(out, Scene):  # what else it may be is told where it is used
-        known = inspect.signature(function)
-        defaults = {p.name: p.default for p in known.parameters.values() if p.default is not p.empty}
-        out.parameters = defaults | known.bind_partial(*arguments).arguments | parameters | out.parameters
+    if getattr(function, "__module__", "").startswith(_PREFIX):
+        out = function(*arguments, **parameters)  # what the parameters of ours cause is told as it is
+    else:
+        out = called(function, "scene", _scene, *arguments, **parameters)
+    known = inspect.signature(function)
+    defaults = {p.name: p.default for p in known.parameters.values() if p.default is not p.empty}
+    out.parameters = defaults | known.bind_partial(*arguments).arguments | parameters | out.parameters
     return out
+
+
+def _scene(given: Any) -> Scene:
+    if not isinstance(given, Scene):
+        raise ValueError(f"scene must return a nsdyn.Scene, got {given!r}")
+    return given
 
 
 def _executed(name: str, path: Path) -> ModuleType:
@@ -186,5 +195,15 @@ def setup(name: str, **parameters: Any) -> Setup:
     """
     source = module(name)
     scene = source.scene(**parameters)
-    made = [getattr(source, what, lambda _: None)(scene) for what in ("controller", "external_force")]
-    return Setup(name, scene, source.DURATION, source.DT, *made)
+    drives = [
+        called(make, what, partial(_function, what), scene) if (make := getattr(source, what, None)) else None
+        for what in ("controller", "external_force")
+    ]
+    return Setup(name, scene, source.DURATION, source.DT, *drives)
+
+
+def _function(what: str, given: Any) -> Callable[..., Any]:
+    if not callable(given):
+        raise ValueError(f"{what}(scene) must return a function of (t, q, v), got {given!r}")
+    drive: Callable[..., Any] = given
+    return drive

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.callbacks import called
 
 Velocity = ArrayLike | Callable[[float], ArrayLike]
 
@@ -36,23 +37,22 @@ class Motion:
 
     def twist(self, t: float) -> Array:
         """(linear, angular) velocity of a body or its surface at time t, shape (2, 3); ValueError for other shapes."""
-        value = self._value(t)
-        if value.shape not in ((3,), (2, 3)) or not np.isfinite(value).all():
-            raise ValueError(
-                f"velocity of {self.name!r} must be finite with shape (3,) or (2, 3), got {value.tolist()} at t = {t:g}"
-            )
+        value = self._value(t, ((3,), (2, 3)), "finite with shape (3,) or (2, 3)")
         return value if value.ndim == 2 else np.array((value, np.zeros(3)))
 
     def rate(self, t: float) -> float:
         """Velocity of a joint at time t; ValueError if it is not one finite number."""
-        value = self._value(t)
-        if value.shape != () or not np.isfinite(value):
-            raise ValueError(f"velocity of {self.name!r} must be one finite number, got {value.tolist()} at t = {t:g}")
-        return float(value)
+        return float(self._value(t, ((),), "one finite number"))
 
-    def _value(self, t: float) -> Array:
-        given = self.velocity(t) if callable(self.velocity) else self.velocity
-        try:
-            return np.array(given, dtype=float)
-        except (TypeError, ValueError):
-            raise ValueError(f"velocity of {self.name!r} must be numbers, got {given!r} at t = {t:g}") from None
+    def _value(self, t: float, shapes: tuple[tuple[int, ...], ...], words: str) -> Array:
+        def fit(given: ArrayLike) -> Array:
+            try:
+                value = np.array(given, dtype=float)
+            except (TypeError, ValueError):
+                value = np.array(np.nan)
+            if value.shape not in shapes or not np.isfinite(value).all():
+                raise ValueError(f"velocity of {self.name!r} must be {words}, got {given!r} at t = {t:g}")
+            return value
+
+        velocity = self.velocity
+        return called(velocity, f"the velocity of {self.name!r}", fit, t) if callable(velocity) else fit(velocity)

@@ -64,7 +64,7 @@ def least_constraint(
     t = 0.0 if state is None else state.t
     twists = d.surfaces.twists(t)
     middle = d.halfway(position, v, 0.0, 0.5, twists)
-    forces = d.forces(middle, t, 0.0, wrenches, tau)
+    forces = d.forces(middle, t, 0.0, d.wrenches(middle.position, wrenches or {}), d.controls(tau or {}))
     joints = _joint_terms(d, position, v, closed, still)
     reach = np.full(d.frames, closed)
     found, memory = detector.find(*middle.placement[:2], reach, ContactMemory.empty())

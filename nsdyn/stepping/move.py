@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
@@ -33,7 +34,7 @@ STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
 
-Callbacks = Callable[[Position, Array], tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]] | None
+Callbacks = Callable[[Position, Array], tuple[Wrenches | None, Controls]] | None
 
 
 class Move(NamedTuple):
@@ -199,7 +200,7 @@ def trial(
     t, h : float
         s.
     callbacks : callable, optional
-        (wrenches, joint forces) at a position and a velocity.
+        (wrenches, control) at a position and a velocity.
     barred : ndarray of int, optional
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
@@ -250,8 +251,7 @@ def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbac
         begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
         surfaces = begun, d.surfaces.mean(begun, ended, 0.5), ended
     middle = d.halfway(begin.position, begin.v, h, s.theta, surfaces[0])
-    given = (None, None) if callbacks is None else callbacks(middle.position, begin.v)
-    forces = d.forces(middle, t + h, h, *given)
+    forces = d.forces(middle, t + h, h, *(() if callbacks is None else callbacks(middle.position, begin.v)))
     reach = d.reach(middle.placement, forces.v, ahead, h, surfaces[2])
     fast = _few.most(reach) > FAST * s.smallest
     same = s.unmoved(begin.looked, middle.placement, reach)

@@ -17,7 +17,7 @@ import numpy as np
 
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
-from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.dynamics import Controls, Dynamics, Wrenches
 from nsdyn.dynamics.values import Position
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
@@ -35,6 +35,7 @@ from nsdyn.stepping.move import Callbacks
 from nsdyn.stepping.passage import through
 from nsdyn.stepping.prescribed import Prescribed
 from nsdyn.stepping.state import Start, State, Step
+from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
@@ -228,13 +229,20 @@ class Stepper:
         NotConverged
             As `on_fail` has it.
         ValueError
-            Naming the step, where motion leaves the range of numbers, loops no longer close, or a callback's value
-            does not fit.
+            Naming the step, where motion leaves the range of numbers, or loops no longer close. Naming the file and
+            the line of a function, where what it returned does not fit.
+        Exception
+            As a function of the user raises it.
         """
         try:
             return self._advance()
-        except (ValueError, ArithmeticError) as failure:
+        except Exception as failure:
             where = f"step {self._state.count + 1} from t = {self.t:.6g} s"
+            if (own := callbacks.below(failure)) is not None:
+                failure.add_note(f"in {where}")
+                failure.__traceback__ = own
+            if own is not None or not isinstance(failure, (ValueError, ArithmeticError)):
+                raise
             numeric = isinstance(failure, (ArithmeticError, np.linalg.LinAlgError))
             hint = "; look for extreme masses, lengths, speeds or forces" if numeric else ""
             raise ValueError(f"{where} is not possible: {failure}{hint}") from failure
@@ -265,12 +273,13 @@ class Stepper:
             return None
         return partial(self._callbacks, t)
 
-    def _callbacks(self, t: float, middle: Position, v: Array) -> tuple[Any, Any]:
-        """(wrenches, joint forces) of the user at a time, a position and a velocity."""
-        at = t, *self.dynamics.pinocchio_state(middle, v)
+    def _callbacks(self, t: float, middle: Position, v: Array) -> tuple[Wrenches | None, Controls]:
+        """What the user's functions say at a time, a position and a velocity."""
+        d, push, drive = self.dynamics, self.external_force, self.controller
+        at = t, *d.pinocchio_state(middle, v)
         return (
-            self.external_force(*at) if self.external_force else None,
-            self.controller(*at) if self.controller else None,
+            callbacks.called(push, "external_force", partial(d.wrenches, middle), *at) if push else None,
+            callbacks.called(drive, "controller", d.controls, *at) if drive else {},
         )
 
     def _certify(

@@ -21,6 +21,7 @@ from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import Options, simulate
 from nsdyn.study.gathering import gather
 from nsdyn.study.store import Store
+from nsdyn.tools.callbacks import called, text
 from nsdyn.tools.naming import check_known
 
 __all__ = ["Member", "figures", "sweep"]
@@ -174,13 +175,11 @@ def _run(
             trajectory = simulate(setup.scene, duration, **setup.options(**options))
         else:
             trajectory = simulate(scenes.made(scene, **parameters), duration, **options)
-        return trajectory if keep is None else keep(trajectory), "", False
+        return trajectory if keep is None else called(keep, "keep", lambda kept: kept, trajectory), "", False
     except NotConverged as failure:
         return None, str(failure), False
-    except ValueError as failure:
-        return None, str(failure), True
     except Exception as failure:  # of the scene's or the user's own code
-        return None, f"{type(failure).__name__}: {failure}", True
+        return None, text(failure), True
 
 
 def figures(trajectory: Trajectory) -> dict[str, float]:
