@@ -1,6 +1,5 @@
 """Kernels compiled in several processes at once, before they are needed."""
 
-import logging
 import os
 import subprocess
 import sys
@@ -9,25 +8,18 @@ from functools import lru_cache
 
 from nsdyn._kernels.cache import alone, folder
 from nsdyn._kernels.compiled import Kernel
+from nsdyn._kernels.waiting import announce
 
 PROCESSES = "NSDYN_COMPILE_PROCESSES"
 """Environment variable: how many processes compile; 1 for this one alone, by default one per core."""
 
 _CODE = "import sys; sys.path[:] = {}; from nsdyn.compilation import work; work({}, {})"
 
-_log = logging.getLogger("nsdyn")
-
 
 def processes() -> int:
     """How many processes compile."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return int(os.environ.get(PROCESSES) or cores or 1)
-
-
-@lru_cache(maxsize=1)
-def announce() -> None:
-    """Tell, once, a person who waits."""
-    _log.warning("compiling the kernels, once on this machine: about a minute")
 
 
 def _few_known() -> bool:

@@ -5,6 +5,8 @@ What Python calls is compiled to machine code; what kernels call is not, see `ns
 """
 
 import gc
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property, partial
@@ -28,6 +30,23 @@ def _no_garbage() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
+
+
+class _Loading(threading.local):
+    seconds = 0.0
+
+
+_loading = _Loading()
+
+
+def loading() -> float:
+    """How long this thread has waited for kernels to be loaded or compiled, s."""
+    return _loading.seconds
+
+
+def clock() -> float:
+    """Time in s since some moment, without `loading`."""
+    return time.perf_counter() - _loading.seconds
 
 
 class Notes:
@@ -91,8 +110,12 @@ class Kernel(CPUDispatcher):
         """What to call instead, at a call from Python with new types."""
         if Kernel.notes is not None:
             return partial(Kernel.notes.call, self)
-        Kernel.prepare()
-        return super()._compile_for_args(*args, **kws)
+        begin = time.perf_counter()
+        try:
+            Kernel.prepare()
+            return super()._compile_for_args(*args, **kws)
+        finally:
+            _loading.seconds += time.perf_counter() - begin
 
     def compile(self, types: Any, wait: bool = True) -> Any:
         """Load or compile for these types; without waiting None where another process does."""

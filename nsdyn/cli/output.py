@@ -30,6 +30,7 @@ __all__ = [
     "say",
     "say_found",
     "say_json",
+    "seconds",
     "table",
     "write_columns",
     "write_rows",
@@ -72,6 +73,12 @@ def say_found(arguments: argparse.Namespace, found: Any) -> None:
         say_json(arguments, found.as_dict())
     else:
         say(arguments, found)
+
+
+def seconds(time: float) -> str:
+    """A time in s, in the unit that suits it."""
+    factor, unit = (1.0, "s") if time >= 1.0 else (1e3, "ms") if time >= 1e-3 else (1e6, "µs")
+    return f"{factor * time:.3g} {unit}" if factor * time < 1e3 else f"{time:.0f} s"
 
 
 def plain(value: Any) -> Any:

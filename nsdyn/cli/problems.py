@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from nsdyn.cli.output import check_files, picture, plot_to, say, say_json
+from nsdyn.cli.output import check_files, picture, plot_to, say, say_json, seconds
 
 __all__ = ["bench_engines", "profile_solvers", "solve_file"]
 
@@ -17,7 +17,7 @@ def solve_file(arguments: argparse.Namespace) -> int:
     solver = solvers.by_name(arguments.solver, arguments.tol)
     check_files(arguments)
     problem = fclib.read(arguments.problem)
-    solution = solver(problem)
+    solution = solvers.solve(problem, solver)
     if arguments.output:
         fclib.write_solution(arguments.output, arguments.problem, solution, overwrite=True)
     figures = {
@@ -39,7 +39,7 @@ def solve_file(arguments: argparse.Namespace) -> int:
         say(
             arguments,
             f"{problem.nc} contacts, {arguments.solver}: {solution.status.message}; error {solution.error:.2e}, "
-            f"residual {solution.residual:.2e} m/s, {solution.iterations} iterations in {1e3 * solution.time:.3g} ms",
+            f"residual {solution.residual:.2e} m/s, {solution.iterations} iterations in {seconds(solution.time)}",
         )
     return 0 if solution.converged else 1
 

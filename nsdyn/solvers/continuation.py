@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels.compiled import clock
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import smoothing as _kernels
 from nsdyn.problem.blocks import Blocks
@@ -324,7 +324,7 @@ class Continuation:
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem; of r0 is only asked whether it is the solution."""
-        start = time.perf_counter()
+        start = clock()
         r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
         count = 0
         if problem.nc and not problem.solved(r, self.tol)[0]:
@@ -337,4 +337,4 @@ class Continuation:
                     return continuation(ByFactors(part, q, mu, scales, q_norm), x, tol, self.max_iter)[0]
 
                 count = by_islands(problem, problem.blocks, r, self.tol, solve)
-        return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+        return Solution.judge(problem, r, self.tol, count, clock() - start, Status.MAX_ITERATIONS)

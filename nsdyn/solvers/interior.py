@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from nsdyn._kernels.compiled import clock
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import interior as _kernels
 from nsdyn.problem.blocks import Blocks
@@ -108,7 +108,7 @@ class Interior:
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem; of r0 is only asked whether it is the solution."""
-        start = time.perf_counter()
+        start = clock()
         r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
         count = 0
         if problem.nc and not problem.solved(r, self.tol)[0]:
@@ -123,7 +123,7 @@ class Interior:
             else:
                 W, given = Local(problem.W), (problem.q, problem.mu, problem.scales)
                 count = self._solve(W, partial(solve_impulses, W), *given, r, 0.9 * self.tol, q_norm)
-        return Solution.judge(problem, r, self.tol, count, time.perf_counter() - start, Status.MAX_ITERATIONS)
+        return Solution.judge(problem, r, self.tol, count, clock() - start, Status.MAX_ITERATIONS)
 
     def _solve(
         self,
