@@ -55,5 +55,5 @@ def test_points_keep_force_and_torque():
 
 def test_forces_of_another_kind_are_refused():
     trajectory = nd.simulate(nd.scenes.load("stack")(height=2), 0.02, dt=1e-2)
-    with pytest.raises(ValueError, match=r"forces must be one of pair, point; got 'pairs'; did you mean 'pair'\?"):
+    with pytest.raises(ValueError, match=r"did you mean 'pair'\? forces must be one of pair, point; got 'pairs'"):
         viewer.html(trajectory, forces="pairs")

@@ -174,7 +174,7 @@ def test_jammed_step_is_reported_and_recorded():
     scene = nd.Scene(gravity=(9.81, 0, 0))
     scene.add_box("box", (0.2, 0.2, 0.2), 1.0, linear_velocity=(0, 0.3, 0.1))
     for side in (-1, 1):
-        scene.add_box(f"wall{side}", (0.2, 2.0, 2.0), 1.0, position=(0.2 * side, 0, 0), fixed=True)
+        scene.add_box(f"wall{side}", (0.2, 2.0, 2.0), position=(0.2 * side, 0, 0), fixed=True)
     hopeless = nd.solvers.Auto(tol=1e-300, loose=1e-300)
     with pytest.raises(nd.NotConverged, match="no velocity opens every contact") as caught:
         nd.simulate(scene, duration=0.01, dt=0.01, solver=hopeless)

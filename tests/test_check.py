@@ -155,7 +155,7 @@ def test_the_same_check_in_python(run, tmp_path, robot):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["README.md"], "what to check must be the name of a scene or a file that ends in .urdf, .*, got 'README.md'"),
+        (["README.md"], r"README\.md is no robot file \(\.urdf, .*\), scene \(\.py\) or recording \(\.h5, \.hdf5\)"),
         (["gone.h5"], "no such recording: gone.h5"),
         (["gone.urdf"], "path of 'robot' must be a file in URDF, got 'gone.urdf'"),
         (["slide", "--base", "free"], "base is for robot files, which slide is not"),

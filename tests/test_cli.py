@@ -16,7 +16,7 @@ from test_problem import corner_box
 
 import nsdyn as nd
 from nsdyn import cli
-from nsdyn.cli import doctor
+from nsdyn.cli import doctor, output
 from nsdyn.recording import browser, viewer
 from nsdyn.recording.findings import TOLERANCES
 from nsdyn.recording.trajectory import Trajectory
@@ -71,6 +71,10 @@ def recording(run, tmp_path):
 def test_help(run, command):
     code, out, err = run(*command, "--help")
     assert code == 0 and out.startswith("usage: nsdyn") and err == ""
+
+
+def test_without_a_command_it_helps(run):
+    assert run() == (0, run("--help")[1], "")
 
 
 def test_version(run):
@@ -244,11 +248,17 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "required"),
         (["fly"], "invalid choice"),
         (["rnu", "slide"], "did you mean 'run'?"),
         (["run", "slide", "--on-fail", "rise"], "did you mean 'raise'?"),
         (["run", "no_such_scene"], "scene must be one of"),
+        (["run", "slid"], "error: did you mean 'slide'? scene must be one of"),
+        (["run", "text.h5"], "text.h5 is no scene: give a name that 'nsdyn scenes' lists, or a scene file, which ends"),
+        (["sweep", "text.h5"], "text.h5 is no scene"),
+        (["check", "README.md"], "README.md is no robot file (.urdf, "),
+        (["check", "missing.h5"], "no such recording: missing.h5"),
+        (["run", "slide", "--dt", "1e9"], "duration must be at least half a step of dt = 1e+09 s, got 0.6 s"),
+        (["run", "slide", "--time", "1e-12"], "duration must be at least half a step of dt = 0.001 s, got 1e-12 s"),
         (
             ["run", "slide", "--set", "colour=1"],
             "parameter of scene slide must be one of mu, speed,",
@@ -331,6 +341,11 @@ def test_solve(run, problem, tmp_path):
     figures = json.loads(out)
     assert code == 0 and figures["converged"] and figures["contacts"] == 4 and figures["error"] <= 1e-6
     assert figures["residual"] <= 1e-6 and figures["iterations"] > 0 and figures["time"] > 0
+
+
+def test_times_have_the_unit_that_suits_them():
+    given = {17.4e-6: "17.4 µs", 0.99999e-3: "1 ms", 41.26e-3: "41.3 ms", 13.2: "13.2 s", 1234.5: "1234 s"}
+    assert {time: output.seconds(time) for time in given} == given
 
 
 def test_solve_that_does_not_converge(run, problem):

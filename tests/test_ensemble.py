@@ -170,6 +170,18 @@ def counted(trajectory):
     return {"x": trajectory.q[-1, 0], "bad": float("nan")}
 
 
+def test_what_cannot_be_sent_is_named():
+    """Before a process is started; in this one it may stay."""
+    calls = {"external_force": lambda t, q, v: {}, "keep": lambda run: run.steps}
+    for name, given in calls.items():
+        words = f"{name} can't be pickled, to be sent to other processes: define it at module level, got <function"
+        with pytest.raises(ValueError, match=words):
+            nd.sweep("slide", {"mu": [0.5]}, 0.02, executor=2, dt=0.01, **{name: given})
+        with ProcessPoolExecutor(1) as executor, pytest.raises(ValueError, match=words):
+            nd.sweep("slide", {"mu": [0.5]}, 0.02, executor=executor, dt=0.01, **{name: given})
+    assert [run.result for run in nd.sweep("slide", {"mu": [0.5]}, 0.02, dt=0.01, **calls)] == [2]
+
+
 def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):
     """Runs that are stored are not run again, a line that a kill has cut is; another sweep is refused."""
     runs, store = tmp_path / "runs", tmp_path / "s.jsonl"

@@ -272,6 +272,22 @@ def test_scene_files_with_mistakes(run, tmp_path, text, words):
     assert code == 2 and out == "" and words in err and len(err.splitlines()) == 1
 
 
+def test_a_scene_file_need_not_say_how_long(run, tmp_path):
+    (tmp_path / "bare.py").write_text(SCENE.replace("DURATION = DT = 0.1", ""))
+    assert run("run", "bare.py", "--time", "0.02", "--dt", "0.01")[0] == 0
+    assert run("sweep", "bare.py", "--time", "0.02", "--dt", "0.01", "--workers", "1", "--set", "mass=1,2")[0] == 0
+    assert run("study", "bare.py", "--time", "0.02", "--dt", "0.01,0.005")[0] == 0
+    for command in ("run", "sweep"):
+        code, out, err = run(command, "bare.py", "--time", "0.02")
+        assert code == 2 and out == "" and "bare.py must define DT, the time step in s, or --dt give it" in err
+    code, out, err = run("study", "bare.py", "--dt", "0.01,0.005")
+    assert code == 2 and out == "" and "bare.py must define DURATION, how long to simulate in s, or --time give" in err
+    setup = nd.scenes.setup("bare.py")
+    assert nd.simulate(setup.scene, 0.02, **setup.options(dt=0.01)).steps == 2
+    with pytest.raises(ValueError, match=r"bare\.py must define DT"):
+        setup.options()
+
+
 def test_scene_file_that_is_not_there(run):
     code, _, err = run("run", "none.py")
     assert code == 2 and "no such scene file" in err

@@ -89,7 +89,7 @@ ARM = f"""<robot name="r"><link name="base"/><link name="arm">{INERTIAL}
         ('izz=".1"', "", "izz of link 'arm' is missing"),
         ('izz=".1"', 'izz="5"', "inertia of link 'arm' is not that of a body: .* break the triangle inequality"),
         ('izz=".1"', 'izz="-.1"', "inertia of link 'arm' is not that of a body: .* are not all positive"),
-        ('parent link="base"', 'parent link="bse"', r"parent of joint 'j' must be one of .*; did you mean 'base'\?"),
+        ('parent link="base"', 'parent link="bse"', r"did you mean 'base'\? parent of joint 'j' must be one of .*"),
         ('parent link="base"', 'parent link="arm"', r"\['arm'\] hang on each other in a circle"),
         ('<link name="base"/>', '<link name="base"/><link name="x"/>', "hang on one root by joints, got .*'x'"),
         ('name="r"', "", "No name given for the robot"),

@@ -64,7 +64,7 @@ def test_numbers_are_no_text():
 
 
 def test_arguments_say_what_was_meant():
-    with pytest.raises(ValueError, match=r"unknown argument 'postion'; .*; did you mean 'position'\?"):
+    with pytest.raises(ValueError, match=r"did you mean 'position'\? unknown argument 'postion'; .*"):
         nd.Scene().add_box("a", (1, 1, 1), 1.0, postion=(0, 0, 0))
 
 
@@ -231,3 +231,21 @@ def test_bad_centre_of_mass():
         scene.add_sphere("b", 0.1, 1.0, com=(0, 0, 0.01))
     with pytest.raises(ValueError, match="'b' is fixed, so its com has no meaning"):
         scene.add_sphere("b", 0.1, fixed=True, com=(0, 0, 0.01))
+    with pytest.raises(ValueError, match=r"'b' is fixed, so its mass has no meaning, got 1\.0"):
+        scene.add_sphere("b", 0.1, 1.0, fixed=True)
+
+
+@pytest.mark.parametrize("ground", [False, True])
+def test_a_scene_in_which_nothing_moves_says_so(ground):
+    scene = nd.Scene()
+    if ground:
+        scene.add_halfspace("ground")
+    with pytest.warns(UserWarning, match="the scene has nothing that moves"):
+        nd.Stepper(scene)
+
+
+def test_penetration_is_no_negative_zero():
+    """Of contacts that are closed exactly."""
+    run = nd.simulate(nd.scenes.load("slide")(), 0.02, dt=0.01)
+    run.columns["contacts/gap"][:] = 0.0
+    assert str(run.worst()["penetration"]) == "0.0"

@@ -436,7 +436,7 @@ def test_solver_by_name():
     scene = nd.scenes.load("slide")()
     assert nd.Stepper(scene, solver="pgs").solver == nd.solvers.PGS(tol=1e-8)
     assert nd.Stepper(scene, solver="auto").solver == nd.Stepper(scene).solver == nd.solvers.Auto()
-    with pytest.raises(ValueError, match=r"solver must be one of .*; got 'psg'; did you mean 'pgs'\?"):
+    with pytest.raises(ValueError, match=r"did you mean 'pgs'\? solver must be one of .*; got 'psg'"):
         nd.simulate(scene, 0.1, solver="psg")
     for wrong in (3, nd.solvers.PGS):
         with pytest.raises(ValueError, match=r"solver must be one of .* or an object of these; got"):
@@ -453,7 +453,7 @@ def test_a_name_is_no_scene():
 def test_choices_say_what_was_meant():
     scene = nd.Scene()
     for keyword, word, meant in (("on_fail", "rise", "raise"), ("impact", "poison", "poisson")):
-        with pytest.raises(ValueError, match=rf"{keyword} must be one of .*; did you mean '{meant}'\?"):
+        with pytest.raises(ValueError, match=rf"did you mean '{meant}'\? {keyword} must be one of .*"):
             nd.Stepper(scene, **{keyword: word})
 
 

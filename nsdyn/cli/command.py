@@ -15,6 +15,7 @@ import shlex
 import sys
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NoReturn, TextIO
 
@@ -81,13 +82,14 @@ class _Parser(argparse.ArgumentParser):
 
         choice = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
         hint = meant(choice[1], re.findall(r"[\w-]+", choice[2])) if choice else ""
-        self.exit(2, f"nsdyn: error: {message}{hint} (see {self.prog} --help)\n")
+        self.exit(2, f"nsdyn: error: {hint}{message} (see {self.prog} --help)\n")
 
 
 def _parser() -> _Parser:
     parser = _Parser(prog="nsdyn", description="Rigid multibody dynamics with hard contact and exact Coulomb friction.")
     parser.add_argument("--version", action="version", version=f"nsdyn {version_of('nsdyn')}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    parser.set_defaults(run=partial(_help, parser))
 
     def command(name: str, run: Callable[[argparse.Namespace], int], summary: str) -> argparse.ArgumentParser:
         out = commands.add_parser(
@@ -100,6 +102,12 @@ def _parser() -> _Parser:
     _add_problems(command)
     _add_results(command)
     return parser
+
+
+def _help(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn`` without a command."""
+    parser.print_help()
+    return 0
 
 
 def _add_simulations(command: Command) -> None:

@@ -77,8 +77,10 @@ def say_found(arguments: argparse.Namespace, found: Any) -> None:
 
 def seconds(time: float) -> str:
     """A time in s, in the unit that suits it."""
-    factor, unit = (1.0, "s") if time >= 1.0 else (1e3, "ms") if time >= 1e-3 else (1e6, "µs")
-    return f"{factor * time:.3g} {unit}" if factor * time < 1e3 else f"{time:.0f} s"
+    for factor, unit in ((1e6, "µs"), (1e3, "ms")):
+        if factor * time < 999.5:
+            return f"{factor * time:.3g} {unit}"
+    return f"{time:.3g} s" if time < 999.5 else f"{time:.0f} s"
 
 
 def plain(value: Any) -> Any:

@@ -87,11 +87,13 @@ def chosen_solver(arguments: argparse.Namespace) -> Any:
     return replace(solver, loose=max(loose, solver.tol))
 
 
-def chosen_steps(arguments: argparse.Namespace, duration: float, dt: float) -> dict[str, Any]:
+def chosen_steps(arguments: argparse.Namespace) -> dict[str, Any]:
     """What is simulated, in keywords of `nsdyn.simulate`: the scene's own duration and dt unless others are given."""
+    from nsdyn.scene.named import seconds
+
     return {
-        "duration": duration if arguments.time is None else arguments.time,
-        "dt": dt if arguments.dt is None else arguments.dt,
+        "duration": seconds(arguments.scene, "DURATION") if arguments.time is None else arguments.time,
+        "dt": seconds(arguments.scene, "DT") if arguments.dt is None else arguments.dt,
         "theta": arguments.theta,
         "on_fail": arguments.on_fail,
     }
@@ -134,6 +136,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
     check_files(arguments)
     if arguments.dump_on_fail:
         files.check_folder(arguments.dump_on_fail)
+    steps = chosen_steps(arguments)
     setup = nsdyn.scenes.setup(name, **parameters)
     recording = arguments.output or arguments.resume
     start = time.perf_counter()
@@ -141,7 +144,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
     try:
         trajectory = nsdyn.simulate(
             setup.scene,
-            **setup.options(**chosen_steps(arguments, setup.duration, setup.dt), solver=solver),
+            **setup.options(**steps, solver=solver),
             record=arguments.output,
             progress=True,
             dump_on_fail=arguments.dump_on_fail,

@@ -34,12 +34,12 @@ def study_steps(arguments: argparse.Namespace) -> int:
     from nsdyn.scene import settings
 
     name = arguments.scene
-    module, parameters = nsdyn.scenes.module(name), settings.values(name, arguments.set)
+    parameters = settings.values(name, arguments.set)
     check_files(arguments)
     found = nsdyn.refine(
         name,
         [settings.parse(text, 0.1, "--dt") for text in arguments.dt.split(",")],
-        module.DURATION if arguments.time is None else arguments.time,
+        nsdyn.scenes.seconds(name, "DURATION") if arguments.time is None else arguments.time,
         parameters,
         progress=True,
         theta=arguments.theta,

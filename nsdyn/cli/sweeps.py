@@ -40,12 +40,10 @@ def add_sweep(parser: argparse.ArgumentParser) -> None:
 
 def sweep_scene(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn sweep``."""
-    import nsdyn
     from nsdyn.scene import settings
     from nsdyn.study import sweep as ensemble
 
     name = arguments.scene
-    module = nsdyn.scenes.module(name)
     parameters = settings.lists(name, arguments.set)
     solver = chosen_solver(arguments)
     check_files(arguments)
@@ -53,7 +51,7 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
         members = ensemble.sweep(
             name,
             parameters,
-            **chosen_steps(arguments, module.DURATION, module.DT),
+            **chosen_steps(arguments),
             executor=executor,
             keep=ensemble.figures,
             progress=True,

@@ -355,7 +355,7 @@ class Dynamics:
         if body and owner in self._forests:
             known = [one.partition("/")[2] for one in self._bodies if one.startswith(f"{owner}/")]
             raise ValueError(
-                f"external_force: {owner!r} has no moving body {body!r}; it has {known}{meant(body, known)}"
+                f"{meant(body, known)}external_force: {owner!r} has no moving body {body!r}; it has {known}"
             )
         raise ValueError(
             f"external_force names {name!r}, which is no free body and no 'articulation/body'; free bodies are "
@@ -370,11 +370,11 @@ class Dynamics:
         given : mapping
             Articulation name to its joint forces (nv,), or to a `PD`.
         """
-        out = {}
+        out: dict[int, Control] = {}
         for name, value in _mapping(given, "controller").items():
             if name not in self._forests:
                 known = list(self._forests)
-                raise ValueError(f"controller names {name!r}; articulations are {known}{meant(name, known)}")
+                raise ValueError(f"{meant(name, known)}controller names {name!r}; articulations are {known}")
             forest = self._forests[name]
             if len(forest) == 1:
                 parts = [value]

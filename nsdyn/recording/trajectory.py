@@ -113,7 +113,7 @@ class Trajectory:
             return self._link(name, links[name]["frame"], np.array(links[name]["placement"]))
         if name not in frames:
             known = [*frames, *links]
-            raise ValueError(f"no moving body {name!r}; the recording has {known}{meant(name, known)}")
+            raise ValueError(f"{meant(name, known)}no moving body {name!r}; the recording has {known}")
         k = frames.index(name)
         if k < self.scene["free"]:
             pose, twist = self.q[:, 7 * k : 7 * k + 7], self.v[:, 6 * k : 6 * k + 6]
@@ -306,7 +306,7 @@ class Trajectory:
             "gauss_bound": _largest(self.gauss.bound),
             "gauss_shift": _largest(self.gauss.shift),
             "residual": _largest(self.solver.residual),
-            "penetration": _largest(-self.columns["contacts/gap"]) if self.has_contacts else math.nan,
+            "penetration": _largest(0.0 - self.columns["contacts/gap"]) if self.has_contacts else math.nan,
         }
 
     def _active_works(self) -> list[str]:

@@ -120,7 +120,7 @@ def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions)
         if v.any() or w.any():
             raise ValueError(f"{name!r} is fixed, so its velocity must be zero, got {v.tolist()}, {w.tolist()}")
         if mass is not None:
-            checks.mass(mass, f"mass of {name!r}")
+            raise ValueError(f"{name!r} is fixed, so its mass has no meaning, got {mass!r}")
         if centre.any():
             raise ValueError(f"{name!r} is fixed, so its com has no meaning, got {centre.tolist()}")
         m, J = 0.0, np.zeros((3, 3))

@@ -28,7 +28,7 @@ from nsdyn.tools.callbacks import called
 from nsdyn.tools.files import is_file
 from nsdyn.tools.naming import choice
 
-__all__ = ["Setup", "folder", "load", "made", "module", "name_of", "names", "setup", "template"]
+__all__ = ["Setup", "folder", "load", "made", "module", "name_of", "names", "seconds", "setup", "template"]
 
 _PREFIX, _OWN = "nsdyn_models_", "nsdyn_own_"
 
@@ -51,7 +51,7 @@ def template() -> str:
 
 
 def module(name: str) -> ModuleType:
-    """Module of a scene: its function `scene`, DURATION [s], DT [s], perhaps `controller`, `external_force`.
+    """Module of a scene: its function `scene`, perhaps DURATION and DT [s], `controller`, `external_force`.
 
     Parameters
     ----------
@@ -65,6 +65,10 @@ def module(name: str) -> ModuleType:
     """
     if isinstance(name, str) and name.endswith(".py"):
         return _own(Path(name).resolve())
+    if isinstance(name, str) and name not in names() and (Path(name).suffix or is_file(name)):
+        raise ValueError(
+            f"{name} is no scene: give a name that 'nsdyn scenes' lists, or a scene file, which ends in .py"
+        )
     return _named(choice(name, names(), "scene"))
 
 
@@ -88,9 +92,6 @@ def _own(path: Path) -> ModuleType:
         raise ValueError(f"{path.name}{where}: {type(error).__name__}: {error}") from error
     if not callable(getattr(out, "scene", None)):
         raise ValueError(f"{path.name} must define a function scene(...) that returns a Scene; see 'nsdyn new'")
-    for what, unit in (("DURATION", "how long to simulate"), ("DT", "the time step")):
-        if not isinstance(getattr(out, what, None), (int, float)):
-            raise ValueError(f"{path.name} must define {what}, {unit} in s; see 'nsdyn new'")
     for p in inspect.signature(out.scene).parameters.values():
         if p.default is p.empty:
             raise ValueError(f"parameter {p.name} of scene in {path.name} must have a default; see 'nsdyn new'")
@@ -140,6 +141,15 @@ def _executed(name: str, path: Path) -> ModuleType:
     return out
 
 
+def seconds(name: str, what: str) -> float:
+    """`DURATION` or `DT` of a named scene or of a file; ValueError where the file has none."""
+    given = getattr(module(name), what, None)
+    if not isinstance(given, (int, float)):
+        unit, option = {"DURATION": ("how long to simulate", "--time"), "DT": ("the time step", "--dt")}[what]
+        raise ValueError(f"{Path(name).name} must define {what}, {unit} in s, or {option} give it; see 'nsdyn new'")
+    return given
+
+
 def load(name: str) -> Callable[..., Scene]:
     """Return the function ``scene(**parameters) -> Scene`` of a named scene, or of a file."""
     function: Callable[..., Scene] = module(name).scene
@@ -164,22 +174,29 @@ class Setup:
     ----------
     name : str
     scene : Scene
-    duration, dt : float
-        How long it is worth looking at, and a step that serves, s.
     controller, external_force : callable, optional
         What drives its articulations and pushes its bodies, as `nsdyn.simulate` takes them.
     """
 
     name: str
     scene: Scene
-    duration: float
-    dt: float
     controller: Callable[..., Any] | None
     external_force: Callable[..., Any] | None
 
+    @property
+    def duration(self) -> float:
+        """How long it is worth looking at, s; ValueError where its file does not say."""
+        return seconds(self.name, "DURATION")
+
+    @property
+    def dt(self) -> float:
+        """A step that serves, s; ValueError where its file has none."""
+        return seconds(self.name, "DT")
+
     def options(self, **others: Any) -> dict[str, Any]:
         """Keywords for `nsdyn.simulate` or `nsdyn.Stepper`: dt, controller and external_force, but for the `others`."""
-        return {"dt": self.dt, "controller": self.controller, "external_force": self.external_force} | others
+        own = {} if "dt" in others else {"dt": self.dt}
+        return own | {"controller": self.controller, "external_force": self.external_force} | others
 
 
 def setup(name: str, **parameters: Any) -> Setup:
@@ -199,7 +216,7 @@ def setup(name: str, **parameters: Any) -> Setup:
         called(make, what, partial(_function, what), scene) if (make := getattr(source, what, None)) else None
         for what in ("controller", "external_force")
     ]
-    return Setup(name, scene, source.DURATION, source.DT, *drives)
+    return Setup(name, scene, *drives)
 
 
 def _function(what: str, given: Any) -> Callable[..., Any]:

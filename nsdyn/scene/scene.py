@@ -398,7 +398,7 @@ class Scene:
         known = [*self.bodies, *self.articulations, *links]
         for name in (a, b):
             if name not in known:
-                raise ValueError(f"unknown body {name!r}; the scene has {sorted(known)}{meant(name, known)}")
+                raise ValueError(f"{meant(name, known)}unknown body {name!r}; the scene has {sorted(known)}")
         Material(0.0 if mu is None else mu, 0.0 if restitution is None else restitution)
         self.pairs[frozenset((a, b))] = (mu, restitution)
 

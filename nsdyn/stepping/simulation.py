@@ -72,7 +72,7 @@ def simulate(
     ----------
     scene : Scene
     duration : float
-        s; rounded up to whole steps that are recorded.
+        s; rounded up to whole steps that are recorded. At least half a step.
     dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift
         As in `Stepper`.
     record : path, optional
@@ -123,6 +123,8 @@ def simulate(
     stepper = Stepper(
         scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift
     )  # fmt: skip
+    if duration < 0.5 * stepper.dt:
+        raise ValueError(f"duration must be at least half a step of dt = {stepper.dt:g} s, got {duration:g} s")
     if isinstance(every, bool) or not isinstance(every, int) or every < 1:
         raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
     if resume is not None and record is not None:

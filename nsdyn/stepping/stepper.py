@@ -154,6 +154,8 @@ class Stepper:
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
         solver = Auto() if solver in (None, "auto") else as_solver(solver)
         self.controller, self.external_force = controller, external_force
+        if not (scene.free_bodies or scene.articulations or scene.driven_bodies):
+            warnings.warn("the scene has nothing that moves: all its bodies are fixed, if it has any", stacklevel=2)
         geoms = scene.geoms()
         self.failures = Failures(on_fail, dump_on_fail, [g.name for g in geoms])
         self.dynamics = Dynamics(scene)

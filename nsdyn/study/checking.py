@@ -72,8 +72,6 @@ def check(what: Trajectory | Scene | str | Path, **options: Any) -> Audit | Insp
     if ending in ROBOTS:
         return inspect_robot(path, **options)
     if ending not in ("", ".py"):
-        endings = ", ".join((*ROBOTS, ".py", *RECORDINGS))
-        raise ValueError(
-            f"what to check must be the name of a scene or a file that ends in {endings}, got {str(what)!r}"
-        )
+        kinds = f"robot file ({', '.join(ROBOTS)}), scene (.py) or recording ({', '.join(RECORDINGS)})"
+        raise ValueError(f"{what} is no {kinds}")
     return inspect_scene(named.setup(str(what), **options).scene, str(what))

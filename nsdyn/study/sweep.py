@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import inspect
 import itertools
+import pickle
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,8 +90,8 @@ def sweep(
     Raises
     ------
     ValueError
-        For a parameter without values, a store of another sweep, and where the scene or `simulate` refuses every run;
-        where it refuses some, these have failed.
+        For a parameter without values, what other processes cannot be sent, a store of another sweep, and where the
+        scene or `simulate` refuses every run; where it refuses some, these have failed.
 
     Examples
     --------
@@ -109,6 +110,9 @@ def sweep(
         raise ValueError("keep must say what of a run is stored: whole trajectories are not")
     # A function of a named scene lives in a file that is no module for other processes: they load it by its name.
     scene = scenes.name_of(scene) or scene if callable(scene) else scene
+    if isinstance(executor, int | ProcessPoolExecutor):
+        for what, value in {"scene": scene, "keep": keep, **parameters, **options}.items():
+            _check_sendable(what, value)
     combinations = (dict(zip(parameters, values, strict=True)) for values in itertools.product(*parameters.values()))
     tasks = [(scene, chosen, duration, keep, options) for chosen in combinations]
     with _opened(store, scene, duration, keep, options) as kept:
@@ -116,6 +120,17 @@ def sweep(
     if refused == len(members):
         raise ValueError(members[0].failure)
     return members
+
+
+def _check_sendable(what: str, value: Any) -> None:
+    """Refuse what other processes cannot be sent."""
+    try:
+        pickle.dumps(value)
+    except Exception as failure:  # as the object has it
+        raise ValueError(
+            f"{what} can't be pickled, to be sent to other processes: define it at module level, got {value!r} "
+            f"({failure})"
+        ) from None
 
 
 def _gathered(

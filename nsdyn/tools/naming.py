@@ -13,7 +13,7 @@ def choice(value: Any, known: Iterable[str], what: str) -> str:
     """A known name; ValueError naming those there are, and the one that was meant if one is close."""
     names = list(known)
     if not isinstance(value, str) or value not in names:
-        raise ValueError(f"{what} must be one of {', '.join(names) or 'none'}; got {value!r}{meant(value, names)}")
+        raise ValueError(f"{meant(value, names)}{what} must be one of {', '.join(names) or 'none'}; got {value!r}")
     return value
 
 
@@ -21,11 +21,11 @@ def check_known(given: Iterable[str], known: Iterable[str]) -> None:
     """ValueError for keywords that are not among the known ones, naming these and the one that was meant."""
     names = sorted(known)
     for name in sorted(set(given) - set(names)):
-        raise ValueError(f"unknown argument {name!r}; known are {names}{meant(name, names)}")
+        raise ValueError(f"{meant(name, names)}unknown argument {name!r}; known are {names}")
 
 
 def meant(value: Any, known: Iterable[str]) -> str:
-    """``; did you mean 'x'?`` for the closest known name, empty where none is close."""
+    """``did you mean 'x'? `` for the closest known name, to begin with, empty where none is close."""
     names = {name.lower(): name for name in known}
     close = get_close_matches(str(value).lower(), names, n=1)
-    return f"; did you mean {names[close[0]]!r}?" if close else ""
+    return f"did you mean {names[close[0]]!r}? " if close else ""
