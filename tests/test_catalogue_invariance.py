@@ -232,11 +232,12 @@ def test_parallel_edges():
 
 @pytest.mark.case(48)
 def test_frozen_bodies():
-    """Fixed bodies that overlap each other are no contacts; a scene of nothing else stands still."""
+    """Fixed bodies that overlap each other are no contacts; a scene of nothing else stands still, and says so."""
     scene = nd.Scene()
     scene.add_box("a", (1, 1, 1), fixed=True)
     scene.add_box("b", (1, 1, 1), fixed=True, position=(0.5, 0, 0))
-    trajectory = nd.simulate(scene, 0.01, dt=1e-3)
+    with pytest.warns(UserWarning, match="the scene has nothing that moves"):
+        trajectory = nd.simulate(scene, 0.01, dt=1e-3)
     assert all(len(trajectory.contacts(k)) == 0 for k in range(1, 11))
     scene.add_sphere("mote", 0.1, 1e-12, position=(0, 0, 0.6))
     assert drift(nd.simulate(scene, 0.1, dt=1e-3)) <= 1e-12

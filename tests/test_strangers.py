@@ -333,7 +333,7 @@ def test_what_does_not_fit_on_a_disk_is_told_and_leaves_nothing(call, words, tmp
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))",
         call,
     ]
-    path = tmp_path / "out.h5"
+    path = tmp_path / ("out.jsonl" if call.startswith("Store") else "out.h5")
     done = subprocess.run(
         [sys.executable, "-c", "\n".join(lines), str(path)], capture_output=True, text=True, check=False
     )

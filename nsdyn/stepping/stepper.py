@@ -84,7 +84,7 @@ class Stepper:
     external_force : callable, optional
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's
-        frame. Nothing persists to the next step.
+        frame. Nothing persists to the next step. Both return {} for nothing; None is refused.
     on_fail : {"warn", "raise", "dump", "ignore"}
         What to do when the solver misses its tolerance. The status is always recorded. "warn" goes on with the best
         answer and warns once, but raises where that is none: an error above 1e-3, or no velocity that opens every
@@ -154,8 +154,6 @@ class Stepper:
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
         solver = Auto() if solver in (None, "auto") else as_solver(solver)
         self.controller, self.external_force = controller, external_force
-        if not (scene.free_bodies or scene.articulations or scene.driven_bodies):
-            warnings.warn("the scene has nothing that moves: all its bodies are fixed, if it has any", stacklevel=2)
         geoms = scene.geoms()
         self.failures = Failures(on_fail, dump_on_fail, [g.name for g in geoms])
         self.dynamics = Dynamics(scene)
@@ -179,6 +177,8 @@ class Stepper:
                 f"got {several}",
                 stacklevel=2,
             )
+        if not (scene.free_bodies or scene.articulations or scene.driven_bodies):
+            warnings.warn("the scene has nothing that moves: all its bodies are fixed, if any", stacklevel=2)
         self._prescribed = None
         if self.dynamics.prescribed:
             self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
