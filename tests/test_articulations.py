@@ -349,7 +349,7 @@ def test_keywords_are_typed():
     """Each that `assemble` takes is one that a type checker knows of, and the other way round."""
     taken = {p.name for p in inspect.signature(assemble).parameters.values() if p.kind == p.KEYWORD_ONLY}
     assert taken == set(ArticulationOptions.__annotations__)
-    with pytest.raises(ValueError, match=r"unknown argument 'limts'; known are \[.*\]; did you mean 'limits'\?"):
+    with pytest.raises(ValueError, match=r"did you mean 'limits'\? unknown argument 'limts'; known are \[.*\]"):
         nd.Scene().add_model("r", pin.Model(), limts=True)
 
 
