@@ -40,7 +40,7 @@ def parts(a: Articulation) -> list[Part]:
         low, high = sorted((loop.joint1, loop.joint2))
         kept = [k for k, end in enumerate(ends) if not (low and low < end <= high)]
         roots, ends = [roots[0], *(ends[k] for k in kept[:-1])], [ends[k] for k in kept]
-    if len(roots) == 1:
+    if len(roots) <= 1:
         return [Part(a, slice(0, model.nq), slice(0, model.nv), range(1, model.njoints))]
     return [_part(a, range(first, end)) for first, end in zip(roots, ends, strict=True)]
 
