@@ -17,7 +17,7 @@ from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics.rotation import principal
 from nsdyn.collision.contacts import ContactSet
-from nsdyn.dynamics.joints import JointLaws, JointRows, Rows
+from nsdyn.dynamics.joints import NO_CLUTCHES, JointLaws, JointRows, Rows
 from nsdyn.dynamics.surfaces import Surfaces
 from nsdyn.dynamics.tree_values import FreeMotion, Links, TreeEnd
 from nsdyn.dynamics.trees import Tree
@@ -30,8 +30,6 @@ __all__ = ["Dynamics"]
 
 NOTHING: Mapping[Any, Any] = {}
 NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
-
-NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
 
 
 def _rotation(quaternion: Array) -> Array:
@@ -100,6 +98,7 @@ class Dynamics:
         self.weight = float(np.linalg.norm(self.gravity))
         self.no_impulses = NO_VECTORS, np.zeros((3, self.n))
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
+        self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]
         self.surfaces = Surfaces(scene)
         self.alone = self.frames == self.free and not self.trees and not self.surfaces.count
         starts = [t.start(a.q, a.v) for t, a in zip(self.trees, scene.articulations.values(), strict=True)]
@@ -237,8 +236,9 @@ class Dynamics:
     # -- forces ------------------------------------------------------------------------------------------------
 
     def forces(
-        self, middle: Middle, t: float, h: float, wrenches: Mapping[str, Any] | None, tau: Mapping[str, Any] | None
-    ) -> Forces:
+        self, middle: Middle, t: float, h: float, wrenches: Mapping[str, Any] | None, tau: Mapping[str, Any] | None,
+        last: Array | None = None,
+    ) -> Forces:  # fmt: skip
         """What acts in a step: M̃ (v_f - v⁻) = h f̃.
 
         Parameters
@@ -251,6 +251,8 @@ class Dynamics:
             body of an articulation, "articulation/body", the force acts at the origin of its frame.
         tau : mapping, optional
             Articulation name to its joint forces (nv,), or to a `PD`.
+        last : ndarray, shape (slots, 3), optional
+            Last impulses of the joint rows.
         """
         force, torque, applied, given = self.no_load, self.no_load, NOTHING, NOTHING
         if wrenches is not None:
@@ -264,16 +266,23 @@ class Dynamics:
         if self.free:
             _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
         if not self.trees:
-            return Forces(out, force, torque, self._m, self._minv, ())
-        if self._lone:
-            tree = self.trees[0]
-            only = tree.free_motion(middle.trees[0], t, given.get(tree.name), applied.get(0))
-            return Forces(only.v, force, torque, only.m.ravel(), only.minv.ravel(), (only,))
+            return Forces(out, out, force, torque, self._m, self._minv, ())
         motions = []
-        for k, (tree, half) in enumerate(zip(self.trees, middle.trees, strict=True)):
-            motions.append(tree.free_motion(half, t, given.get(tree.name), applied.get(k)))
-            out[tree.coordinates] = motions[-1].v
+        for k, tree in enumerate(self.trees):
+            before = None if last is None else last[self._slots[k]]
+            motions.append(tree.free_motion(middle.trees[k], t, given.get(tree.name), applied.get(k), before))
         return self._with_trees(out, force, torque, motions)
+
+    def within_limits(self, middle: Middle, forces: Forces, v: Array) -> Forces:
+        """The same where actuators that the velocity v (n,) after the forces brings beyond their limits have rows.
+
+        The forces themselves where none is beyond.
+        """
+        motions, same = [], True
+        for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
+            motions.append(tree.within_limits(half, free, v[tree.coordinates]))
+            same = same and motions[-1] is free
+        return forces if same else self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
 
     def external_works(self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float) -> Array:
         """Works of external forces and torques on the free bodies in a move of h s, shape (nf,), J.
@@ -288,17 +297,28 @@ class Dynamics:
 
     def free_forces(self, v: Array) -> Forces:
         """What acts in a step on free bodies alone, which gravity gives the velocity v."""
-        return Forces(v, self.no_load, self.no_load, self._m, self._minv, ())
+        return Forces(v, v, self.no_load, self.no_load, self._m, self._minv, ())
 
     def inertia(self, position: Position, v: Array) -> Forces:
         """Mass matrices at a position, where no forces act: what impacts meet."""
         motions = [t.inertia(q, v[t.coordinates]) for t, q in zip(self.trees, position.trees, strict=True)]
-        return self._with_trees(v, self.no_load, self.no_load, motions)
+        return self._with_trees(v.copy(), self.no_load, self.no_load, motions)
 
     def _with_trees(self, v: Array, force: Array, torque: Array, motions: list[FreeMotion]) -> Forces:
+        """Forces of the trees, whose velocities go into v (n,), beside those on the free bodies."""
+        if self._lone:
+            only = motions[0]
+            return Forces(only.v, only.foreseen, force, torque, only.m.ravel(), only.minv.ravel(), (only,))
+        for tree, motion in zip(self.trees, motions, strict=True):
+            v[tree.coordinates] = motion.v
+        foreseen = v
+        if any(motion.foreseen is not motion.v for motion in motions):
+            foreseen = v.copy()
+            for tree, motion in zip(self.trees, motions, strict=True):
+                foreseen[tree.coordinates] = motion.foreseen
         m = np.concatenate([self._m, *[motion.m.ravel() for motion in motions]])
         minv = np.concatenate([self._minv, *[motion.minv.ravel() for motion in motions]])
-        return Forces(v, force, torque, m, minv, tuple(motions))
+        return Forces(v, foreseen, force, torque, m, minv, tuple(motions))
 
     def _applied(self, middle: Position, wrenches: Mapping[str, Any]) -> tuple[Array, Array, dict[int, Array]]:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index."""
@@ -330,7 +350,14 @@ class Dynamics:
 
     def joint_rows(self, place: Placement, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""
-        return self.joints.rows(self._angles(place), v, v_free, h) if self.joints.size else None
+        return self.joints.rows(self._angles(place), v, v_free, h) if self.joints.passive else None
+
+    def with_actuators(self, joints: JointRows | None, forces: Forces) -> JointRows | None:
+        """Joint rows, and those of actuators at their limits; None when there are none."""
+        for tree, free in zip(self.trees, forces.trees, strict=True):
+            if (clutch := free.loads.clutch) is not None:
+                joints = self.joints.with_actuators(joints, tree.coordinates, clutch)
+        return joints
 
     def limits(self, place: Placement) -> Array:
         """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
@@ -364,13 +391,13 @@ class Dynamics:
         if self._constrained:
             bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
         if joints is None:
-            return Rows(full, bases, *NOT_PRESSED), frame
-        pressed = np.flatnonzero(joints.press)
-        return Rows(self.joints.append(joints, full), bases, nc + pressed, joints.press[pressed]), frame
+            return Rows(full, bases, *NO_CLUTCHES), frame
+        pressed = np.flatnonzero(joints.clutch[0])
+        return Rows(self.joints.append(joints, full), bases, nc + pressed, joints.clutch[:, pressed]), frame
 
     def free_rows(self, block: Index, start: Index, H: Array) -> Rows:
         """Factors of contacts of free bodies alone, as of `Blocks`."""
-        return Rows(Blocks(self.offset, block, start, H, self.m_start, self._m, self._minv), NOTHING, *NOT_PRESSED)
+        return Rows(Blocks(self.offset, block, start, H, self.m_start, self._m, self._minv), NOTHING, *NO_CLUTCHES)
 
     # -- what is shown -----------------------------------------------------------------------------------------
 
