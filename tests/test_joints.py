@@ -140,11 +140,12 @@ def test_pd_at_its_limit_in_some_joints_is_the_formula_in_the_others():
 
 
 def test_pd_is_the_formula():
-    """One step of a mass on a rail: (m + h kd + h² kp) v' = m v + h (kp (target - q) + kd target_velocity + ff)."""
+    """One step of a mass on a rail: kp acts at the mean of both positions, kd at that of both velocities."""
     m, h, kp, kd, q, v = 2.0, 1e-2, 300.0, 7.0, 0.1, -0.4
     control = nd.PD(kp, kd, target=0.5, target_velocity=0.2, feedforward=3.0)
     trajectory = run(slider(m), h, h, q=[q], v=[v], controller=lambda t, q, v: {"a": control})
-    expected = (m * v + h * (kp * (0.5 - q) + kd * 0.2 + 3.0)) / (m + h * kd + h * h * kp)
+    force = kp * (0.5 - q - 0.25 * h * v) + kd * (0.2 - 0.5 * v) + 3.0
+    expected = (m * v + h * force) / (m + 0.5 * h * kd + 0.25 * h * h * kp)
     assert trajectory.v[-1, 0] == pytest.approx(expected, rel=1e-14)
     # All of the change is work of the controller.
     assert np.diff(trajectory.energy.kinetic)[0] == pytest.approx(trajectory.energy.external[0], rel=1e-12)

@@ -177,7 +177,8 @@ def test_any_gain_is_stable(theta, gain):
     for _ in range(100):
         end, rate, _ = follow(t, end, rate, 1e-2, 1, control, theta=theta)
         assert np.abs(end).max() <= 0.41
-    assert gain == 1.0 or np.abs(end).max() <= 0.03  # the slowest mode at 1e4 falls by 2.7 % a step
+    # At 1e4 and θ = ½ the first joint swings slower than 2.4/h: of that nothing is damped.
+    assert gain == 1.0 or (gain, theta) == (1e4, 0.5) or np.abs(end).max() <= 0.03
     # Weight bends them by less than 30 N m / gain, and swings as far beyond.
     t, end = tree(pendulum(3), stiffness=1e3 * gain, rest=q), q
     for _ in range(100):

@@ -17,14 +17,14 @@ from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics.rotation import principal
 from nsdyn.collision.contacts import ContactSet
-from nsdyn.dynamics.forests import Part, parts
-from nsdyn.dynamics.joints import JointLaws, JointRows, Rows
+from nsdyn.dynamics.actuators import Actuators, Control
+from nsdyn.dynamics.forests import parts
+from nsdyn.dynamics.joints import NO_CLUTCHES, JointLaws, JointRows, Rows
 from nsdyn.dynamics.surfaces import Surfaces
 from nsdyn.dynamics.tree_values import FreeMotion, Links, TreeEnd
-from nsdyn.dynamics.trees import Control, Tree
+from nsdyn.dynamics.trees import Tree
 from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
 from nsdyn.problem.blocks import Blocks
-from nsdyn.scene.control import PD
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import meant
@@ -35,8 +35,6 @@ NOTHING: Mapping[Any, Any] = {}
 Wrenches = tuple[Array, Array, Mapping[int, Array]]
 Controls = Mapping[int, Control]
 NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
-
-NOT_PRESSED = np.empty(0, np.int64), np.empty(0)
 
 
 def _rotation(quaternion: Array) -> Array:
@@ -79,7 +77,8 @@ class Dynamics:
         self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self.trees: list[Tree] = []
-        self._forests: dict[str, list[tuple[int, Part]]] = {name: [] for name in scene.articulations}
+        self._forests: dict[str, tuple[int, Actuators]] = {}
+        grown = []
         start, first = 6 * self.free, self.free
         for name, a in scene.articulations.items():
             driven_joints = {
@@ -88,7 +87,8 @@ class Dynamics:
                 for owner, _, joint in [key.partition("/")]
                 if owner == name and m.kind == "joint"
             }
-            for part in parts(a):
+            forest, planted = parts(a), len(self.trees)
+            for part in forest:
                 before = part.joints.start - 1
                 joints = [joint - before for owner, joint in frames if owner == name and joint in part.joints]
                 motions = {
@@ -96,10 +96,11 @@ class Dynamics:
                     for joint, m in driven_joints.items()
                     if joint in part.joints
                 }
-                self._forests[name].append((len(self.trees), part))
+                grown.append(part.articulation)
                 self.trees.append(Tree(part.articulation, self.gravity, start, joints, first, motions))
                 start, first = start + self.trees[-1].model.nv, first + len(joints)
-        grown = [part.articulation for forest in self._forests.values() for _, part in forest]
+            scalar = np.concatenate([t.scalar for t in self.trees[planted:]])
+            self._forests[name] = planted, Actuators(name, scalar, a.effort, [part.v for part in forest])
         # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
         self._lone = len(self.trees) == 1 and self.frames == len(frames) and not self.free
         self._constrained = any(t.constrained for t in self.trees)
@@ -119,10 +120,10 @@ class Dynamics:
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
         self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
-        self._shared: dict[str, tuple[Any, list[Any]]] = {}
         self.weight = float(np.linalg.norm(self.gravity))
         self.no_impulses = NO_VECTORS, np.zeros((3, self.n))
         self.joints = JointLaws(grown, self.trees, self.free)
+        self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]
         self.held = np.concatenate(
             [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(len(driven), np.bool_)]
         )
@@ -264,8 +265,9 @@ class Dynamics:
     # -- forces ------------------------------------------------------------------------------------------------
 
     def forces(
-        self, middle: Middle, t: float, h: float, wrenches: Wrenches | None = None, control: Controls = NOTHING
-    ) -> Forces:
+        self, middle: Middle, t: float, h: float, wrenches: Wrenches | None = None, control: Controls = NOTHING,
+        last: Array | None = None,
+    ) -> Forces:  # fmt: skip
         """What acts in a step: M̃ (v_f - v⁻) = h f̃.
 
         Parameters
@@ -277,22 +279,31 @@ class Dynamics:
             As `wrenches` makes them.
         control : mapping
             As `controls` makes it.
+        last : ndarray, shape (slots, 3), optional
+            Last impulses of the joint rows.
         """
         force, torque, applied = wrenches or (self.no_load, self.no_load, NOTHING)
         out = np.empty(self.n)
         if self.free:
             _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
         if not self.trees:
-            return Forces(out, force, torque, self._m, self._minv, ())
-        if self._lone:
-            tree = self.trees[0]
-            only = tree.free_motion(middle.trees[0], t, control.get(0), applied.get(0))
-            return Forces(only.v, force, torque, only.m.ravel(), only.minv.ravel(), (only,))
+            return Forces(out, out, force, torque, self._m, self._minv, ())
         motions = []
-        for k, (tree, half) in enumerate(zip(self.trees, middle.trees, strict=True)):
-            motions.append(tree.free_motion(half, t, control.get(k), applied.get(k)))
-            out[tree.coordinates] = motions[-1].v
+        for k, tree in enumerate(self.trees):
+            before = None if last is None else last[self._slots[k]]
+            motions.append(tree.free_motion(middle.trees[k], t, control.get(k), applied.get(k), before))
         return self._with_trees(out, force, torque, motions)
+
+    def within_limits(self, middle: Middle, forces: Forces, v: Array) -> Forces:
+        """The same where actuators that the velocity v (n,) after the forces brings beyond their limits have rows.
+
+        The forces themselves where none is beyond.
+        """
+        motions, same = [], True
+        for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
+            motions.append(tree.within_limits(half, free, v[tree.coordinates]))
+            same = same and motions[-1] is free
+        return forces if same else self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
 
     def external_works(self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float) -> Array:
         """Works of external forces and torques on the free bodies in a move of h s, shape (nf,), J.
@@ -307,17 +318,28 @@ class Dynamics:
 
     def free_forces(self, v: Array) -> Forces:
         """What acts in a step on free bodies alone, which gravity gives the velocity v."""
-        return Forces(v, self.no_load, self.no_load, self._m, self._minv, ())
+        return Forces(v, v, self.no_load, self.no_load, self._m, self._minv, ())
 
     def inertia(self, position: Position, v: Array) -> Forces:
         """Mass matrices at a position, where no forces act: what impacts meet."""
         motions = [t.inertia(q, v[t.coordinates]) for t, q in zip(self.trees, position.trees, strict=True)]
-        return self._with_trees(v, self.no_load, self.no_load, motions)
+        return self._with_trees(v.copy(), self.no_load, self.no_load, motions)
 
     def _with_trees(self, v: Array, force: Array, torque: Array, motions: list[FreeMotion]) -> Forces:
+        """Forces of the trees, whose velocities go into v (n,), beside those on the free bodies."""
+        if self._lone:
+            only = motions[0]
+            return Forces(only.v, only.foreseen, force, torque, only.m.ravel(), only.minv.ravel(), (only,))
+        for tree, motion in zip(self.trees, motions, strict=True):
+            v[tree.coordinates] = motion.v
+        foreseen = v
+        if any(motion.foreseen is not motion.v for motion in motions):
+            foreseen = v.copy()
+            for tree, motion in zip(self.trees, motions, strict=True):
+                foreseen[tree.coordinates] = motion.foreseen
         m = np.concatenate([self._m, *[motion.m.ravel() for motion in motions]])
         minv = np.concatenate([self._minv, *[motion.minv.ravel() for motion in motions]])
-        return Forces(v, force, torque, m, minv, tuple(motions))
+        return Forces(v, foreseen, force, torque, m, minv, tuple(motions))
 
     def wrenches(self, middle: Position, given: Mapping[str, Any]) -> Wrenches:
         """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index.
@@ -375,34 +397,22 @@ class Dynamics:
             if name not in self._forests:
                 known = list(self._forests)
                 raise ValueError(f"{meant(name, known)}controller names {name!r}; articulations are {known}")
-            forest = self._forests[name]
-            if len(forest) == 1:
-                parts = [value]
-            else:
-                # The same control as before is the same to each tree.
-                if name not in self._shared or self._shared[name][0] is not value:
-                    self._shared[name] = value, self._share(name, value)
-                parts = self._shared[name][1]
-            out |= {k: self.trees[k].control(own) for (k, _), own in zip(forest, parts, strict=True)}
+            first, actuators = self._forests[name]
+            out.update(enumerate(actuators.controls(value), start=first))
         return out
-
-    def _share(self, name: str, value: Any) -> list[Any]:
-        """Parts of a control of an articulation of several trees."""
-        trees, slices = ([self.trees[k] for k, _ in self._forests[name]], [part.v for _, part in self._forests[name]])
-        if isinstance(value, PD):
-            scalar, effort = (np.concatenate([getattr(t, what) for t in trees]) for what in ("scalar", "effort"))
-            laws = value.on(name, scalar, effort)
-            return [PD(*(law[v] for law in laws)) for v in slices]
-        given = np.asarray(value)
-        if given.shape != (slices[-1].stop,):
-            raise ValueError(f"controller must give {slices[-1].stop} finite joint forces for {name!r}, got {value!r}")
-        return [given[v] for v in slices]
 
     # -- rows --------------------------------------------------------------------------------------------------
 
     def joint_rows(self, place: Placement, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""
-        return self.joints.rows(self._angles(place), v, v_free, h) if self.joints.size else None
+        return self.joints.rows(self._angles(place), v, v_free, h) if self.joints.passive else None
+
+    def with_actuators(self, joints: JointRows | None, forces: Forces) -> JointRows | None:
+        """Joint rows, and those of actuators at their limits; None when there are none."""
+        for tree, free in zip(self.trees, forces.trees, strict=True):
+            if (clutch := free.loads.clutch) is not None:
+                joints = self.joints.with_actuators(joints, tree.coordinates, clutch)
+        return joints
 
     def limits(self, place: Placement) -> Array:
         """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
@@ -436,13 +446,13 @@ class Dynamics:
         if self._constrained:
             bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
         if joints is None:
-            return Rows(full, bases, *NOT_PRESSED), frame
-        pressed = np.flatnonzero(joints.press)
-        return Rows(self.joints.append(joints, full), bases, nc + pressed, joints.press[pressed]), frame
+            return Rows(full, bases, *NO_CLUTCHES), frame
+        pressed = np.flatnonzero(joints.clutch[0])
+        return Rows(self.joints.append(joints, full), bases, nc + pressed, joints.clutch[:, pressed]), frame
 
     def free_rows(self, block: Index, start: Index, H: Array) -> Rows:
         """Factors of contacts of free bodies alone, as of `Blocks`."""
-        return Rows(Blocks(self.offset, block, start, H, self.m_start, self._m, self._minv), NOTHING, *NOT_PRESSED)
+        return Rows(Blocks(self.offset, block, start, H, self.m_start, self._m, self._minv), NOTHING, *NO_CLUTCHES)
 
     # -- what is shown -----------------------------------------------------------------------------------------
 

@@ -1,8 +1,11 @@
-"""Joint limits and dry joint friction as rows beside the contacts, and the coordinates the solver works in.
+"""What joints do within bounds, as rows beside the contacts, and the coordinates the solver works in.
 
-A limit is a frictionless contact whose normal row is ±e_j. Dry friction |τ| ≤ τ_c is a contact with μ = 1 whose first
+A limit is a frictionless contact whose normal row is ±e_j. A clutch |τ| ≤ τ_c is a contact with μ = 1 whose first
 tangent row is e_j, pressed on a coordinate of its own so that r_N = h τ_c exactly: sticking is exact, and the solvers
-need nothing new. Where loops or driven joints restrict a tree, v = v_p + Z y, and the solver sees y.
+need nothing new. Dry friction is a clutch to what does not move, an actuator at its limit, τ = clip(τ₀ - b v_j, ±L),
+one to a rotor: a coordinate of its own, of mass h b, which turns at τ₀/b without the clutch. While that sticks the
+impulse is h (τ₀ - b v_j), while it slips ±h L. Where loops or driven joints restrict a tree, v = v_p + Z y, and the
+solver sees y.
 """
 
 from __future__ import annotations
@@ -19,10 +22,10 @@ from nsdyn.problem.blocks import Blocks
 from nsdyn.scene.articulations import Articulation
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["JointLaws", "JointRows", "Rows"]
+__all__ = ["NO_CLUTCHES", "JointLaws", "JointRows", "Rows"]
 
 NOTHING = np.empty(0)
-NO_IMPULSES = np.empty((0, 3))
+NO_CLUTCHES = np.empty(0, np.int64), np.empty((3, 0))
 
 NEAR = 1e-2
 """A limit takes part in a step when the joint is this fraction of its range away from it, plus what it moves."""
@@ -37,17 +40,18 @@ class JointRows:
     slot : ndarray of int, shape (nj,)
         Rows of the table of `JointLaws`, ascending.
     gap : ndarray, shape (nj,)
-        Distance to the limit at the midpoint, rad or m; 0 for friction.
+        Distance to the limit at the midpoint, rad or m; 0 for clutches.
     restitution, mu : ndarray, shape (nj,)
-    press : ndarray, shape (nj,)
-        h τ_c of friction, 0 for limits, N m s or N s.
+    clutch : ndarray, shape (3, nj)
+        h τ_c [N m s or N s], 0 for limits, and of rotors the speed [rad/s or m/s] and the mobility [1/(kg m²) or 1/kg],
+        0 where there is none.
     """
 
     slot: Index
     gap: Array
     restitution: Array
     mu: Array
-    press: Array
+    clutch: Array
 
     def take(self, kept: NDArray[np.bool_]) -> JointRows | None:
         """Some of the rows, None for none."""
@@ -55,11 +59,17 @@ class JointRows:
             return self
         if not kept.any():
             return None
-        return JointRows(self.slot[kept], self.gap[kept], self.restitution[kept], self.mu[kept], self.press[kept])
+        return JointRows(self.slot[kept], self.gap[kept], self.restitution[kept], self.mu[kept], self.clutch[:, kept])
+
+    @property
+    def actuated(self) -> NDArray[np.bool_]:
+        """Which are actuators."""
+        out: NDArray[np.bool_] = self.clutch[2] > 0.0
+        return out
 
 
 class JointLaws:
-    """Limits and dry friction of the joints of all trees: a table of slots, each of which may become a row.
+    """Limits and dry friction of the joints of all trees, then actuators: a table of slots, each of which may be a row.
 
     Parameters
     ----------
@@ -81,11 +91,18 @@ class JointLaws:
                         table.append((start + j, block, sign, bound, near, a.restitution))
                 if a.friction[j] > 0.0:
                     table.append((start + j, block, 0.0, a.friction[j], 0.0, 0.0))
+        self.passive = len(table)
+        self._actuators = self.passive - (trees[0].coordinates.start if trees else 0)
+        for block, t in enumerate(trees, start=first):
+            start = t.coordinates.start
+            table += [(start + j, block, 0.0, 0.0, 0.0, 0.0) for j in range(t.model.nv)]
         columns = np.array(table, dtype=float).reshape(-1, 6).T
         self.coordinate, self.block = columns[0].astype(np.int64), columns[1].astype(np.int64)
         self.sign, self.bound, self.near, self.restitution = (np.ascontiguousarray(c) for c in columns[2:])
         self.size = len(table)
-        self.limits = np.flatnonzero(self.sign)
+        self.limits, self._no_impulses = np.flatnonzero(self.sign), np.zeros((self.size, 3))
+        of_passive = self.coordinate, self.sign, self.bound, self.near
+        self._passive = tuple(column[: self.passive] for column in of_passive)
 
     def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of a step: all friction, and the limits the joints may reach; None when there are none.
@@ -98,14 +115,31 @@ class JointLaws:
             Velocity at the beginning, and at the end without contacts.
         h : float
         """
-        slot = np.empty(self.size, np.int64)
-        count = _joints.active_rows(self.coordinate, self.sign, self.bound, self.near, angle, v, v_free, h, slot)
+        slot = np.empty(self.passive, np.int64)
+        count = _joints.active_rows(*self._passive, angle, v, v_free, h, slot)
         if not count:
             return None
         slot = slot[:count]
         friction = self.sign[slot] == 0.0
-        gap, bound = self.gaps(slot, angle), self.bound[slot]
-        return JointRows(slot, gap, self.restitution[slot], friction.astype(float), np.where(friction, h * bound, 0.0))
+        clutch = np.zeros((3, count))
+        clutch[0] = np.where(friction, h * self.bound[slot], 0.0)
+        return JointRows(slot, self.gaps(slot, angle), self.restitution[slot], friction.astype(float), clutch)
+
+    def actuators(self, coordinates: slice) -> slice:
+        """Slots of the actuators of a tree with those coordinates."""
+        return slice(self._actuators + coordinates.start, self._actuators + coordinates.stop)
+
+    def with_actuators(self, rows: JointRows | None, coordinates: slice, clutch: Array) -> JointRows | None:
+        """Rows of a step, and after them those of the actuators of a tree that have a clutch (3, nv) to a rotor."""
+        on = np.flatnonzero(clutch[2])
+        if not on.size:
+            return rows
+        slot, zero = on + self.actuators(coordinates).start, np.zeros(on.size)
+        own = slot, zero, zero, zero + 1.0, clutch[:, on]
+        if rows is None:
+            return JointRows(*own)
+        before = rows.slot, rows.gap, rows.restitution, rows.mu, rows.clutch
+        return JointRows(*(np.concatenate(two, axis=-1) for two in zip(before, own, strict=True)))
 
     def gaps(self, slot: Index, angle: Array) -> Array:
         """Distances to the limits of some slots at the joint coordinates, rad or m; 0 for friction."""
@@ -119,16 +153,14 @@ class JointLaws:
         return out
 
     def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:
-        """Impulses r (nj, 3) by slot, (slots, 3), and zeros, those of limits and of friction on coordinates, (3, n)."""
+        """Impulses r (nj, 3) by slot, (slots, 3), and of actuators, limits and friction on coordinates, (3, n)."""
         on_coordinates = np.zeros((3, n))
-        if not self.size:
-            return NO_IMPULSES, on_coordinates
-        by_slot = np.zeros((self.size, 3))
-        if rows is not None:
-            by_slot[rows.slot] = r
-            j = self.coordinate[rows.slot]
-            np.add.at(on_coordinates[1], j, self.sign[rows.slot] * r[:, 0])
-            np.add.at(on_coordinates[2], j, rows.mu * r[:, 1])
+        if rows is None:
+            return self._no_impulses, on_coordinates
+        by_slot, j = np.zeros((self.size, 3)), self.coordinate[rows.slot]
+        by_slot[rows.slot] = r
+        np.add.at(on_coordinates[1], j, self.sign[rows.slot] * r[:, 0])
+        np.add.at(on_coordinates, (np.where(rows.actuated, 0, 2), j), rows.mu * r[:, 1])
         return by_slot, on_coordinates
 
     def append(self, rows: JointRows, full: Blocks) -> Blocks:
@@ -147,28 +179,37 @@ class Rows:
     bases : mapping of int to ndarray, shape (n, ny)
         Z of the constrained blocks, with Zᵀ M Z = I.
     pressed : ndarray of int, shape (k,)
-        Rows of joint friction. Each gets a coordinate of its own, as mobile as its joint.
-    press : ndarray, shape (k,)
-        Their impulses h τ_c.
+        Rows that are clutches. Each gets a coordinate of its own on which it is pressed, as mobile as what it holds,
+        and one of its rotor.
+    clutch : ndarray, shape (3, k)
+        As of `JointRows`.
 
     Attributes
     ----------
     full, blocks : Blocks
         `blocks` is `full` itself where nothing restricts or presses.
     press : ndarray, shape (3 nc,)
-        Normal velocities without impulses on the coordinates of joint friction, m/s; empty where nothing presses.
+        Velocities without impulses of the coordinates of clutches, m/s; empty where nothing presses.
     """
 
-    def __init__(self, full: Blocks, bases: Mapping[int, Array], pressed: Index, press: Array) -> None:
+    def __init__(self, full: Blocks, bases: Mapping[int, Array], pressed: Index, clutch: Array) -> None:
         self.full = self.blocks = full
-        self.press = NOTHING
+        self.press, self._pressed, self._impulse = NOTHING, pressed, clutch[0]
         if not bases and not pressed.size:
             return
         z_start = np.cumsum([0, *(Z.size for Z in bases.values())])
         self._z = np.concatenate([np.empty(0), *(Z.ravel() for Z in bases.values())])
         keys = np.fromiter(bases, np.int64, len(bases))
-        reduced, self._where, self.press = _joints.reduce_rows(full.arrays, keys, z_start, self._z, pressed, press)
+        reduced, self._where, self.press = _joints.reduce_rows(full.arrays, keys, z_start, self._z, pressed, clutch)
         self.blocks = Blocks(*reduced)
+
+    def held(self, r: Array) -> Array:
+        """The impulses r (3 nc,) with clutches pressed as they are and no more than slipping, beyond any tolerance."""
+        if not self._pressed.size:
+            return r
+        rows, press, out = self._pressed, self._impulse, r.copy()
+        out[3 * rows], out[3 * rows + 1], out[3 * rows + 2] = press, np.clip(r[3 * rows + 1], -press, press), 0.0
+        return out
 
     def velocity_change(self, r: Array) -> Array:
         """Change of v by the impulses r, shape (n,)."""

@@ -84,26 +84,33 @@ class TreeLoads(NamedTuple):
 
     Attributes
     ----------
-    tau : ndarray, shape (nv,)
-        Joint forces given or of external wrenches, and the part of a PD control that the motion does not change.
+    laws : ndarray, shape (2, 5, nv)
+        Joint springs, and the control: what is linear in the velocity that the step leaves, as of
+        `nsdyn._kernels.dynamics.trees.linear_laws`.
     push : ndarray, shape (nv,)
-        What of it external wrenches make.
-    kp, kd : ndarray, shape (nv,)
-        Gains of the PD control, 0 where there is none.
-    stretch : ndarray, shape (nv,)
-        Of the joint springs at the midpoint, q - rest, rad or m.
+        Joint forces of external wrenches.
     weight : ndarray, shape (nv,)
-        Gravity terms there.
+        Gravity terms at the midpoint.
+    rates : ndarray
+        Velocities of the driven joints at the end of the step.
+    limit : ndarray, shape (nv,), or None
+        Most |τ| of the control; None where nothing is limited.
+    clutch : ndarray, shape (3, nv), or None
+        Of actuators that have rows, and no law above: impulse at the limit, speed of the rotor, and its mobility
+        (1/mass); 0 of others.
+    held : ndarray, shape (nv,)
+        Their forces as far as they are foreseen; 0 of others.
     implicit : bool
         Whether there are damping, springs or a PD control, which act as the velocity after them says.
     """
 
-    tau: Array
+    laws: Array
     push: Array
-    kp: Array
-    kd: Array
-    stretch: Array
     weight: Array
+    rates: Array
+    limit: Array | None
+    clutch: Array | None
+    held: Array
     implicit: bool
 
 
@@ -128,6 +135,8 @@ class FreeMotion(NamedTuple):
     ----------
     v : ndarray, shape (nv,)
         Velocity after them.
+    foreseen : ndarray, shape (nv,)
+        The same with actuators that have rows at their limits.
     loads : TreeLoads
     m, minv : ndarray, shape (nv, nv)
         Effective mass matrix M̃ and its inverse, Z Zᵀ of a constrained tree.
@@ -135,6 +144,7 @@ class FreeMotion(NamedTuple):
     """
 
     v: Array
+    foreseen: Array
     loads: TreeLoads
     m: Array
     minv: Array

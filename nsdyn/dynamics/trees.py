@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 
 from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
+from nsdyn.dynamics.actuators import Control, left_to_rows
 from nsdyn.dynamics.loops import Closures, admissible, supports
 from nsdyn.dynamics.runge_kutta import unconstrained
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import Articulation
-from nsdyn.scene.control import PD
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Tree"]
-
-SETTLING = 5
-"""Passes in which a control may also leave its limit, so that their number is bounded; two are usual."""
 
 PASSES = 20
 """Most passes of the fixed point for the flow of a constrained tree; it contracts by O(h ω) a pass."""
@@ -33,9 +28,6 @@ SLOW, SLUGGISH = 1e-10, 1e-8
 """Motions in a step, rad or m. Of a slow one Coriolis terms change the velocity by that fraction, less than round-off
 does of the velocities that forces make in a step. Of a sluggish one they change it by so little that a method of first
 order errs by the square of that: round-off of the velocity itself."""
-
-Control = tuple[Array, Array, Array, Array, Array]
-"""(kp, kd, target, constant, limit) of a control."""
 
 HELD = 1e-12
 """Velocity, per root of a kinetic energy of ½ J, that is round-off of 0: of a ball of 1e24 kg."""
@@ -101,11 +93,12 @@ class Tree:
         self._J: Array = self.data.J.reshape(6, nv, order="A")
         self._R, self._x = pose_views(self.data.oMi, self.model.njoints)
         self._carriers = np.array(joints, dtype=np.int64)
-        self.damping, self.stiffness, self.rest, self.effort = a.damping, a.stiffness, a.rest, a.effort
+        self.stiffness, self.rest = a.stiffness, a.rest
+        self._laws = np.array((a.stiffness, a.damping, a.rest))
         self._linear, self._linear_q, self._turning = self._scalar_coordinates()
         scalar = np.zeros(nv, dtype=bool)
         scalar[self._linear], scalar[[j for j, _ in self._turning]] = True, True
-        self.scalar = scalar
+        self.scalar, self._no_control = scalar, Control.none(nv)
         self._springs = bool(a.stiffness.any())
         self._implicit = self._springs or bool(a.damping.any())
         self._limited = a.limits
@@ -114,13 +107,12 @@ class Tree:
         self._driven_rows[np.arange(len(driven)), list(driven)] = 1.0
         self._closures = Closures(self.model, a.loops) if a.loops else None
         self.constrained = bool(driven) or self._closures is not None
-        self._controlled: tuple[Any, Any] = (None, None)
         kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
         self.bodies = {
             f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
         }
         self._zero = np.zeros(nv)  # not read-only, for which all kernels would be compiled once more
-        self._no_control = self._zero, self._zero, self._zero, self._zero, np.full(nv, np.inf)
+        self._no_impulses = np.zeros((nv, 3))
         self._round = np.zeros(nv, dtype=bool)
         self._round[[j for j, _ in self._turning]] = True
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
@@ -212,24 +204,6 @@ class Tree:
         """The closest configuration whose loops are closed; q itself when they are."""
         return q if self._closures is None else self._closures.close(q, self._driven_rows)
 
-    def control(self, given: Any) -> Control:
-        """(kp, kd, target, constant, limit) of what a controller returned; ValueError if unfit."""
-        if isinstance(given, PD):
-            if given is not self._controlled[0]:
-                parts = given.on(self.name, self.scalar, self.effort)
-                kp, kd, target, rate, feedforward, limit = map(np.array, parts)  # which can be written, as all others
-                self._controlled = given, (kp, kd, target, feedforward + kd * rate, limit)
-            known: Control = self._controlled[1]
-            return known
-        zero, _, _, _, unlimited = self._no_control
-        try:
-            tau = np.array(given, dtype=float)
-        except (TypeError, ValueError):
-            tau = np.array(np.nan)
-        if tau.shape != zero.shape or not np.isfinite(tau).all():
-            raise ValueError(f"controller must give {zero.size} finite joint forces for {self.name!r}, got {given!r}")
-        return zero, zero, zero, tau, unlimited
-
     def joint_forces(self, q: Array, body: str, force: Array, torque: Array) -> Array:
         """Jᵀ (force, torque), shape (nv,), of a force [N] at the origin of a body's frame and a torque [N m] at q.
 
@@ -318,91 +292,95 @@ class Tree:
         M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD)).reshape(v.size, v.size)
         return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
-    def free_motion(self, halfway: Halfway, t: float, control: Control | None, applied: Array | None) -> FreeMotion:
+    def free_motion(
+        self, halfway: Halfway, t: float, control: Control | None, applied: Array | None, last: Array | None = None
+    ) -> FreeMotion:
         """Velocity after the forces of a step without contacts and joint rows.
 
-        M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces, in which the forces linear
-        in v' make the effective mass matrix M̃ = M + h θ D + h² θ² K + h kd + h² kp. Damping -D v_θ and springs act at
-        the θ-point of the step, v_θ = θ v' + (1 - θ) v0, PD control at its end. For θ = ½ a spring neither gains nor
-        loses energy, and any stiffness is stable as long as its vibrations turn nothing by a radian in a step; θ > ½
-        damps them, at first order in h. PD control is stable with any gains. θ says nothing of the motion without
-        forces but how it is parted, (1 - θ) h before them and θ h after. Of a tree with loops or driven joints
-        B v' = b holds too.
+        M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces for v' = v0. Damping, springs
+        and PD control are linear in v', as `nsdyn.PD` has it with α and β, and make the effective mass matrix
+        M̃ = M + h β D + h² α² K. For α = ½ a spring neither gains nor loses energy, and any stiffness is stable as long
+        as its vibrations turn nothing by a radian in a step; α = ½ + Δ and β = ½ + Γ are the same with the inertia
+        h D Γ + h² K Δ² and the damping 2 h K Δ more, so that they are stable too, and damp, at first order in h. θ says
+        nothing of the motion without forces but how it is parted, (1 - θ) h before them and θ h after. Of a tree with
+        loops or driven joints B v' = b holds too. Actuators beyond their limits have rows, see `within_limits`.
 
         Parameters
         ----------
         halfway : Halfway
         t : float
             Time at the end of the step, s.
-        control : (kp, kd, target, constant, limit), optional
-            As `control` makes it.
+        control : Control, optional
+            As `Actuators.controls` makes it.
         applied : ndarray, shape (nv,), optional
             Joint forces of external wrenches.
+        last : ndarray, shape (nv, 3), optional
+            Last impulses of the rows of actuators: what was at its limit is left to its row again.
 
         Raises
         ------
         ValueError
             Where a joint moves no mass.
         """
-        angle, v0, h, theta = halfway.links.angle, halfway.v, halfway.h, halfway.theta
-        kp, kd, _, _, limit = control = control or self._no_control
-        own = np.empty_like(v0)
-        _trees.command(control, angle, self._round, own)
-        tau, push = (own, self._zero) if applied is None else (own + applied, applied)
-        stretch = self._deviation(angle, self.rest) if self._springs else self._zero
+        (law, limited, implicit), n = control or self._no_control, halfway.v.size
+        laws = np.empty((2, 5, n))
+        step = halfway.links.angle, self._round, halfway.h, halfway.theta
+        _trees.linear_laws(halfway.M, self._laws, law, *step, laws)
+        push = self._zero if applied is None else applied
         weight = pin.computeGeneralizedGravity(self.model, self.data, halfway.q)
-        loads = TreeLoads(tau, push, kp, kd, stretch, weight, self._implicit or kp is not self._zero)
-        out, beyond = self._respond(halfway, t, loads, control, own)
-        if not beyond:
-            return out
-        side = np.zeros(v0.size)  # of its limit at which a control is
-        for k in range(SETTLING + v0.size + 1):
-            # To end, what has been at its limit stays there after some passes.
-            if not _trees.saturated(control, own, v0, out.v, h, theta, k >= SETTLING, side):
-                break
-            free = side == 0.0
-            held = np.where(free, own, side * np.where(free, 0.0, limit))
-            loads = loads._replace(tau=held + push, kp=kp * free, kd=kd * free)
-            out, _ = self._respond(halfway, t, loads, control, own)
-        return out
+        rates = np.array([motion.rate(t) for motion in self.driven]) if self.driven else self._zero[:0]
+        limit = law[-1] if limited else None
+        loads = TreeLoads(laws, push, weight, rates, limit, None, self._zero, implicit or self._implicit)
+        free = self._respond(halfway, loads)
+        return self.within_limits(halfway, free, free.v, last)
 
-    def _respond(
-        self, halfway: Halfway, t: float, loads: TreeLoads, control: Control, own: Array
-    ) -> tuple[FreeMotion, bool]:
-        """What loads do in a step; whether their control, of which tau has its `own`, may be beyond its limit.
+    def within_limits(self, halfway: Halfway, free: FreeMotion, v: Array, last: Array | None = None) -> FreeMotion:
+        """The same with rows for actuators that the velocity v after the forces brings beyond their limits.
 
-        ValueError where a joint moves no mass.
+        And for those that were at their limits in the `last` impulses of their rows, (nv, 3). `free` itself if none.
         """
-        v0, M, h, theta = halfway.v, halfway.M, halfway.h, halfway.theta
+        limit = free.loads.limit
+        if limit is None:
+            return free
+        over, last = np.empty(v.size, np.bool_), self._no_impulses if last is None else last
+        if not _trees.strained(free.loads.laws, limit, last, halfway.v, v, halfway.h, over):
+            return free
+        loads = left_to_rows(halfway, free.loads, limit, np.diag(free.minv), v, over)
+        out = self._respond(halfway, loads)
+        return out._replace(foreseen=out.v + halfway.h * (out.minv @ loads.held))
+
+    def _respond(self, halfway: Halfway, loads: TreeLoads) -> FreeMotion:
+        """What loads do in a step; ValueError where a joint moves no mass."""
+        v0, M, h = halfway.v, halfway.M, halfway.h
         n = v0.size
-        matrices, v = np.empty((3, n, n)), np.empty(n)
-        laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
+        matrices, v = np.empty((3, n, n)), v0.copy()
+        factor, m, minv = matrices
         if self.constrained:
-            factor, m, force, beyond = matrices[0], matrices[1], np.empty(n), True
-            fine = _trees.implicit(M, *laws, v0, h, theta, *matrices, force)
+            fine = _trees.implicit(M, loads.laws, h, *matrices)
         else:
-            fine, beyond = _trees.loaded(M, laws, loads.weight, control, own, v0, h, theta, matrices, v)
+            fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, v0, h, matrices, v)
         if not fine:
             raise ValueError(
                 f"mass matrix of {self.name!r} is not positive definite: a joint moves no mass; give it an armature"
             )
         if not self.constrained:
-            return FreeMotion(v, loads, matrices[1], matrices[2], None), beyond
+            return FreeMotion(v, v, loads, m, minv, None)
         B, P, Z = self._restrict(halfway.q, factor)
-        minv, b = Z @ Z.T, np.zeros(len(B))
-        b[b.size - len(self.driven) :] = [motion.rate(t) for motion in self.driven]
-        start, v = minv @ (m @ v0) + P @ b, v0.copy()
-        _trees.respond(start, minv, force, loads.weight, h, v)
-        return FreeMotion(v, loads, m, minv, Constraints(B, P, Z)), beyond
+        minv, b, acting = Z @ Z.T, np.zeros(len(B)), np.empty((3, n))
+        b[b.size - len(self.driven) :] = loads.rates
+        _trees.forces(loads.laws, loads.push, v0, v0, h, acting)
+        _trees.respond(minv @ (m @ v0) + P @ b, minv, acting.sum(axis=0), loads.weight, h, v)
+        return FreeMotion(v, v, loads, m, minv, Constraints(B, P, Z))
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
         M = np.array(pin.crba(self.model, self.data, q)).reshape(v.size, v.size)
-        factor, loads = np.linalg.inv(np.linalg.cholesky(M)), TreeLoads(*6 * (self._zero,), False)
+        factor, zero = np.linalg.inv(np.linalg.cholesky(M)), self._zero
+        loads = TreeLoads(np.zeros((2, 5, v.size)), zero, zero, np.zeros(len(self.driven)), None, None, zero, False)
         if not self.constrained:
-            return FreeMotion(v, loads, M, factor.T @ factor, None)
+            return FreeMotion(v, v, loads, M, factor.T @ factor, None)
         B, P, Z = self._restrict(q, factor)
-        return FreeMotion(v, loads, M, Z @ Z.T, Constraints(B, P, Z))
+        return FreeMotion(v, v, loads, M, Z @ Z.T, Constraints(B, P, Z))
 
     def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> TreeEnd:
         """Where a step ends whose forces leave the velocity v.
@@ -417,17 +395,15 @@ class Tree:
             begin_speed, begin_turn = _trees.fastest(halfway.begin_v, self._turns)
             if h * max(speed, begin_speed) > SLOW:
                 turn = max(turn, begin_turn)
-                return TreeEnd(
-                    *unconstrained(self.model, self.data, halfway.begin, halfway.begin_v, h, loads.tau, turn)
-                )
+                tau = loads.laws[1, 4] + loads.push
+                return TreeEnd(*unconstrained(self.model, self.data, halfway.begin, halfway.begin_v, h, tau, turn))
         q, v1, _, work = self.flow(halfway.q, v, theta * h)
         return TreeEnd(q, v1, 0.5 * (halfway.v + v), work)
 
     def forces(self, halfway: Halfway, free: FreeMotion, v: Array) -> Array:
         """Actuation, damping and springs of a step whose forces leave the velocity v, shape (3, nv), N m or N."""
-        out, loads = np.empty((3, v.size)), free.loads
-        laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
-        _trees.forces(*laws, halfway.v, v, halfway.h, halfway.theta, out)
+        out = np.empty((3, v.size))
+        _trees.forces(free.loads.laws, free.loads.push, halfway.v, v, halfway.h, out)
         return out
 
     def works(
@@ -457,11 +433,8 @@ class Tree:
             Kinetic and potential energy at its beginning, J.
         """
         h, loads, joints = halfway.h, free.loads, np.empty_like(v)
-        laws = self.damping, self.stiffness, loads.kp, loads.kd, loads.tau, loads.stretch
         velocities = halfway.v, v
-        actuation, damping, pushed = _trees.works(
-            laws, velocities, end.mean, loads.push, impulse, h, halfway.theta, joints
-        )
+        actuation, damping, pushed = _trees.works(loads.laws, loads.push, velocities, end.mean, impulse, h, joints)
         constraint = 0.0
         if free.constraints is not None:
             # Bᵀ λ is what the constraints and nothing else explain.

@@ -89,6 +89,8 @@ class Forces(NamedTuple):
     ----------
     v : ndarray, shape (n,)
         Velocity after the step without impulses, v⁻ + M̃⁻¹ h f̃.
+    foreseen : ndarray, shape (n,)
+        The same with actuators that have rows at their limits.
     force, torque : ndarray, shape (nf, 3)
         Applied to free bodies; force in world axes [N], torque about the centre of mass in body axes [N m].
     m, minv : ndarray
@@ -97,6 +99,7 @@ class Forces(NamedTuple):
     """
 
     v: Array
+    foreseen: Array
     force: Array
     torque: Array
     m: Array

@@ -14,11 +14,21 @@ __all__ = ["PD"]
 
 @dataclass(frozen=True, eq=False)
 class PD:
-    """Joint control τ = kp (target - q) + kd (target_velocity - v) + feedforward, with q and v of the end of the step.
+    """Joint control τ = kp (target - q) + kd (target_velocity - v) + feedforward, at most `limit` of either sign.
 
-    Implicit, so that any gains are stable: with h the step, q = q_k + h v_{k+1} and v = v_{k+1}. One number serves all
-    revolute and prismatic joints; arrays (nv,) must have no gain on other coordinates. The arrays are copied: make a
-    new control to change them, and return the same one as long as it holds.
+    It acts as the joint springs and dampers of `Scene.add_model` do: of second order in the step h for θ = ½, and
+    without damping of its own. With q~ and v⁻ where the forces of a step act, before them, and v⁺ after them,
+
+        q = q~ + h (α² v⁺ - (1 - α)² v⁻),  v = β v⁺ + (1 - β) v⁻,      α = β = θ, that of the step,
+
+    so that no gains let it blow up. Where a joint moves so little inertia m, 1/m = (M⁻¹)_jj, that it would ring, α and
+    β are larger: β = 1 - 3/δ where δ = h kd/m > 3/(1 - θ), and α = 1 - 3/σ where σ = h² kp/(m + h kd/2) > 3/(1 - θ),
+    which is 6 for θ = ½. So what `kd` stops in one joint overshoots by a half in a step at most, in chains of light
+    links by three quarters, and swings faster than 2.4/h die down. There it is of first order: as if the joint had the
+    inertia h kd (β - ½) + h² kp (α - ½)² and the damping 2 h kp (α - ½) more.
+
+    One number serves all revolute and prismatic joints; arrays (nv,) must have no gain on other coordinates. The arrays
+    are copied: make a new control to change them, and return the same one as long as it holds.
 
     Parameters
     ----------
@@ -29,9 +39,9 @@ class PD:
     feedforward : float or array, shape (nv,)
         N m or N.
     limit : float or array, shape (nv,), optional
-        Most |τ| of each joint, N m or N; infinite for none. Default: the efforts of the robot's file. What is at its
-        limit is constant in a step. It is found for the motion without contact impulses, against which the control
-        answers in the same step by (kd + h kp) times their change of v.
+        Most |τ| of each joint, N m or N; infinite for none. Default: the efforts of the robot's file. It is never
+        exceeded, whatever the gains and the step, pressed against a contact or not: a control at its limit is a row of
+        the contact problem, like dry joint friction.
 
     Raises
     ------

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.dynamics.joints import Rows
+from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Opening
@@ -86,7 +86,7 @@ def unpack(arrays: Arrays, like: State, dynamics: Dynamics) -> State:
     if "basis.q" in arrays:
         held: Held = _made(HELD, "basis", arrays)
         problem = FC3D.from_blocks(held.blocks, held.q, instant.contacts.mu)
-        basis = Basis(instant.contacts, Rows(held.blocks, {}, NONE, NOTHING), held.frame, problem)
+        basis = Basis(instant.contacts, Rows(held.blocks, {}, *NO_CLUTCHES), held.frame, problem)
         instant = instant._replace(warm=instant.warm._replace(basis=basis))
     opening = _made(OPENING, "opening", arrays) if "opening.d" in arrays else None
     return state._replace(instant=instant, opening=opening)

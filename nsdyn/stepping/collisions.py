@@ -88,7 +88,7 @@ def collide(
 
 
 def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:
-    """Impacts of the closed contacts and joint limits; dry friction of joints has no impulse in no time."""
+    """Impacts of the closed contacts and joint limits; clutches have no impulse in no time."""
     if met.rows.press.size:
         closed = closed & (met.rows.press[0::3] == 0.0)
     return strike(

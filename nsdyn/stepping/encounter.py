@@ -72,7 +72,7 @@ class Warm(NamedTuple):
     status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip.
     joints : ndarray, shape (slots, 3)
-        Impulses of joint limits and joint friction, by the slots of `nsdyn.dynamics.joints.JointLaws`.
+        Impulses of joint limits, joint friction and actuators, by the slots of `nsdyn.dynamics.joints.JointLaws`.
     h : float
         Length of the move that they are of, s: those of loads grow with it.
     basis : Basis, optional
@@ -216,6 +216,7 @@ class Encounter(NamedTuple):
         mu, restitution = contacts.mu, contacts.restitution
         if joints is not None:
             local[4, 3 * nc :] = h / warm.h * warm.joints[joints.slot].ravel()
+            local[3, 3 * nc + 1 :: 3][joints.actuated] = 0.0  # as of springs, their law is on the velocity here
             end_gap[nc:] = joints.gap - 0.5 * ahead * local[3, 3 * nc :: 3]
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
         return cls(
@@ -304,11 +305,20 @@ def solve(
     for k in range(most + 1):
         shown = solution.r, solution.u, problem.q
         if not _law.reconsider(*shown, met.mu, met.local, slides, back or k > 0):
-            return problem, solution, False
+            return problem, _held(met, solver, problem, solution), False
         if k < most:
             problem = problem.with_velocity(met.offsets(slides, closing))
             solution = _again(solver, solution, problem, solution.r, rough)
-    return problem, solution, True
+    return problem, _held(met, solver, problem, solution), True
+
+
+def _held(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) -> Solution:
+    """The solution with the impulses that clutches have, beyond any tolerance."""
+    r = met.rows.held(solution.r)
+    if r is solution.r:
+        return solution
+    _, error, residual, u = problem.solved(r, solver.tol)
+    return solution._replace(r=r, u=u, error=error, residual=residual)
 
 
 def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, rough: bool) -> Solution:

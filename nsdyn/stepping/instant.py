@@ -243,6 +243,9 @@ def account(
         normal_work += float(impact.normal.sum())
         friction_work += float(impact.friction.sum())
         _law.states(total, met.mu, status)
+    if met.joints is not None:
+        actuation = float(friction[nc:][met.joints.actuated].sum())
+        external, friction_work = external + actuation, friction_work - actuation
     constraint = -float(met.transport @ total) if met.transport.size else 0.0
     works = Works(external, normal_work, friction_work, 0.0, constraint, beyond + rest, 0.0)
     u, impulse = u_end.reshape(-1, 3), total.reshape(-1, 3)

@@ -211,7 +211,7 @@ def trial(
     contacts, joints, seen = _reachable(s, begin, half, barred)
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
     rough = barred is None
-    response = _respond(s, begin, half, contacts, joints, seen, barred, None, rough)
+    half, response = _respond(s, begin, half, contacts, joints, seen, barred, None, rough)
     missed = NO_SLOTS
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
         places = half.middle.placement, response.moved.placement
@@ -224,7 +224,7 @@ def trial(
         if same and (response.solution.converged or not rough):
             break
         rough = not same and left > 0
-        response = _respond(s, begin, half, real, joints, seen, barred, response, rough)
+        half, response = _respond(s, begin, half, real, joints, seen, barred, response, rough)
     unmet, until = None, h
     if barred is not None:
         moved = response.moved
@@ -251,11 +251,12 @@ def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbac
         begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
         surfaces = begun, d.surfaces.mean(begun, ended, 0.5), ended
     middle = d.halfway(begin.position, begin.v, h, s.theta, surfaces[0])
-    forces = d.forces(middle, t + h, h, *(() if callbacks is None else callbacks(middle.position, begin.v)))
-    reach = d.reach(middle.placement, forces.v, ahead, h, surfaces[2])
+    given = (None, {}) if callbacks is None else callbacks(middle.position, begin.v)
+    forces = d.forces(middle, t + h, h, *given, begin.warm.joints)
+    reach = d.reach(middle.placement, forces.foreseen, ahead, h, surfaces[2])
     fast = _few.most(reach) > FAST * s.smallest
     same = s.unmoved(begin.looked, middle.placement, reach)
-    rate = forces.v - middle.v
+    rate = forces.foreseen - middle.v
     rate /= h
     return Half(h, ahead, middle, forces, rate, reach, fast, same, surfaces)
 
@@ -264,7 +265,7 @@ def _reachable(
     s: System, begin: Instant, half: Half, barred: Index | None
 ) -> tuple[ContactSet, JointRows | None, Seen]:
     """Contacts and joint rows that the second half may need, but for what is to be left alone; all that was found."""
-    middle, v = half.middle, half.forces.v
+    middle, v = half.middle, half.forces.foreseen
     x, R, _ = middle.placement
     if half.same:
         seen = Seen(begin.contacts, begin.memory, begin.looked)
@@ -285,8 +286,11 @@ def _reachable(
 def _respond(
     s: System, begin: Instant, half: Half, contacts: ContactSet, joints: JointRows | None, seen: Seen,
     barred: Index | None, last: Response | None, rough: bool,
-) -> Response:  # fmt: skip
-    """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was."""
+) -> tuple[Half, Response]:  # fmt: skip
+    """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
+
+    The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve.
+    """
     d, middle, forces, closing = s.dynamics, half.middle, half.forces, s.closing(half.h, barred is None)
     if d.alone:
         where = middle.placement.x, middle.placement.R, middle.v, forces.v
@@ -299,9 +303,8 @@ def _respond(
         )  # fmt: skip
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-        met = Encounter.of(
-            d, contacts, joints, middle, forces, start, half.reach, half.surfaces[1:], half.h, half.ahead, closing
-        )
+        every, moving = d.with_actuators(joints, forces), half.surfaces[1:]
+        met = Encounter.of(d, contacts, every, middle, forces, start, half.reach, moving, half.h, half.ahead, closing)
     met, impact, kick = caught_impacts(s, met, half.h)
     slides = foresee(met)
     if last is not None:
@@ -324,6 +327,8 @@ def _respond(
         end, there = at.moved(x, quaternion), Placement(x, R, ())
     else:
         impulse, v = met.rows.response(solution.r, v)
+        if (limited := d.within_limits(middle, forces, v)) is not forces:
+            return _respond(s, begin, half._replace(forces=limited), contacts, joints, seen, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
@@ -332,19 +337,22 @@ def _respond(
         moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, True)
     else:
         moved = place(d, s.detector, end, there, seen.memory, near)
-    return Response(met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, twists, moved)
+    return half, Response(
+        met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, twists, moved
+    )
 
 
 def _resume(met: Encounter, slides: Bools, last: Response) -> None:
     """Start from what the last look has left: impulses and slip of contacts that are still there, and joint rows."""
-    key, r = last.met.contacts.key, last.solution.r.reshape(-1, 3)
+    key, r, rows = last.met.contacts.key, last.solution.r.reshape(-1, 3), last.met.joints
     nc = met.contacts.gap.size
     where = np.empty(nc, np.int64)
     _law.places(key, met.contacts.key, where)
     known, guess = where >= 0, met.local[4].reshape(-1, 3)
     guess[:nc][known] = r[where[known]]
     slides[known] = last.slides[where[known]]
-    guess[nc:] = r[key.size :]
+    if met.joints is not None and rows is not None:  # of which some may be new, those of actuators
+        guess[nc:][np.isin(met.joints.slot, rows.slot)] = r[key.size :]
 
 
 def finish(s: System, begin: Instant, tried: Trial) -> Move:
@@ -392,7 +400,7 @@ def tree_works(
     ):
         k = t.coordinates
         w = t.works(before, free, v[k], end, q, impulse[k], energy)
-        joints[k] = w.joints
+        joints[k] += w.joints
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection

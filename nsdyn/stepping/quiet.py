@@ -85,7 +85,7 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
 def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     """`quiet` in scenes with trees, under whatever forces, from the first half of the move.
 
-    No joint is near its limits, and none has dry friction.
+    No joint is near its limits, none has dry friction, and no actuator is at its limit.
     """
     d, old, memory, looked, h = s.dynamics, begin.contacts, begin.memory, begin.looked, half.h
     middle, forces, reach, still = half.middle, half.forces, half.reach, STILL_SURFACES[1:]
@@ -94,7 +94,8 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
         return None
     where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
     approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
-    if not all_closed or approach < -s.slow / h or d.joint_rows(there, v, forces.v, h) is not None:
+    joints = d.with_actuators(d.joint_rows(there, v, forces.v, h), forces)
+    if not all_closed or approach < -s.slow / h or joints is not None:
         return None
     seen = (old, memory, looked) if half.same else _looked(s, there.x, there.R, reach, old, memory, s.closed)
     if seen is None:
@@ -108,6 +109,8 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
         return None
     r = solution.r
     impulse, v_plus = met.rows.response(r, forces.v)
+    if d.within_limits(middle, forces, v_plus) is not forces:
+        return None
     position, v_end, place, ends = d.end(middle, forces, v_plus, impulse, half.ahead, still[1])
     limits, same = d.limits(place), s.unmoved(looked, place, d.nowhere)
     seen = (contacts, memory, looked) if same else _looked(s, place.x, place.R, d.nowhere, contacts, memory, np.inf)

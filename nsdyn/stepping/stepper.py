@@ -74,7 +74,7 @@ class Stepper:
         Step h, s.
     theta : float
         In [½, 1]: 1 - θ is the fraction of a step before its impulses. More than ½ is first order, and damps joint
-        springs and stiff trees.
+        springs, `PD` control and stiff trees.
     solver : str or Solver
         A name of `nsdyn.solvers.SOLVERS`, then at a tolerance of 1e-8, or a solver object. Default and "auto":
         ``Auto(tol=1e-8, loose=1e-4)``.

@@ -1,8 +1,9 @@
-"""Joint rows: limits, dry friction, and the coordinates that closed loops leave.
+"""Joint rows: limits, clutches, and the coordinates that closed loops leave.
 
 They follow the contacts of a step, three rows each like them. A limit is a frictionless contact with one normal row
-±e_j; dry friction |tau| <= tau_c is a contact with mu = 1 whose first tangent row is e_j and whose normal row lies on
-a coordinate of its own, pressed so that r_N = h tau_c exactly. Rows that are not named are zero.
+±e_j; a clutch |tau| <= tau_c is a contact with mu = 1 whose first tangent row is e_j, against a rotor if there is one,
+and whose normal row lies on a coordinate of its own, pressed so that r_N = h tau_c exactly. Rows that are not named are
+zero.
 """
 
 import numpy as np
@@ -56,12 +57,13 @@ def append_rows(slots, coordinate, tree, sign, blocks):
 
 
 @kernel
-def reduce_rows(blocks, bases, z_start, z, pressed, press):
-    """The factors in the coordinates y that constraints leave, v = Z y, and those of joint friction after them.
+def reduce_rows(blocks, bases, z_start, z, pressed, clutch):
+    """The factors in the coordinates y that constraints leave, v = Z y, and those of clutches after them.
 
-    Block bases[i] has Z (n, ny) with Zᵀ M Z = I at z[z_start[i]:z_start[i + 1]]. Row pressed[i] gets a block of one
-    coordinate as its side 1, as mobile as its joint, and there the normal velocity -press[i] times that mobility.
-    Returns the new blocks, where each block's Z begins in z (-1: it is I), velocities.
+    Block bases[i] has Z (n, ny) with Zᵀ M Z = I at z[z_start[i]:z_start[i + 1]]. Row pressed[i] has the clutch
+    (press, speed and mobility of the rotor) clutch[:, i] and gets a block of its own as its side 1: a coordinate that
+    is pressed, as mobile as what slips, with the normal velocity -press times that mobility, and that of the rotor, if
+    it is mobile. Returns the new blocks, where each block's Z begins in z (-1: it is I), velocities.
     """
     offset, block, start, H, m_start, m, minv = blocks
     nb, nc, np_ = offset.size - 1, block.shape[0], pressed.size
@@ -71,6 +73,8 @@ def reduce_rows(blocks, bases, z_start, z, pressed, press):
     for i in range(bases.size):
         where[bases[i]] = z_start[i]
         sizes[bases[i]] = (z_start[i + 1] - z_start[i]) // sizes[bases[i]]
+    for i in range(np_):
+        sizes[nb + i] = 2 if clutch[2, i] > 0.0 else 1
     new_offset, new_m_start = np.zeros(nb + np_ + 1, np.int64), np.zeros(nb + np_ + 1, np.int64)
     for k in range(nb + np_):
         new_offset[k + 1], new_m_start[k + 1] = new_offset[k] + sizes[k], new_m_start[k] + sizes[k] * sizes[k]
@@ -87,15 +91,18 @@ def reduce_rows(blocks, bases, z_start, z, pressed, press):
     for i in range(np_):
         c, k = pressed[i], block[pressed[i], 0]
         n, row = offset[k + 1] - offset[k], start[pressed[i], 0] + offset[k + 1] - offset[k]
-        mobility = 0.0
+        mobility = clutch[2, i]
         for a in range(n):
             for b in range(n):
                 mobility += H[row + a] * minv[m_start[k] + a * n + b] * H[row + b]
         if mobility <= 0.0:  # a joint that cannot move
             mobility = 1.0
         new_block[c, 1] = nb + i
-        velocity[3 * c] = -press[i] * mobility
-        new_m[new_m_start[nb + i]], new_minv[new_m_start[nb + i]] = 1.0 / mobility, mobility
+        velocity[3 * c], velocity[3 * c + 1] = -clutch[0, i] * mobility, -clutch[1, i]
+        first = new_m_start[nb + i]
+        new_m[first], new_minv[first] = 1.0 / mobility, mobility
+        if clutch[2, i] > 0.0:
+            new_m[first + 3], new_minv[first + 3] = 1.0 / clutch[2, i], clutch[2, i]
     size = 0
     for c in range(nc):
         for s in range(2):
@@ -108,6 +115,8 @@ def reduce_rows(blocks, bases, z_start, z, pressed, press):
             k, b = new_block[c, s], new_start[c, s]
             if k >= nb:
                 new_H[b] = 1.0
+                if sizes[k] == 2:
+                    new_H[b + 3] = -1.0
             elif k >= 0:
                 a, n, ny = start[c, s], offset[k + 1] - offset[k], sizes[k]
                 for i in range(3):

@@ -1,0 +1,107 @@
+"""Control of the joints of trees: what a controller gives, and actuators at their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nsdyn.dynamics.tree_values import Halfway, TreeLoads
+from nsdyn.scene.control import PD
+from nsdyn.tools.arrays import Array, Bools
+
+__all__ = ["Actuators", "Control", "left_to_rows"]
+
+
+class Control(NamedTuple):
+    """What a controller gives to a tree.
+
+    Attributes
+    ----------
+    law : ndarray, shape (5, nv)
+        kp, kd, target, constant and limit: feedforward and kd times the target's velocity are constant.
+    limited : bool
+        Whether any of it has a limit.
+    implicit : bool
+        Whether the motion of the step changes it.
+    """
+
+    law: Array
+    limited: bool
+    implicit: bool
+
+    @classmethod
+    def none(cls, nv: int) -> Control:
+        """Of a tree that is not controlled."""
+        law = np.zeros((5, nv))
+        law[4] = np.inf
+        return cls(law, False, False)
+
+
+UNMOVED = 1e-9
+"""Of a control that gives way to the motion of a step by no more than this fraction of what moves it the motion tells
+nothing: at its limit it is a constant."""
+
+
+class Actuators:
+    """The actuators of an articulation, which read what a controller returns.
+
+    Parameters
+    ----------
+    name : str
+    scalar : ndarray of bool, shape (nv,)
+        Its revolute and prismatic coordinates.
+    effort : ndarray, shape (nv,)
+        Most that a `PD` gives unless it says otherwise, N m or N.
+    trees : sequence of slice
+        Coordinates of each of its trees.
+    """
+
+    def __init__(self, name: str, scalar: Bools, effort: Array, trees: Sequence[slice]) -> None:
+        self._name, self._scalar, self._effort, self._trees = name, scalar, effort, trees
+        self._none = Control.none(scalar.size).law
+        self._last: tuple[PD | None, tuple[Control, ...]] = None, ()
+
+    def controls(self, given: Any) -> tuple[Control, ...]:
+        """What a controller returned, for each tree; ValueError if it does not fit."""
+        if isinstance(given, PD):
+            if given is not self._last[0]:
+                kp, kd, target, rate, feedforward, limit = given.on(self._name, self._scalar, self._effort)
+                law = np.array((kp, kd, target, feedforward + kd * rate, limit))
+                self._last = given, self._parts(law, True)
+            return self._last[1]
+        n = self._scalar.size
+        try:
+            tau = np.array(given, dtype=float)
+        except (TypeError, ValueError):
+            tau = np.array(np.nan)
+        if tau.shape != (n,) or not np.isfinite(tau).all():
+            raise ValueError(f"controller must give {n} finite joint forces for {self._name!r}, got {given!r}")
+        law = self._none.copy()
+        law[3] = tau
+        return self._parts(law, False)
+
+    def _parts(self, law: Array, implicit: bool) -> tuple[Control, ...]:
+        laws = [law] if len(self._trees) == 1 else [law[:, v].copy() for v in self._trees]
+        return tuple([Control(own, implicit and bool(np.isfinite(own[4]).any()), implicit) for own in laws])
+
+
+def left_to_rows(halfway: Halfway, loads: TreeLoads, limit: Array, mobility: Array, v: Array, over: Bools) -> TreeLoads:
+    """The loads of a step without the control of the actuators `over` (nv,) their limits, which is left to rows.
+
+    τ = clip(τ₀ - b v', ±L) is that of a clutch that slips at L, between the joint and a rotor of mass h b that turns at
+    τ₀/b without it: its row is in `nsdyn.dynamics.joints`. Beside the `mobility` (nv,) of a joint a small b is nothing:
+    then τ is what it is at v (nv,), the velocity after the forces by which the limits are exceeded.
+    """
+    kp, kd, alpha, beta, force = loads.laws[1]
+    h, v0 = halfway.h, halfway.v
+    slope = beta * kd + h * alpha**2 * kp
+    start = force - ((1.0 - beta) * kd - h * (1.0 - alpha) ** 2 * kp) * v0
+    held = np.where(over, np.clip(start - slope * v, -limit, limit), 0.0)
+    row = over & (h * slope * mobility > UNMOVED)
+    laws = loads.laws.copy()
+    laws[1, :2, over], laws[1, 4, over] = 0.0, np.where(row, 0.0, held)[over]
+    clutch = np.zeros((3, v0.size)) if loads.clutch is None else loads.clutch.copy()
+    clutch[:, row] = h * limit[row], start[row] / slope[row], 1.0 / (h * slope[row])
+    return loads._replace(laws=laws, clutch=clutch, held=np.where(row, held, loads.held))
