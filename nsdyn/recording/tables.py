@@ -171,7 +171,7 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
             q, v = q + nq, v + nv
     at, rows = places[choice(name, places, "joint")]
     position, velocity = trajectory.q[:, at], trajectory.v[:, 6 * free :][:, rows]
-    told = (trajectory.columns.get(column) for column in JOINTS)
+    told = (trajectory.columns.get(column) for column in JOINTS[:3])
     nothing = np.full((trajectory.steps, velocity.shape[1]), np.nan)
     actuation, limit, drag = (nothing if impulses is None else impulses[:, rows] for impulses in told)
     duration = trajectory.dt * trajectory.every

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene import pairs
+from nsdyn.scene.tree_description import describe_tree
 
 if TYPE_CHECKING:
     from nsdyn.scene.scene import Scene
@@ -55,6 +56,7 @@ def describe(scene: Scene) -> dict[str, Any]:
                 "nv": a.model.nv,
                 "joints": list(a.model.names)[1:],
                 "sizes": [[joint.nq, joint.nv] for joint in list(a.model.joints)[1:]],
+                "model": describe_tree(a, scene.motions),
             }
             for a in scene.articulations.values()
         ],

@@ -362,8 +362,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         works.append(Works(projection=lifted))
     energies: Energies = ()
     if a.impulse is not None:
-        position, joints = placed.position, impulses.joints[0]
-        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, position, joints, own)
+        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints, own)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
     looked = seen.looked
@@ -383,7 +382,8 @@ def tree_works(
 ) -> tuple[Works, Energies]:  # fmt: skip
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
-    The forces leave v, with the impulses H r of contacts and joint rows; those of actuation go into joints (n,).
+    The forces leave v, with the impulses H r of contacts and joint rows; those of actuation and of external wrenches go
+    into rows 0 and 3 of joints (4, n).
     """
     external, normal, friction, damping, constraint, integration, projection = own
     energies = []
@@ -392,7 +392,7 @@ def tree_works(
     ):
         k = t.coordinates
         w = t.works(before, free, v[k], end, q, impulse[k], energy)
-        joints[k] = w.joints
+        joints[0, k], joints[3, k] = w.joints, half.h * free.loads.push
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection

@@ -33,7 +33,7 @@ from nsdyn.stepping.initial import begin
 from nsdyn.stepping.instant import Impulses, System
 from nsdyn.stepping.move import Callbacks
 from nsdyn.stepping.passage import through
-from nsdyn.stepping.state import Start, State, Step
+from nsdyn.stepping.state import Pieces, Start, State, Step
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
@@ -288,10 +288,14 @@ class Stepper:
         gap = acted.contacts.gap
         if acted.contacts is not end.contacts:
             gap = self.detector.gaps(acted.contacts, end.contacts, Poses(end.placement.x, end.placement.R))
-        joints = acted.joints[:, 6 * d.free :] if d.trees else None
+        joints = pieces = None
+        if d.trees:
+            joints = acted.joints[:, 6 * d.free :]
+            pieces = _pieces(done, 6 * d.free) if len(done) > 1 else None
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
-            acted.time, acted.normal, acted.friction, joints, acted.created, ledger, certificate, problem, solution,
+            acted.time, acted.normal, acted.friction, joints, pieces, acted.created, ledger, certificate, problem,
+            solution,
         )  # fmt: skip
 
 
@@ -300,7 +304,14 @@ def _joined(done: list[Impulses]) -> Impulses:
     contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
     frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
     joints, time = np.sum([a.joints for a in done], axis=0), np.concatenate([a.time for a in done])
-    return Impulses(contacts, frame, u, r, status, normal, friction, joints, sum(a.created for a in done), time)
+    created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
+    return Impulses(contacts, frame, u, r, status, normal, friction, joints, created, time, duration)
+
+
+def _pieces(done: list[Impulses], first: int) -> Pieces:
+    """The parts of a step with trees, whose coordinates begin at `first`."""
+    duration, contacts = np.array([a.duration for a in done]), np.array([a.contacts.gap.size for a in done])
+    return Pieces(duration, contacts, np.stack([a.joints[:, first:] for a in done], axis=1))
 
 
 def _arms(geoms: list[Geom], frames: int) -> Array:
