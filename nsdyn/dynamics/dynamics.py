@@ -98,7 +98,7 @@ class Dynamics:
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
         self._tree_names = {t.name: k for k, t in enumerate(self.trees)}
         self.weight = float(np.linalg.norm(self.gravity))
-        self.no_impulses = NO_VECTORS, np.zeros((4, self.n))
+        self.no_impulses = NO_VECTORS, np.zeros((5, self.n))
         self.joints = JointLaws(list(scene.articulations.values()), self.trees, self.free)
         self.surfaces = Surfaces(scene)
         self.alone = self.frames == self.free and not self.trees and not self.surfaces.count

@@ -119,8 +119,8 @@ class JointLaws:
         return out
 
     def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:
-        """Impulses r (nj, 3) by slot, (slots, 3), and those of limits and friction on coordinates, rows 1, 2 of (4, n)."""
-        on_coordinates = np.zeros((4, n))
+        """Impulses r (nj, 3) by slot, (slots, 3), and those of limits and friction on coordinates, rows 1, 2 of (5, n)."""
+        on_coordinates = np.zeros((5, n))
         if not self.size:
             return NO_IMPULSES, on_coordinates
         by_slot = np.zeros((self.size, 3))

@@ -26,12 +26,15 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /joints/actuation, limit, friction, external   (n, nv)  impulses on the coordinates of the articulations, N m s or
                                                    N s; only in scenes with articulations; since version 5, external
                                                    (of wrenches on their bodies) since version 7
+    /joints/shift                                  (n, nv)  displacement by position projections, rad or m; since
+                                                   version 7
     /pieces/offset                                 (n+1,)  moves and impacts of step k are rows offset[k-1] to
                                                    offset[k] of the following, none of a step made in one move; only
                                                    in scenes with articulations; since version 7
     /pieces/duration, contacts                     (.,)  s, 0 of impacts in no time; how many of the step's contacts,
                                                    in their order, are of it
-    /pieces/actuation, limit, friction, external   (., nv)  as of /joints
+    /pieces/actuation, limit, friction, external, shift
+                                                   (., nv)  as of /joints
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
                                                    rows offset[k-1] to offset[k] of
     /contacts/geom1, geom2, key                    indices of the shapes; key of the warm start
@@ -107,7 +110,7 @@ CONTACT = {
 # Datasets of a file by their number of rows: n + 1, n, and one per contact.
 STATES = ["t", "q", "v", *(f"energy/{name}" for name in ENERGIES), "contacts/offset"]
 LINKS = ["frames/x", "frames/quat"]
-ON_JOINTS = ("actuation", "limit", "friction", "external")
+ON_JOINTS = ("actuation", "limit", "friction", "external", "shift")
 JOINTS = [f"joints/{name}" for name in ON_JOINTS]
 PIECES = {"duration": "f8", "contacts": "i8", **dict.fromkeys(ON_JOINTS, "f8")}
 STEPS = [f"energy/{name}" for name in WORKS]

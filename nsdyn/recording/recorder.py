@@ -106,9 +106,9 @@ class Recorder:
     contact_status                (nc,), 0 open, 1 stick, 2 slip
     contact_time                  (nc,), s after the beginning of the step
     created                       float, J
-    joints                        (4, nv) impulses of actuation, limits, friction and external wrenches; None
-                                  without articulations
-    pieces                        duration and contacts (m,), joints (4, m, nv) of what a step with articulations
+    joints                        (5, nv) impulses of actuation, limits, friction and external wrenches,
+                                  displacement by projections; None without articulations
+    pieces                        duration and contacts (m,), joints (5, m, nv) of what a step with articulations
                                   was cut into; None if it was not
     work_normal, work_friction    (nc,)
     ============================  =====================================================================

@@ -188,9 +188,9 @@ class Impulses(NamedTuple):
         0 open, 1 stick, 2 slip.
     normal, friction : ndarray, shape (nc,)
         Works, J.
-    joints : ndarray, shape (4, n)
-        Impulses of actuation, of joint limits, of dry joint friction and of external wrenches on the coordinates of
-        trees, N m s or N s.
+    joints : ndarray, shape (5, n)
+        On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
+        wrenches, N m s or N s; displacement by the position projection, rad or m.
     created : float
         Energy that impacts created, J.
     time : ndarray, shape (nc,)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
@@ -360,6 +361,8 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
         twists = d.twists(placed.placement, v_end)
         works.append(Works(projection=lifted))
+        for t, q, there in zip(d.trees, a.moved.position.trees, placed.position.trees, strict=True):
+            impulses.joints[4, t.coordinates] = pin.difference(t.model, q, there)
     energies: Energies = ()
     if a.impulse is not None:
         own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints, own)
@@ -383,7 +386,7 @@ def tree_works(
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
     The forces leave v, with the impulses H r of contacts and joint rows; those of actuation and of external wrenches go
-    into rows 0 and 3 of joints (4, n).
+    into rows 0 and 3 of joints (5, n).
     """
     external, normal, friction, damping, constraint, integration, projection = own
     energies = []

@@ -69,7 +69,7 @@ class Pieces(NamedTuple):
         s; 0 of impacts in no time. The impulses of a move act (1 - theta) of it after its beginning.
     contacts : ndarray of int, shape (m,)
         How many of the contacts of the step are of it.
-    joints : ndarray, shape (4, m, nv)
+    joints : ndarray, shape (5, m, nv)
         As of `Step`.
     """
 
@@ -101,9 +101,9 @@ class Step(NamedTuple):
         When the impulse acted, s after the beginning of the step.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
-    joints : ndarray, shape (4, nv), or None
-        Impulses of actuation, of limits, of dry friction and of external wrenches on the coordinates of the
-        articulations, N m s or N s; None in scenes without any.
+    joints : ndarray, shape (5, nv), or None
+        On the coordinates of the articulations: impulses of actuation, of limits, of dry friction and of external
+        wrenches, N m s or N s; displacement by position projections, rad or m. None in scenes without any.
     pieces : Pieces or None
         What the step was cut into; None where it was made in one, and in scenes without articulations.
     created : float

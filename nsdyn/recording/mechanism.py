@@ -1,0 +1,336 @@
+"""The model of an articulation as a recording holds it, built again: an audit's own, which shares nothing with the step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["Course", "Mechanism"]
+
+TURN, PARTS = 0.1, 64
+"""Most that a part of a motion turns, rad, and most parts that it is begun with."""
+
+FINE, DOUBLINGS = 1e-11, 6
+"""Error by step doubling, as a fraction of the velocity, at which a motion is fine enough, and most doublings."""
+
+SLOW = 1e-10
+"""Motion, rad or m, in which v changes by so small a fraction that it may be taken as constant."""
+
+PASSES = 50
+"""Most passes of the fixed point of a motion on loops; it contracts by the angle of the step a pass."""
+
+ROUND_OFF = 1e-14
+"""Change by a pass, as a fraction of the velocity, below which there is nothing left but roundings."""
+
+
+class Course(NamedTuple):
+    """A motion without impulses.
+
+    Attributes
+    ----------
+    q, v : ndarray, shapes (nq,), (nv,)
+        Where it ends.
+    mean : ndarray, shape (nv,)
+        Mean velocity.
+    doubted : ndarray, shape (2, nv)
+        How far the displacement and v change with half the step.
+    work : float
+        Of driven joints, J.
+    """
+
+    q: Array
+    v: Array
+    mean: Array
+    doubted: Array
+    work: float
+
+
+def _pose(matrix: Any) -> Any:
+    return pin.SE3(np.array(matrix, dtype=float))
+
+
+def _joint(told: Mapping[str, Any]) -> tuple[Any, Any]:
+    """(joint, turn of its axes) of a description; KeyError naming a kind that is not known."""
+    kind = str(told["kind"])
+    if kind == "JointModelComposite":
+        out = pin.JointModelComposite()
+        for part, placement in zip(told["parts"], told["placements"], strict=True):
+            joint, turn = _joint(part)
+            if not turn.isIdentity():
+                raise KeyError(f"{kind} of {part['kind']}")
+            out.addJoint(joint, _pose(placement))
+        return out, pin.SE3.Identity()
+    axis = np.array(told.get("axis", (1.0, 0.0, 0.0)), dtype=float)
+    if kind == "JointModelRevoluteUnboundedUnaligned":  # which Python cannot make: one about x, turned
+        turn = pin.Quaternion.FromTwoVectors(np.array((1.0, 0.0, 0.0)), axis).toRotationMatrix()
+        return pin.JointModelRUBX(), pin.SE3(turn, np.zeros(3))
+    if kind not in KINDS:
+        raise KeyError(kind)
+    given = [told[name] for name in KINDS[kind]]
+    return getattr(pin, kind)(*(np.array(g) if isinstance(g, list) else g for g in given)), pin.SE3.Identity()
+
+
+KINDS: dict[str, tuple[str, ...]] = {
+    **{f"JointModel{kind}{axis}": () for kind in ("R", "P", "RUB") for axis in "XYZ"},
+    **{f"JointModelH{axis}": ("pitch",) for axis in "XYZ"},
+    **{f"JointModel{kind}": () for kind in ("FreeFlyer", "Spherical", "SphericalZYX", "Planar", "Translation")},
+    **{f"JointModel{kind}Unaligned": ("axis",) for kind in ("Revolute", "Prismatic")},
+    "JointModelHelicalUnaligned": ("axis", "pitch"),
+    "JointModelUniversal": ("axis1", "axis2"),
+    "JointModelEllipsoid": ("radius_x", "radius_y", "radius_z"),
+}
+"""Pinocchio's joints by name, and what each is made of."""
+
+
+class Mechanism:
+    """Equations of motion of a recorded articulation.
+
+    Parameters
+    ----------
+    name : str
+    joints : sequence of str
+        Their names.
+    told : mapping
+        What `nsdyn.scene.tree_description.describe_tree` gave.
+    gravity : sequence of float
+
+    Attributes
+    ----------
+    friction, damping, stiffness, rest, lower, upper : ndarray, shape (nv,)
+        Laws of the joints, infinite where there is no limit.
+    driven : ndarray of int
+        Coordinates that move as prescribed.
+
+    Raises
+    ------
+    ValueError
+        For a model that is none, or has joints of an unknown kind.
+    """
+
+    def __init__(self, name: str, joints: Sequence[str], told: Mapping[str, Any], gravity: Sequence[float]) -> None:
+        self.name, self.joints = name, list(joints)
+        self.model = pin.Model()
+        self.turned = [pin.SE3.Identity()]  # a recorded joint's frame as Pinocchio's here sees it
+        try:
+            for label, joint in zip(joints, told["joints"], strict=True):
+                self._add(label, joint)
+            laws = [np.array(told[law], dtype=float) for law in ("armature", "friction", "damping", "stiffness", "rest")]
+            self.armature, self.friction, self.damping, self.stiffness, self.rest = laws
+            bounds = [np.array([np.nan if x is None else x for x in told[side]], float) for side in ("lower", "upper")]
+            self.lower, self.upper = (np.where(np.isnan(b), s * np.inf, b) for b, s in zip(bounds, (-1, 1), strict=True))
+            sizes = {x.shape for x in (*laws, *bounds)}
+            if sizes != {(self.model.nv,)}:
+                raise ValueError(f"its laws are of {sizes}, not of {self.model.nv} coordinates")
+            self.effort = np.array([np.inf if x is None else x for x in told["effort"]], float)
+            self.speeds = {self._coordinate(j): rate for j, rate in told["driven"].items()}
+            self._loops = [self._loop(loop) for loop in told["loops"]]
+        except KeyError as failure:
+            raise ValueError(f"{failure.args[0]} is no kind of joint that is known") from None
+        self.model.armature = self.armature
+        self.model.gravity = pin.Motion(np.array(gravity, dtype=float), np.zeros(3))
+        self.light = self.model.copy()
+        self.light.gravity = pin.Motion.Zero()
+        self.data = self.model.createData()
+        self.nv = self.model.nv
+        self.driven: Index = np.array(sorted(self.speeds), dtype=np.int64)
+        self.loops = len(self._loops)
+        self.bound = bool(self.loops or self.driven.size)
+        self._zero, self._flat = np.zeros(self.nv), self.model.nq == self.nv
+        scalars = [joint for joint in list(self.model.joints)[1:] if joint.nq == joint.nv]
+        self.linear = np.concatenate([np.arange(j.idx_v, j.idx_v + j.nv) for j in scalars] or [np.empty(0)]).astype(int)
+        self._linear_q = np.concatenate([np.arange(j.idx_q, j.idx_q + j.nq) for j in scalars] or [np.empty(0)]).astype(int)
+        self.round = [(j.idx_v, j.idx_q) for j in list(self.model.joints)[1:] if (j.nq, j.nv) == (2, 1)]
+        self.place(pin.neutral(self.model))
+        self._turns = np.linalg.norm(self.data.J.reshape(6, -1, order="A")[3:], axis=0)
+
+    def _add(self, label: str, told: Mapping[str, Any]) -> None:
+        joint, turn = _joint(told)
+        parent = int(told["parent"])
+        if not 0 <= parent < self.model.njoints:
+            raise ValueError(f"joint {label!r} has the parent {parent}, which is none before it")
+        at = self.turned[parent] * _pose(told["placement"]) * turn
+        k = self.model.addJoint(parent, joint, at, label)
+        self.turned.append(turn.inverse())
+        body = pin.Inertia(float(told["mass"]), np.array(told["com"], float), np.array(told["inertia"], float))
+        self.model.appendBodyToJoint(k, body, self.turned[k])
+
+    def _coordinate(self, joint: str) -> int:
+        return int(self.model.joints[self.model.getJointId(joint)].idx_v)
+
+    def _loop(self, told: Mapping[str, Any]) -> tuple[int, int, bool]:
+        """The two frames of a loop, and whether they coincide in their axes too."""
+        frames = []
+        for joint, placement in zip(told["joints"], told["placements"], strict=True):
+            frame = pin.Frame(f"loop{self.model.nframes}", joint, self.turned[joint] * _pose(placement), pin.OP_FRAME)
+            frames.append(self.model.addFrame(frame, False))
+        return frames[0], frames[1], told["kind"] == "frame"
+
+    # -- at a configuration ------------------------------------------------------------------------------------
+
+    def angle(self, q: Array) -> Array:
+        """Joint coordinates, rad or m, (nv,); 0 where a joint has none of its own."""
+        out = np.zeros(self.nv)
+        out[self.linear] = q[self._linear_q]
+        for j, k in self.round:
+            out[j] = np.arctan2(q[k + 1], q[k])
+        return out
+
+    def stretch(self, q: Array) -> Array:
+        """Of the joint springs, rad or m, the short way round."""
+        out = self.angle(q) - self.rest
+        for j, _ in self.round:
+            out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
+        return out
+
+    def mass(self, q: Array) -> Array:
+        """Mass matrix."""
+        upper = np.triu(np.array(pin.crba(self.model, self.data, q)).reshape(self.nv, self.nv))
+        return upper + np.triu(upper, 1).T
+
+    def weight(self, q: Array) -> Array:
+        """Gravity terms, N m or N."""
+        return np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
+
+    def place(self, q: Array) -> None:
+        """Have frames and Jacobians at q for `pose`, `push` and `carried`."""
+        pin.computeJointJacobians(self.model, self.data, q)
+
+    def pose(self, joint: int) -> Any:
+        """Frame of a joint where the mechanism was placed."""
+        return self.data.oMi[joint] * self.turned[joint].inverse()
+
+    def push(self, joint: int, point: Array, impulse: Array) -> Array:
+        """What an impulse at a point of a link does to the coordinates where the mechanism was placed."""
+        J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
+        out: Array = J.T @ np.concatenate((impulse, np.cross(point, impulse)))
+        return out
+
+    def carried(self, joint: int, point: Array, v: Array) -> Array:
+        """Velocity of a point of a link where the mechanism was placed, m/s."""
+        J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
+        twist = J @ v
+        out: Array = twist[:3] + np.cross(twist[3:], point)
+        return out
+
+    def constraints(self, q: Array) -> tuple[Array, Array]:
+        """Gaps of the loops, m and rad, and the rows B of loops and driven joints at q."""
+        pin.computeJointJacobians(self.model, self.data, q)
+        pin.updateFramePlacements(self.model, self.data)
+        gaps, rows = [np.empty(0)], [np.empty((0, self.nv))]
+        for first, second, turned in self._loops:
+            a, b = self.data.oMf[first], self.data.oMf[second]
+            Ja, Jb = (
+                pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1, order="A")
+                for frame in (first, second)
+            )
+            gaps.append(a.translation - b.translation)
+            rows.append(Ja[:3] - Jb[:3])
+            if turned:
+                gaps.append(pin.log3(a.rotation @ b.rotation.T))
+                rows.append(Ja[3:] - Jb[3:])
+        rows.append(np.eye(self.nv)[self.driven])
+        return np.concatenate(gaps), np.concatenate(rows)
+
+    def energies(self, q: Array, v: Array) -> tuple[float, float]:
+        """Kinetic energy, and potential energy of gravity and springs, J."""
+        bend = self.stretch(q)
+        pin.forwardKinematics(self.model, self.data, q)
+        fallen = sum(
+            body.mass * float(self.model.gravity.linear @ self.data.oMi[k].act(body.lever))
+            for k, body in enumerate(self.model.inertias)
+            if k
+        )
+        return 0.5 * float(v @ self.mass(q) @ v), 0.5 * float(bend @ (self.stiffness * bend)) - fallen
+
+    # -- motion ------------------------------------------------------------------------------------------------
+
+    def move(self, q: Array, v: Array, h: float, tau: Array | None = None) -> Course:
+        """Motion for h seconds without forces, or under gravity and constant joint forces tau; loops stay closed."""
+        if tau is None and h * np.abs(v).max(initial=0.0) <= SLOW:
+            return Course(np.array(pin.integrate(self.model, q, h * v)), v, v, np.zeros((2, self.nv)), 0.0)
+        if self.bound:
+            return self._slide(q, v, h)
+        parts = min(PARTS, 1 + int(h * float(np.max(np.abs(v) * (self._turns > 0.0))) / TURN))
+        coarse, first = self._fly(q, v, h, tau, parts), None
+        for _ in range(DOUBLINGS):
+            parts *= 2
+            fine = self._fly(q, v, h, tau, parts)
+            change = np.abs([pin.difference(self.model, coarse[0], fine[0]), coarse[1] - fine[1]])
+            first = change if first is None else first
+            coarse = fine
+            if change[1].max() <= FINE * np.abs(fine[1]).max():
+                break
+        assert first is not None
+        return Course(*coarse, first, 0.0)
+
+    def _fly(self, q: Array, v: Array, h: float, tau: Array | None, parts: int) -> tuple[Array, Array, Array]:
+        """The classical method of Runge and Kutta, on the displacement in each part and v."""
+        model, force = (self.light, self._zero) if tau is None else (self.model, tau)
+        mean, h = np.zeros(self.nv), h / parts
+
+        def rate(x: Array, v: Array) -> tuple[Array, Array]:
+            there = pin.integrate(model, q, x)
+            a = pin.aba(model, self.data, there, v, force)
+            return (v if self._flat else np.linalg.solve(pin.dIntegrate(model, q, x, pin.ARG1), v)), a
+
+        for _ in range(parts):
+            x1, a1 = rate(self._zero, v)
+            v2 = v + 0.5 * h * a1
+            x2, a2 = rate(0.5 * h * x1, v2)
+            v3 = v + 0.5 * h * a2
+            x3, a3 = rate(0.5 * h * x2, v3)
+            v4 = v + h * a3
+            x4, a4 = rate(h * x3, v4)
+            q = pin.integrate(model, q, h / 6.0 * (x1 + 2.0 * (x2 + x3) + x4))
+            mean += (v + 2.0 * (v2 + v3) + v4) / (6.0 * parts)
+            v = v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+        return q, v, mean
+
+    def _slide(self, q: Array, v: Array, h: float) -> Course:
+        """On loops and driven joints, which keep their speed: one midpoint step, doubted by two of half."""
+        end, new, mean, work = self._midpoint(q, v, h)
+        there, half, _, _ = self._midpoint(q, v, 0.5 * h)
+        fine, last, _, _ = self._midpoint(there, half, 0.5 * h)
+        doubted = np.abs([pin.difference(self.model, end, fine), new - last])
+        return Course(end, new, mean, doubted, work)
+
+    def _midpoint(self, q: Array, v: Array, h: float) -> tuple[Array, Array, Array, float]:
+        """The implicit midpoint rule: M (v' - v) + h c = Bᵀ λ at the middle, and B v' = b at the end."""
+        middle = self.close(pin.integrate(self.model, q, 0.5 * h * v))
+        M, new, speeds = self.mass(middle), v.copy(), v[self.driven]
+        B = self.constraints(middle)[1]
+        for _ in range(PASSES):
+            mean = 0.5 * (v + new)
+            bias = np.array(pin.nonLinearEffects(self.light, self.data, middle, mean))
+            at_end = self.constraints(pin.integrate(self.model, q, h * mean))[1]
+            new, last = self.respond(M, M @ v - h * bias, B, at_end, speeds), new
+            if np.abs(new - last).max() <= ROUND_OFF * np.abs(v).max():
+                break
+        mean = 0.5 * (v + new)
+        bias = np.array(pin.nonLinearEffects(self.light, self.data, middle, mean))
+        work = float((M @ (new - v) + h * bias)[self.driven] @ mean[self.driven]) if not self.loops else np.nan
+        return self.close(pin.integrate(self.model, q, h * mean)), new, mean, work
+
+    def respond(self, M: Array, momentum: Array, B: Array, at_end: Array, speeds: Array) -> Array:
+        """v with M v = momentum + Bᵀ λ, the rows `at_end` of loops at rest and those of driven joints at their speeds."""
+        free, react = np.linalg.solve(M, momentum), np.linalg.solve(M, B.T)
+        goal = np.zeros(len(B))
+        goal[len(B) - speeds.size :] = speeds
+        out: Array = free + react @ np.linalg.lstsq(at_end @ react, goal - at_end @ free, rcond=1e-10)[0]
+        return out
+
+    def close(self, q: Array) -> Array:
+        """A configuration next to q whose loops are closed: Newton's method, closest in the kinetic metric."""
+        for _ in range(PASSES if self.loops else 0):
+            gap, B = self.constraints(q)
+            if np.abs(gap).max() <= 1e-13:
+                break
+            react = np.linalg.solve(self.mass(q), B.T)
+            miss = np.concatenate((gap, np.zeros(self.driven.size)))
+            q = np.array(pin.integrate(self.model, q, -react @ np.linalg.lstsq(B @ react, miss, rcond=1e-10)[0]))
+        return q
