@@ -28,6 +28,20 @@ TOLERANCES = {
     "energy": 1e-9,
     "works": 1e-9,
     "balance": 1e-9,
+    "times": 1e-9,
+    "turns": 1e-12,  # some hundred roundings
+    "links": 1e-12,  # as many, of positions
+    "loops": 1e-9,  # closed to 1e-12 m or rad by Newton's method, which ends a step beyond that
+    "limits": 1e-7,
+    "stops": 1e-9,
+    "joint_cone": 1e-8,
+    "joint_slip": 1e-6,
+    "loads": 0.0,
+    "lift": 1.0,
+    "joint_momentum": 1e-8,  # beyond what flows of the order of the step's err, which is found by halving
+    "joint_motion": 1e-8,
+    "contact_works": 1e-8,
+    "drives": 1e-8,
 }
 """Largest figure of each finding that passes."""
 
@@ -44,6 +58,20 @@ MEANING = {
     "spin": "ΔL - Σ (p - x) × r of a free body, x where it is then / angular momenta and impulses times their levers",
     "energy": "energy as recorded - energy of q and v / energy at play",
     "works": "work of contacts as the ledger has it - sum of those of the contacts / energy at play",
+    "times": "time of a step - dt / dt",
+    "turns": "norm of a quaternion - 1",
+    "links": "frame of a link as recorded - that of q / its place and reach",
+    "loops": "gap of a loop / length of its links",
+    "limits": "joint beyond a limit / range",
+    "stops": "joint from the limit whose impulse acts, beyond what it moves in the step / range",
+    "joint_cone": "dry friction of a joint - h times its largest / that",
+    "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round in the step / energy at play",
+    "loads": "joint forces and external wrenches where nothing gives any / largest",
+    "lift": "displacement of an articulation by projections / what it moves in the step, in the kinetic norm",
+    "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, in the kinetic norm",
+    "joint_motion": "place of an articulation - where its velocities lead / what it moves in the step, likewise",
+    "contact_works": "work of a contact on a link - impulse times mean velocity / energy at play",
+    "drives": "work of loops and driven joints as the ledger has it - that of their reactions / energy at play",
     "balance": "change of energy - sum of the works of the ledger / energy at play",
 }
 """What each finding is a number of."""

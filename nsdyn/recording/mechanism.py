@@ -127,6 +127,7 @@ class Mechanism:
             if sizes != {(self.model.nv,)}:
                 raise ValueError(f"its laws are of {sizes}, not of {self.model.nv} coordinates")
             self.effort = np.array([np.inf if x is None else x for x in told["effort"]], float)
+            self.restitution = float(told["restitution"])
             self.speeds = {self._coordinate(j): rate for j, rate in told["driven"].items()}
             self._loops = [self._loop(loop) for loop in told["loops"]]
         except KeyError as failure:
@@ -313,7 +314,8 @@ class Mechanism:
                 break
         mean = 0.5 * (v + new)
         bias = np.array(pin.nonLinearEffects(self.light, self.data, middle, mean))
-        work = float((M @ (new - v) + h * bias)[self.driven] @ mean[self.driven]) if not self.loops else np.nan
+        react = np.linalg.lstsq(B.T, M @ (new - v) + h * bias, rcond=1e-10)[0]
+        work = float(react[len(B) - speeds.size :] @ mean[self.driven])
         return self.close(pin.integrate(self.model, q, h * mean)), new, mean, work
 
     def respond(self, M: Array, momentum: Array, B: Array, at_end: Array, speeds: Array) -> Array:

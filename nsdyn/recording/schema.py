@@ -45,6 +45,7 @@ SCENE: dict[str, Any] = {
     "?excluded": ([int, int],),
     "frames": (str,),
     "?links": ({"name": str, "frame": int, "placement": PLACEMENT},),
+    "?motions": dict,
     "free": int,
     "?masses": (float,),
     "?inertias": ([TRIPLE, TRIPLE, TRIPLE],),

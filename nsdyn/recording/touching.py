@@ -214,9 +214,8 @@ def _pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index
     """World poses (R, x) of shapes 0 or 1 of contacts when these push; as in the middle where that is not known."""
     x, quaternion = poses.frames(geom, step, *poses.middle)
     if flight.timed:
-        frame = poses.frame[geom]
-        free = (frame >= 0) & (frame < poses.free)
-        x[free], quaternion[free] = flight.met_x[push[free], side], flight.met_quaternion[push[free], side]
+        known = ~np.isnan(flight.met_x[push, side, 0])
+        x[known], quaternion[known] = flight.met_x[push[known], side], flight.met_quaternion[push[known], side]
     return poses.placed(geom, x, quaternion)
 
 

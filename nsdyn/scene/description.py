@@ -46,6 +46,7 @@ def describe(scene: Scene) -> dict[str, Any]:
         + [f"{a}/{scene.articulations[a].model.names[j]}" for a, j in scene.link_frames()]
         + [b.name for b in scene.driven_bodies],
         "links": _describe_links(scene),
+        "motions": {name: motion.kind for name, motion in scene.motions.items()},
         "free": len(scene.free_bodies),
         "masses": [b.mass for b in scene.free_bodies],
         "inertias": [b.inertia.tolist() for b in scene.free_bodies],
