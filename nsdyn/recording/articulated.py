@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from nsdyn.recording.file import ON_JOINTS
 from nsdyn.recording.findings import Found, at_play, not_audited, worst_of
 from nsdyn.recording.flight import Flight
 from nsdyn.recording.mechanism import Mechanism
@@ -19,7 +20,7 @@ from nsdyn.tools.arrays import Array
 __all__ = ["Retraced", "joints", "retraced"]
 
 UNITS = {
-    "links": "m", "loops": "m", "limits": "rad", "stops": "rad", "joint_cone": "N·m·s", "joint_slip": "J",
+    "links": "m", "loops": "m", "limits": "rad", "pieces": "-", "stops": "rad", "joint_cone": "N·m·s", "joint_slip": "J",
     "loads": "N·m·s", "lift": "√J·s", "joint_momentum": "√J", "joint_motion": "√J·s", "contact_works": "J", "works": "J", "drives": "J",
 }  # fmt: skip
 """Of the amounts; of coordinates that are lengths, m and N·s."""
@@ -111,11 +112,9 @@ def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     doubt = np.minimum(2.0 * doubt, COARSE * speed * np.array([h, 1.0]))
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
     off = size(np.array(pin.difference(m.model, way.q, q)))
-    # A step that is not made of its pieces is no step.
-    wrong = 0.0 if abs(way.whole - h) <= 1e-9 * h else np.inf
     for pair, amount, scale in (
-        (out.momentum, size(way.v - v) - doubt[1] + wrong, speed),
-        (out.motion, off - doubt[0] - h * doubt[1] + wrong, span),
+        (out.momentum, size(way.v - v) - doubt[1], speed),
+        (out.motion, off - doubt[0] - h * doubt[1], span),
         (out.lift, sum(size(kick.shift) for kick in way.kicks), span),
     ):
         pair[0][k, i], pair[1][k, i] = amount, scale
@@ -180,6 +179,7 @@ def joints(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterat
         places = ("links", "loops", "limits")
         yield from (not_audited(name, unit, found) for name, unit in UNITS.items() if name not in places)
         return
+    yield _pieces(found.trees)
     yield from _rows(poses, found)
     yield _loads(found)
     names = [m.name for m in built.mechanisms]
@@ -245,6 +245,24 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
     yield worst_of(
         "limits", most[limited], (most * wide)[limited], "rad", k[limited], _who(trees_, i[limited])
     )
+
+
+def _pieces(found: Trees) -> Found:
+    """Durations, contacts and impulses of pieces, which make up those of their steps."""
+    t, c = found.trajectory, found.trajectory.columns
+    counts, each = np.diff(c["pieces/offset"]), np.repeat(np.arange(t.steps), np.diff(c["pieces/offset"]))
+    cut = counts > 0
+
+    def off(name: str, of_step: Array) -> Array:
+        sums = np.zeros((t.steps, *c[f"pieces/{name}"].shape[1:]))
+        np.add.at(sums, each, c[f"pieces/{name}"])
+        left = np.abs(sums - of_step).reshape(t.steps, -1).max(axis=1, initial=0.0)
+        return left / max(float(np.abs(of_step).max(initial=0.0)), 1e-300)
+
+    whole = {"duration": np.full(t.steps, t.dt), "contacts": np.diff(c["contacts/offset"])}
+    whole |= {name: c[f"joints/{name}"] for name in ON_JOINTS}
+    worst = np.max([off(name, of_step) for name, of_step in whole.items()], axis=0)[cut]
+    return worst_of("pieces", worst, worst, UNITS["pieces"], np.flatnonzero(cut) + 1, lambda _: ())
 
 
 def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:

@@ -20,9 +20,10 @@ import numpy as np
 
 from nsdyn.recording.articulated import joints, retraced
 from nsdyn.recording.balances import energies, momenta, plain
-from nsdyn.recording.findings import TOLERANCES, Finding, left_out
+from nsdyn.recording.findings import TOLERANCES, Finding
 from nsdyn.recording.flight import Flight
 from nsdyn.recording.poses import Poses
+from nsdyn.recording.tables import left_out
 from nsdyn.recording.touching import contacts, overlaps
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array

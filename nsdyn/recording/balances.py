@@ -6,11 +6,12 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from nsdyn.recording.findings import Found, at_play, left_out, not_audited, of_bodies, worst_of
+from nsdyn.recording.findings import Found, at_play, not_audited, of_bodies, worst_of
 from nsdyn.recording.flight import CONJUGATE, Flight, spins, velocities
 from nsdyn.recording.poses import Poses, turned
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
+from nsdyn.recording.tables import left_out
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array
 

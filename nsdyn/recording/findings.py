@@ -12,7 +12,7 @@ from nsdyn.recording.poses import Poses
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["MEANING", "TOLERANCES", "Finding", "Found", "at_play", "left_out", "not_audited", "of_bodies", "worst_of"]
+__all__ = ["MEANING", "TOLERANCES", "Finding", "Found", "at_play", "not_audited", "of_bodies", "worst_of"]
 
 TOLERANCES = {
     "overlap": 1e-7,
@@ -33,6 +33,7 @@ TOLERANCES = {
     "links": 1e-12,  # as many, of positions
     "loops": 1e-9,  # closed to 1e-12 m or rad by Newton's method, which ends a step beyond that
     "limits": 1e-7,
+    "pieces": 1e-12,
     "stops": 1e-9,
     "joint_cone": 1e-8,
     "joint_slip": 1e-6,
@@ -63,6 +64,7 @@ MEANING = {
     "links": "frame of a link as recorded - that of q / its place and reach",
     "loops": "gap of a loop / length of its links",
     "limits": "joint beyond a limit / range",
+    "pieces": "durations, contacts and impulses of a step - those of the pieces it was cut into / largest",
     "stops": "joint from the limit whose impulse acts, beyond what it moves in the step / range",
     "joint_cone": "dry friction of a joint - h times its largest / that",
     "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round in the step / energy at play",
@@ -126,13 +128,6 @@ def worst_of(name: str, figure: Array, amount: Array, unit: str, step: Index, bo
     found = max(0.0, float(figure[k])), max(0.0, float(amount[k])), int(step[k]), tuple(bodies(k)), figure.size
     worst, size, at, who, count = found if not np.isnan(figure[k]) else (np.nan, np.nan, *found[2:])
     return name, lambda tol: Finding(name, MEANING[name], worst, tol, size, unit, at, who, count)
-
-
-def left_out(t: Trajectory) -> str:
-    """What contacts are not recorded, in words; empty where all are."""
-    if not t.has_contacts:
-        return "contacts are not recorded"
-    return "" if t.every == 1 else f"of every {t.every} steps one is recorded"
 
 
 def not_audited(name: str, unit: str, reason: str) -> Found:

@@ -130,6 +130,7 @@ class Mechanism:
             self.restitution = float(told["restitution"])
             self.speeds = {self._coordinate(j): rate for j, rate in told["driven"].items()}
             self._loops = [self._loop(loop) for loop in told["loops"]]
+            self.loop_names = [str(loop["name"]) for loop in told["loops"]]
         except KeyError as failure:
             raise ValueError(f"{failure.args[0]} is no kind of joint that is known") from None
         self.model.armature = self.armature
@@ -217,6 +218,69 @@ class Mechanism:
         twist = J @ v
         out: Array = twist[:3] + np.cross(twist[3:], point)
         return out
+
+    def passed(
+        self, q: Array, change: Array, flights: Sequence[tuple[float, Array]], h: float,
+        pushes: Sequence[tuple[int, Array]],
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Impulses on the coordinates, and those that every joint passes on from its parent to its child.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Where all of it acts.
+        change : ndarray, shape (nv,)
+            Of v.
+        flights : sequence of (float, ndarray)
+            Times and velocities with which it flies.
+        h : float
+            For which gravity acts, s.
+        pushes : sequence of (int, ndarray)
+            Joint and impulse on its link, force and moment about the world's origin, (6,), N·s and N·m·s.
+
+        Returns
+        -------
+        (nv,), (njoints, 6) : ndarray
+            The latter force and moment about the origin of the joint, world axes, N·s and N·m·s.
+        """
+        self.place(q)
+        outside = [pin.Force.Zero() for _ in range(self.model.njoints)]
+        for joint, impulse in pushes:
+            outside[joint] += self.data.oMi[joint].actInv(pin.Force(impulse))
+        tau, out, still = np.zeros(self.nv), np.zeros((self.model.njoints, 6)), self._zero
+        parts = [(1.0, self.light, still, change, [outside]), (h, self.model, still, still, [])]
+        for share, model, v, a, more in parts + [(s, self.light, v, still, []) for s, v in flights]:
+            tau += share * np.array(pin.rnea(model, self.data, q, v, a, *more))
+            out += share * np.array([f.vector for f in self.data.f])
+        for k, place in enumerate(self.data.oMi):
+            out[k] = (place.rotation @ out[k].reshape(2, 3).T).T.ravel()
+        return tau, out
+
+    def held(self, q: Array, tau: Array) -> list[list[tuple[int, Array]]]:
+        """Impulses of the loops that explain those on the coordinates, as `pushes` on both frames of each.
+
+        The least where loops are redundant; about the world's origin.
+        """
+        react = np.linalg.lstsq(self.constraints(q)[1].T, tau, rcond=1e-10)[0]
+        out, row = [], 0
+        for first, second, turned in self._loops:
+            force, row = react[row : row + 3], row + 3
+            moment = react[row : row + 3] if turned else np.zeros(3)
+            row += 3 * turned
+            out.append(
+                [
+                    (
+                        self.model.frames[frame].parentJoint,
+                        sign * np.concatenate((force, moment + np.cross(self.data.oMf[frame].translation, force))),
+                    )
+                    for frame, sign in ((first, 1.0), (second, -1.0))
+                ]
+            )
+        return out
+
+    def closure(self, loop: int) -> Array:
+        """Place of a loop's first frame where the constraints were found last, m."""
+        return np.array(self.data.oMf[self._loops[loop][0]].translation)
 
     def constraints(self, q: Array) -> tuple[Array, Array]:
         """Gaps of the loops, m and rad, and the rows B of loops and driven joints at q."""

@@ -14,16 +14,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from nsdyn.recording.file import ON_JOINTS, PIECES
-from nsdyn.recording.findings import left_out
 from nsdyn.recording.mechanism import Course, Mechanism
-from nsdyn.recording.trajectory import Trajectory
+from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
 
 __all__ = ["Kick", "Trees", "Way", "trees"]
 
@@ -80,15 +82,12 @@ class Way(NamedTuple):
         Before and after each.
     q, v : ndarray
         Where it leads.
-    whole : float
-        Sum of the pieces, s.
     """
 
     kicks: list[Kick]
     flows: list[Course]
     q: Array
     v: Array
-    whole: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +196,7 @@ class Trees:
             q, v = last.q, last.v
             if kick.shift.any():
                 q = np.array(pin.integrate(m.model, q, kick.shift))
-        return Way(kicks, flows, q, v, whole)
+        return Way(kicks, flows, q, v)
 
     def _kick(
         self, m: Mechanism, at: Course, h: float, theta: float, touches: list[tuple[int, int, int]], given: Array,
@@ -247,8 +246,3 @@ def trees(trajectory: Trajectory) -> Trees | str:
     frames: list[Any] = scene["frames"]
     links = {k: places[name] for k, name in enumerate(frames) if k >= scene["free"] and name in places}
     return Trees(trajectory, tuple(mechanisms), tuple(at), tuple(rows), links)
-
-
-def apart(m: Mechanism, a: Array, b: Array) -> Array:
-    """Displacement from configuration a to b, (nv,)."""
-    return np.array(pin.difference(m.model, a, b))

@@ -11,10 +11,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from nsdyn.problem.solution import Status
-from nsdyn.recording.findings import Found, at_play, left_out, not_audited, worst_of
+from nsdyn.recording.findings import Found, at_play, not_audited, worst_of
 from nsdyn.recording.flight import Flight
 from nsdyn.recording.overlap import Solid, separation
 from nsdyn.recording.poses import Poses
+from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["contacts", "overlaps", "separations"]
