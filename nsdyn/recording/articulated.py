@@ -106,7 +106,9 @@ def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
 
     speed = size(v0) + size(way.v)
     speed += sum(
-        effect(part) for kick in way.kicks for part in (*kick.given, kick.pushed, *kick.stiff, kick.h * m.weight(kick.q))
+        effect(part)
+        for kick in way.kicks
+        for part in (*kick.given, kick.pushed, *kick.stiff, kick.h * m.weight(kick.q))
     )
     doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
     doubt = np.minimum(2.0 * doubt, COARSE * speed * np.array([h, 1.0]))
@@ -242,9 +244,7 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
     most = np.array([b.max(initial=-np.inf) for b in beyond])
     limited = most > -np.inf
     wide = np.array([r[b.argmax()] if b.size else 1.0 for r, b in zip(ranges, beyond, strict=True)])
-    yield worst_of(
-        "limits", most[limited], (most * wide)[limited], "rad", k[limited], _who(trees_, i[limited])
-    )
+    yield worst_of("limits", most[limited], (most * wide)[limited], "rad", k[limited], _who(trees_, i[limited]))
 
 
 def _pieces(found: Trees) -> Found:
@@ -299,16 +299,24 @@ def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
 
 
 def _labels(m: Mechanism) -> list[str]:
-    """"articulation/joint" of every coordinate."""
-    return [f"{m.name}/{name}" for name, joint in zip(m.joints, list(m.model.joints)[1:], strict=True) for _ in range(joint.nv)]
+    """ "articulation/joint" of every coordinate."""
+    return [
+        f"{m.name}/{name}"
+        for name, joint in zip(m.joints, list(m.model.joints)[1:], strict=True)
+        for _ in range(joint.nv)
+    ]
 
 
 def _loads(found: Retraced) -> Found:
     """Joint forces and external wrenches where nothing gives any."""
     t, c = found.trees.trajectory, found.trees.trajectory.columns
-    given = [name for name, key in (("actuation", "controller"), ("external", "external_force")) if t.meta.get(key, True)]
+    given = [
+        name for name, key in (("actuation", "controller"), ("external", "external_force")) if t.meta.get(key, True)
+    ]
     if given:
-        what = " and ".join({"actuation": "the controller's law and limits", "external": "external forces"}[g] for g in given)
+        what = " and ".join(
+            {"actuation": "the controller's law and limits", "external": "external forces"}[g] for g in given
+        )
         return not_audited("loads", UNITS["loads"], f"{what} are not recorded")
     amount = np.abs(np.concatenate([c["joints/actuation"], c["joints/external"]], axis=1))
     k, j = np.indices(amount.shape)

@@ -58,7 +58,7 @@ class Audit:
 
     @property
     def verdict(self) -> str:
-        """"passed", "FAILED" or "passed, not audited: ...": what was not looked at is part of it."""
+        """ "passed", "FAILED" or "passed, not audited: ...": what was not looked at is part of it."""
         left = f", not audited: {', '.join(self.not_audited)}" if self.not_audited else ""
         return ("passed" if self.passed else "FAILED") + left
 

@@ -119,10 +119,14 @@ class Mechanism:
         try:
             for label, joint in zip(joints, told["joints"], strict=True):
                 self._add(label, joint)
-            laws = [np.array(told[law], dtype=float) for law in ("armature", "friction", "damping", "stiffness", "rest")]
+            laws = [
+                np.array(told[law], dtype=float) for law in ("armature", "friction", "damping", "stiffness", "rest")
+            ]
             self.armature, self.friction, self.damping, self.stiffness, self.rest = laws
             bounds = [np.array([np.nan if x is None else x for x in told[side]], float) for side in ("lower", "upper")]
-            self.lower, self.upper = (np.where(np.isnan(b), s * np.inf, b) for b, s in zip(bounds, (-1, 1), strict=True))
+            self.lower, self.upper = (
+                np.where(np.isnan(b), s * np.inf, b) for b, s in zip(bounds, (-1, 1), strict=True)
+            )
             sizes = {x.shape for x in (*laws, *bounds)}
             if sizes != {(self.model.nv,)}:
                 raise ValueError(f"its laws are of {sizes}, not of {self.model.nv} coordinates")
@@ -145,7 +149,9 @@ class Mechanism:
         self._zero, self._flat = np.zeros(self.nv), self.model.nq == self.nv
         scalars = [joint for joint in list(self.model.joints)[1:] if joint.nq == joint.nv]
         self.linear = np.concatenate([np.arange(j.idx_v, j.idx_v + j.nv) for j in scalars] or [np.empty(0)]).astype(int)
-        self._linear_q = np.concatenate([np.arange(j.idx_q, j.idx_q + j.nq) for j in scalars] or [np.empty(0)]).astype(int)
+        self._linear_q = np.concatenate([np.arange(j.idx_q, j.idx_q + j.nq) for j in scalars] or [np.empty(0)]).astype(
+            int
+        )
         self.round = [(j.idx_v, j.idx_q) for j in list(self.model.joints)[1:] if (j.nq, j.nv) == (2, 1)]
         self.place(pin.neutral(self.model))
         self._turns = np.linalg.norm(self.data.J.reshape(6, -1, order="A")[3:], axis=0)

@@ -31,7 +31,9 @@ def reactions(trajectory: Trajectory) -> dict[str, Array]:
     """
     found, n, scene = trees(trajectory), trajectory.steps, trajectory.scene
     if isinstance(found, str) or found.missing:
-        loops = [(a["name"], loop["name"]) for a in scene["articulations"] for loop in a.get("model", {}).get("loops", ())]
+        loops = [
+            (a["name"], loop["name"]) for a in scene["articulations"] for loop in a.get("model", {}).get("loops", ())
+        ]
         named = [(a["name"], joint) for a in scene["articulations"] for joint in a.get("joints", ())] + loops
         return {f"{owner}/{name}": np.full((n, 6), np.nan) for owner, name in named}
     out = {}

@@ -135,7 +135,11 @@ class Trees:
         t, out = self.trajectory, [dict[int, list[tuple[int, int, int]]]() for _ in self.mechanisms]
         frames = np.array([geom["frame"] for geom in t.scene["geoms"]], dtype=np.int64)
         step = np.repeat(np.arange(t.steps), np.diff(t.columns["contacts/offset"]))
-        sides = np.stack([frames[t.columns[f"contacts/geom{k}"]] for k in "12"], axis=1) if frames.size else np.empty((0, 2))
+        sides = (
+            np.stack([frames[t.columns[f"contacts/geom{k}"]] for k in "12"], axis=1)
+            if frames.size
+            else np.empty((0, 2))
+        )
         for row, side in zip(*np.nonzero(np.isin(sides, list(self.links))), strict=True):
             tree, joint = self.links[int(sides[row, side])]
             out[tree].setdefault(int(step[row]), []).append((int(row), int(side), joint))
