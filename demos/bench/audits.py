@@ -94,8 +94,10 @@ def random_run(seed: int) -> nd.Trajectory:
     if touching:
         scene.add_halfspace("ground", offset=-0.2 * model.njoints - 0.4, material=material)
         scene.add_box("box", (0.3, 0.3, 0.3), 1.0, position=(0, 0.5, -0.2 * model.njoints - 0.25), material=material)
+    velocity = rng.choice([0.3, 3.0]) * rng.normal(size=model.nv)
+    looped = not floating and rng.uniform() < 0.2
     scene.add_model(
-        "robot", model, v=rng.choice([0.3, 3.0]) * rng.normal(size=model.nv), restitution=e, material=material,
+        "robot", model, v=0.0 * velocity if looped else velocity, restitution=e, material=material,
         collisions={f"j{k}": [ball] for k in range(model.njoints - 1)}, self_collisions=False,
         friction=some(0.3), damping=some(0.5), stiffness=some(20.0), armature=some(0.05),
     )  # fmt: skip
@@ -106,7 +108,7 @@ def random_run(seed: int) -> nd.Trajectory:
         k = model.joints[model.getJointId(name)].idx_q
         if np.isinf(bound[k]):
             scene.set_motion(f"robot/{name}", rate if rng.uniform() < 0.5 else lambda t: rate * np.cos(5.0 * t))
-    elif not floating and rng.uniform() < 0.2:
+    elif looped:  # from rest, which loops let be
         scene.add_loop("robot", "loop", f"j{model.njoints - 2}", position=(0, 0, -0.1))
     control = push = None
     choice = rng.uniform()

@@ -21,7 +21,7 @@ __all__ = ["Retraced", "joints", "retraced"]
 
 UNITS = {
     "links": "m", "loops": "m", "limits": "rad", "pieces": "-", "stops": "rad", "joint_cone": "N·m·s", "joint_slip": "J",
-    "loads": "N·m·s", "lift": "√J·s", "joint_momentum": "√J", "joint_motion": "√J·s", "contact_works": "J", "works": "J", "drives": "J",
+    "loads": "N·m·s", "lift": "√J·s", "joint_momentum": "√J", "joint_motion": "√J·s", "contact_works": "J", "joint_works": "J", "drives": "J",
 }  # fmt: skip
 """Of the amounts; of coordinates that are lengths, m and N·s."""
 
@@ -29,7 +29,7 @@ NOTHING = 1e-9
 """Fraction of the largest impulse of a step below which one is nothing."""
 
 COARSE = 1e-3
-"""Most that the flow of a step may err by its own order, as a fraction of what moves: more is no motion of this tree."""
+"""Most that the fourth-order flow of a step may err, as a fraction of what moves: more is no motion of this tree."""
 
 SMALL = 1e-6
 """Displacement, rad or m, whose round-off is 1e-9 of it."""
@@ -111,7 +111,8 @@ def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
         for part in (*kick.given, kick.pushed, *kick.stiff, kick.h * m.weight(kick.q))
     )
     doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
-    doubt = np.minimum(2.0 * doubt, COARSE * speed * np.array([h, 1.0]))
+    # The constants of two rules of one order differ by some times.
+    doubt = 10.0 * doubt if m.bound else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
     off = size(np.array(pin.difference(m.model, way.q, q)))
     for pair, amount, scale in (
@@ -285,7 +286,10 @@ def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
                     away = gaps[j] - travel[j]
                     stops.append((away / max(width[j], 1e-300), away, k + 1, label[j]))
                 drag, most_drag = kick.given[2], kick.h * m.friction
-                for j in np.flatnonzero((m.friction > 0.0) | (drag != 0.0)):
+                # What drives a joint takes its friction, which does nothing to the motion.
+                some = (m.friction > 0.0) | (drag != 0.0)
+                some[m.driven] = False
+                for j in np.flatnonzero(some):
                     over = abs(drag[j]) - most_drag[j]
                     bounds.append((over / max(most_drag[j], NOTHING * most, 1e-300), over, k + 1, label[j]))
                     speeds = np.array([v[j], kick.before[j], kick.after[j], v1[j]])
@@ -372,7 +376,7 @@ def _works(poses: Poses, found: Retraced) -> Iterator[Found]:
     names = list(left)
     off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt
     which, step = np.indices(off.shape)
-    yield worst_of("works", off.ravel() / scale, off.ravel(), "J", step.ravel() + 1, _who(names, which.ravel()))
+    yield worst_of("joint_works", off.ravel() / scale, off.ravel(), "J", step.ravel() + 1, _who(names, which.ravel()))
     if any(kind != "joint" for kind in t.scene["motions"].values()):
         yield not_audited("drives", "J", "velocities of driven bodies and of surfaces are not recorded")
         return

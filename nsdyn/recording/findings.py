@@ -34,14 +34,15 @@ TOLERANCES = {
     "loops": 1e-9,  # closed to 1e-12 m or rad by Newton's method, which ends a step beyond that
     "limits": 1e-7,
     "pieces": 1e-12,
-    "stops": 1e-9,
+    "stops": 1e-6,  # of shallow gaps, which close by the next step
     "joint_cone": 1e-8,
     "joint_slip": 1e-6,
     "loads": 0.0,
     "lift": 1.0,
     "joint_momentum": 1e-8,  # beyond what flows of the order of the step's err, which is found by halving
     "joint_motion": 1e-8,
-    "contact_works": 1e-8,
+    "contact_works": 1e-8,  # as velocities are
+    "joint_works": 1e-8,
     "drives": 1e-8,
 }
 """Largest figure of each finding that passes."""
@@ -73,10 +74,15 @@ MEANING = {
     "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, in the kinetic norm",
     "joint_motion": "place of an articulation - where its velocities lead / what it moves in the step, likewise",
     "contact_works": "work of a contact on a link - impulse times mean velocity / energy at play",
+    "joint_works": "work of a column of the ledger - that of what acts in joints and contacts / energy at play",
     "drives": "work of loops and driven joints as the ledger has it - that of their reactions / energy at play",
     "balance": "change of energy - sum of the works of the ledger / energy at play",
 }
 """What each finding is a number of."""
+
+
+SMALL = 1e-6
+"""What an articulation without weight is measured by where nothing moves: the energy of so much of its size a step."""
 
 
 @dataclass(frozen=True)
@@ -145,9 +151,14 @@ def of_bodies(poses: Poses, name: str, amount: Array, scale: Array, unit: str) -
 
 
 def at_play(poses: Poses) -> float:
-    """Energy at play, J; where next to nothing moves, what lifts the free bodies by their size."""
+    """Energy at play, J; where next to nothing moves, what lifts bodies and trees by their size."""
     t, scene = poses.trajectory, poses.scene
     lift = 0.0
     for k in np.flatnonzero((poses.frame >= 0) & (poses.frame < poses.free)):
         lift += scene["masses"][poses.frame[k]] * float(np.linalg.norm(scene["gravity"])) * float(poses.extent[k])
+    for tree in scene["articulations"]:
+        told = tree.get("model", {"joints": ()})["joints"]
+        size = sum(float(np.linalg.norm(np.array(j["placement"])[:3, 3]) + np.linalg.norm(j["com"])) for j in told)
+        most = float(np.linalg.norm(scene["gravity"])) * size + (SMALL * size / t.dt) ** 2
+        lift += sum(j["mass"] for j in told) * most
     return max(t.at_play, lift, 1e-9 * float(np.abs(t.energy.potential).max()), 1e-300)
