@@ -1,4 +1,4 @@
-"""True recordings of articulations, and what falsifies them: each names a recording and changes its columns or scene."""
+"""True recordings of articulations, and what falsifies them: changes of their columns or scenes."""
 
 import copy
 from dataclasses import replace
@@ -272,7 +272,9 @@ def _stretched(c, scene):
 def _slower(c, scene):
     """The whole motion at half the speed: times, velocities and impulses."""
     for key in c:
-        if key == "v" or key.startswith(("joints/", "pieces/")) and key.split("/")[1] in ("actuation", "limit", "friction"):
+        if key == "v" or (
+            key.startswith(("joints/", "pieces/")) and key.split("/")[1] in ("actuation", "limit", "friction")
+        ):
             c[key] *= 0.5
     c["contacts/impulse"] *= 0.5
     c["energy/kinetic"] *= 0.25

@@ -119,7 +119,7 @@ class JointLaws:
         return out
 
     def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:
-        """Impulses r (nj, 3) by slot, (slots, 3), and those of limits and friction on coordinates, rows 1, 2 of (5, n)."""
+        """Impulses r (nj, 3) by slot, (slots, 3), and those of limits and friction in rows 1 and 2 of (5, n)."""
         on_coordinates = np.zeros((5, n))
         if not self.size:
             return NO_IMPULSES, on_coordinates

@@ -2,170 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from nsdyn.recording.file import ON_JOINTS
 from nsdyn.recording.findings import Found, at_play, not_audited, worst_of
 from nsdyn.recording.flight import Flight
 from nsdyn.recording.mechanism import Mechanism
-from nsdyn.recording.poses import Poses
-from nsdyn.recording.retrace import Kick, Trees, Way, trees
-from nsdyn.tools.arrays import Array
+from nsdyn.recording.poses import Poses, matrix
+from nsdyn.recording.retrace import Trees, trees
+from nsdyn.recording.retraced import Retraced
+from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Retraced", "joints", "retraced"]
+__all__ = ["joints"]
 
 UNITS = {
-    "links": "m", "loops": "m", "limits": "rad", "pieces": "-", "stops": "rad", "joint_cone": "N·m·s", "joint_slip": "J",
-    "loads": "N·m·s", "lift": "√J·s", "joint_momentum": "√J", "joint_motion": "√J·s", "contact_works": "J", "joint_works": "J", "drives": "J",
+    "links": "m", "loops": "m", "limits": "rad", "pieces": "-", "stops": "rad", "joint_cone": "N·m·s",
+    "joint_slip": "J", "loads": "N·m·s", "lift": "√J·s", "joint_momentum": "√J", "joint_motion": "√J·s",
+    "contact_works": "J", "joint_works": "J", "drives": "J",
 }  # fmt: skip
 """Of the amounts; of coordinates that are lengths, m and N·s."""
 
 NOTHING = 1e-9
 """Fraction of the largest impulse of a step below which one is nothing."""
-
-COARSE = 1e-3
-"""Most that the fourth-order flow of a step may err, as a fraction of what moves: more is no motion of this tree."""
-
-SMALL = 1e-6
-"""Displacement, rad or m, whose round-off is 1e-9 of it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Retraced:
-    """All steps of all articulations, followed anew; arrays of steps, (n, trees) unless said.
-
-    Attributes
-    ----------
-    trees : Trees
-    momentum, motion, lift : (amount, scale) of ndarrays
-        How far velocities and configurations are from where impulses lead, and how far projections went, in the norm
-        of the mass matrix; by what each is measured.
-    works : dict of str to ndarray
-        By columns of the ledger.
-    doubt : ndarray
-        Of works, J.
-    energy : ndarray, shape (n,)
-        Change of energy by projections, J.
-    met_x, met_quaternion, met_v : ndarray, shape (contacts, 2, 3 or 4)
-        Poses of links when contacts push them, and mean velocities there of their points; NaN of others.
-    ways : list of list of Way
-        Of every tree, in every step.
-    """
-
-    trees: Trees
-    momentum: tuple[Array, Array]
-    motion: tuple[Array, Array]
-    lift: tuple[Array, Array]
-    works: dict[str, Array]
-    doubt: Array
-    energy: Array
-    met_x: Array
-    met_quaternion: Array
-    met_v: Array
-    ways: list[list[Way]]
-
-
-def retraced(poses: Poses) -> Retraced | str:
-    """Follow all articulations through all steps; why that is not possible."""
-    found, t = trees(poses.trajectory), poses.trajectory
-    if isinstance(found, str) or found.missing:
-        return found if isinstance(found, str) else found.missing
-    n, count, rows = t.steps, len(found.mechanisms), len(t.columns["contacts/geom1"])
-    pairs = [np.zeros((2, n, count)) for _ in range(3)]
-    works = {name: np.zeros((n, count)) for name in ("external", "normal", "friction", "damping", "constraint")}
-    out = Retraced(
-        found, *((pair[0], pair[1]) for pair in pairs), works, np.zeros((n, count)), np.zeros(n),
-        np.full((rows, 2, 3), np.nan), np.full((rows, 2, 4), np.nan), np.full((rows, 2, 3), np.nan),
-        [[found.way(i, k) for k in range(n)] for i in range(count)],
-    )  # fmt: skip
-    for i, m in enumerate(found.mechanisms):
-        for k, way in enumerate(out.ways[i]):
-            _measure(out, i, m, k, way)
-            _book(out, i, m, k, way)
-            for kick in way.kicks:
-                _meet(out, m, kick)
-    return out
-
-
-def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
-    """How far a step ends from where it leads."""
-    (_, v0), (q, v) = out.trees.state(i, k), out.trees.state(i, k + 1)
-    h, M = out.trees.trajectory.dt, m.mass(q)
-    L = np.linalg.cholesky(M)
-
-    def size(x: Array) -> float:
-        return float(np.linalg.norm(L.T @ x))
-
-    def effect(p: Array) -> float:
-        return float(np.linalg.norm(np.linalg.solve(L, p)))
-
-    speed = size(v0) + size(way.v)
-    speed += sum(
-        effect(part)
-        for kick in way.kicks
-        for part in (*kick.given, kick.pushed, *kick.stiff, kick.h * m.weight(kick.q))
-    )
-    doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
-    # The constants of two rules of one order differ by some times.
-    doubt = 10.0 * doubt if m.bound else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
-    span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
-    off = size(np.array(pin.difference(m.model, way.q, q)))
-    for pair, amount, scale in (
-        (out.momentum, size(way.v - v) - doubt[1], speed),
-        (out.motion, off - doubt[0] - h * doubt[1], span),
-        (out.lift, sum(size(kick.shift) for kick in way.kicks), span),
-    ):
-        pair[0][k, i], pair[1][k, i] = amount, scale
-
-
-def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
-    """Works of a step by columns of the ledger, and what is in doubt of them."""
-    works = dict.fromkeys(out.works, 0.0)
-    doubt = 0.0
-    for number, kick in enumerate(way.kicks):
-        mean = 0.5 * (kick.before + kick.after)
-        along = mean if kick.mean is None else kick.mean
-        works["external"] += float((kick.given[0] + kick.given[3]) @ along)
-        works["normal"] += float(kick.given[1] @ mean)
-        works["friction"] += float(kick.given[2] @ mean)
-        works["damping"] += float(kick.stiff[0] @ along)
-        works["constraint"] += float(kick.reaction @ mean) + sum(c.work for c in way.flows[2 * number : 2 * number + 2])
-        change = np.abs(kick.after - kick.before)
-        # What rebounds in a piece, or several times in one instant, works in parts that are not recorded.
-        if m.restitution > 0.0 or _rebounds(out.trees, kick):
-            doubt += 0.5 * float((np.abs(kick.given[1]) + np.abs(kick.given[2])) @ change)
-        late = way.flows[2 * number].doubted[1] + way.flows[2 * number + 1].doubted[1]
-        doubt += float((np.abs(kick.given).sum(axis=0) + np.abs(kick.stiff[0]) + np.abs(kick.reaction)) @ late)
-        if kick.shift.any():
-            end = way.flows[2 * number + 1]
-            lifted = np.array(pin.integrate(m.model, end.q, kick.shift))
-            out.energy[k] += sum(m.energies(lifted, end.v)) - sum(m.energies(end.q, end.v))
-    for name, work in works.items():
-        out.works[name][k, i] = work
-    out.doubt[k, i] = doubt
-
-
-def _rebounds(found: Trees, kick: Kick) -> bool:
-    restitution = found.trajectory.columns["contacts/restitution"]
-    return any(restitution[row] > 0.0 for row, _, _ in kick.touches)
-
-
-def _meet(out: Retraced, m: Mechanism, kick: Kick) -> None:
-    """Where links are that contacts push, and how their points move."""
-    if not kick.touches:
-        return
-    point, mean = out.trees.trajectory.columns["contacts/point"], 0.5 * (kick.before + kick.after)
-    m.place(kick.q)
-    for row, side, joint in kick.touches:
-        pose = m.pose(joint)
-        out.met_x[row, side] = pose.translation
-        out.met_quaternion[row, side] = Rotation.from_matrix(pose.rotation).as_quat()
-        out.met_v[row, side] = m.carried(joint, point[row], mean)
 
 
 def joints(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterator[Found]:
@@ -196,14 +57,14 @@ def joints(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterat
     yield from _works(poses, found)
 
 
-def _who(names: list[str], which: Array) -> Callable[[int], list[str]]:
+def _who(names: list[str], which: Index) -> Callable[[int], list[str]]:
     return lambda k: [names[which[k]]]
 
 
 def _places(poses: Poses, found: Trees) -> Iterator[Found]:
     """Frames of links, gaps of loops and limits, in all states."""
     t, frames = poses.trajectory, poses.scene["frames"]
-    states, size = np.arange(t.steps + 1), np.zeros((t.steps + 1, len(found.links)))
+    states, size = range(t.steps + 1), np.zeros((t.steps + 1, len(found.links)))
     off, far = np.zeros_like(size), np.zeros_like(size)
     order = {frame: k for k, frame in enumerate(found.links)}
     reach = np.zeros(len(order))
@@ -220,7 +81,7 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
             m.place(q)
             for frame, joint in own:
                 pose, column = m.pose(joint), order[frame]
-                turn = Rotation.from_quat(poses.quaternion[k, frame]).as_matrix() - pose.rotation
+                turn = matrix(poses.quaternion[k, frame]) - pose.rotation
                 norm = abs(float(np.linalg.norm(poses.quaternion[k, frame])) - 1.0)
                 off[k, column] = np.linalg.norm(poses.x[k, frame] - pose.translation) + reach[column] * (
                     np.linalg.norm(turn) + norm
@@ -258,7 +119,8 @@ def _pieces(found: Trees) -> Found:
         sums = np.zeros((t.steps, *c[f"pieces/{name}"].shape[1:]))
         np.add.at(sums, each, c[f"pieces/{name}"])
         left = np.abs(sums - of_step).reshape(t.steps, -1).max(axis=1, initial=0.0)
-        return left / max(float(np.abs(of_step).max(initial=0.0)), 1e-300)
+        out: Array = left / max(float(np.abs(of_step).max(initial=0.0)), 1e-300)
+        return out
 
     whole = {"duration": np.full(t.steps, t.dt), "contacts": np.diff(c["contacts/offset"])}
     whole |= {name: c[f"joints/{name}"] for name in ON_JOINTS}
@@ -268,14 +130,14 @@ def _pieces(found: Trees) -> Found:
 
 def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
     """Impulses of limits, where and which way they act; of dry friction, how large and which way."""
-    t, scale = poses.trajectory, at_play(poses)
+    scale = at_play(poses)
     stops: list[tuple[float, float, int, str]] = []
     bounds: list[tuple[float, float, int, str]] = []
     slips: list[tuple[float, float, int, str]] = []
     for i, m in enumerate(found.trees.mechanisms):
         label = _labels(m)
         for k, way in enumerate(found.ways[i]):
-            most = max(np.abs(kick.given).max(initial=0.0) for kick in way.kicks)
+            most = max((float(np.abs(kick.given).max(initial=0.0)) for kick in way.kicks), default=0.0)
             (q, v), (q1, v1) = found.trees.state(i, k), found.trees.state(i, k + 1)
             for kick in way.kicks:
                 angles = np.array([m.angle(x) for x in (q, kick.q, q1)])
@@ -299,11 +161,13 @@ def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
                     slips.append((0.0 if turns else wasted / scale, wasted, k + 1, label[j]))
     for name, rows in (("stops", stops), ("joint_cone", bounds), ("joint_slip", slips)):
         figure, amount, step = np.array([row[:3] for row in rows]).reshape(-1, 3).T
-        yield worst_of(name, figure, amount, UNITS[name], step.astype(int), lambda k, rows=rows: [rows[k][3]])
+        yield worst_of(
+            name, figure, amount, UNITS[name], step.astype(int), _who([row[3] for row in rows], np.arange(step.size))
+        )
 
 
 def _labels(m: Mechanism) -> list[str]:
-    """ "articulation/joint" of every coordinate."""
+    """Articulation and joint of every coordinate."""
     return [
         f"{m.name}/{name}"
         for name, joint in zip(m.joints, list(m.model.joints)[1:], strict=True)
@@ -384,9 +248,9 @@ def _works(poses: Poses, found: Retraced) -> Iterator[Found]:
     yield worst_of("drives", off / scale, off, "J", np.arange(1, t.steps + 1), lambda _: ["constraint"])
 
 
-def _stays(c: dict[str, Array], step: Array) -> Array:
+def _stays(c: Mapping[str, Any], step: Index) -> Bools:
     """Contacts that were closed before, in this step or the last: what they do may be booked as numerics."""
-    key, on, out, before = c["contacts/key"], c["contacts/status"] > 0, np.zeros(step.size, bool), set[int]()
+    key, on, out, before = c["contacts/key"], c["contacts/status"] > 0, np.zeros(step.size, np.bool_), set[int]()
     begin = np.searchsorted(step, np.arange(int(step.max(initial=-1)) + 2))
     for k in range(len(begin) - 1):
         now = set(before)

@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn.recording.articulated import joints, retraced
+from nsdyn.recording.articulated import joints
 from nsdyn.recording.balances import energies, momenta, plain
 from nsdyn.recording.findings import TOLERANCES, Finding
 from nsdyn.recording.flight import Flight
 from nsdyn.recording.poses import Poses
+from nsdyn.recording.retraced import retraced
 from nsdyn.recording.tables import left_out
 from nsdyn.recording.touching import contacts, overlaps
 from nsdyn.recording.trajectory import Trajectory
@@ -58,7 +59,7 @@ class Audit:
 
     @property
     def verdict(self) -> str:
-        """ "passed", "FAILED" or "passed, not audited: ...": what was not looked at is part of it."""
+        """Whether it passed, in words: what was not looked at is part of it."""
         left = f", not audited: {', '.join(self.not_audited)}" if self.not_audited else ""
         return ("passed" if self.passed else "FAILED") + left
 

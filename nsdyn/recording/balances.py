@@ -177,7 +177,7 @@ def energies(poses: Poses) -> Iterator[Found]:
         kinetic = 0.5 * ((twist[..., :3] ** 2).sum(axis=2) @ mass + turning)
         potential = -(pose[..., :3] @ np.array(t.scene["gravity"])) @ mass
         for i, m in enumerate(built.mechanisms):
-            each = np.array([m.energies(*built.state(i, k)) for k in steps])
+            each = np.array([m.energies(*built.state(i, k)) for k in range(t.steps + 1)])
             kinetic, potential = kinetic + each[:, 0], potential + each[:, 1]
         off = np.maximum(np.abs(kinetic - e.kinetic), np.abs(potential - e.potential))
         yield worst_of("energy", off / (scale + np.abs(potential)), off, "J", steps, nobody)

@@ -49,7 +49,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
 them, so that the ledger closes, as are `/joints`, `/solver/iterations`, `time` and `/wall_time`; `shift` and `bound`
 are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the last, their impulses and
-works too; there are no `/pieces`. With contacts false there are none. A recording that is complete is compressed (byte shuffle and gzip).
+works too; there are no `/pieces`. With contacts false there are none. A recording that is complete is compressed (byte
+shuffle and gzip).
 
 A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
 HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from nsdyn.recording.poses import Poses
-from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["MEANING", "TOLERANCES", "Finding", "Found", "at_play", "not_audited", "of_bodies", "worst_of"]
@@ -71,7 +70,7 @@ MEANING = {
     "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round in the step / energy at play",
     "loads": "joint forces and external wrenches where nothing gives any / largest",
     "lift": "displacement of an articulation by projections / what it moves in the step, in the kinetic norm",
-    "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, in the kinetic norm",
+    "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, kinetic norms",
     "joint_motion": "place of an articulation - where its velocities lead / what it moves in the step, likewise",
     "contact_works": "work of a contact on a link - impulse times mean velocity / energy at play",
     "joint_works": "work of a column of the ledger - that of what acts in joints and contacts / energy at play",

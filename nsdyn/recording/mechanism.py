@@ -1,53 +1,19 @@
-"""The model of an articulation as a recording holds it, built again: an audit's own, which shares nothing with the step."""
+"""The model of an articulation as a recording holds it, built again, which shares nothing with the step."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Course", "Mechanism"]
+__all__ = ["RANK", "Mechanism"]
 
-TURN, PARTS = 0.1, 64
-"""Most that a part of a motion turns, rad, and most parts that it is begun with."""
-
-FINE, DOUBLINGS = 1e-11, 6
-"""Error by step doubling, as a fraction of the velocity, at which a motion is fine enough, and most doublings."""
-
-SLOW = 1e-10
-"""Motion, rad or m, in which v changes by so small a fraction that it may be taken as constant."""
-
-PASSES = 50
-"""Most passes of the fixed point of a motion on loops; it contracts by the angle of the step a pass."""
-
-ROUND_OFF = 1e-14
-"""Change by a pass, as a fraction of the velocity, below which there is nothing left but roundings."""
-
-
-class Course(NamedTuple):
-    """A motion without impulses.
-
-    Attributes
-    ----------
-    q, v : ndarray, shapes (nq,), (nv,)
-        Where it ends.
-    mean : ndarray, shape (nv,)
-        Mean velocity.
-    doubted : ndarray, shape (2, nv)
-        How far the displacement and v change with half the step.
-    work : float
-        Of driven joints, J.
-    """
-
-    q: Array
-    v: Array
-    mean: Array
-    doubted: Array
-    work: float
+RANK = 1e-10
+"""Singular values below this fraction of the largest are those of redundant rows."""
 
 
 def _pose(matrix: Any) -> Any:
@@ -146,7 +112,7 @@ class Mechanism:
         self.driven: Index = np.array(sorted(self.speeds), dtype=np.int64)
         self.loops = len(self._loops)
         self.bound = bool(self.loops or self.driven.size)
-        self._zero, self._flat = np.zeros(self.nv), self.model.nq == self.nv
+        self.zero, self.flat = np.zeros(self.nv), self.model.nq == self.nv
         scalars = [joint for joint in list(self.model.joints)[1:] if joint.nq == joint.nv]
         self.linear = np.concatenate([np.arange(j.idx_v, j.idx_v + j.nv) for j in scalars] or [np.empty(0)]).astype(int)
         self._linear_q = np.concatenate([np.arange(j.idx_q, j.idx_q + j.nq) for j in scalars] or [np.empty(0)]).astype(
@@ -154,7 +120,7 @@ class Mechanism:
         )
         self.round = [(j.idx_v, j.idx_q) for j in list(self.model.joints)[1:] if (j.nq, j.nv) == (2, 1)]
         self.place(pin.neutral(self.model))
-        self._turns = np.linalg.norm(self.data.J.reshape(6, -1, order="A")[3:], axis=0)
+        self.turns = np.linalg.norm(self.data.J.reshape(6, -1, order="A")[3:], axis=0)
 
     def _add(self, label: str, told: Mapping[str, Any]) -> None:
         joint, turn = _joint(told)
@@ -190,7 +156,7 @@ class Mechanism:
 
     def stretch(self, q: Array) -> Array:
         """Of the joint springs, rad or m, the short way round."""
-        out = self.angle(q) - self.rest
+        out: Array = self.angle(q) - self.rest
         for j, _ in self.round:
             out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
         return out
@@ -198,7 +164,8 @@ class Mechanism:
     def mass(self, q: Array) -> Array:
         """Mass matrix."""
         upper = np.triu(np.array(pin.crba(self.model, self.data, q)).reshape(self.nv, self.nv))
-        return upper + np.triu(upper, 1).T
+        out: Array = upper + np.triu(upper, 1).T
+        return out
 
     def weight(self, q: Array) -> Array:
         """Gravity terms, N m or N."""
@@ -253,7 +220,7 @@ class Mechanism:
         outside = [pin.Force.Zero() for _ in range(self.model.njoints)]
         for joint, impulse in pushes:
             outside[joint] += self.data.oMi[joint].actInv(pin.Force(impulse))
-        tau, out, still = np.zeros(self.nv), np.zeros((self.model.njoints, 6)), self._zero
+        tau, out, still = np.zeros(self.nv), np.zeros((self.model.njoints, 6)), self.zero
         parts = [(1.0, self.light, still, change, [outside]), (h, self.model, still, still, [])]
         for share, model, v, a, more in parts + [(s, self.light, v, still, []) for s, v in flights]:
             tau += share * np.array(pin.rnea(model, self.data, q, v, a, *more))
@@ -267,7 +234,7 @@ class Mechanism:
 
         The least where loops are redundant; about the world's origin.
         """
-        react = np.linalg.lstsq(self.constraints(q)[1].T, tau, rcond=1e-10)[0]
+        react = np.linalg.lstsq(self.constraints(q)[1].T, tau, rcond=RANK)[0]
         out, row = [], 0
         for first, second, turned in self._loops:
             force, row = react[row : row + 3], row + 3
@@ -317,92 +284,3 @@ class Mechanism:
             if k
         )
         return 0.5 * float(v @ self.mass(q) @ v), 0.5 * float(bend @ (self.stiffness * bend)) - fallen
-
-    # -- motion ------------------------------------------------------------------------------------------------
-
-    def move(self, q: Array, v: Array, h: float, tau: Array | None = None) -> Course:
-        """Motion for h seconds without forces, or under gravity and constant joint forces tau; loops stay closed."""
-        if tau is None and h * np.abs(v).max(initial=0.0) <= SLOW:
-            return Course(np.array(pin.integrate(self.model, q, h * v)), v, v, np.zeros((2, self.nv)), 0.0)
-        if self.bound:
-            return self._slide(q, v, h)
-        parts = min(PARTS, 1 + int(h * float(np.max(np.abs(v) * (self._turns > 0.0))) / TURN))
-        coarse, first = self._fly(q, v, h, tau, parts), None
-        for _ in range(DOUBLINGS):
-            parts *= 2
-            fine = self._fly(q, v, h, tau, parts)
-            change = np.abs([pin.difference(self.model, coarse[0], fine[0]), coarse[1] - fine[1]])
-            first = change if first is None else first
-            coarse = fine
-            if change[1].max() <= FINE * np.abs(fine[1]).max():
-                break
-        assert first is not None
-        return Course(*coarse, first, 0.0)
-
-    def _fly(self, q: Array, v: Array, h: float, tau: Array | None, parts: int) -> tuple[Array, Array, Array]:
-        """The classical method of Runge and Kutta, on the displacement in each part and v."""
-        model, force = (self.light, self._zero) if tau is None else (self.model, tau)
-        mean, h = np.zeros(self.nv), h / parts
-
-        def rate(x: Array, v: Array) -> tuple[Array, Array]:
-            there = pin.integrate(model, q, x)
-            a = pin.aba(model, self.data, there, v, force)
-            return (v if self._flat else np.linalg.solve(pin.dIntegrate(model, q, x, pin.ARG1), v)), a
-
-        for _ in range(parts):
-            x1, a1 = rate(self._zero, v)
-            v2 = v + 0.5 * h * a1
-            x2, a2 = rate(0.5 * h * x1, v2)
-            v3 = v + 0.5 * h * a2
-            x3, a3 = rate(0.5 * h * x2, v3)
-            v4 = v + h * a3
-            x4, a4 = rate(h * x3, v4)
-            q = pin.integrate(model, q, h / 6.0 * (x1 + 2.0 * (x2 + x3) + x4))
-            mean += (v + 2.0 * (v2 + v3) + v4) / (6.0 * parts)
-            v = v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
-        return q, v, mean
-
-    def _slide(self, q: Array, v: Array, h: float) -> Course:
-        """On loops and driven joints, which keep their speed: one midpoint step, doubted by two of half."""
-        end, new, mean, work = self._midpoint(q, v, h)
-        there, half, _, _ = self._midpoint(q, v, 0.5 * h)
-        fine, last, _, _ = self._midpoint(there, half, 0.5 * h)
-        doubted = np.abs([pin.difference(self.model, end, fine), new - last])
-        return Course(end, new, mean, doubted, work)
-
-    def _midpoint(self, q: Array, v: Array, h: float) -> tuple[Array, Array, Array, float]:
-        """The implicit midpoint rule: M (v' - v) + h c = Bᵀ λ at the middle, and B v' = b at the end."""
-        middle = self.close(pin.integrate(self.model, q, 0.5 * h * v))
-        M, new, speeds = self.mass(middle), v.copy(), v[self.driven]
-        B = self.constraints(middle)[1]
-        for _ in range(PASSES):
-            mean = 0.5 * (v + new)
-            bias = np.array(pin.nonLinearEffects(self.light, self.data, middle, mean))
-            at_end = self.constraints(pin.integrate(self.model, q, h * mean))[1]
-            new, last = self.respond(M, M @ v - h * bias, B, at_end, speeds), new
-            if np.abs(new - last).max() <= ROUND_OFF * np.abs(v).max():
-                break
-        mean = 0.5 * (v + new)
-        bias = np.array(pin.nonLinearEffects(self.light, self.data, middle, mean))
-        react = np.linalg.lstsq(B.T, M @ (new - v) + h * bias, rcond=1e-10)[0]
-        work = float(react[len(B) - speeds.size :] @ mean[self.driven])
-        return self.close(pin.integrate(self.model, q, h * mean)), new, mean, work
-
-    def respond(self, M: Array, momentum: Array, B: Array, at_end: Array, speeds: Array) -> Array:
-        """v with M v = momentum + Bᵀ λ, the rows `at_end` of loops at rest and those of driven joints at their speeds."""
-        free, react = np.linalg.solve(M, momentum), np.linalg.solve(M, B.T)
-        goal = np.zeros(len(B))
-        goal[len(B) - speeds.size :] = speeds
-        out: Array = free + react @ np.linalg.lstsq(at_end @ react, goal - at_end @ free, rcond=1e-10)[0]
-        return out
-
-    def close(self, q: Array) -> Array:
-        """A configuration next to q whose loops are closed: Newton's method, closest in the kinetic metric."""
-        for _ in range(PASSES if self.loops else 0):
-            gap, B = self.constraints(q)
-            if np.abs(gap).max() <= 1e-13:
-                break
-            react = np.linalg.solve(self.mass(q), B.T)
-            miss = np.concatenate((gap, np.zeros(self.driven.size)))
-            q = np.array(pin.integrate(self.model, q, -react @ np.linalg.lstsq(B @ react, miss, rcond=1e-10)[0]))
-        return q

@@ -36,7 +36,7 @@ def reactions(trajectory: Trajectory) -> dict[str, Array]:
         ]
         named = [(a["name"], joint) for a in scene["articulations"] for joint in a.get("joints", ())] + loops
         return {f"{owner}/{name}": np.full((n, 6), np.nan) for owner, name in named}
-    out = {}
+    out: dict[str, Array] = {}
     for i, m in enumerate(found.mechanisms):
         names = [f"{m.name}/{name}" for name in (*m.joints, *m.loop_names)]
         steps = np.array([_of_step(found, i, k) for k in range(n)]).reshape(n, len(names), 6)

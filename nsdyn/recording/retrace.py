@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from nsdyn.recording.courses import Course, move, respond
 from nsdyn.recording.file import ON_JOINTS, PIECES
-from nsdyn.recording.mechanism import Course, Mechanism
+from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array
 
@@ -127,7 +128,8 @@ class Trees:
         """Of all contacts on body 2, world axes, N·s."""
         c = self.trajectory.columns
         n, t1 = c["contacts/normal"], c["contacts/tangent"]
-        return np.einsum("ci,cij->cj", c["contacts/impulse"], np.stack([n, t1, np.cross(n, t1)], axis=1))
+        out: Array = np.einsum("ci,cij->cj", c["contacts/impulse"], np.stack([n, t1, np.cross(n, t1)], axis=1))
+        return out
 
     @cached_property
     def touches(self) -> list[dict[int, list[tuple[int, int, int]]]]:
@@ -184,17 +186,17 @@ class Trees:
         begin, kicks, flows = v[m.driven], list[Kick](), list[Course]()
         for h, touches, given in pieces:
             whole += h
-            first = m.move(q, v, (1.0 - theta) * h)
+            first = move(m, q, v, (1.0 - theta) * h)
             speeds = begin + min(1.0, whole / t.dt) * (goal[m.driven] - begin) if h else first.v[m.driven]
             told = [m.speeds[int(j)] for j in m.driven]
             speeds = np.array([x if rate is None else rate for x, rate in zip(speeds, told, strict=True)])
             kick = self._kick(m, first, h, theta, touches, given, speeds)
             pushed = touches or given[1:3].any() or m.bound or m.damping.any() or m.stiffness.any()
             if all_along and h and not pushed:
-                last = m.move(q, v, h, (given[0] + given[3]) / h)
+                last = move(m, q, v, h, (given[0] + given[3]) / h)
                 kick, first = kick._replace(mean=last.mean), last._replace(doubted=0.0 * last.doubted)
             else:
-                last = m.move(kick.q, kick.after, theta * h)
+                last = move(m, kick.q, kick.after, theta * h)
             kicks.append(kick)
             flows += [first, last]
             q, v = last.q, last.v
@@ -219,7 +221,7 @@ class Trees:
         reaction = np.zeros(m.nv)
         if m.bound:
             B = m.constraints(at.q)[1]
-            after = m.respond(M + h * end, momentum, B, B, speeds)
+            after = respond(m, M + h * end, momentum, B, B, speeds)
             reaction = (M + h * end) @ after - momentum
         else:
             after = np.linalg.solve(M + h * end, momentum)

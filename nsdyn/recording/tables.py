@@ -221,7 +221,7 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
         position = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))[:, None]
     if velocity.shape[1] == 1:
         position, velocity, *acts = (values[:, 0] for values in (position, velocity, *acts))
-    return JointMotion(name, position, velocity, *acts, lambda: trajectory.reactions[name])
+    return JointMotion(name, position, velocity, acts[0], acts[1], acts[2], lambda: trajectory.reactions[name])
 
 
 def loop(trajectory: Trajectory, name: str) -> LoopReaction:
