@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import shutil
 import sys
 import warnings
 from pathlib import Path
@@ -10,7 +11,7 @@ import falsified
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import DATA
+from conftest import DATA, write_stl
 
 import nsdyn as nd
 from nsdyn.recording.retrace import trees
@@ -96,14 +97,16 @@ def test_a_recording_holds_its_articulations(tmp_path):
         np.testing.assert_allclose(m.pose(k).homogeneous, data.oMi[k].homogeneous, rtol=0, atol=1e-13)
 
 
-def test_robot_files_pass():
+def test_robot_files_pass(robot, tmp_path):
     """Loops, springs, frames of MJCF, URDF and SDF."""
+    write_stl(tmp_path / "box.stl", (0.1, 0.2, 0.3))
+    shutil.copy(DATA / "assets.xml", tmp_path)
+    shutil.copy(DATA / "robot.xml", tmp_path)
     scene = nd.Scene()
-    scene.add_halfspace("ground")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        scene.add_urdf("urdf", DATA / "robot.urdf", position=(0, 0, 2), self_collisions=False)
-        scene.add_mjcf("mjcf", DATA / "robot.xml", position=(0, 5, 3), self_collisions=False)
+        scene.add_urdf("urdf", robot[0], position=(9, 0, 4), package_dirs=robot[1], self_collisions=False)
+        scene.add_mjcf("mjcf", tmp_path / "robot.xml", self_collisions=False)
         trajectory = nd.simulate(scene, 0.05, 1e-3)
     audit = nd.check(trajectory)
     assert audit.passed and not audit.not_audited, audit

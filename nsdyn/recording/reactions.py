@@ -30,7 +30,8 @@ def reactions(trajectory: Trajectory) -> dict[str, Array]:
     where a recording does not tell.
     """
     found, n, scene = trees(trajectory), trajectory.steps, trajectory.scene
-    if isinstance(found, str) or found.missing:
+    # On which links external wrenches act is not recorded: a joint may bear one that moves nothing.
+    if isinstance(found, str) or found.missing or trajectory.meta.get("external_force", True):
         loops = [
             (a["name"], loop["name"]) for a in scene["articulations"] for loop in a.get("model", {}).get("loops", ())
         ]
@@ -49,8 +50,6 @@ def _of_step(found: Trees, tree: int, k: int) -> Array:
     m, theta = found.mechanisms[tree], float(found.trajectory.meta["theta"])
     joints, loops, way = np.zeros((len(m.joints), 6)), np.zeros((m.loops, 6)), found.way(tree, k)
     v, points = found.state(tree, k)[1], found.trajectory.columns["contacts/point"]
-    if any(kick.given[3].any() for kick in way.kicks):
-        return np.full((len(m.joints) + m.loops, 6), np.nan)  # on which links wrenches act is not recorded
     for kick, end in zip(way.kicks, way.flows[1::2], strict=True):
         pushes = [
             (joint, np.concatenate((push, np.cross(points[row], push))))

@@ -98,7 +98,8 @@ class JointMotion:
         All of it: what the joint constrains, its actuation, limits, friction, damping and springs, as a sensor in it
         would measure; the impulses of impacts over dt. It is found by the balance of momentum of all links beyond, at
         the configuration where the impulses act (`nsdyn.recording.reactions`), to second order in dt. NaN where not
-        every step and contact is recorded, before format 7, and in steps with external wrenches on the articulation.
+        every step and contact is recorded, before format 7, and where external forces act, of which it is not recorded
+        on which links.
         """
         return self._reaction()[:, :3]
 
