@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from nsdyn.recording import breakdown, tables
 from nsdyn.recording import file as recording
 from nsdyn.recording.file import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
-from nsdyn.recording.reactions import reactions
 from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog, rotate
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
@@ -199,6 +198,8 @@ class Trajectory:
     @cached_property
     def reactions(self) -> dict[str, Array]:
         """Of all joints and loops, (n, 6): mean forces N, then torques N m; see `nsdyn.recording.reactions`."""
+        from nsdyn.recording.reactions import reactions  # Pinocchio, which to read a recording does not need
+
         return reactions(self)
 
     def save(self, path: str | Path) -> None:
