@@ -377,6 +377,8 @@ KINDS = {
     "a tenth of the works of contacts as damping": ("woodpecker", _booked("friction", "damping", 0.1)),
     "works of one contact in another": ("gripper", _plus("contacts/work_friction", 1e-3, 40)),
     "pieces that do not make up their step": ("arm", _cut_short),
+    "times of contacts": ("arm", _times("contacts/time", 1.01)),
+    "a defect of the ledger": ("cart", _plus("energy/defect", 1e-6, 3)),
     "half the speed": ("arm", _slower),
     "times": ("bars", _later),
     "a step left out": ("bars", _skipped),

@@ -112,8 +112,8 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
 def _pieces(found: Trees) -> Found:
     """Durations, contacts and impulses of pieces, which make up those of their steps."""
     t, c = found.trajectory, found.trajectory.columns
-    counts, each = np.diff(c["pieces/offset"]), np.repeat(np.arange(t.steps), np.diff(c["pieces/offset"]))
-    cut = counts > 0
+    counts = np.diff(c["pieces/offset"])
+    each = np.repeat(np.arange(t.steps), counts)
 
     def off(name: str, of_step: Array) -> Array:
         sums = np.zeros((t.steps, *c[f"pieces/{name}"].shape[1:]))
@@ -124,8 +124,20 @@ def _pieces(found: Trees) -> Found:
 
     whole = {"duration": np.full(t.steps, t.dt), "contacts": np.diff(c["contacts/offset"])}
     whole |= {name: c[f"joints/{name}"] for name in ON_JOINTS}
-    worst = np.max([off(name, of_step) for name, of_step in whole.items()], axis=0)[cut]
-    return worst_of("pieces", worst, worst, UNITS["pieces"], np.flatnonzero(cut) + 1, lambda _: ())
+    worst = np.max([off(name, of_step) for name, of_step in whole.items()], axis=0) * (counts > 0)
+    # Impulses act (1 - θ) of a piece after its beginning, those of a step that was not cut of the step's.
+    duration, ahead = c["pieces/duration"], 1.0 - float(t.meta["theta"])
+    so_far = np.concatenate([[0.0], np.cumsum(duration)])
+    begun = so_far[:-1] - so_far[c["pieces/offset"][:-1]][each]
+    step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    acts = np.full(step.size, ahead * t.dt)
+    own = counts[step] > 0
+    times = np.repeat(begun + ahead * duration, np.maximum(c["pieces/contacts"], 0))
+    if times.size != np.count_nonzero(own):
+        times = np.full(np.count_nonzero(own), np.inf)
+    acts[own] = times
+    np.maximum.at(worst, step, np.abs(c["contacts/time"] - acts) / t.dt)
+    return worst_of("pieces", worst, worst, UNITS["pieces"], np.arange(t.steps) + 1, lambda _: ())
 
 
 def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:

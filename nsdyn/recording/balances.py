@@ -193,5 +193,5 @@ def energies(poses: Poses) -> Iterator[Found]:
             off = np.maximum(off - _falls(t), 0.0)
             yield worst_of("works", off / scale, off, "J", steps[1:], nobody)
     works: Mapping[str, Array] = {name: getattr(e, name) for name in e.names[2:] if name != "defect"}
-    off = np.abs(np.diff(total) - sum(works.values()))
+    off = np.maximum(np.abs(np.diff(total) - sum(works.values())), np.abs(e.defect))
     yield worst_of("balance", off / (scale + np.abs(e.potential[1:])), off, "J", steps[1:], nobody)

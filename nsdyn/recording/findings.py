@@ -64,7 +64,7 @@ MEANING = {
     "links": "frame of a link as recorded - that of q / its place and reach",
     "loops": "gap of a loop / length of its links",
     "limits": "joint beyond a limit / range",
-    "pieces": "durations, contacts and impulses of a step - those of the pieces it was cut into / largest",
+    "pieces": "durations, contacts, their times and impulses of a step - those of what it was cut into / largest",
     "stops": "joint from the limit whose impulse acts, beyond what it moves in the step / range",
     "joint_cone": "dry friction of a joint - h times its largest / that",
     "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round in the step / energy at play",
@@ -75,7 +75,7 @@ MEANING = {
     "contact_works": "work of a contact on a link - impulse times mean velocity / energy at play",
     "joint_works": "work of a column of the ledger - that of what acts in joints and contacts / energy at play",
     "drives": "work of loops and driven joints as the ledger has it - that of their reactions / energy at play",
-    "balance": "change of energy - sum of the works of the ledger / energy at play",
+    "balance": "change of energy - sum of the works of the ledger, or its defect / energy at play",
 }
 """What each finding is a number of."""
 
