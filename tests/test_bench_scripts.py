@@ -21,6 +21,7 @@ SCRIPTS = {
     "truth.py": (["slow_ball", "--quick"], r"slow_ball +speed +[\d.e+-]+ +1e-09"),
     "fuzz.py": (["urdf", "--count", "20"], r"urdf +20 cases.*\n0 failures"),
     "anything.py": (["--count", "3", "--steps", "5"], r"3 scenes: .*\nworst figures: "),
+    "audits.py": (["--begin", "3", "--count", "2"], r"^ +\d+  passed"),
     "kills.py": (["--count", "1", "--scene", "rolling"], r"\d+ kills in \d+ runs, 0 failures"),
     "long.py": (["ball", "--time", "0.5"], r"ball t = +0\.5 s: .* 0 missed"),
     "sweep.py": (

@@ -514,3 +514,29 @@ def test_what_a_move_has_not_met_is_met_where_it_parts_bodies(end, kept):
     assert late.gap.size and (late.gap < -0.04).all()
     met = sight._parting(s, late, middle.contacts, *places)
     assert met.gap.size == (late.gap.size if kept else 0)
+
+
+def test_terms_of_the_equations_of_motion():
+    """M v̇ + bias = Jᵀ f along a fine motion with contacts, and J v is the rate of the gaps; Pinocchio's layout."""
+    stepper = nd.Stepper(nd.scenes.load("arm_pushes_box")(), dt=1e-5, solver=nd.solvers.Auto(tol=1e-12))
+    for _ in range(500):
+        stepper.step()
+    n = stepper.start().v.size
+    M, bias, v = stepper.mass_matrix(), stepper.bias(), stepper.start().v
+    np.testing.assert_allclose(M, M.T, rtol=0, atol=1e-15)
+    contacts, frame, J = stepper.contact_jacobian()
+    assert J.shape == (3 * contacts.gap.size, n) and frame.shape == (contacts.gap.size, 3, 3) and contacts.gap.size
+    kinetic = stepper.step().energy["kinetic"]
+    assert 0.5 * v @ M @ v == pytest.approx(kinetic, rel=1e-3)
+    step = stepper.step()
+    before = stepper.start().v
+    step = stepper.step()
+    M, bias = stepper.mass_matrix(), stepper.bias()
+    contacts, frame, J = stepper.contact_jacobian()
+    assert contacts.key.tolist() == step.contacts.key.tolist()
+    # Tangents may differ from those of the step, whose impulses the world's axes tell.
+    push = np.einsum("cij,cj->ci", frame, np.einsum("cij,ci->cj", step.frame, step.r)).ravel()
+    left = M @ (step.v - before) / 1e-5 + bias - J.T @ push / 1e-5
+    assert np.abs(left).max() < 1e-3 * np.abs(bias).max()
+    rates = (J @ step.v).reshape(-1, 3)
+    np.testing.assert_allclose(rates[:, 0], np.einsum("ci,cij,cj->c", step.u, step.frame, frame[:, 0]), atol=1e-4)

@@ -78,7 +78,10 @@ def rows(n: int, links: bool = False, seed: int = 0):
             u=rng.normal(size=(nc, 3)), r=rng.normal(size=(nc, 3)),
             contact_status=rng.integers(0, 3, nc).astype(np.int8), contact_time=rng.uniform(0.0, DT, nc),
             work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc), created=1e-3 * k,
-            joints=rng.normal(size=(3, 1)) if links else None,
+            pieces=SimpleNamespace(
+                duration=np.full(k % 3, DT / 2), contacts=np.arange(k % 3), joints=rng.normal(size=(6, k % 3, 1))
+            ) if links and k % 3 else None,
+            joints=rng.normal(size=(6, 1)) if links else None,
             gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k),
             solution=SimpleNamespace(
                 error=1e-10 * k, residual=1e-9 * k, iterations=k, status=nd.Status.CONVERGED, time=1e-4
@@ -141,7 +144,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 6 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 7 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
@@ -150,10 +153,11 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         assert file["energy/kinetic"].shape == (8,) and file["energy/defect"].shape == (7,)
         assert set(file["gauss"]) == {"gap", "shift", "bound"}
         assert set(file["solver"]) == {"error", "residual", "iterations", "status", "time"}
-        offset = file["contacts/offset"][:]
+        offset, pieces = file["contacts/offset"][:], file["pieces/offset"][:]
         assert offset.shape == (8,) and offset[0] == 0
+        assert pieces.tolist() == [0, 1, 3, 3, 4, 6, 6, 7] and file["pieces/shift"].shape == (7, 1)
         assert {name: file["joints"][name].shape for name in file["joints"]} == dict.fromkeys(
-            ("actuation", "limit", "friction"), (7, 1)
+            ("actuation", "limit", "friction", "external", "shift"), (7, 1)
         )
         columns = set(file["contacts"]) - {"offset"}
         assert columns == {
@@ -286,7 +290,7 @@ def test_failed_save_leaves_the_old_file(tmp_path):
     [
         (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
         (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
-        (lambda f: f["meta"].attrs.__setitem__("format_version", 7), "format_version 7"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", 8), "format_version 8"),
         (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
         (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
         (lambda f: f["t"].resize(0, axis=0), "is damaged"),

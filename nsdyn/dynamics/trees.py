@@ -89,6 +89,9 @@ class Tree:
                 self.radius[k] = max(self.radius[k], far)
         self._weightless = self.model.copy()
         self._weightless.gravity = pin.Motion.Zero()
+        # Pinocchio's kinetic energy leaves out the armature of joints about axes that are none of the coordinates'.
+        self._bare, self._armature = self.model.copy(), a.armature
+        self._bare.armature = np.zeros(nv)
         # Views of Pinocchio's own memory, in which each evaluation shows; one with nv = 1 comes without its last axis.
         self._J: Array = self.data.J.reshape(6, nv, order="A")
         self._R, self._x = pose_views(self.data.oMi, self.model.njoints)
@@ -452,8 +455,9 @@ class Tree:
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""
-        pin.computeMechanicalEnergy(self.model, self.data, q, v)
-        kinetic, potential = float(self.data.kinetic_energy), float(self.data.potential_energy)
+        pin.computeMechanicalEnergy(self._bare, self.data, q, v)
+        kinetic = float(self.data.kinetic_energy) + 0.5 * float(v @ (self._armature * v))
+        potential = float(self.data.potential_energy)
         if self._springs:
             deviation = self._deviation(self.angle(q), self.rest)
             potential += 0.5 * float(deviation @ (self.stiffness * deviation))

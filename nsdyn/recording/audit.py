@@ -18,10 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn.recording.balances import energies, momenta
-from nsdyn.recording.findings import TOLERANCES, Finding, left_out
+from nsdyn.recording.articulated import joints
+from nsdyn.recording.balances import energies, momenta, plain
+from nsdyn.recording.findings import TOLERANCES, Finding
 from nsdyn.recording.flight import Flight
 from nsdyn.recording.poses import Poses
+from nsdyn.recording.retraced import retraced
+from nsdyn.recording.tables import left_out
 from nsdyn.recording.touching import contacts, overlaps
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array
@@ -46,30 +49,42 @@ class Audit:
 
     @property
     def passed(self) -> bool:
-        """Whether all findings passed; what could not be audited does not fail."""
+        """Whether all findings passed; what could not be audited does not fail: see `not_audited`."""
         return all(finding.passed for finding in self.findings)
+
+    @property
+    def not_audited(self) -> tuple[str, ...]:
+        """What there is no figure of, whose `Finding.reason` says why."""
+        return tuple(finding.name for finding in self.findings if finding.reason)
+
+    @property
+    def verdict(self) -> str:
+        """Whether it passed, in words: what was not looked at is part of it."""
+        left = f", not audited: {', '.join(self.not_audited)}" if self.not_audited else ""
+        return ("passed" if self.passed else "FAILED") + left
 
     def __getitem__(self, name: str) -> Finding:
         """Finding by name."""
         return next(finding for finding in self.findings if finding.name == name)
 
     def as_dict(self) -> dict[str, Any]:
-        """The findings by their names as JSON values, and ``passed``."""
+        """The findings by their names as JSON values, ``passed``, ``verdict`` and ``not_audited``."""
         findings = {f.name: asdict(f) | {"passed": f.passed} for f in self.findings}
-        return {"scene": self.name, "passed": self.passed, "findings": findings}
+        told = {"scene": self.name, "passed": self.passed, "verdict": self.verdict}
+        return told | {"not_audited": list(self.not_audited), "findings": findings}
 
     def __repr__(self) -> str:
-        lines = [f"{'audit':12} {'worst':>9} {'tolerance':>9}  {'':6} {'amount':>15}  where"]
+        lines = [f"{'audit':14} {'worst':>9} {'tolerance':>9}  {'':6} {'amount':>15}  where"]
         for f in self.findings:
             if f.reason:
-                lines.append(f"{f.name:12} {'-':>9} {f.tol:9.0e}  not audited: {f.reason}")
+                lines.append(f"{f.name:14} {'-':>9} {f.tol:9.0e}  not audited: {f.reason}")
                 continue
             where = f"step {f.step}, {' and '.join(f.bodies)}" if f.bodies else f"step {f.step}"
             lines.append(
-                f"{f.name:12} {f.worst:9.1e} {f.tol:9.0e}  {'passed' if f.passed else 'FAILED'} "
+                f"{f.name:14} {f.worst:9.1e} {f.tol:9.0e}  {'passed' if f.passed else 'FAILED'} "
                 f"{f.amount:9.2e} {f.unit:5}  {where if f.worst > 0.0 else ''}".rstrip()
             )
-        lines.append(f"{self.name}: {'passed' if self.passed else 'FAILED'}")
+        lines.append(f"{self.name}: {self.verdict}")
         return "\n".join(lines)
 
 
@@ -93,13 +108,15 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
 
     Notes
     -----
-    Not audited: links of articulations beyond their overlaps and contacts (their velocities and the reactions of their
-    joints are not recorded), and the momenta of free bodies where external forces act. Where only every N-th step is
-    recorded there are no balances of momentum, nor of the works of contacts one by one, nor is it known where those of
-    the last step were in its middle; the ledger is audited, being of all steps. Where contacts are not recorded,
-    nothing is audited that they do. In recordings before format 6 it is not known when impulses acted, and angular
-    momenta are not audited; before format 3 not whether external forces acted, nor which links may overlap, so links of
-    one articulation are not compared.
+    Articulations are followed through every step by equations of motion of their own (`nsdyn.recording.retrace`), from
+    the model that the recording holds. Not audited: the momenta of free bodies where external forces act, what a
+    controller gives, the works of moving surfaces, and what contacts are said to be besides their impulses and works:
+    gaps, velocities, coefficients. Where only every N-th step is recorded there are no balances of momentum, nor of the
+    works of contacts one by one, nor is it known where those of the last step were in its middle; the ledger is
+    audited, being of all steps. Where contacts are not recorded, nothing is audited that they do. In recordings before
+    format 7 articulations have no model, and nothing is audited of them but overlaps and contacts; before format 6 it
+    is not known when impulses acted, and angular momenta are not audited; before format 3 not whether external forces
+    acted, nor which links may overlap, so links of one articulation are not compared.
 
     Examples
     --------
@@ -113,8 +130,11 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
         choice(unknown[0], TOLERANCES, "tolerance")
     tol = TOLERANCES | tolerances
     poses = Poses(trajectory)
-    flight = None if left_out(trajectory) else Flight.of(poses)
-    findings = [*overlaps(poses), *contacts(poses, flight), *momenta(poses, flight), *energies(poses)]
+    found = retraced(poses)
+    links = None if isinstance(found, str) else (found.met_x, found.met_quaternion, found.met_v)
+    flight = None if left_out(trajectory) else Flight.of(poses, links)
+    findings = [*plain(poses), *overlaps(poses), *contacts(poses, flight), *momenta(poses, flight)]
+    findings += [*energies(poses), *joints(poses, found, flight)]
     return Audit(tuple(finding(tol[name]) for name, finding in findings), str(trajectory.meta["scene_name"]))
 
 

@@ -6,14 +6,16 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from nsdyn.recording.findings import Found, at_play, left_out, not_audited, of_bodies, worst_of
+from nsdyn.recording.findings import Found, at_play, not_audited, of_bodies, worst_of
 from nsdyn.recording.flight import CONJUGATE, Flight, spins, velocities
 from nsdyn.recording.poses import Poses, turned
+from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
+from nsdyn.recording.tables import left_out
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array
 
-__all__ = ["energies", "momenta"]
+__all__ = ["energies", "momenta", "plain"]
 
 ROUND_OFF = 1e-13
 """Work that is nothing, as a fraction of the energy at play: some hundred roundings."""
@@ -25,7 +27,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     reason = left_out(t)
     missing = not_audited("motion", "m", f"of every {t.every} steps one is recorded")
     yield _motion(poses, flight) if t.every == 1 else missing
-    if t.meta.get("external_force", True):
+    if t.meta.get("external_force", True) and free:
         known = "external_force" in t.meta
         reason = "external forces act" if known else "whether external forces act is not recorded"
     if reason or flight is None:
@@ -58,6 +60,18 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     left = np.where(resisted, 0.0, np.maximum(left, 0.0))
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:], "N·m·s")
+
+
+def plain(poses: Poses) -> Iterator[Found]:
+    """Whether times are those of the steps, and quaternions of norm 1."""
+    t, frames = poses.trajectory, poses.scene["frames"]
+    h = t.dt * t.every
+    # Times are rounded where they are large.
+    late = np.maximum(np.abs(np.diff(t.t) - h) - 4.0 * np.finfo(float).eps * np.abs(t.t[1:]), 0.0)
+    yield worst_of("times", late / h, late, "s", np.arange(1, t.steps + 1), lambda _: ())
+    off = np.abs(np.linalg.norm(poses.quaternion, axis=2) - 1.0)
+    state, which = np.indices(off.shape)
+    yield worst_of("turns", off.ravel(), off.ravel(), "-", state.ravel(), lambda k: [frames[which.ravel()[k]]])
 
 
 def _rotational(quaternion: Array, spin: Array, inertia: Array) -> Array:
@@ -128,7 +142,10 @@ def _falls(t: Trajectory) -> Array:
 
 
 def energies(poses: Poses) -> Iterator[Found]:
-    """Energies anew, works of contacts summed anew, and the balance of every step."""
+    """Energies anew, works of contacts summed anew, and the balance of every step.
+
+    Works of scenes with articulations are audited with these.
+    """
     t = poses.trajectory
     e, free = t.energy, poses.free
     trees, scale = bool(t.scene["articulations"]), at_play(poses)
@@ -149,19 +166,23 @@ def energies(poses: Poses) -> Iterator[Found]:
         yield worst_of("dissipation", work / scale, work, "J", steps[1:], nobody)
     else:
         yield not_audited("dissipation", "J", left_out(t))
-    total = e.total
-    if trees:
-        yield not_audited("energy", "J", "masses of articulations are not recorded")
-        yield not_audited("works", "J", "works of joints are not recorded one by one")
+    total, built = e.total, articulations(t)
+    if isinstance(built, str):
+        yield not_audited("energy", "J", built)
     else:
-        pose, twist = t.q.reshape(t.steps + 1, free, 7), t.v.reshape(t.steps + 1, free, 6)
+        pose = t.q[:, : 7 * free].reshape(t.steps + 1, free, 7)
+        twist = t.v[:, : 6 * free].reshape(t.steps + 1, free, 6)
         mass, inertia = np.array(t.scene["masses"]), np.array(t.scene["inertias"]).reshape(-1, 3, 3)
         turning = np.einsum("nbi,bij,nbj->n", twist[..., 3:], inertia, twist[..., 3:])
         kinetic = 0.5 * ((twist[..., :3] ** 2).sum(axis=2) @ mass + turning)
         potential = -(pose[..., :3] @ np.array(t.scene["gravity"])) @ mass
+        for i, m in enumerate(built.mechanisms):
+            each = np.array([m.energies(*built.state(i, k)) for k in range(t.steps + 1)])
+            kinetic, potential = kinetic + each[:, 0], potential + each[:, 1]
         off = np.maximum(np.abs(kinetic - e.kinetic), np.abs(potential - e.potential))
         yield worst_of("energy", off / (scale + np.abs(potential)), off, "J", steps, nobody)
         total = kinetic + potential
+    if not trees:
         if reason := left_out(t):
             yield not_audited("works", "J", reason)
         elif float(t.meta["theta"]) != 0.5:
@@ -172,5 +193,5 @@ def energies(poses: Poses) -> Iterator[Found]:
             off = np.maximum(off - _falls(t), 0.0)
             yield worst_of("works", off / scale, off, "J", steps[1:], nobody)
     works: Mapping[str, Array] = {name: getattr(e, name) for name in e.names[2:] if name != "defect"}
-    off = np.abs(np.diff(total) - sum(works.values()))
+    off = np.maximum(np.abs(np.diff(total) - sum(works.values())), np.abs(e.defect))
     yield worst_of("balance", off / (scale + np.abs(e.potential[1:])), off, "J", steps[1:], nobody)

@@ -9,7 +9,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                      where they are known parameters, JSON {name: value} of what the scene was made with, and
                      command, the words typed after the prompt
     /meta/scene      JSON string, what `Scene.describe` returns: shapes, poses, gravity, frames; since version 3 the
-                     pairs of shapes that may overlap
+                     pairs of shapes that may overlap; since version 7 the joints, inertias, loops and laws of
+                     articulations
     /t               (n+1,)  s
     /q, /v           (n+1, nq), (n+1, nv)  Pinocchio's free-flyer of every free body (x y z qx qy qz qw;
                      linear then angular velocity in the body frame), then the articulations
@@ -24,8 +25,20 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /solver/error, residual, iterations, status, time
                                                    (n,)  -, m/s, -, `nd.Status`, s; error since version 3
     /wall_time                                     (n,)  s that the step took, recording apart; since version 4
-    /joints/actuation, limit, friction             (n, nv)  impulses on the coordinates of the articulations, N m s or
-                                                   N s; only in scenes with articulations; since version 5
+    /joints/actuation, limit, friction, external   (n, nv)  impulses on the coordinates of the articulations, N m s or
+                                                   N s; only in scenes with articulations; since version 5, external
+                                                   (of wrenches on their bodies) since version 7
+    /joints/shift                                  (n, nv)  displacement by position projections, rad or m; since
+                                                   version 7
+    /joints/strength                               (n, nv)  most impulse that the actuators may give, N m s or N s;
+                                                   infinite where they have no limit; since version 7
+    /pieces/offset                                 (n+1,)  moves and impacts of step k are rows offset[k-1] to
+                                                   offset[k] of the following, none of a step made in one move; only
+                                                   in scenes with articulations; since version 7
+    /pieces/duration, contacts                     (.,)  s, 0 of impacts in no time; how many of the step's contacts,
+                                                   in their order, are of it
+    /pieces/actuation, limit, friction, external, shift, strength
+                                                   (., nv)  as of /joints
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
                                                    rows offset[k-1] to offset[k] of
     /contacts/geom1, geom2, key                    indices of the shapes; key of the warm start
@@ -41,7 +54,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
 them, so that the ledger closes, as are `/joints`, `/solver/iterations`, `time` and `/wall_time`; `shift` and `bound`
 are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the last, their impulses and
-works too. With contacts false there are none. A recording that is complete is compressed (byte shuffle and gzip).
+works too; there are no `/pieces`. With contacts false there are none. A recording that is complete is compressed (byte
+shuffle and gzip).
 
 A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
 HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file
@@ -72,7 +86,7 @@ __all__ = ["create", "extend", "read", "read_state", "until"]
 Columns = dict[str, NDArray[Any]]
 Saved = tuple[int, Columns]
 
-FORMAT_VERSION = 6
+FORMAT_VERSION = 7
 CONTACT_STATES = ("open", "stick", "slip")
 
 ENERGIES = ("kinetic", "potential")
@@ -102,7 +116,9 @@ CONTACT = {
 # Datasets of a file by their number of rows: n + 1, n, and one per contact.
 STATES = ["t", "q", "v", *(f"energy/{name}" for name in ENERGIES), "contacts/offset"]
 LINKS = ["frames/x", "frames/quat"]
-JOINTS = ["joints/actuation", "joints/limit", "joints/friction"]
+ON_JOINTS = ("actuation", "limit", "friction", "external", "shift", "strength")
+JOINTS = [f"joints/{name}" for name in ON_JOINTS]
+PIECES = {"duration": "f8", "contacts": "i8", **dict.fromkeys(ON_JOINTS, "f8")}
 STEPS = [f"energy/{name}" for name in WORKS]
 STEPS += [f"gauss/{name}" for name in GAUSS] + [f"solver/{name}" for name in SOLVER] + ["energy/created", "wall_time"]
 # Columns that older files lack: (version, column, those that it is the sum of, its value without any).
@@ -118,6 +134,7 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
 # Attributes of /meta that older files lack.
 ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": ""}
 CONTACTS = [f"contacts/{name}" for name in CONTACT]
+RAGGED = ("contacts", "pieces")
 
 GROWING, PACKED = 1 << 16, 1 << 18
 """Bytes of a chunk of a file that grows, quick to write and so small that small files stay small, and of one that is
@@ -134,15 +151,20 @@ COMPRESSED = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
 place, so that one that grows, a few rows at a time, would become larger than without."""
 
 
-def _rows(names: Iterable[str], states: int, contacts: int) -> dict[str, int]:
-    """Count the rows of each dataset in a recording of that many states and contacts."""
-    count = dict.fromkeys(CONTACTS, contacts) | dict.fromkeys([*STATES, *LINKS], states)
-    return {name: count.get(name, states - 1) for name in names}
+def _rows(names: Iterable[str], states: int, ends: Mapping[str, int]) -> dict[str, int]:
+    """Count the rows of each dataset in a recording of that many states; `ends` are those of contacts and pieces."""
+    count = dict.fromkeys([*STATES, *LINKS, *(f"{group}/offset" for group in ends)], states)
+    return {name: count.get(name, ends.get(name.partition("/")[0], states - 1)) for name in names}
+
+
+def _ends(source: Mapping[str, Any], row: int) -> dict[str, int]:
+    """How many contacts and pieces, where there are any, a file or columns have until a row."""
+    return {group: int(source[f"{group}/offset"][row]) for group in RAGGED if f"{group}/offset" in source}
 
 
 def until(columns: Columns, row: int) -> Columns:
     """The columns of the states until a row, and of the steps before it."""
-    sizes = _rows(columns, row + 1, int(columns["contacts/offset"][row]))
+    sizes = _rows(columns, row + 1, _ends(columns, row))
     return {name: columns[name][:size] for name, size in sizes.items()}
 
 
@@ -199,8 +221,8 @@ def extend(path: Path, columns: Columns, state: Saved | None = None) -> None:
     with h5py.File(path, "r+", libver="latest", locking=False) as file:
         file.swmr_mode = True
         states = len(file["t"])
-        contacts = int(file["contacts/offset"][states - 1])
-        for name, old in sorted(_rows(columns, states, contacts).items(), key=lambda item: item[0] == "t"):
+        ends = _ends(file, states - 1)
+        for name, old in sorted(_rows(columns, states, ends).items(), key=lambda item: item[0] == "t"):
             if name == "t":
                 file.flush()
             file[name].resize(old + len(columns[name]), axis=0)
@@ -256,11 +278,14 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     states = len(schema.column(file, "t", None, "f8", ()))
     if not states:
         raise ValueError("/t has no rows")
-    offset = schema.column(file, "contacts/offset", states, "i8", ())
-    names = STATES + (LINKS if "frames" in file else []) + steps + (JOINTS if "joints" in file else []) + contacts
-    rows = _rows(names, states, int(offset[-1]))
+    joints = [name for name in JOINTS if name in file]
+    pieces = ["pieces/offset", *(f"pieces/{name}" for name in PIECES)] if "pieces" in file else []
+    offsets = [name for name in (*STATES, *pieces) if name.endswith("/offset")]
+    ends = _ends({name: schema.column(file, name, states, "i8", ()) for name in offsets}, -1)
+    names = STATES + (LINKS if "frames" in file else []) + steps + joints + pieces + contacts
+    rows = _rows(names, states, ends)
     columns = {name: schema.column(file, name, size, *_layout(name)) for name, size in rows.items()}
-    for name, size in _rows(absent, states, int(offset[-1])).items():
+    for name, size in _rows(absent, states, ends).items():
         columns[name] = np.empty(size)
     for _, column, summed, value in added:
         columns[column] = sum((columns.pop(part) for part in summed), np.full(len(columns[column]), value))
@@ -276,9 +301,11 @@ def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
         return kind, () if components == 1 else (components,)
     if group == "solver":
         return SOLVER[inner], ()
+    if group == "pieces" and inner != "offset":
+        return PIECES[inner], (None,) if inner in ON_JOINTS else ()
     row: tuple[str, tuple[int | None, ...]] = ("f8", (None,))
     return {
         "q": row, "v": row, **dict.fromkeys(JOINTS, row),
         "frames/x": ("f8", (None, 3)), "frames/quat": ("f8", (None, 4)),
-        "contacts/offset": ("i8", ()),
+        "contacts/offset": ("i8", ()), "pieces/offset": ("i8", ()),
     }.get(name, ("f8", ()))  # fmt: skip

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from nsdyn.recording.poses import Poses
-from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["MEANING", "TOLERANCES", "Finding", "Found", "at_play", "left_out", "not_audited", "of_bodies", "worst_of"]
+__all__ = ["MEANING", "TOLERANCES", "Finding", "Found", "at_play", "not_audited", "of_bodies", "worst_of"]
 
 TOLERANCES = {
     "overlap": 1e-7,
@@ -28,6 +27,23 @@ TOLERANCES = {
     "energy": 1e-9,
     "works": 1e-9,
     "balance": 1e-9,
+    "times": 1e-9,
+    "turns": 1e-12,  # some hundred roundings
+    "links": 1e-12,  # as many, of positions
+    "loops": 1e-9,  # closed to 1e-12 m or rad by Newton's method, which ends a step beyond that
+    "limits": 1e-7,
+    "pieces": 1e-12,
+    "stops": 1e-6,  # of shallow gaps, which close by the next step
+    "joint_cone": 1e-8,
+    "joint_slip": 1e-6,
+    "loads": 0.0,
+    "strength": 1e-9,  # round-off of sums
+    "lift": 1.0,
+    "joint_momentum": 1e-8,  # beyond what flows of the order of the step's err, which is found by halving
+    "joint_motion": 1e-8,
+    "contact_works": 1e-8,  # as velocities are
+    "joint_works": 1e-8,
+    "drives": 1e-8,
 }
 """Largest figure of each finding that passes."""
 
@@ -44,9 +60,30 @@ MEANING = {
     "spin": "ΔL - Σ (p - x) × r of a free body, x where it is then / angular momenta and impulses times their levers",
     "energy": "energy as recorded - energy of q and v / energy at play",
     "works": "work of contacts as the ledger has it - sum of those of the contacts / energy at play",
-    "balance": "change of energy - sum of the works of the ledger / energy at play",
+    "times": "time of a step - dt / dt",
+    "turns": "norm of a quaternion - 1",
+    "links": "frame of a link as recorded - that of q / its place and reach",
+    "loops": "gap of a loop / length of its links",
+    "limits": "joint beyond a limit / range",
+    "pieces": "durations, contacts, their times and impulses of a step - those of what it was cut into / largest",
+    "stops": "joint from the limit whose impulse acts, beyond what it moves in the step / range",
+    "joint_cone": "dry friction of a joint - h times its largest / that",
+    "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round in the step / energy at play",
+    "loads": "joint forces and external wrenches where nothing gives any / largest",
+    "strength": "impulse of an actuator - its limit times the length of the step / that",
+    "lift": "displacement of an articulation by projections / what it moves in the step, in the kinetic norm",
+    "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, kinetic norms",
+    "joint_motion": "place of an articulation - where its velocities lead / what it moves in the step, likewise",
+    "contact_works": "work of a contact on a link - impulse times mean velocity / energy at play",
+    "joint_works": "work of a column of the ledger - that of what acts in joints and contacts / energy at play",
+    "drives": "work of loops and driven joints as the ledger has it - that of their reactions / energy at play",
+    "balance": "change of energy - sum of the works of the ledger, or its defect / energy at play",
 }
 """What each finding is a number of."""
+
+
+SMALL = 1e-6
+"""What an articulation without weight is measured by where nothing moves: the energy of so much of its size a step."""
 
 
 @dataclass(frozen=True)
@@ -100,13 +137,6 @@ def worst_of(name: str, figure: Array, amount: Array, unit: str, step: Index, bo
     return name, lambda tol: Finding(name, MEANING[name], worst, tol, size, unit, at, who, count)
 
 
-def left_out(t: Trajectory) -> str:
-    """What contacts are not recorded, in words; empty where all are."""
-    if not t.has_contacts:
-        return "contacts are not recorded"
-    return "" if t.every == 1 else f"of every {t.every} steps one is recorded"
-
-
 def not_audited(name: str, unit: str, reason: str) -> Found:
     """An item that there is no figure of, and why."""
     return name, lambda tol: Finding(name, MEANING[name], np.nan, tol, np.nan, unit, -1, (), 0, reason)
@@ -122,9 +152,14 @@ def of_bodies(poses: Poses, name: str, amount: Array, scale: Array, unit: str) -
 
 
 def at_play(poses: Poses) -> float:
-    """Energy at play, J; where next to nothing moves, what lifts the free bodies by their size."""
+    """Energy at play, J; where next to nothing moves, what lifts bodies and trees by their size."""
     t, scene = poses.trajectory, poses.scene
     lift = 0.0
     for k in np.flatnonzero((poses.frame >= 0) & (poses.frame < poses.free)):
         lift += scene["masses"][poses.frame[k]] * float(np.linalg.norm(scene["gravity"])) * float(poses.extent[k])
+    for tree in scene["articulations"]:
+        told = tree.get("model", {"joints": ()})["joints"]
+        size = sum(float(np.linalg.norm(np.array(j["placement"])[:3, 3]) + np.linalg.norm(j["com"])) for j in told)
+        most = float(np.linalg.norm(scene["gravity"])) * size + (SMALL * size / t.dt) ** 2
+        lift += sum(j["mass"] for j in told) * most
     return max(t.at_play, lift, 1e-9 * float(np.abs(t.energy.potential).max()), 1e-300)

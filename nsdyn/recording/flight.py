@@ -91,10 +91,11 @@ class Flight:
     quaternion : ndarray, shape (n, free, 4)
         How bodies are turned at the end: by their angular momenta, which the impulses change at their times.
     met_x, met_quaternion : ndarray, shapes (contacts, 2, 3), (contacts, 2, 4)
-        Where the bodies of each contact are when its impulse acts, m, and how they are turned; NaN of those not free.
+        Where the bodies of each contact are when its impulse acts, m, and how they are turned; NaN of those neither
+        free nor links that were retraced.
     met_u : ndarray, shape (contacts, 3)
         Mean relative velocity of each contact before and after all that acts with its impulse, in its frame, m/s; NaN
-        where a body moves that is not free.
+        where another body moves.
     cut : ndarray of bool, shape (n, 1)
         Whether impulses act at several times, or not where those of a step in one piece would.
     timed : bool
@@ -115,8 +116,12 @@ class Flight:
     timed: bool
 
     @classmethod
-    def of(cls, poses: Poses) -> Flight:
-        """Follow the free bodies of a recording of all steps and contacts."""
+    def of(cls, poses: Poses, links: tuple[Array, Array, Array] | None = None) -> Flight:
+        """Follow the free bodies of a recording of all steps and contacts.
+
+        Where contacts meet links, (contacts, 2, ...), x, quaternions and velocities of their points are given; NaN of
+        others.
+        """
         t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
         c, h, shape = t.columns, t.dt, (t.steps, free)
         axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
@@ -155,6 +160,9 @@ class Flight:
         gone = np.where(cut[step], (time / h)[:, None], 0.5)
         linear = before[step, body] + gone * forced[step, body] + pushes.halfway(push) / mass[body, None]
         met_u = np.where(frames >= free, np.nan, 0.0)[:, :, None] * np.ones(3)
+        if links is not None:
+            linked = ~np.isnan(links[2][:, :, 0])
+            met_x[linked], met_quaternion[linked], met_u[linked] = (values[linked] for values in links)
         met_u[row, side] = linear + np.cross(turning, arm)
         met_u = np.einsum("cij,cj->ci", axes, met_u[:, 1] - met_u[:, 0])
         return cls(

@@ -25,6 +25,8 @@ from nsdyn.recording.file import (
     FORMAT_VERSION,
     GAUSS,
     JOINTS,
+    ON_JOINTS,
+    PIECES,
     SOLVER,
     WORKS,
     Columns,
@@ -39,6 +41,9 @@ __all__ = ["Recorder"]
 State = Callable[[], Columns]
 
 _FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %
+PIECE = -len(CONTACT) - 1
+"""Where the pieces of a step stand in what is read of it."""
+
 _BLOCK_ROWS = 256  # rows kept as they are read before they are packed into arrays
 
 # What is read of every state, and of every step besides, at once.
@@ -48,6 +53,7 @@ _read_step = attrgetter(
     *(f"solution.{name}" for name in SOLVER),
     "created",
     "joints",
+    "pieces",
     *(path for path, _, _ in CONTACT.values()),
 )
 
@@ -100,7 +106,11 @@ class Recorder:
     contact_status                (nc,), 0 open, 1 stick, 2 slip
     contact_time                  (nc,), s after the beginning of the step
     created                       float, J
-    joints                        (3, nv) impulses of actuation, limits and friction; None without articulations
+    joints                        (6, nv) impulses of actuation, limits, friction and external wrenches,
+                                  displacement by projections, most that actuators may give; None without
+                                  articulations
+    pieces                        duration and contacts (m,), joints (6, m, nv) of what a step with articulations
+                                  was cut into; None if it was not
     work_normal, work_friction    (nc,)
     ============================  =====================================================================
 
@@ -116,7 +126,8 @@ class Recorder:
         columns = _pack([_read_state(first)], [])
         columns |= {"contacts/offset": np.zeros(1, dtype=np.int64), "wall_time": np.empty(0)}
         if trees := scene["articulations"]:
-            columns |= dict.fromkeys(JOINTS, np.empty((0, sum(tree["nv"] for tree in trees))))
+            none = np.empty((0, sum(tree["nv"] for tree in trees)))
+            columns |= dict.fromkeys(JOINTS, none) | _no_pieces(none) | {"pieces/offset": np.zeros(1, np.int64)}
         self._begin(path, _full(meta, scene), scene, columns, None if state is None else (0, state()))
 
     def _begin(
@@ -132,7 +143,8 @@ class Recorder:
         self._open: list[tuple[tuple[Any, ...], tuple[Any, ...], float]] = []  # steps of a row that is not complete
         self._state: State | None = None
         self._blocks = [columns]
-        self._rows, self._contacts = len(columns["t"]) - 1, int(columns["contacts/offset"][-1])
+        self._rows = len(columns["t"]) - 1
+        self._ends = {name: int(values[-1]) for name, values in columns.items() if name.endswith("/offset")}
         if self.path is not None:
             with files.writing(self.path, files.RECORDING) as part:
                 recording.create(part, self.meta, self.scene, columns, grow=True, state=saved)
@@ -232,8 +244,12 @@ class Recorder:
     def _pack_rows(self) -> None:
         if self._steps:
             block = _pack(self._states, self._steps)
-            block["contacts/offset"] = self._contacts + np.cumsum([len(row[-1]) for row in self._steps])
-            self._contacts = int(block["contacts/offset"][-1])
+            counts = {"contacts/offset": [len(row[-1]) for row in self._steps]}
+            if "pieces/offset" in self._ends:
+                counts["pieces/offset"] = [len(row[PIECE].duration) if row[PIECE] else 0 for row in self._steps]
+            for name, count in counts.items():
+                block[name] = self._ends[name] + np.cumsum(count)
+                self._ends[name] = int(block[name][-1])
             self._blocks.append(block)
             block["wall_time"] = np.array(self._wall)
             self._states, self._steps, self._wall = [], [], []
@@ -292,14 +308,14 @@ def _merged(
     states, steps, wall = zip(*parts, strict=True)
     *state, energy = states[-1]
     energy = {**energy, **{name: sum(s[-1][name] for s in states) for name in WORKS}}
-    gap, shift, bound, error, residual, iterations, status, spent, created, joints = zip(
+    gap, shift, bound, error, residual, iterations, status, spent, created, joints, _ = zip(
         *(step[: -len(CONTACT)] for step in steps), strict=True
     )
     fine = Status.CONVERGED, Status.LOOSE
     worst = max(range(len(steps)), key=lambda k: (status[k] not in fine, error[k]))
     did = sum(gap), max(shift), max(bound), error[worst], residual[worst], sum(iterations), status[worst], sum(spent)
     total = None if joints[0] is None else sum(joints)
-    return (*state, energy), (*did, sum(created), total, *steps[-1][-len(CONTACT) :]), sum(wall)
+    return (*state, energy), (*did, sum(created), total, None, *steps[-1][-len(CONTACT) :]), sum(wall)
 
 
 def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Columns:
@@ -320,11 +336,20 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
         out[f"solver/{name}"] = np.array(next(columns), dtype=kind)
     out["energy/created"] = np.array(next(columns), dtype=float)
     if (joints := next(columns)) and joints[0] is not None:
-        out |= dict(zip(JOINTS, np.stack(joints, axis=1), strict=True))
+        out |= dict(zip(JOINTS, np.stack(joints, axis=1), strict=True)) | _no_pieces(np.empty((0, joints[0].shape[1])))
+    if cut := [piece for piece in next(columns, ()) if piece is not None]:
+        out |= {f"pieces/{name}": np.concatenate([getattr(p, name) for p in cut]) for name in ("duration", "contacts")}
+        parts = np.concatenate([p.joints for p in cut], axis=1)
+        out |= {f"pieces/{name}": part for name, part in zip(ON_JOINTS, parts, strict=True)}
     for name, (_, kind, components) in CONTACT.items():
         empty = np.empty((0, components) if components > 1 else 0, dtype=kind)
         out[f"contacts/{name}"] = np.concatenate([empty, *next(columns)], dtype=kind, casting="same_kind")
     return out
+
+
+def _no_pieces(joints: Array) -> Columns:
+    """Columns of no pieces, from those of no joints."""
+    return {f"pieces/{n}": joints if n in ON_JOINTS else np.empty(0, kind) for n, kind in PIECES.items()}
 
 
 def _stack(rows: tuple[Array, ...]) -> Array:

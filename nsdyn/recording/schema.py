@@ -17,6 +17,19 @@ __all__ = ["check_meta", "column", "scene"]
 TRIPLE = [float, float, float]
 PLACEMENT = [[float] * 4] * 4
 
+JOINT = {
+    "kind": str, "?parts": (dict,), "?placements": (PLACEMENT,), "?axis": TRIPLE, "?axis1": TRIPLE, "?axis2": TRIPLE,
+    "?pitch": float, "?radius_x": float, "?radius_y": float, "?radius_z": float, "parent": int, "placement": PLACEMENT,
+    "mass": float, "com": TRIPLE, "inertia": [TRIPLE, TRIPLE, TRIPLE],
+}  # fmt: skip
+MODEL = {
+    "joints": (JOINT,), "armature": (float,), "friction": (float,), "damping": (float,), "stiffness": (float,),
+    "rest": (float,), "effort": (object,), "lower": (object,), "upper": (object,), "restitution": float,
+    "loops": ({"name": str, "kind": str, "joints": [int, int], "placements": [PLACEMENT, PLACEMENT]},),
+    "driven": dict,
+}  # fmt: skip
+"""What `nsdyn.scene.tree_description.describe_tree` returns."""
+
 # A type, a list of so many values, (pattern,) for a list of any number, {name: pattern}, or {"?name": ...} where the
 # name may be missing.
 SCENE: dict[str, Any] = {
@@ -32,11 +45,12 @@ SCENE: dict[str, Any] = {
     "?excluded": ([int, int],),
     "frames": (str,),
     "?links": ({"name": str, "frame": int, "placement": PLACEMENT},),
+    "?motions": dict,
     "free": int,
     "?masses": (float,),
     "?inertias": ([TRIPLE, TRIPLE, TRIPLE],),
     "?articulations": (
-        {"name": str, "nq": int, "nv": int, "?joints": (str,), "?sizes": ([int, int],)},
+        {"name": str, "nq": int, "nv": int, "?joints": (str,), "?sizes": ([int, int],), "?model": MODEL},
     ),
 }  # fmt: skip
 """What `nsdyn.Scene.describe` returns."""
@@ -96,8 +110,9 @@ def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     sizes = 7 * free + sum(a["nq"] for a in trees), 6 * free + sum(a["nv"] for a in trees)
     if (columns["q"].shape[1], columns["v"].shape[1]) != sizes:
         raise ValueError(f"/q and /v must have {sizes[0]} and {sizes[1]} columns like /meta/scene")
-    if any(columns[name].shape[1] != sizes[1] - 6 * free for name in columns if name.startswith("joints/")):
-        raise ValueError(f"/joints must have {sizes[1] - 6 * free} columns like the articulations of /meta/scene")
+    for name in columns:
+        if name.startswith(("joints/", "pieces/")) and columns[name].shape[1:] not in ((), (sizes[1] - 6 * free,)):
+            raise ValueError(f"/{name} must have {sizes[1] - 6 * free} columns like the articulations of /meta/scene")
     if "frames/x" in columns and columns["frames/x"].shape[1] != moving:
         raise ValueError(f"/frames must have {moving} bodies like /meta/scene")
     if "frames/x" not in columns and moving > free:
@@ -108,9 +123,10 @@ def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 def _check_contacts(columns: Mapping[str, NDArray[Any]], shapes: int) -> None:
     """ValueError for contacts of shapes or steps that are not there."""
-    offset = columns["contacts/offset"]
-    if offset[0] != 0 or (np.diff(offset) < 0).any():
-        raise ValueError("/contacts/offset must ascend from 0")
+    for group in ("contacts/offset", "pieces/offset"):
+        offset = columns.get(group, np.zeros(1))
+        if offset[0] != 0 or (np.diff(offset) < 0).any():
+            raise ValueError(f"/{group} must ascend from 0")
     for name, most in (("geom1", shapes), ("geom2", shapes), ("status", 3)):
         values = columns[f"contacts/{name}"]
         if values.size and not (values.min() >= 0 and values.max() < most):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "JointMotion",
+    "LoopReaction",
     "Pair",
     "body_names",
     "contact_rows",
@@ -26,6 +28,8 @@ __all__ = [
     "force",
     "impulses",
     "joint",
+    "left_out",
+    "loop",
     "need_contacts",
     "pair",
     "pair_rows",
@@ -87,9 +91,47 @@ class JointMotion:
     torque: Array
     limit_impulse: Array
     friction: Array
+    _reaction: Callable[[], Array]
+
+    @property
+    def reaction_force(self) -> Array:
+        """Mean force in each step that the joint passes on to its child, shape (n, 3), N, world axes.
+
+        All of it: what the joint constrains, its actuation, limits, friction, damping and springs, as a sensor in it
+        would measure; the impulses of impacts over dt. It is found by the balance of momentum of all links beyond, at
+        the configuration where the impulses act (`nsdyn.recording.reactions`), to second order in dt. NaN where not
+        every step and contact is recorded, before format 7, and where external forces act, of which it is not recorded
+        on which links.
+        """
+        return self._reaction()[:, :3]
+
+    @property
+    def reaction_torque(self) -> Array:
+        """Mean torque of the same about the origin of the joint's frame on the child, shape (n, 3), N m, world axes."""
+        return self._reaction()[:, 3:]
 
     def __repr__(self) -> str:
         return f"<JointMotion of {self.name!r}: {len(self.position)} states>"
+
+
+@dataclass(frozen=True, eq=False)
+class LoopReaction:
+    """What a closed loop does.
+
+    Attributes
+    ----------
+    name : str
+    reaction_force, reaction_torque : ndarray, shape (n, 3)
+        Mean in each step on the link of its first frame, at that frame; its opposite is on the second's. World axes, N
+        and N m; as of `JointMotion`. Where loops are redundant, the least in the norm of forces and torques.
+    """
+
+    name: str
+    reaction_force: Array
+    reaction_torque: Array
+
+    def __repr__(self) -> str:
+        return f"<LoopReaction of {self.name!r}: {len(self.reaction_force)} steps>"
 
 
 def contact_table(trajectory: Trajectory) -> Any:
@@ -173,7 +215,7 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
             q, v = q + nq, v + nv
     at, rows = places[choice(name, places, "joint")]
     position, velocity = trajectory.q[:, at], trajectory.v[:, 6 * free :][:, rows]
-    told = (trajectory.columns.get(column) for column in JOINTS)
+    told = (trajectory.columns.get(column) for column in JOINTS[:3])
     nothing = np.full((trajectory.steps, velocity.shape[1]), np.nan)
     actuation, limit, drag = (nothing if impulses is None else impulses[:, rows] for impulses in told)
     duration = trajectory.dt * trajectory.every
@@ -182,7 +224,22 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
         position = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))[:, None]
     if velocity.shape[1] == 1:
         position, velocity, *acts = (values[:, 0] for values in (position, velocity, *acts))
-    return JointMotion(name, position, velocity, *acts)
+    return JointMotion(name, position, velocity, acts[0], acts[1], acts[2], lambda: trajectory.reactions[name])
+
+
+def loop(trajectory: Trajectory, name: str) -> LoopReaction:
+    """Reaction in the loop "articulation/loop"; see `nsdyn.Trajectory.loop`."""
+    told = [(a["name"], a.get("model", {})) for a in trajectory.scene["articulations"]]
+    known = [f"{owner}/{loop['name']}" for owner, model in told for loop in model.get("loops", ())]
+    found = trajectory.reactions[choice(name, known, "loop")]
+    return LoopReaction(name, found[:, :3], found[:, 3:])
+
+
+def left_out(t: Trajectory) -> str:
+    """What contacts are not recorded, in words; empty where all are."""
+    if not t.has_contacts:
+        return "contacts are not recorded"
+    return "" if t.every == 1 else f"of every {t.every} steps one is recorded"
 
 
 def need_contacts(trajectory: Trajectory) -> None:

@@ -11,10 +11,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from nsdyn.problem.solution import Status
-from nsdyn.recording.findings import Found, at_play, left_out, not_audited, worst_of
+from nsdyn.recording.findings import Found, at_play, not_audited, worst_of
 from nsdyn.recording.flight import Flight
 from nsdyn.recording.overlap import Solid, separation
 from nsdyn.recording.poses import Poses
+from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["contacts", "overlaps", "separations"]
@@ -214,9 +215,8 @@ def _pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index
     """World poses (R, x) of shapes 0 or 1 of contacts when these push; as in the middle where that is not known."""
     x, quaternion = poses.frames(geom, step, *poses.middle)
     if flight.timed:
-        frame = poses.frame[geom]
-        free = (frame >= 0) & (frame < poses.free)
-        x[free], quaternion[free] = flight.met_x[push[free], side], flight.met_quaternion[push[free], side]
+        known = ~np.isnan(flight.met_x[push, side, 0])
+        x[known], quaternion[known] = flight.met_x[push[known], side], flight.met_quaternion[push[known], side]
     return poses.placed(geom, x, quaternion)
 
 

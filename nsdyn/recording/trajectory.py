@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -190,6 +191,17 @@ class Trajectory:
     def joint(self, name: str) -> tables.JointMotion:
         """Motion of a joint, "articulation/joint", and what acts in it; ValueError naming the known ones."""
         return tables.joint(self, name)
+
+    def loop(self, name: str) -> tables.LoopReaction:
+        """Reaction in a closed loop, "articulation/loop"; ValueError naming the known ones."""
+        return tables.loop(self, name)
+
+    @cached_property
+    def reactions(self) -> dict[str, Array]:
+        """Of all joints and loops, (n, 6): mean forces N, then torques N m; see `nsdyn.recording.reactions`."""
+        from nsdyn.recording.reactions import reactions  # Pinocchio, which to read a recording does not need
+
+        return reactions(self)
 
     def save(self, path: str | Path) -> None:
         """Write an HDF5 file, which replaces one of that name once complete; ValueError naming the path."""

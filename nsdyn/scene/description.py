@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene import pairs
+from nsdyn.scene.tree_description import describe_tree
 
 if TYPE_CHECKING:
     from nsdyn.scene.scene import Scene
@@ -45,6 +46,7 @@ def describe(scene: Scene) -> dict[str, Any]:
         + [f"{a}/{scene.articulations[a].model.names[j]}" for a, j in scene.link_frames()]
         + [b.name for b in scene.driven_bodies],
         "links": _describe_links(scene),
+        "motions": {name: motion.kind for name, motion in scene.motions.items()},
         "free": len(scene.free_bodies),
         "masses": [b.mass for b in scene.free_bodies],
         "inertias": [b.inertia.tolist() for b in scene.free_bodies],
@@ -55,6 +57,7 @@ def describe(scene: Scene) -> dict[str, Any]:
                 "nv": a.model.nv,
                 "joints": list(a.model.names)[1:],
                 "sizes": [[joint.nq, joint.nv] for joint in list(a.model.joints)[1:]],
+                "model": describe_tree(a, scene.motions),
             }
             for a in scene.articulations.values()
         ],

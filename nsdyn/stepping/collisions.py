@@ -80,6 +80,12 @@ def collide(
         return None
     v = at.v + met.rows.velocity_change(impact.r)
     impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact, None)
+    if any(free.constraints is not None for free in forces.trees):
+        push = met.rows.full.momentum(impact.r)
+        for tree, free in zip(d.trees, forces.trees, strict=True):
+            k = tree.coordinates
+            reaction = free.m @ (v[k] - at.v[k]) - push[k]
+            works = works._replace(constraint=works.constraint + 0.5 * float(reaction @ (v[k] + at.v[k])))
     # What was struck is not pressed as it was: from its last impulses a solver may find what is not symmetric.
     struck = np.isin(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
     warm = at.warm._replace(impulse=np.where(struck[:, None], 0.0, at.warm.impulse))

@@ -188,12 +188,16 @@ class Impulses(NamedTuple):
         0 open, 1 stick, 2 slip.
     normal, friction : ndarray, shape (nc,)
         Works, J.
-    joints : ndarray, shape (3, n)
-        Impulses of actuation, of joint limits and of dry joint friction on the coordinates, N m s or N s.
+    joints : ndarray, shape (6, n)
+        On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
+        wrenches, N m s or N s; displacement by the position projection, rad or m; and the most that
+        actuators may give, N m s or N s, infinite where they have no limit.
     created : float
         Energy that impacts created, J.
     time : ndarray, shape (nc,)
         When it acted, s after the beginning of the move, or of the step.
+    duration : float
+        Of the move, s; 0 of impacts in no time.
     """
 
     contacts: ContactSet
@@ -206,6 +210,7 @@ class Impulses(NamedTuple):
     joints: Array
     created: float
     time: Array
+    duration: float
 
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:
@@ -255,5 +260,5 @@ def account(
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
-    impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created, time)
+    impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created, time, h)
     return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
@@ -368,10 +370,11 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
         twists = d.twists(placed.placement, v_end)
         works.append(Works(projection=lifted))
+        for t, q, there in zip(d.trees, a.moved.position.trees, placed.position.trees, strict=True):
+            impulses.joints[4, t.coordinates] = pin.difference(t.model, q, there)
     energies: Energies = ()
     if a.impulse is not None:
-        position, joints = placed.position, impulses.joints[0]
-        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, position, joints, own)
+        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints, own)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
     looked = seen.looked
@@ -391,7 +394,8 @@ def tree_works(
 ) -> tuple[Works, Energies]:  # fmt: skip
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
-    The forces leave v, with the impulses H r of contacts and joint rows; those of actuation go into joints (n,).
+    The forces leave v, with the impulses H r of contacts and joint rows; those of actuation, of external wrenches and
+    the most that actuators may give go into rows 0, 3 and 5 of joints (6, n).
     """
     external, normal, friction, damping, constraint, integration, projection = own
     energies = []
@@ -400,7 +404,9 @@ def tree_works(
     ):
         k = t.coordinates
         w = t.works(before, free, v[k], end, q, impulse[k], energy)
-        joints[k] += w.joints
+        joints[0, k] += w.joints
+        joints[3, k] = half.h * free.loads.push
+        joints[5, k] = math.inf if free.loads.limit is None else half.h * free.loads.limit
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection

@@ -15,7 +15,7 @@ from nsdyn.stepping.energy import Ledger
 from nsdyn.stepping.instant import Instant
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Start", "State", "Step"]
+__all__ = ["Pieces", "Start", "State", "Step"]
 
 
 class State(NamedTuple):
@@ -60,6 +60,24 @@ class State(NamedTuple):
         return self.origin + (self.count + 1) * self.dt
 
 
+class Pieces(NamedTuple):
+    """The moves and impacts of a step with articulations that was cut, one after the other.
+
+    Attributes
+    ----------
+    duration : ndarray, shape (m,)
+        s; 0 of impacts in no time. The impulses of a move act (1 - theta) of it after its beginning.
+    contacts : ndarray of int, shape (m,)
+        How many of the contacts of the step are of it.
+    joints : ndarray, shape (6, m, nv)
+        As of `Step`.
+    """
+
+    duration: Array
+    contacts: NDArray[np.int64]
+    joints: Array
+
+
 class Step(NamedTuple):
     """What one step did.
 
@@ -83,9 +101,12 @@ class Step(NamedTuple):
         When the impulse acted, s after the beginning of the step.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
-    joints : ndarray, shape (3, nv), or None
-        Impulses of actuation, of limits and of dry friction on the coordinates of the articulations, N m s or N s;
-        None in scenes without any.
+    joints : ndarray, shape (6, nv), or None
+        On the coordinates of the articulations: impulses of actuation, of limits, of dry friction and of external
+        wrenches, N m s or N s; displacement by position projections, rad or m; and the most that actuators may give,
+        N m s or N s, infinite where they have no limit. None in scenes without any.
+    pieces : Pieces or None
+        What the step was cut into; None where it was made in one, and in scenes without articulations.
     created : float
         Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
         chains, and Poisson's with several restitutions (`impacts`).
@@ -114,6 +135,7 @@ class Step(NamedTuple):
     work_normal: Array
     work_friction: Array
     joints: Array | None
+    pieces: Pieces | None
     created: float
     ledger: Ledger
     gauss: gauss.Certificate

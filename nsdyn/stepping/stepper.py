@@ -34,7 +34,7 @@ from nsdyn.stepping.instant import Impulses, System
 from nsdyn.stepping.move import Callbacks
 from nsdyn.stepping.passage import through
 from nsdyn.stepping.prescribed import Prescribed
-from nsdyn.stepping.state import Start, State, Step
+from nsdyn.stepping.state import Pieces, Start, State, Step
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
@@ -221,6 +221,48 @@ class Stepper:
         x, quaternion = d.poses(s.position, s.placement)
         return Start(self.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
 
+    def mass_matrix(self) -> Array:
+        """M(q) at the present state, shape (n, n), kg, kg m and kg m², for v in Pinocchio's layout, as `Step.v` is."""
+        return self._factors()[1]
+
+    def bias(self) -> Array:
+        """Coriolis, centrifugal and gravity terms at the present state, shape (n,), N and N m.
+
+        M v̇ + bias = joint forces + Jᵀ contact forces, but for joint springs and damping; v in Pinocchio's layout.
+        """
+        d, i = self.dynamics, self._state.instant
+        _, v = d.pinocchio_state(i.position, i.v)
+        linear, spin = v[: 6 * d.free].reshape(-1, 2, 3).swapaxes(0, 1)
+        R = i.placement.R[: d.free]
+        force = d.mass[:, None] * (np.cross(spin, linear) - np.einsum("kji,j->ki", R, d.gravity))
+        torque = np.cross(spin, np.einsum("kij,kj->ki", d.J, spin))
+        trees = [t.bias(q, v[t.coordinates]) for t, q in zip(d.trees, i.position.trees, strict=True)]
+        return np.concatenate([np.concatenate((force, torque), axis=1).ravel(), *trees])
+
+    def contact_jacobian(self) -> tuple[ContactSet, Array, Array]:
+        """The contacts at the present state, their frames and their Jacobian.
+
+        Returns
+        -------
+        contacts : ContactSet
+            Pairs of shapes near each other, with points, normals and gaps.
+        frame : ndarray, shape (nc, 3, 3)
+            Rows n, t1, t2 of each, world axes.
+        J : ndarray, shape (3 nc, n)
+            u = J v [m/s], (N, T1, T2) of body 2 relative to body 1, v in Pinocchio's layout; without what prescribed
+            motions and surfaces add.
+        """
+        frame, _, H = self._factors()
+        for k, R in enumerate(self._state.instant.placement.R[: self.dynamics.free]):
+            H[6 * k : 6 * k + 3] = R.T @ H[6 * k : 6 * k + 3]  # from the world's axes to the body's
+        return self._state.instant.contacts, frame, H.T
+
+    def _factors(self) -> tuple[Array, Array, Array]:
+        """(frames of the contacts, M, H) at the present state, in the step's own coordinates."""
+        d, i = self.dynamics, self._state.instant
+        rows, frame = d.rows(i.contacts, i.placement, d.inertia(i.position, i.v), None)
+        return frame, *rows.full.dense()
+
     # -- one step ----------------------------------------------------------------------------------------------
 
     def step(self) -> Step:
@@ -308,10 +350,14 @@ class Stepper:
         gap = acted.contacts.gap
         if acted.contacts is not end.contacts:
             gap = self.detector.gaps(acted.contacts, end.contacts, Poses(end.placement.x, end.placement.R))
-        joints = acted.joints[:, 6 * d.free :] if d.trees else None
+        joints = pieces = None
+        if d.trees:
+            joints = acted.joints[:, 6 * d.free :]
+            pieces = _pieces(done, 6 * d.free) if len(done) > 1 else None
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
-            acted.time, acted.normal, acted.friction, joints, acted.created, ledger, certificate, problem, solution,
+            acted.time, acted.normal, acted.friction, joints, pieces, acted.created, ledger, certificate, problem,
+            solution,
         )  # fmt: skip
 
 
@@ -320,7 +366,14 @@ def _joined(done: list[Impulses]) -> Impulses:
     contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
     frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
     joints, time = np.sum([a.joints for a in done], axis=0), np.concatenate([a.time for a in done])
-    return Impulses(contacts, frame, u, r, status, normal, friction, joints, sum(a.created for a in done), time)
+    created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
+    return Impulses(contacts, frame, u, r, status, normal, friction, joints, created, time, duration)
+
+
+def _pieces(done: list[Impulses], first: int) -> Pieces:
+    """The parts of a step with trees, whose coordinates begin at `first`."""
+    duration, contacts = np.array([a.duration for a in done]), np.array([a.contacts.gap.size for a in done])
+    return Pieces(duration, contacts, np.stack([a.joints[:, first:] for a in done], axis=1))
 
 
 def _arms(geoms: list[Geom], frames: int) -> Array:

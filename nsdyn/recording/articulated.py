@@ -1,0 +1,288 @@
+"""Audit of articulations: links on their joints, loops, limits, dry friction, loads, momenta, motion and works."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from nsdyn.recording.file import ON_JOINTS
+from nsdyn.recording.findings import Found, at_play, not_audited, worst_of
+from nsdyn.recording.flight import Flight
+from nsdyn.recording.mechanism import Mechanism
+from nsdyn.recording.poses import Poses, matrix
+from nsdyn.recording.retrace import Trees, trees
+from nsdyn.recording.retraced import Retraced
+from nsdyn.tools.arrays import Array, Bools, Index
+
+__all__ = ["joints"]
+
+UNITS = {
+    "links": "m", "loops": "m", "limits": "rad", "pieces": "-", "stops": "rad", "joint_cone": "N·m·s",
+    "joint_slip": "J", "loads": "N·m·s", "strength": "N·m·s", "lift": "√J·s", "joint_momentum": "√J",
+    "joint_motion": "√J·s", "contact_works": "J", "joint_works": "J", "drives": "J",
+}  # fmt: skip
+"""Of the amounts; of coordinates that are lengths, m and N·s."""
+
+NOTHING = 1e-9
+"""Fraction of the largest impulse of a step below which one is nothing."""
+
+
+def joints(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterator[Found]:
+    """All findings of articulations; of a scene without any, none."""
+    t = poses.trajectory
+    if not t.scene["articulations"]:
+        return
+    built = trees(t) if isinstance(found, str) else found.trees
+    if isinstance(built, str):
+        yield from (not_audited(name, unit, built) for name, unit in UNITS.items())
+        return
+    yield from _places(poses, built)
+    if isinstance(found, str):
+        places = ("links", "loops", "limits")
+        yield from (not_audited(name, unit, found) for name, unit in UNITS.items() if name not in places)
+        return
+    yield _pieces(found.trees)
+    yield from _rows(poses, found)
+    yield _loads(found)
+    yield _strength(found)
+    names = [m.name for m in built.mechanisms]
+    for name, (amount, scale) in (
+        ("lift", found.lift), ("joint_momentum", found.momentum), ("joint_motion", found.motion)
+    ):  # fmt: skip
+        steps, which = np.indices(amount.shape)
+        figure = (amount / np.maximum(scale, 1e-300)).ravel()
+        yield worst_of(name, figure, amount.ravel(), UNITS[name], steps.ravel() + 1, _who(names, which.ravel()))
+    yield _contact_works(poses, found, flight)
+    yield from _works(poses, found)
+
+
+def _who(names: list[str], which: Index) -> Callable[[int], list[str]]:
+    return lambda k: [names[which[k]]]
+
+
+def _places(poses: Poses, found: Trees) -> Iterator[Found]:
+    """Frames of links, gaps of loops and limits, in all states."""
+    t, frames = poses.trajectory, poses.scene["frames"]
+    states, size = range(t.steps + 1), np.zeros((t.steps + 1, len(found.links)))
+    off, far = np.zeros_like(size), np.zeros_like(size)
+    order = {frame: k for k, frame in enumerate(found.links)}
+    reach = np.zeros(len(order))
+    for geom, frame in enumerate(poses.frame):
+        if int(frame) in order:
+            reach[order[int(frame)]] = max(reach[order[int(frame)]], poses.reach[geom])
+    gaps, beyond, scales, ranges, labels = [], [], [], [], []
+    for i, m in enumerate(found.mechanisms):
+        own = [(frame, joint) for frame, (tree, joint) in found.links.items() if tree == i]
+        length = sum(float(np.linalg.norm(p.translation)) for p in m.model.jointPlacements) or 1.0
+        width = np.where(np.isfinite(m.upper - m.lower), m.upper - m.lower, 1.0)
+        for k in states:
+            q = found.state(i, k)[0]
+            m.place(q)
+            for frame, joint in own:
+                pose, column = m.pose(joint), order[frame]
+                turn = matrix(poses.quaternion[k, frame]) - pose.rotation
+                norm = abs(float(np.linalg.norm(poses.quaternion[k, frame])) - 1.0)
+                off[k, column] = np.linalg.norm(poses.x[k, frame] - pose.translation) + reach[column] * (
+                    np.linalg.norm(turn) + norm
+                )
+                far[k, column] = np.linalg.norm(pose.translation)
+            angle = m.angle(q)
+            beyond.append(np.maximum(m.lower - angle, angle - m.upper) / np.where(width > 0.0, width, 1.0))
+            gaps.append(np.abs(m.constraints(q)[0]).max(initial=0.0))
+            scales.append(length)
+            ranges.append(width)
+            labels.append((k, i))
+    steps, which = np.indices(off.shape)
+    names = [frames[frame] for frame in found.links]
+    yield worst_of(
+        "links", (off / (reach + far + 1e-300)).ravel(), off.ravel(), "m", steps.ravel(), _who(names, which.ravel())
+    )
+    k, i = np.array(labels).T
+    trees_ = [m.name for m in found.mechanisms]
+    looped = np.array([found.mechanisms[tree].loops > 0 for tree in i])
+    gap = np.array(gaps)[looped]
+    yield worst_of("loops", gap / np.array(scales)[looped], gap, "m", k[looped], _who(trees_, i[looped]))
+    most = np.array([b.max(initial=-np.inf) for b in beyond])
+    limited = most > -np.inf
+    wide = np.array([r[b.argmax()] if b.size else 1.0 for r, b in zip(ranges, beyond, strict=True)])
+    yield worst_of("limits", most[limited], (most * wide)[limited], "rad", k[limited], _who(trees_, i[limited]))
+
+
+def _pieces(found: Trees) -> Found:
+    """Durations, contacts and impulses of pieces, which make up those of their steps."""
+    t, c = found.trajectory, found.trajectory.columns
+    counts = np.diff(c["pieces/offset"])
+    each = np.repeat(np.arange(t.steps), counts)
+
+    def off(name: str, of_step: Array) -> Array:
+        parts, of_step = (np.where(np.isfinite(x), x, 0.0) for x in (c[f"pieces/{name}"], of_step))  # without a limit
+        sums = np.zeros((t.steps, *parts.shape[1:]))
+        np.add.at(sums, each, parts)
+        left = np.abs(sums - of_step).reshape(t.steps, -1).max(axis=1, initial=0.0)
+        out: Array = left / max(float(np.abs(of_step).max(initial=0.0)), 1e-300)
+        return out
+
+    whole = {"duration": np.full(t.steps, t.dt), "contacts": np.diff(c["contacts/offset"])}
+    whole |= {name: c[f"joints/{name}"] for name in ON_JOINTS}
+    worst = np.max([off(name, of_step) for name, of_step in whole.items()], axis=0) * (counts > 0)
+    # Impulses act (1 - θ) of a piece after its beginning, those of a step that was not cut of the step's.
+    duration, ahead = c["pieces/duration"], 1.0 - float(t.meta["theta"])
+    so_far = np.concatenate([[0.0], np.cumsum(duration)])
+    begun = so_far[:-1] - so_far[c["pieces/offset"][:-1]][each]
+    step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    acts = np.full(step.size, ahead * t.dt)
+    own = counts[step] > 0
+    times = np.repeat(begun + ahead * duration, np.maximum(c["pieces/contacts"], 0))
+    if times.size != np.count_nonzero(own):
+        times = np.full(np.count_nonzero(own), np.inf)
+    acts[own] = times
+    np.maximum.at(worst, step, np.abs(c["contacts/time"] - acts) / t.dt)
+    return worst_of("pieces", worst, worst, UNITS["pieces"], np.arange(t.steps) + 1, lambda _: ())
+
+
+def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
+    """Impulses of limits, where and which way they act; of dry friction, how large and which way."""
+    scale = at_play(poses)
+    stops: list[tuple[float, float, int, str]] = []
+    bounds: list[tuple[float, float, int, str]] = []
+    slips: list[tuple[float, float, int, str]] = []
+    for i, m in enumerate(found.trees.mechanisms):
+        label = _labels(m)
+        for k, way in enumerate(found.ways[i]):
+            most = max((float(np.abs(kick.given).max(initial=0.0)) for kick in way.kicks), default=0.0)
+            (q, v), (q1, v1) = found.trees.state(i, k), found.trees.state(i, k + 1)
+            for kick in way.kicks:
+                angles = np.array([m.angle(x) for x in (q, kick.q, q1)])
+                travel = 2.0 * np.abs(np.diff(angles, axis=0)).sum(axis=0)
+                gaps = np.where(kick.given[1] > 0.0, angles - m.lower, m.upper - angles).min(axis=0)
+                width = np.where(np.isfinite(m.upper - m.lower), m.upper - m.lower, 1.0)
+                for j in np.flatnonzero(np.abs(kick.given[1]) > NOTHING * most):
+                    away = gaps[j] - travel[j]
+                    stops.append((away / max(width[j], 1e-300), away, k + 1, label[j]))
+                drag, most_drag = kick.given[2], kick.h * m.friction
+                # What drives a joint takes its friction, which does nothing to the motion.
+                some = (m.friction > 0.0) | (drag != 0.0)
+                some[m.driven] = False
+                for j in np.flatnonzero(some):
+                    over = abs(drag[j]) - most_drag[j]
+                    bounds.append((over / max(most_drag[j], NOTHING * most, 1e-300), over, k + 1, label[j]))
+                    speeds = np.array([v[j], kick.before[j], kick.after[j], v1[j]])
+                    # Within a step that begins and ends with other signs anything may be against the motion.
+                    wasted = (most_drag[j] * np.abs(speeds) + drag[j] * speeds).min()
+                    turns = speeds.min() <= 0.0 <= speeds.max()
+                    slips.append((0.0 if turns else wasted / scale, wasted, k + 1, label[j]))
+    for name, rows in (("stops", stops), ("joint_cone", bounds), ("joint_slip", slips)):
+        figure, amount, step = np.array([row[:3] for row in rows]).reshape(-1, 3).T
+        yield worst_of(
+            name, figure, amount, UNITS[name], step.astype(int), _who([row[3] for row in rows], np.arange(step.size))
+        )
+
+
+def _labels(m: Mechanism) -> list[str]:
+    """Articulation and joint of every coordinate."""
+    return [
+        f"{m.name}/{name}"
+        for name, joint in zip(m.joints, list(m.model.joints)[1:], strict=True)
+        for _ in range(joint.nv)
+    ]
+
+
+def _strength(found: Retraced) -> Found:
+    """Impulses of actuators, of which none is above its limit times the length of the step."""
+    c = found.trees.trajectory.columns
+    given, most = np.abs(c["joints/actuation"]), c["joints/strength"]
+    labels = [label for m in found.trees.mechanisms for label in _labels(m)]
+    k, j = np.nonzero(np.isfinite(most))
+    over = given[k, j] - most[k, j]
+    figure = over / np.maximum(most[k, j], 1e-300)
+    return worst_of("strength", figure, over, UNITS["strength"], k + 1, _who(labels, j))
+
+
+def _loads(found: Retraced) -> Found:
+    """Joint forces and external wrenches where nothing gives any."""
+    t, c = found.trees.trajectory, found.trees.trajectory.columns
+    given = [
+        name for name, key in (("actuation", "controller"), ("external", "external_force")) if t.meta.get(key, True)
+    ]
+    if given:
+        what = " and ".join(
+            {"actuation": "the controller's law and limits", "external": "external forces"}[g] for g in given
+        )
+        return not_audited("loads", UNITS["loads"], f"{what} are not recorded")
+    amount = np.abs(np.concatenate([c["joints/actuation"], c["joints/external"]], axis=1))
+    k, j = np.indices(amount.shape)
+    largest = max(float(np.abs(c[f"joints/{name}"]).max(initial=0.0)) for name in ("actuation", "external"))
+    labels = [label for m in found.trees.mechanisms for label in _labels(m)] * 2
+    return worst_of(
+        "loads", amount.ravel() / max(largest, 1e-300), amount.ravel(), UNITS["loads"], k.ravel() + 1,
+        _who(labels, j.ravel()),
+    )  # fmt: skip
+
+
+def _contact_works(poses: Poses, found: Retraced, flight: Flight | None) -> Found:
+    """Works of contacts on links, against their impulses at the mean velocities there."""
+    t, c = poses.trajectory, poses.trajectory.columns
+    if flight is None or not flight.timed:
+        return not_audited("contact_works", UNITS["contact_works"], "when impulses acted is not recorded")
+    steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    # What rebounds may do so several times, each with works of its own.
+    rebounds = (c["contacts/restitution"] > 0.0) & (c["contacts/impulse"][:, 0] > 0.0)
+    plain = np.bincount(steps, rebounds, t.steps)[steps] == 0.0
+    known = plain & ~np.isnan(found.met_v[:, :, 0]).all(axis=1) & ~np.isnan(flight.met_u).any(axis=1)
+    r, u = c["contacts/impulse"][known], flight.met_u[known]
+    off = np.abs(c["contacts/work_normal"][known] - r[:, 0] * u[:, 0])
+    off += np.abs(c["contacts/work_friction"][known] - (r[:, 1:] * u[:, 1:]).sum(axis=1))
+    geoms = [c[f"contacts/geom{k}"][known] for k in "12"]
+    return worst_of(
+        "contact_works", off / at_play(poses), off, "J", steps[known] + 1,
+        lambda k: [poses.names[geom[k]] for geom in geoms],
+    )  # fmt: skip
+
+
+def _works(poses: Poses, found: Retraced) -> Iterator[Found]:
+    """Columns of the ledger that trees work in, against what acts in them at the velocities there."""
+    t, e = poses.trajectory, poses.trajectory.energy
+    c, works = t.columns, {name: work.sum(axis=1) for name, work in found.works.items()}
+    sums, open_to = {}, {}
+    steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    for name in ("normal", "friction"):
+        work = c[f"contacts/work_{name}"]
+        stays = _stays(t.columns, steps)
+        sums[name] = np.bincount(steps[~stays], work[~stays], t.steps)
+        open_to[name] = np.bincount(steps[stays], np.abs(work[stays]), t.steps)
+    doubt, scale = found.doubt.sum(axis=1), at_play(poses)
+    left = {
+        "normal": np.abs(e.normal - works["normal"] - sums["normal"]) - open_to["normal"],
+        "friction": np.abs(e.friction - works["friction"] - sums["friction"]) - open_to["friction"],
+        "damping": np.abs(e.damping - works["damping"]),
+    }
+    if not (poses.free and t.meta.get("external_force", True)):
+        left["external"] = np.abs(e.external - works["external"])
+    if not poses.free:
+        left["projection"] = np.abs(e.projection - found.energy)
+    names = list(left)
+    off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt
+    which, step = np.indices(off.shape)
+    yield worst_of("joint_works", off.ravel() / scale, off.ravel(), "J", step.ravel() + 1, _who(names, which.ravel()))
+    if any(kind != "joint" for kind in t.scene["motions"].values()):
+        yield not_audited("drives", "J", "velocities of driven bodies and of surfaces are not recorded")
+        return
+    off = np.abs(e.constraint - works["constraint"]) - doubt
+    yield worst_of("drives", off / scale, off, "J", np.arange(1, t.steps + 1), lambda _: ["constraint"])
+
+
+def _stays(c: Mapping[str, Any], step: Index) -> Bools:
+    """Contacts that were closed before, in this step or the last: what they do may be booked as numerics."""
+    key, on, out, before = c["contacts/key"], c["contacts/status"] > 0, np.zeros(step.size, np.bool_), set[int]()
+    begin = np.searchsorted(step, np.arange(int(step.max(initial=-1)) + 2))
+    for k in range(len(begin) - 1):
+        now = set(before)
+        for row in range(begin[k], begin[k + 1]):
+            out[row] = int(key[row]) in now
+            if on[row]:
+                now.add(int(key[row]))
+        own = slice(begin[k], begin[k + 1])
+        before = {int(x) for x in key[own][on[own]]}
+    return out

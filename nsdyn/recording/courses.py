@@ -1,0 +1,142 @@
+"""How an articulation moves between impulses, by methods of an audit's own, and how far that is in doubt."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.recording.mechanism import RANK, Mechanism
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Course", "move", "respond"]
+
+TURN, PARTS = 0.1, 64
+"""Most that a part of a motion turns, rad, and most parts that it is begun with."""
+
+FINE, DOUBLINGS = 1e-11, 6
+"""Error by step doubling, as a fraction of the velocity, at which a motion is fine enough, and most doublings."""
+
+SLOW = 1e-10
+"""Motion, rad or m, in which v changes by so small a fraction that it may be taken as constant."""
+
+PASSES = 50
+"""Most passes of the fixed point of a motion on loops; it contracts by the angle of the step a pass."""
+
+ROUND_OFF = 1e-14
+"""Change by a pass, as a fraction of the velocity, below which there is nothing left but roundings."""
+
+
+class Course(NamedTuple):
+    """A motion without impulses.
+
+    Attributes
+    ----------
+    q, v : ndarray, shapes (nq,), (nv,)
+        Where it ends.
+    mean : ndarray, shape (nv,)
+        Mean velocity.
+    doubted : ndarray, shape (2, nv)
+        How far the displacement and v change with half the step.
+    work : float
+        Of driven joints, J.
+    """
+
+    q: Array
+    v: Array
+    mean: Array
+    doubted: Array
+    work: float
+
+
+def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None) -> Course:
+    """Motion for h seconds without forces, or under gravity and constant joint forces tau; loops stay closed."""
+    if tau is None and h * np.abs(v).max(initial=0.0) <= SLOW:
+        return Course(np.array(pin.integrate(m.model, q, h * v)), v, v, np.zeros((2, m.nv)), 0.0)
+    if m.bound:
+        return _slide(m, q, v, h)
+    parts = min(PARTS, 1 + int(h * float(np.max(np.abs(v) * (m.turns > 0.0))) / TURN))
+    coarse, first = _fly(m, q, v, h, tau, parts), np.empty(0)
+    for _ in range(DOUBLINGS):
+        parts *= 2
+        fine = _fly(m, q, v, h, tau, parts)
+        change = np.abs([pin.difference(m.model, coarse[0], fine[0]), coarse[1] - fine[1]])
+        first = first if first.size else change
+        coarse = fine
+        if change[1].max() <= FINE * np.abs(fine[1]).max():
+            break
+    return Course(*coarse, first, 0.0)
+
+
+def _fly(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, parts: int) -> tuple[Array, Array, Array]:
+    """The classical method of Runge and Kutta, on the displacement in each part and v."""
+    model, force = (m.light, m.zero) if tau is None else (m.model, tau)
+    mean, h = np.zeros(m.nv), h / parts
+
+    def rate(x: Array, v: Array) -> tuple[Array, Array]:
+        there = pin.integrate(model, q, x)
+        a = pin.aba(model, m.data, there, v, force)
+        return (v if m.flat else np.linalg.solve(pin.dIntegrate(model, q, x, pin.ARG1), v)), a
+
+    for _ in range(parts):
+        x1, a1 = rate(m.zero, v)
+        v2 = v + 0.5 * h * a1
+        x2, a2 = rate(0.5 * h * x1, v2)
+        v3 = v + 0.5 * h * a2
+        x3, a3 = rate(0.5 * h * x2, v3)
+        v4 = v + h * a3
+        x4, a4 = rate(h * x3, v4)
+        q = pin.integrate(model, q, h / 6.0 * (x1 + 2.0 * (x2 + x3) + x4))
+        mean += (v + 2.0 * (v2 + v3) + v4) / (6.0 * parts)
+        v = v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+    return q, v, mean
+
+
+def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
+    """On loops and driven joints, which keep their speed: one midpoint step, doubted by two of half."""
+    end, new, mean, work = _midpoint(m, q, v, h)
+    there, half, _, _ = _midpoint(m, q, v, 0.5 * h)
+    fine, last, _, _ = _midpoint(m, there, half, 0.5 * h)
+    doubted = np.abs([pin.difference(m.model, end, fine), new - last])
+    return Course(end, new, mean, doubted, work)
+
+
+def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array, Array, float]:
+    """The implicit midpoint rule: M (v' - v) + h c = Bᵀ λ at the middle, and B v' = b at the end."""
+    middle = _close(m, pin.integrate(m.model, q, 0.5 * h * v))
+    M, speeds = m.mass(middle), v[m.driven]
+    new: Array = v
+    B = m.constraints(middle)[1]
+    for _ in range(PASSES):
+        mean = 0.5 * (v + new)
+        bias = np.array(pin.nonLinearEffects(m.light, m.data, middle, mean))
+        at_end = m.constraints(pin.integrate(m.model, q, h * mean))[1]
+        new, last = respond(m, M, M @ v - h * bias, B, at_end, speeds), new
+        if np.abs(new - last).max() <= ROUND_OFF * np.abs(v).max():
+            break
+    mean = 0.5 * (v + new)
+    bias = np.array(pin.nonLinearEffects(m.light, m.data, middle, mean))
+    react = np.linalg.lstsq(B.T, M @ (new - v) + h * bias, rcond=RANK)[0]
+    work = float(react[len(B) - speeds.size :] @ mean[m.driven])
+    return _close(m, pin.integrate(m.model, q, h * mean)), new, mean, work
+
+
+def respond(m: Mechanism, M: Array, momentum: Array, B: Array, at_end: Array, speeds: Array) -> Array:
+    """v with M v = momentum + Bᵀ λ; the rows `at_end` of loops are at rest, those of driven joints at their speeds."""
+    free, react = np.linalg.solve(M, momentum), np.linalg.solve(M, B.T)
+    goal = np.zeros(len(B))
+    goal[len(B) - speeds.size :] = speeds
+    return np.asarray(free + react @ np.linalg.lstsq(at_end @ react, goal - at_end @ free, rcond=RANK)[0], dtype=float)
+
+
+def _close(m: Mechanism, q: Array) -> Array:
+    """A configuration next to q whose loops are closed: Newton's method, closest in the kinetic metric."""
+    for _ in range(PASSES if m.loops else 0):
+        gap, B = m.constraints(q)
+        if np.abs(gap).max() <= 1e-13:
+            break
+        react = np.linalg.solve(m.mass(q), B.T)
+        miss = np.concatenate((gap, np.zeros(m.driven.size)))
+        q = np.array(pin.integrate(m.model, q, -react @ np.linalg.lstsq(B @ react, miss, rcond=RANK)[0]))
+    return q

@@ -1,0 +1,286 @@
+"""The model of an articulation as a recording holds it, built again, which shares nothing with the step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["RANK", "Mechanism"]
+
+RANK = 1e-10
+"""Singular values below this fraction of the largest are those of redundant rows."""
+
+
+def _pose(matrix: Any) -> Any:
+    return pin.SE3(np.array(matrix, dtype=float))
+
+
+def _joint(told: Mapping[str, Any]) -> tuple[Any, Any]:
+    """(joint, turn of its axes) of a description; KeyError naming a kind that is not known."""
+    kind = str(told["kind"])
+    if kind == "JointModelComposite":
+        out = pin.JointModelComposite()
+        for part, placement in zip(told["parts"], told["placements"], strict=True):
+            joint, turn = _joint(part)
+            if not turn.isIdentity():
+                raise KeyError(f"{kind} of {part['kind']}")
+            out.addJoint(joint, _pose(placement))
+        return out, pin.SE3.Identity()
+    axis = np.array(told.get("axis", (1.0, 0.0, 0.0)), dtype=float)
+    if kind == "JointModelRevoluteUnboundedUnaligned":  # which Python cannot make: one about x, turned
+        turn = pin.Quaternion.FromTwoVectors(np.array((1.0, 0.0, 0.0)), axis).toRotationMatrix()
+        return pin.JointModelRUBX(), pin.SE3(turn, np.zeros(3))
+    if kind not in KINDS:
+        raise KeyError(kind)
+    given = [told[name] for name in KINDS[kind]]
+    return getattr(pin, kind)(*(np.array(g) if isinstance(g, list) else g for g in given)), pin.SE3.Identity()
+
+
+KINDS: dict[str, tuple[str, ...]] = {
+    **{f"JointModel{kind}{axis}": () for kind in ("R", "P", "RUB") for axis in "XYZ"},
+    **{f"JointModelH{axis}": ("pitch",) for axis in "XYZ"},
+    **{f"JointModel{kind}": () for kind in ("FreeFlyer", "Spherical", "SphericalZYX", "Planar", "Translation")},
+    **{f"JointModel{kind}Unaligned": ("axis",) for kind in ("Revolute", "Prismatic")},
+    "JointModelHelicalUnaligned": ("axis", "pitch"),
+    "JointModelUniversal": ("axis1", "axis2"),
+    "JointModelEllipsoid": ("radius_x", "radius_y", "radius_z"),
+}
+"""Pinocchio's joints by name, and what each is made of."""
+
+
+class Mechanism:
+    """Equations of motion of a recorded articulation.
+
+    Parameters
+    ----------
+    name : str
+    joints : sequence of str
+        Their names.
+    told : mapping
+        What `nsdyn.scene.tree_description.describe_tree` gave.
+    gravity : sequence of float
+
+    Attributes
+    ----------
+    friction, damping, stiffness, rest, lower, upper : ndarray, shape (nv,)
+        Laws of the joints, infinite where there is no limit.
+    driven : ndarray of int
+        Coordinates that move as prescribed.
+
+    Raises
+    ------
+    ValueError
+        For a model that is none, or has joints of an unknown kind.
+    """
+
+    def __init__(self, name: str, joints: Sequence[str], told: Mapping[str, Any], gravity: Sequence[float]) -> None:
+        self.name, self.joints = name, list(joints)
+        self.model = pin.Model()
+        self.turned = [pin.SE3.Identity()]  # a recorded joint's frame as Pinocchio's here sees it
+        try:
+            for label, joint in zip(joints, told["joints"], strict=True):
+                self._add(label, joint)
+            laws = [
+                np.array(told[law], dtype=float) for law in ("armature", "friction", "damping", "stiffness", "rest")
+            ]
+            self.armature, self.friction, self.damping, self.stiffness, self.rest = laws
+            bounds = [np.array([np.nan if x is None else x for x in told[side]], float) for side in ("lower", "upper")]
+            self.lower, self.upper = (
+                np.where(np.isnan(b), s * np.inf, b) for b, s in zip(bounds, (-1, 1), strict=True)
+            )
+            sizes = {x.shape for x in (*laws, *bounds)}
+            if sizes != {(self.model.nv,)}:
+                raise ValueError(f"its laws are of {sizes}, not of {self.model.nv} coordinates")
+            self.effort = np.array([np.inf if x is None else x for x in told["effort"]], float)
+            self.restitution = float(told["restitution"])
+            self.speeds = {self._coordinate(j): rate for j, rate in told["driven"].items()}
+            self._loops = [self._loop(loop) for loop in told["loops"]]
+            self.loop_names = [str(loop["name"]) for loop in told["loops"]]
+        except KeyError as failure:
+            raise ValueError(f"{failure.args[0]} is no kind of joint that is known") from None
+        self.model.armature = self.armature
+        self.model.gravity = pin.Motion(np.array(gravity, dtype=float), np.zeros(3))
+        self.light = self.model.copy()
+        self.light.gravity = pin.Motion.Zero()
+        self.data = self.model.createData()
+        self.nv = self.model.nv
+        self.driven: Index = np.array(sorted(self.speeds), dtype=np.int64)
+        self.loops = len(self._loops)
+        self.bound = bool(self.loops or self.driven.size)
+        self.zero, self.flat = np.zeros(self.nv), self.model.nq == self.nv
+        scalars = [joint for joint in list(self.model.joints)[1:] if joint.nq == joint.nv]
+        self.linear = np.concatenate([np.arange(j.idx_v, j.idx_v + j.nv) for j in scalars] or [np.empty(0)]).astype(int)
+        self._linear_q = np.concatenate([np.arange(j.idx_q, j.idx_q + j.nq) for j in scalars] or [np.empty(0)]).astype(
+            int
+        )
+        self.round = [(j.idx_v, j.idx_q) for j in list(self.model.joints)[1:] if (j.nq, j.nv) == (2, 1)]
+        self.place(pin.neutral(self.model))
+        self.turns = np.linalg.norm(self.data.J.reshape(6, -1, order="A")[3:], axis=0)
+
+    def _add(self, label: str, told: Mapping[str, Any]) -> None:
+        joint, turn = _joint(told)
+        parent = int(told["parent"])
+        if not 0 <= parent < self.model.njoints:
+            raise ValueError(f"joint {label!r} has the parent {parent}, which is none before it")
+        at = self.turned[parent] * _pose(told["placement"]) * turn
+        k = self.model.addJoint(parent, joint, at, label)
+        self.turned.append(turn.inverse())
+        body = pin.Inertia(float(told["mass"]), np.array(told["com"], float), np.array(told["inertia"], float))
+        self.model.appendBodyToJoint(k, body, self.turned[k])
+
+    def _coordinate(self, joint: str) -> int:
+        return int(self.model.joints[self.model.getJointId(joint)].idx_v)
+
+    def _loop(self, told: Mapping[str, Any]) -> tuple[int, int, bool]:
+        """The two frames of a loop, and whether they coincide in their axes too."""
+        frames = []
+        for joint, placement in zip(told["joints"], told["placements"], strict=True):
+            frame = pin.Frame(f"loop{self.model.nframes}", joint, self.turned[joint] * _pose(placement), pin.OP_FRAME)
+            frames.append(self.model.addFrame(frame, False))
+        return frames[0], frames[1], told["kind"] == "frame"
+
+    # -- at a configuration ------------------------------------------------------------------------------------
+
+    def angle(self, q: Array) -> Array:
+        """Joint coordinates, rad or m, (nv,); 0 where a joint has none of its own."""
+        out = np.zeros(self.nv)
+        out[self.linear] = q[self._linear_q]
+        for j, k in self.round:
+            out[j] = np.arctan2(q[k + 1], q[k])
+        return out
+
+    def stretch(self, q: Array) -> Array:
+        """Of the joint springs, rad or m, the short way round."""
+        out: Array = self.angle(q) - self.rest
+        for j, _ in self.round:
+            out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
+        return out
+
+    def mass(self, q: Array) -> Array:
+        """Mass matrix."""
+        upper = np.triu(np.array(pin.crba(self.model, self.data, q)).reshape(self.nv, self.nv))
+        out: Array = upper + np.triu(upper, 1).T
+        return out
+
+    def weight(self, q: Array) -> Array:
+        """Gravity terms, N m or N."""
+        return np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
+
+    def place(self, q: Array) -> None:
+        """Have frames and Jacobians at q for `pose`, `push` and `carried`."""
+        pin.computeJointJacobians(self.model, self.data, q)
+
+    def pose(self, joint: int) -> Any:
+        """Frame of a joint where the mechanism was placed."""
+        return self.data.oMi[joint] * self.turned[joint].inverse()
+
+    def push(self, joint: int, point: Array, impulse: Array) -> Array:
+        """What an impulse at a point of a link does to the coordinates where the mechanism was placed."""
+        J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
+        out: Array = J.T @ np.concatenate((impulse, np.cross(point, impulse)))
+        return out
+
+    def carried(self, joint: int, point: Array, v: Array) -> Array:
+        """Velocity of a point of a link where the mechanism was placed, m/s."""
+        J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
+        twist = J @ v
+        out: Array = twist[:3] + np.cross(twist[3:], point)
+        return out
+
+    def passed(
+        self, q: Array, change: Array, flights: Sequence[tuple[float, Array]], h: float,
+        pushes: Sequence[tuple[int, Array]],
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Impulses on the coordinates, and those that every joint passes on from its parent to its child.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Where all of it acts.
+        change : ndarray, shape (nv,)
+            Of v.
+        flights : sequence of (float, ndarray)
+            Times and velocities with which it flies.
+        h : float
+            For which gravity acts, s.
+        pushes : sequence of (int, ndarray)
+            Joint and impulse on its link, force and moment about the world's origin, (6,), N·s and N·m·s.
+
+        Returns
+        -------
+        (nv,), (njoints, 6) : ndarray
+            The latter force and moment about the origin of the joint, world axes, N·s and N·m·s.
+        """
+        self.place(q)
+        outside = [pin.Force.Zero() for _ in range(self.model.njoints)]
+        for joint, impulse in pushes:
+            outside[joint] += self.data.oMi[joint].actInv(pin.Force(impulse))
+        tau, out, still = np.zeros(self.nv), np.zeros((self.model.njoints, 6)), self.zero
+        parts = [(1.0, self.light, still, change, [outside]), (h, self.model, still, still, [])]
+        for share, model, v, a, more in parts + [(s, self.light, v, still, []) for s, v in flights]:
+            tau += share * np.array(pin.rnea(model, self.data, q, v, a, *more))
+            out += share * np.array([f.vector for f in self.data.f])
+        for k, place in enumerate(self.data.oMi):
+            out[k] = (place.rotation @ out[k].reshape(2, 3).T).T.ravel()
+        return tau, out
+
+    def held(self, q: Array, tau: Array) -> list[list[tuple[int, Array]]]:
+        """Impulses of the loops that explain those on the coordinates, as `pushes` on both frames of each.
+
+        The least where loops are redundant; about the world's origin.
+        """
+        react = np.linalg.lstsq(self.constraints(q)[1].T, tau, rcond=RANK)[0]
+        out, row = [], 0
+        for first, second, turned in self._loops:
+            force, row = react[row : row + 3], row + 3
+            moment = react[row : row + 3] if turned else np.zeros(3)
+            row += 3 * turned
+            out.append(
+                [
+                    (
+                        self.model.frames[frame].parentJoint,
+                        sign * np.concatenate((force, moment + np.cross(self.data.oMf[frame].translation, force))),
+                    )
+                    for frame, sign in ((first, 1.0), (second, -1.0))
+                ]
+            )
+        return out
+
+    def closure(self, loop: int) -> Array:
+        """Place of a loop's first frame where the constraints were found last, m."""
+        return np.array(self.data.oMf[self._loops[loop][0]].translation)
+
+    def constraints(self, q: Array) -> tuple[Array, Array]:
+        """Gaps of the loops, m and rad, and the rows B of loops and driven joints at q."""
+        pin.computeJointJacobians(self.model, self.data, q)
+        pin.updateFramePlacements(self.model, self.data)
+        gaps, rows = [np.empty(0)], [np.empty((0, self.nv))]
+        for first, second, turned in self._loops:
+            a, b = self.data.oMf[first], self.data.oMf[second]
+            Ja, Jb = (
+                pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1, order="A")
+                for frame in (first, second)
+            )
+            gaps.append(a.translation - b.translation)
+            rows.append(Ja[:3] - Jb[:3])
+            if turned:
+                gaps.append(pin.log3(a.rotation @ b.rotation.T))
+                rows.append(Ja[3:] - Jb[3:])
+        rows.append(np.eye(self.nv)[self.driven])
+        return np.concatenate(gaps), np.concatenate(rows)
+
+    def energies(self, q: Array, v: Array) -> tuple[float, float]:
+        """Kinetic energy, and potential energy of gravity and springs, J."""
+        bend = self.stretch(q)
+        pin.forwardKinematics(self.model, self.data, q)
+        fallen = sum(
+            body.mass * float(self.model.gravity.linear @ self.data.oMi[k].act(body.lever))
+            for k, body in enumerate(self.model.inertias)
+            if k
+        )
+        return 0.5 * float(v @ self.mass(q) @ v), 0.5 * float(bend @ (self.stiffness * bend)) - fallen

@@ -1,0 +1,254 @@
+"""The way of an articulation through every recorded step, found anew from where the step begins and what acted in it.
+
+A step, or each piece that it was cut into, is a motion without forces for 1 - θ of it, all impulses at one
+configuration, and a motion without forces for the rest; the recorded impulses are taken as they are. With h the piece,
+mass matrix M, gravity terms g, damping D, springs K stretched by s, and B of loops and driven joints,
+
+    M (v⁺ - v⁻) = impulses - h g - h D (θ v⁺ + (1 - θ) v⁻) - h K (s + h θ² v⁺ - h (1 - θ)² v⁻) + Bᵀ λ,    B v⁺ = b.
+
+Where nothing but gravity and constant joint forces act on a tree they may also act all the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.recording.courses import Course, move, respond
+from nsdyn.recording.file import ON_JOINTS, PIECES
+from nsdyn.recording.mechanism import Mechanism
+from nsdyn.recording.tables import left_out
+from nsdyn.tools.arrays import Array
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["Kick", "Trees", "Way", "trees"]
+
+
+Piece = tuple[float, list[tuple[int, int, int]], Array]
+"""(duration, contacts, impulses on the joints) of a piece of a step."""
+
+
+class Kick(NamedTuple):
+    """What acted at one configuration.
+
+    Attributes
+    ----------
+    h : float
+        Length of the piece, s; 0 of impacts in no time.
+    q, before, after : ndarray
+        Configuration, and velocities before and after.
+    given : ndarray, shape (4, nv)
+        Impulses of actuation, limits, dry friction and external wrenches.
+    shift : ndarray, shape (nv,)
+        Displacement by the position projection at the end of the piece.
+    pushed : ndarray, shape (nv,)
+        Of contacts.
+    touches : list of (row, side, joint)
+        Contacts on links, side 0 or 1.
+    stiff : ndarray, shape (2, nv)
+        Impulses of damping and springs.
+    reaction : ndarray, shape (nv,)
+        Bᵀ λ of loops and driven joints.
+    mean : ndarray, shape (nv,), or None
+        Mean velocity where the forces act all the time.
+    """
+
+    h: float
+    q: Array
+    before: Array
+    after: Array
+    given: Array
+    shift: Array
+    pushed: Array
+    touches: list[tuple[int, int, int]]
+    stiff: Array
+    reaction: Array
+    mean: Array | None = None
+
+
+class Way(NamedTuple):
+    """One tree in one step.
+
+    Attributes
+    ----------
+    kicks : list of Kick
+    flows : list of Course
+        Before and after each.
+    q, v : ndarray
+        Where it leads.
+    """
+
+    kicks: list[Kick]
+    flows: list[Course]
+    q: Array
+    v: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Trees:
+    """The articulations of a recording.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+    mechanisms : tuple of Mechanism
+    at : tuple of (slice, slice)
+        Places of each in q and v.
+    rows : tuple of slice
+        Its places in what acts on joints.
+    links : dict of int to (int, int)
+        Tree and joint of the moving frames of links.
+    """
+
+    trajectory: Trajectory
+    mechanisms: tuple[Mechanism, ...]
+    at: tuple[tuple[slice, slice], ...]
+    rows: tuple[slice, ...]
+    links: dict[int, tuple[int, int]]
+
+    @cached_property
+    def missing(self) -> str:
+        """Why steps cannot be retraced; empty where they can."""
+        t = self.trajectory
+        if reason := left_out(t):
+            return reason
+        wanted = [f"joints/{name}" for name in ON_JOINTS] + ["pieces/offset", *(f"pieces/{name}" for name in PIECES)]
+        lacking = [name for name in wanted if name not in t.columns]
+        return f"/{lacking[0]} is not recorded" if lacking else ""
+
+    @cached_property
+    def impulses(self) -> Array:
+        """Of all contacts on body 2, world axes, N·s."""
+        c = self.trajectory.columns
+        n, t1 = c["contacts/normal"], c["contacts/tangent"]
+        out: Array = np.einsum("ci,cij->cj", c["contacts/impulse"], np.stack([n, t1, np.cross(n, t1)], axis=1))
+        return out
+
+    @cached_property
+    def touches(self) -> list[dict[int, list[tuple[int, int, int]]]]:
+        """Of every tree, by step from 0 on: (row, side, joint) of its contacts, ascending."""
+        t, out = self.trajectory, [dict[int, list[tuple[int, int, int]]]() for _ in self.mechanisms]
+        frames = np.array([geom["frame"] for geom in t.scene["geoms"]], dtype=np.int64)
+        step = np.repeat(np.arange(t.steps), np.diff(t.columns["contacts/offset"]))
+        sides = (
+            np.stack([frames[t.columns[f"contacts/geom{k}"]] for k in "12"], axis=1)
+            if frames.size
+            else np.empty((0, 2))
+        )
+        for row, side in zip(*np.nonzero(np.isin(sides, list(self.links))), strict=True):
+            tree, joint = self.links[int(sides[row, side])]
+            out[tree].setdefault(int(step[row]), []).append((int(row), int(side), joint))
+        return out
+
+    def state(self, tree: int, k: int) -> tuple[Array, Array]:
+        """q and v of a tree in row k of the states."""
+        q, v = self.at[tree]
+        return self.trajectory.q[k, q], self.trajectory.v[k, v]
+
+    def pieces(self, tree: int, k: int) -> Iterator[Piece]:
+        """The pieces of step k, from 0 on."""
+        c, rows, touches = self.trajectory.columns, self.rows[tree], self.touches[tree].get(k, [])
+        cut = range(*c["pieces/offset"][k : k + 2])
+        if not cut:
+            yield self.trajectory.dt, touches, np.array([c[f"joints/{name}"][k, rows] for name in ON_JOINTS])
+        first = int(c["contacts/offset"][k])
+        for p in cut:
+            last = first + int(c["pieces/contacts"][p])
+            own = [touch for touch in touches if first <= touch[0] < last]
+            yield float(c["pieces/duration"][p]), own, np.array([c[f"pieces/{name}"][p, rows] for name in ON_JOINTS])
+            first = last
+
+    def way(self, tree: int, k: int) -> Way:
+        """Follow a tree through step k, from 0 on.
+
+        Whether joint forces that act where nothing else does come from a law that the step treats implicitly is not
+        recorded: of the two ways that leads closer to what is.
+        """
+        m, goal = self.mechanisms[tree], self.state(tree, k + 1)[1]
+        out, pieces = [], list(self.pieces(tree, k))
+        for all_along in (True, False):
+            out.append(self._way(m, tree, k, pieces, all_along))
+            if not any(kick.mean is not None and kick.given[0].any() for kick in out[0].kicks):
+                break
+        return min(out, key=lambda way: float(np.abs(way.v - goal).max(initial=0.0)))
+
+    def _way(self, m: Mechanism, tree: int, k: int, pieces: list[Piece], all_along: bool) -> Way:
+        """One of the two ways: whether forces that nothing else acts with do so all the time."""
+        t, theta, whole = self.trajectory, float(self.trajectory.meta["theta"]), 0.0
+        (q, v), (_, goal) = self.state(tree, k), self.state(tree, k + 1)
+        begin, kicks, flows = v[m.driven], list[Kick](), list[Course]()
+        for h, touches, given in pieces:
+            whole += h
+            first = move(m, q, v, (1.0 - theta) * h)
+            speeds = begin + min(1.0, whole / t.dt) * (goal[m.driven] - begin) if h else first.v[m.driven]
+            told = [m.speeds[int(j)] for j in m.driven]
+            speeds = np.array([x if rate is None else rate for x, rate in zip(speeds, told, strict=True)])
+            kick = self._kick(m, first, h, theta, touches, given, speeds)
+            pushed = touches or given[1:3].any() or m.bound or m.damping.any() or m.stiffness.any()
+            if all_along and h and not pushed:
+                last = move(m, q, v, h, (given[0] + given[3]) / h)
+                kick, first = kick._replace(mean=last.mean), last._replace(doubted=0.0 * last.doubted)
+            else:
+                last = move(m, kick.q, kick.after, theta * h)
+            kicks.append(kick)
+            flows += [first, last]
+            q, v = last.q, last.v
+            if kick.shift.any():
+                q = np.array(pin.integrate(m.model, q, kick.shift))
+        return Way(kicks, flows, q, v)
+
+    def _kick(
+        self, m: Mechanism, at: Course, h: float, theta: float, touches: list[tuple[int, int, int]], given: Array,
+        speeds: Array,
+    ) -> Kick:  # fmt: skip
+        """What impulses and the forces of h seconds do at a configuration."""
+        c, pushed = self.trajectory.columns, np.zeros(m.nv)
+        m.place(at.q)
+        for row, side, joint in touches:
+            pushed += m.push(joint, c["contacts/point"][row], (2 * side - 1) * self.impulses[row])
+        M, v, bend = m.mass(at.q), at.v, m.stretch(at.q)
+        begin = (1.0 - theta) * np.diag(m.damping) - h * (1.0 - theta) ** 2 * np.diag(m.stiffness)
+        end = theta * np.diag(m.damping) + h * theta**2 * np.diag(m.stiffness)
+        known = given[:4].sum(axis=0) + pushed - h * m.weight(at.q)
+        momentum = M @ v + known - h * (begin @ v + m.stiffness * bend)
+        reaction = np.zeros(m.nv)
+        if m.bound:
+            B = m.constraints(at.q)[1]
+            after = respond(m, M + h * end, momentum, B, B, speeds)
+            reaction = (M + h * end) @ after - momentum
+        else:
+            after = np.linalg.solve(M + h * end, momentum)
+        damping = -h * m.damping * (theta * after + (1.0 - theta) * v)
+        springs = -h * m.stiffness * (bend + h * (theta**2 * after - (1.0 - theta) ** 2 * v))
+        return Kick(h, at.q, v, after, given[:4], given[4], pushed, touches, np.array([damping, springs]), reaction)
+
+
+def trees(trajectory: Trajectory) -> Trees | str:
+    """The articulations of a recording, or why they cannot be built; ValueError for none."""
+    scene = trajectory.scene
+    q, v, row, mechanisms, at, rows = 7 * scene["free"], 6 * scene["free"], 0, [], [], []
+    places: dict[str, tuple[int, int]] = {}
+    for k, told in enumerate(scene["articulations"]):
+        if "model" not in told:
+            return "joints and masses of articulations are not recorded"
+        try:
+            m = Mechanism(told["name"], told["joints"], told["model"], scene["gravity"])
+        except ValueError as failure:
+            return f"{told['name']!r} cannot be built: {failure}"
+        if (m.model.nq, m.nv) != (told["nq"], told["nv"]):
+            return f"{told['name']!r} cannot be built: it has {m.model.nq} and {m.nv} coordinates"
+        mechanisms.append(m)
+        at.append((slice(q, q + told["nq"]), slice(v, v + told["nv"])))
+        rows.append(slice(row, row + told["nv"]))
+        places |= {f"{told['name']}/{joint}": (k, i) for i, joint in enumerate(told["joints"], 1)}
+        q, v, row = q + told["nq"], v + told["nv"], row + told["nv"]
+    frames: list[Any] = scene["frames"]
+    links = {k: places[name] for k, name in enumerate(frames) if k >= scene["free"] and name in places}
+    return Trees(trajectory, tuple(mechanisms), tuple(at), tuple(rows), links)

@@ -1,0 +1,159 @@
+"""All steps of all articulations of a recording, followed anew: how far they lead elsewhere, and what works in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from nsdyn.recording.mechanism import Mechanism
+from nsdyn.recording.poses import Poses
+from nsdyn.recording.retrace import Kick, Trees, Way, trees
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Retraced", "retraced"]
+
+COARSE = 1e-3
+"""Most that the fourth-order flow of a step may err, as a fraction of what moves: more is no motion of this tree."""
+
+SMALL = 1e-6
+"""Displacement, rad or m, whose round-off is 1e-9 of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Retraced:
+    """All steps of all articulations, followed anew; arrays of steps, (n, trees) unless said.
+
+    Attributes
+    ----------
+    trees : Trees
+    momentum, motion, lift : (amount, scale) of ndarrays
+        How far velocities and configurations are from where impulses lead, and how far projections went, in the norm
+        of the mass matrix; by what each is measured.
+    works : dict of str to ndarray
+        By columns of the ledger.
+    doubt : ndarray
+        Of works, J.
+    energy : ndarray, shape (n,)
+        Change of energy by projections, J.
+    met_x, met_quaternion, met_v : ndarray, shape (contacts, 2, 3 or 4)
+        Poses of links when contacts push them, and mean velocities there of their points; NaN of others.
+    ways : list of list of Way
+        Of every tree, in every step.
+    """
+
+    trees: Trees
+    momentum: tuple[Array, Array]
+    motion: tuple[Array, Array]
+    lift: tuple[Array, Array]
+    works: dict[str, Array]
+    doubt: Array
+    energy: Array
+    met_x: Array
+    met_quaternion: Array
+    met_v: Array
+    ways: list[list[Way]]
+
+
+def retraced(poses: Poses) -> Retraced | str:
+    """Follow all articulations through all steps; why that is not possible."""
+    found, t = trees(poses.trajectory), poses.trajectory
+    if isinstance(found, str) or found.missing:
+        return found if isinstance(found, str) else found.missing
+    n, count, rows = t.steps, len(found.mechanisms), len(t.columns["contacts/geom1"])
+    momentum, motion, lift = ((np.zeros((n, count)), np.zeros((n, count))) for _ in range(3))
+    works = {name: np.zeros((n, count)) for name in ("external", "normal", "friction", "damping", "constraint")}
+    out = Retraced(
+        found, momentum, motion, lift, works, np.zeros((n, count)), np.zeros(n), np.full((rows, 2, 3), np.nan),
+        np.full((rows, 2, 4), np.nan), np.full((rows, 2, 3), np.nan), [[] for _ in range(count)],
+    )  # fmt: skip
+    for i, m in enumerate(found.mechanisms):
+        for k in range(n):
+            try:
+                way = found.way(i, k)
+                _measure(out, i, m, k, way)
+                _book(out, i, m, k, way)
+                for kick in way.kicks:
+                    _meet(out, m, kick)
+            except (np.linalg.LinAlgError, ValueError):  # numbers that are none, masses that no body has
+                way, out.momentum[0][k, i] = Way([], [], *found.state(i, k + 1)), np.nan
+            out.ways[i].append(way)
+    return out
+
+
+def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
+    """How far a step ends from where it leads."""
+    (_, v0), (q, v) = out.trees.state(i, k), out.trees.state(i, k + 1)
+    h, M = out.trees.trajectory.dt, m.mass(q)
+    L = np.linalg.cholesky(M)
+
+    def size(x: Array) -> float:
+        return float(np.linalg.norm(L.T @ x))
+
+    def effect(p: Array) -> float:
+        return float(np.linalg.norm(np.linalg.solve(L, p)))
+
+    speed = size(v0) + size(way.v)
+    speed += sum(
+        effect(part)
+        for kick in way.kicks
+        for part in (*kick.given, kick.pushed, *kick.stiff, kick.h * m.weight(kick.q))
+    )
+    doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
+    # The constants of two rules of one order differ by some times.
+    doubt = 10.0 * doubt if m.bound else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
+    span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
+    off = size(np.array(pin.difference(m.model, way.q, q)))
+    for pair, amount, scale in (
+        (out.momentum, size(way.v - v) - doubt[1], speed),
+        (out.motion, off - doubt[0] - h * doubt[1], span),
+        (out.lift, sum(size(kick.shift) for kick in way.kicks), span),
+    ):
+        pair[0][k, i], pair[1][k, i] = amount, scale
+
+
+def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
+    """Works of a step by columns of the ledger, and what is in doubt of them."""
+    works = dict.fromkeys(out.works, 0.0)
+    doubt = 0.0
+    for number, kick in enumerate(way.kicks):
+        mean = 0.5 * (kick.before + kick.after)
+        along = mean if kick.mean is None else kick.mean
+        works["external"] += float((kick.given[0] + kick.given[3]) @ along)
+        works["normal"] += float(kick.given[1] @ mean)
+        works["friction"] += float(kick.given[2] @ mean)
+        works["damping"] += float(kick.stiff[0] @ along)
+        works["constraint"] += float(kick.reaction @ mean) + sum(c.work for c in way.flows[2 * number : 2 * number + 2])
+        change = np.abs(kick.after - kick.before)
+        # What rebounds in a piece, or several times in one instant, works in parts that are not recorded.
+        if m.restitution > 0.0 or _rebounds(out.trees, kick):
+            doubt += 0.5 * float((np.abs(kick.given[1]) + np.abs(kick.given[2])) @ change)
+        late = way.flows[2 * number].doubted[1] + way.flows[2 * number + 1].doubted[1]
+        doubt += float((np.abs(kick.given).sum(axis=0) + np.abs(kick.stiff[0]) + np.abs(kick.reaction)) @ late)
+        if kick.shift.any():
+            end = way.flows[2 * number + 1]
+            lifted = np.array(pin.integrate(m.model, end.q, kick.shift))
+            out.energy[k] += sum(m.energies(lifted, end.v)) - sum(m.energies(end.q, end.v))
+    for name, work in works.items():
+        out.works[name][k, i] = work
+    out.doubt[k, i] = doubt
+
+
+def _rebounds(found: Trees, kick: Kick) -> bool:
+    restitution = found.trajectory.columns["contacts/restitution"]
+    return any(restitution[row] > 0.0 for row, _, _ in kick.touches)
+
+
+def _meet(out: Retraced, m: Mechanism, kick: Kick) -> None:
+    """Where links are that contacts push, and how their points move."""
+    if not kick.touches:
+        return
+    point, mean = out.trees.trajectory.columns["contacts/point"], 0.5 * (kick.before + kick.after)
+    m.place(kick.q)
+    for row, side, joint in kick.touches:
+        pose = m.pose(joint)
+        out.met_x[row, side] = pose.translation
+        out.met_quaternion[row, side] = Rotation.from_matrix(pose.rotation).as_quat()
+        out.met_v[row, side] = m.carried(joint, point[row], mean)

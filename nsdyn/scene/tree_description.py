@@ -1,0 +1,108 @@
+"""An articulation as plain values, from which its motion can be computed anew by whoever reads a recording.
+
+The values are JSON and no format of Pinocchio's, which changes with its versions: joints by their kind, their place and
+the inertia that they carry. `nsdyn.recording.mechanism` builds the model again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.scene.articulations import Articulation
+from nsdyn.scene.prescribed import Motion
+from nsdyn.tools.arrays import Array
+
+__all__ = ["describe_tree"]
+
+GIVEN = ("axis", "axis1", "axis2", "pitch", "radius_x", "radius_y", "radius_z")
+"""What tells joints of one kind apart."""
+
+
+def describe_tree(a: Articulation, motions: Mapping[str, Motion]) -> dict[str, Any]:
+    """Joints, inertias, loops and laws of an articulation as JSON values; SI units, null for no limit.
+
+    Parameters
+    ----------
+    a : Articulation
+    motions : mapping of str to Motion
+        All prescribed ones of its scene.
+
+    Returns
+    -------
+    dict
+        joints, one after the other with their parents before them (kind, parent, pose in its frame, mass, com, inertia
+        about it); armature, friction, damping, stiffness, rest, effort, lower, upper, each (nv,); restitution of the
+        limits; loops; driven, {joint: its velocity, null if it varies}.
+    """
+    m, laws = a.model, ("armature", "friction", "damping", "stiffness", "rest", "effort")
+    prefix = f"{a.name}/"
+    driven = {
+        name.removeprefix(prefix): None if callable(motion.velocity) else motion.rate(0.0)
+        for name, motion in motions.items()
+        if motion.kind == "joint" and name.startswith(prefix) and m.existJointName(name.removeprefix(prefix))
+    }
+    lower, upper = _limits(a)
+    return {
+        "joints": [_joint(m, k) for k in range(1, m.njoints)],
+        **{law: _finite(getattr(a, law)) for law in laws},
+        "lower": _finite(lower),
+        "upper": _finite(upper),
+        "restitution": a.restitution,
+        "loops": [
+            {
+                "name": loop.name, "kind": loop.kind, "joints": [loop.joint1, loop.joint2],
+                "placements": [loop.placement1.homogeneous.tolist(), loop.placement2.homogeneous.tolist()],
+            }
+            for loop in a.loops
+        ],
+        "driven": driven,
+    }  # fmt: skip
+
+
+def _joint(model: Any, k: int) -> dict[str, Any]:
+    body = model.inertias[k]
+    return {
+        **_kind(model, k),
+        "parent": int(model.parents[k]),
+        "placement": model.jointPlacements[k].homogeneous.tolist(),
+        "mass": float(body.mass),
+        "com": np.array(body.lever).tolist(),
+        "inertia": np.array(body.inertia).tolist(),
+    }
+
+
+def _kind(model: Any, k: int) -> dict[str, Any]:
+    """Pinocchio's name of a joint's kind and what it needs besides; the parts of a composite one."""
+    joint = model.joints[k]
+    out = _told(joint.extract())
+    if out["kind"] == "JointModelRevoluteUnboundedUnaligned":  # its axis is not told
+        J = pin.computeJointJacobian(model, model.createData(), pin.neutral(model), k)
+        out["axis"] = J.reshape(6, -1, order="A")[3:, joint.idx_v].tolist()
+    return out
+
+
+def _told(joint: Any) -> dict[str, Any]:
+    out: dict[str, Any] = {"kind": joint.shortname()}
+    if out["kind"] == "JointModelComposite":
+        poses = [pose.homogeneous.tolist() for pose in joint.jointPlacements]
+        return out | {"parts": [_told(part.extract()) for part in joint.joints], "placements": poses}
+    return out | {name: np.array(getattr(joint, name)).tolist() for name in GIVEN if hasattr(joint, name)}
+
+
+def _limits(a: Articulation) -> tuple[Array, Array]:
+    """Lower and upper limits that are enforced, (nv,) each."""
+    m = a.model
+    lower, upper = np.full(m.nv, -np.inf), np.full(m.nv, np.inf)
+    for joint in list(m.joints)[1:] if a.limits else []:
+        if joint.nq == joint.nv:
+            v, q = (slice(i, i + joint.nv) for i in (joint.idx_v, joint.idx_q))
+            lower[v], upper[v] = m.lowerPositionLimit[q], m.upperPositionLimit[q]
+    return lower, upper
+
+
+def _finite(values: Array) -> list[float | None]:
+    return [float(x) if np.isfinite(x) else None for x in values]

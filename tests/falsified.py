@@ -1,0 +1,385 @@
+"""True recordings of articulations, and what falsifies them: changes of their columns or scenes."""
+
+import copy
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+from mechanisms import add, at, four_bars, limit, rod
+
+import nsdyn as nd
+from nsdyn.recording.trajectory import Trajectory
+from nsdyn.scene import shapes
+
+
+def _arm():
+    """Three links with limits and dry friction that fall on the ground and against their limits."""
+    model, parent, place = pin.Model(), 0, at((0, 0, 0))
+    for k in range(3):
+        parent = model.addJoint(parent, pin.JointModelRY(), place, f"j{k}")
+        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.array([0, 0, -0.2]), np.eye(3) / 50), at((0, 0, 0)))
+        place = at((0, 0, -0.4))
+    limit(model, -0.5, 0.9)
+    scene, material = nd.Scene(name="arm"), nd.Material(mu=0.5)
+    scene.add_halfspace("ground", offset=-1.1, material=material)
+    capsule = shapes.capsule(0.03, 0.3), at((0, 0, -0.2))
+    scene.add_model(
+        "arm", model, q=[0.8, 0.3, 0.2], v=[-4.0, 0.0, 0.0], collisions={f"j{k}": [capsule] for k in range(3)},
+        material=material, self_collisions=False, friction=[0.1] * 3, damping=[0.05] * 3, stiffness=[2.0] * 3,
+        restitution=0.3,
+    )  # fmt: skip
+    return nd.simulate(scene, 0.5, 5e-3)
+
+
+def _named(name, seconds, dt, speed=0.0):
+    """A named scene under its own control, begun with a velocity of its first articulation, m/s and rad/s."""
+    setup = nd.scenes.setup(name)
+    if speed:
+        (key, first), *_ = setup.scene.articulations.items()
+        setup.scene.articulations[key] = replace(first, v=speed * np.cos(np.arange(first.model.nv)))
+    return nd.simulate(setup.scene, seconds, **setup.options(dt=dt))
+
+
+def _bars():
+    """A closed loop that turns."""
+    model, loops, v = four_bars(1)
+    scene = nd.Scene(name="bars")
+    add(scene, "bars", model, v=v, loops=loops)
+    return nd.simulate(scene, 0.1, 2e-3)
+
+
+def _cart():
+    """A pendulum on a driven cart, which strikes nothing."""
+    model = pin.Model()
+    cart = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), "cart")
+    model.appendBodyToJoint(cart, pin.Inertia(2.0, np.zeros(3), 0.01 * np.eye(3)), at((0, 0, 0)))
+    pole = model.addJoint(cart, pin.JointModelRY(), at((0, 0, 0)), "pole")
+    model.appendBodyToJoint(pole, rod((0, 0, -1)), at((0, 0, 0)))
+    scene = nd.Scene(name="cart")
+    add(scene, "cart", limit(model), q=(0.0, 1.0), v=(1.5, 2.0))
+    scene.set_motion("cart/cart", velocity=1.5)
+    return nd.simulate(scene, 0.1, 5e-3)
+
+
+RUNS = {
+    "arm": _arm,
+    "bars": _bars,
+    "cart": _cart,
+    "quadruped": lambda: _named("quadruped", 0.15, 5e-3, 0.3),
+    "gripper": lambda: _named("gripper", 0.7, 1e-2),
+    "woodpecker": lambda: _named("woodpecker", 0.02, 2e-4),
+}
+
+
+@cache
+def true(name):
+    """A recording that passes."""
+    return RUNS[name]()
+
+
+def false(kind):
+    """A recording that was falsified."""
+    name, change = KINDS[kind]
+    t = true(name)
+    out = Trajectory(dict(t.meta), copy.deepcopy(t.scene), {key: values.copy() for key, values in t.columns.items()})
+    change(out.columns, out.scene)
+    same = all(np.array_equal(values, t.columns[key], equal_nan=True) for key, values in out.columns.items())
+    assert not same or out.scene != t.scene, "nothing was changed"
+    return out
+
+
+def _times(key, factor, where=...):
+    def change(c, scene):
+        c[key][where] *= factor
+
+    return change
+
+
+def _plus(key, more, where=...):
+    def change(c, scene):
+        c[key][where] += more
+
+    return change
+
+
+def _model(key, factor):
+    """Another value in the model, of all joints or of the articulation."""
+
+    def change(c, scene):
+        for tree in scene["articulations"]:
+            told = tree["model"]
+            if key in told:
+                told[key] = [factor * x for x in told[key]]
+            for joint in told["joints"]:
+                if key in joint:
+                    joint[key] = (factor * np.array(joint[key])).tolist()
+
+    return change
+
+
+def _swapped(key, i, j):
+    def change(c, scene):
+        c[key][..., [i, j]] = c[key][..., [j, i]]
+
+    return change
+
+
+def _exchanged(c, key, i, j):
+    c[key][[i, j]] = c[key][[j, i]]
+
+
+def _reversed(*keys):
+    def change(c, scene):
+        for key in keys:
+            c[key] = c[key][::-1].copy()
+
+    return change
+
+
+def _moved(key):
+    """One step's values into the next."""
+
+    def change(c, scene):
+        c[key] = np.roll(c[key], 1, axis=0)
+
+    return change
+
+
+def _booked(source, into, share=1.0):
+    """The works of one column in another."""
+
+    def change(c, scene):
+        moved = share * c[f"energy/{source}"]
+        assert np.abs(moved).max() > 1e-6 * np.ptp(c["energy/kinetic"])
+        c[f"energy/{source}"] -= moved
+        c[f"energy/{into}"] += moved
+
+    return change
+
+
+def _interpolated(c, scene):
+    """A state between its neighbours."""
+    for key in ("q", "v"):
+        c[key][20] = 0.5 * (c[key][19] + c[key][21])
+
+
+def _frozen(c, scene):
+    """A link that stays where it was while its joint moves."""
+    for key in ("frames/x", "frames/quat"):
+        c[key][30:, -1] = c[key][30, -1]
+
+
+def _weightless(c, scene):
+    """Gravity left out of ten steps: velocities as they would be without it, to first order."""
+    c["v"][10:20] -= 1e-3 * 9.81 * 5e-3
+
+
+def _pulling(c, scene):
+    k = int(np.abs(c["joints/limit"]).max(axis=1).argmax())
+    assert np.abs(c["joints/limit"][k]).max() > 0.0
+    _each(c, "limit", -1.0)
+
+
+def _each(c, name, factor):
+    """Of steps and of their pieces."""
+    for group in ("joints", "pieces"):
+        c[f"{group}/{name}"] *= factor
+
+
+def _limit_elsewhere(c, scene):
+    """An impulse of a limit in a step in which the joint is far from it, which takes it up elsewhere."""
+    c["joints/limit"][3, 2] += 0.01
+    c["v"][4:, 2] += 0.01
+
+
+def _other_contact(c, scene):
+    """Impulses of two contacts of a step for one another."""
+    r, offset = c["contacts/impulse"], c["contacts/offset"]
+    for k in range(len(offset) - 1):
+        rows = np.arange(offset[k], offset[k + 1])
+        strong = rows[np.argsort(-r[rows, 0])]
+        if strong.size > 1 and abs(r[strong[0], 0] - r[strong[1], 0]) > 1e-3 * r[strong[0], 0]:
+            r[strong[:2]] = r[strong[:2]][::-1]
+            return
+    raise AssertionError("no two contacts")
+
+
+def _without_model(c, scene):
+    """Half the masses, and gravity as strong again, where contacts carry."""
+    _model("mass", 0.5)(c, scene)
+
+
+def _opened(c, scene):
+    c["q"][:, -1] += 1e-3
+
+
+def _one_sign(c, scene):
+    c["q"][:, 1] *= -1.0
+    c["v"][:, 1] *= -1.0
+
+
+def _loads(name, value):
+    def change(c, scene):
+        c[f"joints/{name}"][5:8, 1] += value
+
+    return change
+
+
+def _friction_along(c, scene):
+    """Joint friction turned round, and the velocity that it would give."""
+    _each(c, "friction", -1.0)
+
+
+def _too_much_friction(c, scene):
+    _each(c, "friction", 1.001)
+
+
+def _cut_short(c, scene):
+    """Pieces that do not make up their step."""
+    assert len(c["pieces/duration"])
+    c["pieces/duration"][c["pieces/duration"] > 0.0] *= 0.99
+
+
+def _closer(c, scene):
+    """A limit of the model that the motion does not respect."""
+    scene["articulations"][0]["model"]["lower"] = [-0.3] * 3
+
+
+def _other_loop(c, scene):
+    scene["articulations"][0]["model"]["loops"][0]["placements"][0][0][3] += 1e-4
+
+
+def _other_speed(c, scene):
+    scene["articulations"][0]["model"]["driven"]["cart"] = 1.4
+
+
+def _other_axis(c, scene):
+    scene["articulations"][0]["model"]["joints"][1]["kind"] = "JointModelRX"
+
+
+def _other_parent(c, scene):
+    told = scene["articulations"][0]["model"]["joints"][2]
+    told["parent"] = 1
+
+
+def _stretched(c, scene):
+    c["frames/quat"] *= 1.0 + 1e-6
+
+
+def _slower(c, scene):
+    """The whole motion at half the speed: times, velocities and impulses."""
+    for key in c:
+        if key == "v" or (
+            key.startswith(("joints/", "pieces/")) and key.split("/")[1] in ("actuation", "limit", "friction")
+        ):
+            c[key] *= 0.5
+    c["contacts/impulse"] *= 0.5
+    c["energy/kinetic"] *= 0.25
+
+
+def _later(c, scene):
+    c["t"][10:] += 1e-4
+
+
+def _skipped(c, scene):
+    """A step left out, and the last one twice."""
+    for key in ("q", "v", "frames/x", "frames/quat"):
+        if key in c:
+            c[key][10:-1] = c[key][11:]
+
+
+def _projected(c, scene):
+    """A displacement said to be of projections."""
+    c["q"][10:, 2] += 1e-4
+    c["joints/shift"][9, 2] += 1e-4
+
+
+def _driven(c, scene):
+    c["v"][5, 0] += 1e-6
+
+
+def _base(c, scene):
+    """A floating base, a micrometre a second off."""
+    c["v"][7, 2] += 1e-6
+
+
+def _base_turned(c, scene):
+    c["q"][7, 3:7] *= 1.0 + 1e-8
+
+
+LAST = slice(None), -1
+KINDS = {
+    "velocities times 3": ("arm", _times("v", 3.0)),
+    "one velocity off by 1e-6": ("arm", _plus("v", 1e-6, (20, 1))),
+    "one velocity of a joint turned round": ("arm", _times("v", -1.0, (slice(None), 1))),
+    "configurations off by 1e-6 in one state": ("arm", _plus("q", 1e-6, (20, 1))),
+    "a joint 1 rad beyond its limits": ("arm", _plus("q", 1.0, (slice(None), 0))),
+    "one joint's sign": ("arm", _one_sign),
+    "swapped joints": ("arm", lambda c, s: [_swapped(key, 0, 1)(c, s) for key in ("q", "v")]),
+    "velocities swapped": ("quadruped", _swapped("v", 7, 10)),
+    "motion backwards": ("arm", _reversed("q", "v", "frames/x", "frames/quat")),
+    "velocities backwards": ("quadruped", _reversed("v")),
+    "two steps exchanged": ("arm", lambda c, s: [_exchanged(c, key, 20, 21) for key in ("q", "v")]),
+    "an arm that stands in one state": ("arm", _times("v", 0.0, 20)),
+    "a state between its neighbours": ("arm", _interpolated),
+    "a state between its neighbours, with a controller": ("quadruped", _interpolated),
+    "a link 0.05 m off its joint": ("arm", _plus("frames/x", 0.05, (slice(None), 2, 1))),
+    "a link 1e-9 m off its joint in one state": ("arm", _plus("frames/x", 1e-9, (9, 2, 1))),
+    "a frozen link": ("arm", _frozen),
+    "links turned": ("quadruped", _times("frames/quat", -1.0, (slice(None), slice(None), 0))),
+    "quaternions of links not unit": ("quadruped", _stretched),
+    "quaternion of a base not unit": ("quadruped", _base_turned),
+    "velocity of a base": ("quadruped", _base),
+    "limits that pull": ("arm", _pulling),
+    "limits half as strong": ("arm", lambda c, s: _each(c, "limit", 0.5)),
+    "limits in mid-range": ("arm", _limit_elsewhere),
+    "limits of the model closer": ("arm", _closer),
+    "joint friction that drives": ("arm", _friction_along),
+    "joint friction above its bound": ("arm", _too_much_friction),
+    "joint friction in another step": ("arm", _moved("joints/friction")),
+    "no joint friction": ("arm", lambda c, s: _each(c, "friction", 0.0)),
+    "100 N m more of actuation": ("arm", _plus("joints/actuation", 0.5)),
+    "actuation where there is no controller": ("arm", _loads("actuation", 1e-6)),
+    "actuation of a controller off by a millionth": ("quadruped", _times("joints/actuation", 1.0 + 1e-5)),
+    "actuators beyond their limits": ("quadruped", _times("joints/strength", 1e-3)),
+    "actuation in another step": ("gripper", _moved("joints/actuation")),
+    "external wrenches where there are none": ("quadruped", _loads("external", 1e-4)),
+    "contact impulses of robots halved": ("quadruped", _times("contacts/impulse", 0.5)),
+    "contact impulses of robots off by 1e-5": ("quadruped", _times("contacts/impulse", 1.0 + 1e-5)),
+    "impulses of two contacts exchanged": ("quadruped", _other_contact),
+    "impulses of the gripper on other places": ("gripper", _plus("contacts/point", 1e-4)),
+    "contact friction turned round": ("gripper", _times("contacts/impulse", -1.0, (slice(None), slice(1, 3)))),
+    "impulses of a peck later": ("woodpecker", _moved("contacts/impulse")),
+    "masses halved in the model": ("arm", _model("mass", 0.5)),
+    "masses halved in a standing robot's model": ("quadruped", _without_model),
+    "inertias twice": ("woodpecker", _model("inertia", 2.0)),
+    "stiffness off by a thousandth": ("woodpecker", _model("stiffness", 1.001)),
+    "damping left out of the model": ("arm", _model("damping", 0.0)),
+    "armature added": ("bars", lambda c, s: s["articulations"][0]["model"].update(armature=[1e-4] * 3)),
+    "gravity left out of ten steps": ("arm", _weightless),
+    "gravity of the scene": ("bars", lambda c, s: s.update(gravity=[0.0, 0.0, -9.8])),
+    "a loop opened": ("bars", _opened),
+    "a loop elsewhere": ("bars", _other_loop),
+    "velocities that a loop does not admit": ("bars", _plus("v", 1e-5, (slice(None), 1))),
+    "a driven joint at another speed": ("cart", _other_speed),
+    "a driven joint off by 1e-6 m/s in one state": ("cart", _driven),
+    "another kind of joint": ("arm", _other_axis),
+    "another parent": ("arm", _other_parent),
+    "kinetic energy edited": ("arm", _times("energy/kinetic", 1.0 + 1e-6)),
+    "potential energy of springs left out": ("arm", _model("stiffness", 0.0)),
+    "works of friction as of limits": ("arm", _booked("friction", "normal")),
+    "works of damping as numerics": ("arm", _booked("damping", "integration")),
+    "works of limits as projections": ("arm", _booked("normal", "projection")),
+    "works of motors as friction": ("quadruped", _booked("external", "friction")),
+    "works of drives as numerics": ("cart", _booked("constraint", "integration")),
+    "a tenth of the works of contacts as damping": ("woodpecker", _booked("friction", "damping", 0.1)),
+    "works of one contact in another": ("gripper", _plus("contacts/work_friction", 1e-3, 40)),
+    "pieces that do not make up their step": ("arm", _cut_short),
+    "times of contacts": ("arm", _times("contacts/time", 1.01)),
+    "a defect of the ledger": ("cart", _plus("energy/defect", 1e-6, 3)),
+    "half the speed": ("arm", _slower),
+    "times": ("bars", _later),
+    "a step left out": ("bars", _skipped),
+    "a displacement as of projections": ("arm", _projected),
+}  # fmt: skip
