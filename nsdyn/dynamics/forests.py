@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pinocchio as pin
 
@@ -46,12 +46,10 @@ def parts(a: Articulation) -> list[Part]:
 
 
 def _part(a: Articulation, joints: range) -> Part:
-    model, shift = a.model, joints.start - 1
-    others = [joint for joint in range(1, model.njoints) if joint not in joints]
-    own = pin.buildReducedModel(model, others, a.q)
-    own.gravity = model.gravity
-    q_start, v_start = model.idx_qs[joints.start], model.idx_vs[joints.start]
+    shift, own = joints.start - 1, _alone(a.model, joints)
+    q_start, v_start = a.model.idx_qs[joints.start], a.model.idx_vs[joints.start]
     q, v = slice(q_start, q_start + own.nq), slice(v_start, v_start + own.nv)
+    own.lowerPositionLimit, own.upperPositionLimit = a.model.lowerPositionLimit[q], a.model.upperPositionLimit[q]
     links = [k for k, link in enumerate(a.links) if link.joint in joints]
     moved = replace(
         a, model=own, q=a.q[q], v=a.v[v],
@@ -65,3 +63,18 @@ def _part(a: Articulation, joints: range) -> Part:
         fixed=(), excluded=frozenset(),
     )  # fmt: skip
     return Part(moved, q, v, joints)
+
+
+def _alone(model: Any, joints: range) -> Any:
+    """A Pinocchio model of some joints, the frames on them and what they carry."""
+    # Not `buildReducedModel`, which refuses joints that have the names of bodies.
+    own, shift = pin.Model(), joints.start - 1
+    own.gravity = model.gravity
+    for joint in joints:
+        parent = max(0, int(model.parents[joint]) - shift)
+        own.addJoint(parent, model.joints[joint], model.jointPlacements[joint], model.names[joint])
+        own.appendBodyToJoint(joint - shift, model.inertias[joint], pin.SE3.Identity())
+    for frame in model.frames:
+        if frame.parentJoint in joints:
+            own.addFrame(pin.Frame(frame.name, frame.parentJoint - shift, 0, frame.placement, frame.type), False)
+    return own
