@@ -7,18 +7,13 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 
 
-@kernel
-def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, minv, force):
-    """The forces linear in the velocity v' after the forces: the effective mass matrix, its inverse, and what is left.
-
-    m = M + h (theta D + h theta² K + kd + h kp) and minv = Fᵀ F, where F = L⁻¹ for its Cholesky factor L, all (n, n);
-    force (n,) is what `forces` gives for v' = v. False when m is not positive definite.
-    """
-    n = M.shape[0]
+@in_place
+def factor(m, F, minv):
+    """F = L⁻¹ for the Cholesky factor L of m, and minv = m⁻¹ = Fᵀ F, all (n, n); False if not positive definite."""
+    n = m.shape[0]
     for i in range(n):
         for j in range(n):
-            m[i, j] = minv[i, j] = M[i, j]
-        minv[i, i] = m[i, i] = m[i, i] + h * (theta * damping[i] + h * theta * theta * stiffness[i] + kd[i] + h * kp[i])
+            minv[i, j] = m[i, j]
     # All loops end along rows, which the compiler makes vectors of. Here minv becomes Lᵀ, in its upper half.
     for k in range(n):
         if not minv[k, k] > 0.0:
@@ -48,6 +43,23 @@ def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, min
     for i in range(n):
         for j in range(i):
             minv[j, i] = minv[i, j]
+    return True
+
+
+@kernel
+def implicit(M, damping, stiffness, kp, kd, tau, stretch, v, h, theta, F, m, minv, force):
+    """The forces linear in the velocity v' after the forces: the effective mass matrix, its inverse, and what is left.
+
+    m = M + h (theta D + h theta² K + kd + h kp) and minv = Fᵀ F, where F = L⁻¹ for its Cholesky factor L, all (n, n);
+    force (n,) is what `forces` gives for v' = v. False when m is not positive definite.
+    """
+    n = M.shape[0]
+    for i in range(n):
+        for j in range(n):
+            m[i, j] = M[i, j]
+        m[i, i] = m[i, i] + h * (theta * damping[i] + h * theta * theta * stiffness[i] + kd[i] + h * kp[i])
+    if not factor(m, F, minv):
+        return False
     parts = np.empty((3, n))
     forces(damping, stiffness, kp, kd, tau, stretch, v, v, h, theta, parts)
     for j in range(n):
@@ -143,30 +155,107 @@ def respond(start, minv, force, bias, h, v):
 
 
 @in_place
-def first_order(v, a, h, out):
-    """Of a motion at first order: displacement, the velocity at its end, the mean velocity, into out (3, n)."""
-    for j in range(v.size):
-        change = h * a[j]
-        mean = v[j] + 0.5 * change
-        out[0, j], out[1, j], out[2, j] = h * mean, v[j] + change, mean
+def settle(start, minv, bias, h, newton, rest, v):
+    """One step of Newton's method to v = start - h minv bias(v), into v (n,), with the inverse matrix `newton`.
+
+    Returns the relative change of v, nan where it is not finite; what is left of the equation goes into rest (n,).
+    """
+    change, size = 0.0, 0.0
+    for i in range(v.size):
+        rest[i] = start[i] - v[i]
+        for j in range(v.size):
+            rest[i] -= h * minv[i, j] * bias[j]
+    for i in range(v.size):
+        step = 0.0
+        for j in range(v.size):
+            step += newton[i, j] * rest[j]
+        v[i] += step
+        if not abs(v[i]) < math.inf:
+            return math.nan
+        change, size = max(change, abs(step)), max(size, abs(v[i]))
+    return change / size if size > 0.0 else 0.0
+
+
+@kernel
+def closing(G, N, phi, damping, step):
+    """Add -N Gᵀ (G N Gᵀ + damping)⁻¹ phi to step (n,), damping as a fraction of the diagonal.
+
+    False where that matrix is not positive definite.
+    """
+    m, n = G.shape
+    A, F, inverse, scale = np.zeros((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty(m)
+    side = np.zeros((m, n))
+    for i in range(m):
+        for k in range(n):
+            for j in range(n):
+                side[i, j] += G[i, k] * N[k, j]
+    for i in range(m):
+        for k in range(m):
+            for j in range(n):
+                A[i, k] += side[i, j] * G[k, j]
+    for i in range(m):
+        scale[i] = math.sqrt(A[i, i]) if A[i, i] > 0.0 else 1.0
+    for i in range(m):
+        for k in range(m):
+            A[i, k] /= scale[i] * scale[k]
+        A[i, i] += damping
+    if not factor(A, F, inverse):
+        return False
+    for i in range(m):
+        force = 0.0
+        for k in range(m):
+            force += inverse[i, k] * phi[k] / scale[k]
+        for j in range(n):
+            step[j] -= side[i, j] * force / scale[i]
+    return True
 
 
 @in_place
-def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, out):
-    """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n)."""
+def midpoint(v1, v2, a1, a2, h, tolerance, floor, out):
+    """Of a step by the midpoint rule: displacement and the velocity at its end, into out (4, n).
+
+    Whether the acceleration changes so little that the velocity errs by less than is allowed without it.
+    """
+    change, size = 0.0, 0.0
+    for j in range(v1.size):
+        out[0, j], out[1, j] = h * v2[j], v1[j] + h * a2[j]
+        rise, most = abs(a2[j] - a1[j]), max(abs(v1[j]), abs(out[1, j]))
+        if not rise + most < math.inf:
+            return False
+        change, size = max(change, rise), max(size, most)
+    return h * change <= tolerance * size + floor
+
+
+@in_place
+def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, tolerance, floor, out):
+    """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n).
+
+    Its error, of that allowed: see `nsdyn.dynamics.runge_kutta`.
+    """
+    error, size = 0.0, 0.0
     for j in range(v1.size):
         middle = 2.0 * (v2[j] + v3[j])
+        mean = (a1[j] + 2.0 * (a2[j] + a3[j]) + a4[j]) / 6.0
         out[0, j] = h / 12.0 * (3.0 * v1[j] + middle - v4[j])
         out[1, j] = h / 12.0 * (middle + 3.0 * v4[j] - v1[j])
-        out[2, j] = v1[j] + h / 6.0 * (a1[j] + 2.0 * (a2[j] + a3[j]) + a4[j])
+        out[2, j] = v1[j] + h * mean
         out[3, j] = (v1[j] + middle + v4[j]) / 6.0
+        d, most = h * abs(mean - a2[j]), max(abs(v1[j]), abs(v2[j]), abs(v3[j]), abs(v4[j]))
+        if not d + most < math.inf:
+            return math.inf
+        error, size = max(error, d), max(size, most)
+    # z⁵/120 where error = size z³/6.
+    error = (6.0 * error / size) ** (5.0 / 3.0) / 120.0 * size if size > 0.0 else 0.0
+    return error / (tolerance * size + floor)
 
 
 @in_place
 def fastest(v, turns):
-    """(largest entry of |v|, the same of those coordinates that turn)."""
+    """(largest entry of |v|, the same of those coordinates that turn); infinite where an entry is not finite."""
     most, turn = 0.0, 0.0
     for j in range(v.size):
+        if not abs(v[j]) < math.inf:
+            return math.inf, math.inf
         most = max(most, abs(v[j]))
         if turns[j]:
             turn = max(turn, abs(v[j]))
