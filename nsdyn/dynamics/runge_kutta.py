@@ -11,15 +11,14 @@ from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.tools.arrays import Array
 
-__all__ = ["BESIDE", "TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
+__all__ = ["TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
 
-TOLERANCE, BESIDE = 1e-9, 1e-7
-"""Error of the velocity by one part of a motion, as a fraction of the fastest joint's: of a motion that is all of a
-step, and of one beside forces of second order, which err by far more. What turns by less than that first fraction of a
-rad has no Coriolis terms to speak of."""
+TOLERANCE = 1e-10
+"""Error of one part of a motion: of the velocity, as a fraction of the fastest joint's, and as what moves that fraction
+of a rad or of a metre in the time of the whole. What turns by less in it has no Coriolis terms to speak of."""
 
 ROUNDED = 1e-13
-"""And what an error of the velocity may move in the whole motion, rad or m: some hundred roundings of an angle."""
+"""What an error of the velocity may move in the whole motion to be lost, rad or m: some hundred roundings of an angle."""
 
 FINEST = 1e-6
 """Least part of a motion."""
@@ -28,18 +27,18 @@ Rate = Callable[[Array, Array], tuple[Array, float]]
 """(acceleration, power of driven joints in W) at a configuration and a velocity."""
 
 
-def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, tolerance: float) -> Flow:
-    """Motion for h seconds, in parts of `runge_kutta` that err by no more than the tolerance.
+def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float) -> Flow:
+    """Motion for h seconds, in parts of `runge_kutta` that err by no more than `TOLERANCE`.
 
     Raises
     ------
     ArithmeticError
         Where no part is, naming the joint that is fastest.
     """
-    floor, left, part = ROUNDED / h, h, h
+    left, part = h, h
     mean, work = np.zeros_like(v), 0.0
     while True:
-        new, error = runge_kutta(model, rate, q, v, part, tolerance, floor)
+        new, error = runge_kutta(model, rate, q, v, part, h)
         if error <= 1.0:
             if part == h:
                 return new
@@ -64,17 +63,15 @@ def fastest(model: pin.Model, v: Array) -> str:
     return f"joint {name!r} moves at {abs(v[j]):.3g} rad/s or m/s"
 
 
-def runge_kutta(
-    model: pin.Model, rate: Rate, q: Array, v: Array, h: float, tolerance: float, floor: float
-) -> tuple[Flow, float]:
+def runge_kutta(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, whole: float) -> tuple[Flow, float]:
     """One step of the classical Runge–Kutta method of fourth order, of h seconds, and its error.
 
     Its last combination is made of two displacements one after the other, so that it is of that order for free and
-    spherical joints too. What it changes of energy and momentum is O(h⁵). The error is a fraction of what may be,
-    that tolerance of the velocity and `floor`. It is estimated from the same four stages: they hold the midpoint rule,
-    whose difference d from the step, as a fraction of the velocity, is z³/6 for a vibration that turns by z in h, where
-    the step errs by z⁵/120. Where the first two stages say that even the first order would do, they are all, and the
-    midpoint rule is the step.
+    spherical joints too. What it changes of energy and momentum is O(h⁵). The error is a fraction of what `TOLERANCE`
+    allows a part of a motion of `whole` seconds. It is estimated from the same four stages: they hold the midpoint
+    rule, whose difference from the step, as a fraction of the velocity, is z³/6 for a vibration that turns by z in h,
+    where the step errs by z⁵/120. Where the first two stages say that even the first order would do, they are all, and
+    the midpoint rule is the step.
 
     References
     ----------
@@ -85,12 +82,12 @@ def runge_kutta(
     a1, p1 = rate(q, v)
     v2, q2 = v + half * a1, pin.integrate(model, q, half * v)
     a2, p2 = rate(q2, v2)
-    if _trees.midpoint(v, v2, a1, a2, h, tolerance, floor, out):
+    if _trees.midpoint(v, v2, a1, a2, h, TOLERANCE, ROUNDED / whole, out):
         return Flow(pin.integrate(model, q, out[0]), out[1], v2, h * p2), 0.0
     v3, q3 = v + half * a2, pin.integrate(model, q, half * v2)
     a3, p3 = rate(q3, v3)
     v4, q4 = v + h * a3, pin.integrate(model, q2, h * v3 - half * v)
     a4, p4 = rate(q4, v4)
-    error = _trees.combine(v, v2, v3, v4, a1, a2, a3, a4, h, tolerance, floor, out)
+    error = _trees.combine(v, v2, v3, v4, a1, a2, a3, a4, h, TOLERANCE, TOLERANCE / whole, out)
     work = h / 6.0 * (p1 + 2.0 * (p2 + p3) + p4)
     return Flow(pin.integrate(model, pin.integrate(model, q, out[0]), out[1]), out[2], out[3], work), error

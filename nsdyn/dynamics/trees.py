@@ -11,7 +11,7 @@ from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.loops import Closures, admissible, factored, indefinite, supports
-from nsdyn.dynamics.runge_kutta import BESIDE, TOLERANCE, Rate, fastest, move
+from nsdyn.dynamics.runge_kutta import TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import Articulation
@@ -220,7 +220,7 @@ class Tree:
         if self._closures is not None:
             return slide(self._weightless, self.data, self._closures, self._driven_rows, q, v, h)
         still = 0.0 * self._driven_rows[:, 0]
-        return move(self.model, self._rate(self._weightless, self._zero, still), q, v, h, BESIDE)
+        return move(self.model, self._rate(self._weightless, self._zero, still), q, v, h)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
         """Accelerations of a tree without loops under joint forces, whose driven joints accelerate as said."""
@@ -360,7 +360,7 @@ class Tree:
             speed = max(_trees.fastest(v, self._turns)[0], _trees.fastest(begin_v, self._turns)[0])
             if h * speed > TOLERANCE:
                 rate = self._rate(self.model, loads.tau, self._driven_rows @ (v - begin_v) / h)
-                return TreeEnd(*move(self.model, rate, halfway.begin, begin_v, h, TOLERANCE), True)
+                return TreeEnd(*move(self.model, rate, halfway.begin, begin_v, h), True)
         q, v1, _, work = self.flow(halfway.q, v, theta * h)
         return TreeEnd(q, v1, 0.5 * (halfway.v + v), halfway.work + work, False)
 
