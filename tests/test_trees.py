@@ -111,7 +111,7 @@ def test_free_motion_is_of_fourth_order(joints):
     for h in (2e-2, 8e-2):
         place, energy = errors(h)
         # Some fifty parts err by 1e-10 rad / h, up to 5e-9 rad/s each, for a third of a second.
-        assert place <= 1e-7 and energy <= 1e-7
+        assert place <= 1e-7 and energy <= 3e-7  # of 30 J
 
 
 def test_pushed_motion_is_of_second_order():

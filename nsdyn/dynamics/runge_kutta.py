@@ -18,26 +18,34 @@ TOLERANCE = 1e-10
 of a rad or of a metre in the time of the whole. What turns by less in it has no Coriolis terms to speak of."""
 
 ROUNDED = 1e-13
-"""What an error of the velocity may move in the whole motion to be lost, rad or m: some hundred roundings of an angle."""
+"""rad or m: what an error of the velocity moves in the whole motion is lost then, hundreds of roundings of an angle."""
 
-FINEST = 1e-6
-"""Least part of a motion."""
+TURN = 0.1
+"""rad: no part turns by more, since beside what spins fast the error of what moves slowly would count for nothing."""
+
+FINEST = 1e-5
+"""Least part of a motion, so that the effort is bounded."""
 
 Rate = Callable[[Array, Array], tuple[Array, float]]
 """(acceleration, power of driven joints in W) at a configuration and a velocity."""
 
 
-def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float) -> Flow:
-    """Motion for h seconds, in parts of `runge_kutta` that err by no more than `TOLERANCE`.
+def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float) -> Flow:
+    """Motion for h seconds at rates of about `turn` rad/s, in parts of `runge_kutta` that err by less than `TOLERANCE`.
 
     Raises
     ------
     ArithmeticError
         Where no part is, naming the joint that is fastest.
     """
-    left, part = h, h
+    left, part = h, h / np.ceil(max(h * turn / TURN, 1.0))
+    longest = part
     mean, work = np.zeros_like(v), 0.0
     while True:
+        if part < FINEST * h:
+            raise ArithmeticError(
+                f"in {model.name!r} {fastest(model, v)}, too wildly to follow in {1 / FINEST:.0f} parts"
+            )
         new, error = runge_kutta(model, rate, q, v, part, h)
         if error <= 1.0:
             if part == h:
@@ -47,13 +55,9 @@ def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float) -> Flow:
             work += new.work
             if left <= 0.0:
                 return Flow(q, v, mean, work)
-        elif part <= FINEST * h:
-            raise ArithmeticError(
-                f"in {model.name!r} {fastest(model, v)}, too wildly to follow in parts of {part:.3g} s"
-            )
         part *= min(4.0, max(0.1, 0.9 * error**-0.2)) if 0.0 < error < np.inf else 0.1 if error else 4.0
         # What is left goes in equal parts, none much smaller than the others.
-        part = left / np.ceil(left / part)
+        part = left / np.ceil(left / min(part, longest) - 1e-9)
 
 
 def fastest(model: pin.Model, v: Array) -> str:

@@ -220,7 +220,7 @@ class Tree:
         if self._closures is not None:
             return slide(self._weightless, self.data, self._closures, self._driven_rows, q, v, h)
         still = 0.0 * self._driven_rows[:, 0]
-        return move(self.model, self._rate(self._weightless, self._zero, still), q, v, h)
+        return move(self.model, self._rate(self._weightless, self._zero, still), q, v, h, turn)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
         """Accelerations of a tree without loops under joint forces, whose driven joints accelerate as said."""
@@ -357,10 +357,11 @@ class Tree:
         """
         h, theta, loads, begin_v = halfway.h, halfway.theta, free.loads, halfway.begin_v
         if not (pushed or loads.implicit or self._closures is not None):
-            speed = max(_trees.fastest(v, self._turns)[0], _trees.fastest(begin_v, self._turns)[0])
-            if h * speed > TOLERANCE:
+            begin_speed, begin_turn = _trees.fastest(begin_v, self._turns)
+            speed, turn = _trees.fastest(v, self._turns)
+            if h * max(speed, begin_speed) > TOLERANCE:
                 rate = self._rate(self.model, loads.tau, self._driven_rows @ (v - begin_v) / h)
-                return TreeEnd(*move(self.model, rate, halfway.begin, begin_v, h), True)
+                return TreeEnd(*move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn)), True)
         q, v1, _, work = self.flow(halfway.q, v, theta * h)
         return TreeEnd(q, v1, 0.5 * (halfway.v + v), halfway.work + work, False)
 
