@@ -30,8 +30,11 @@ def test_chain_hangs_still(links):
 
 
 @pytest.mark.case(39)
-def test_chain_swings_second_order():
-    """Against the same equations by a Runge-Kutta method of order 8; the stiff links vibrate at 600 rad/s and more."""
+def test_chain_swings_as_exactly_at_any_step():
+    """Against the same equations by a Runge-Kutta method of order 8; the stiff links vibrate at 600 rad/s and more.
+
+    Steps go in parts that resolve that, however long they are.
+    """
     links, duration = 8, 0.4
     scene = nd.scenes.load("chain")(links=links, ratio=1000.0)
     model = scene.articulations["chain"].model.copy()
@@ -45,13 +48,12 @@ def test_chain_swings_second_order():
         rate, (0, duration), np.concatenate((start, np.zeros(links))), method="DOP853", rtol=1e-9, atol=1e-10
     ).y[:links, -1]
     errors, drifts = [], []
-    for dt in (2e-3, 1e-3):
+    for dt in (1e-2, 2e-3, 1e-3):
         trajectory = nd.simulate(scene, duration, dt=dt)
         errors.append(np.linalg.norm(tips(model, trajectory.q[-1]) - tips(model, exact)))
         energy = trajectory.energy.kinetic + trajectory.energy.potential
         drifts.append(np.abs(energy - energy[0]).max() / np.ptp(trajectory.energy.potential))
-    assert errors[1] <= 1e-5 and errors[1] <= 0.3 * errors[0]
-    assert drifts[1] <= 1e-8 and drifts[1] <= 0.3 * drifts[0]
+    assert max(errors) <= 1e-9 and max(drifts) <= 1e-10
 
 
 # -- case 42: dominoes -------------------------------------------------------------------------------------------------

@@ -153,9 +153,11 @@ def test_pendulum_of_two_links_is_fourth_order():
         assert np.abs(trajectory.energy.defect).max() < 1e-13
         return trajectory.q[-1]
 
-    fine = run(5e-4)
-    ratio = np.abs(run(1e-2) - fine).max() / np.abs(run(5e-3) - fine).max()
-    assert ratio == pytest.approx(16.0, rel=0.1)
+    fine = run(2.5e-4)
+    errors = {dt: np.abs(run(dt) - fine).max() for dt in (2e-2, 1e-2, 2.5e-3, 1.25e-3)}
+    assert errors[2.5e-3] / errors[1.25e-3] == pytest.approx(16.0, rel=0.1)
+    # Longer steps go in parts, and miss by a tenth of a millionth where one part would by 5e-6 and 4e-5.
+    assert max(errors[2e-2], errors[1e-2]) <= 3e-7
 
 
 def test_initial_velocity_is_in_world_axes():

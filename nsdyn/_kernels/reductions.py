@@ -28,3 +28,13 @@ def most(x):
     for i in range(x.size):
         out = max(out, x[i])
     return out
+
+
+@in_place
+def largest(x):
+    """The largest magnitude, or nan."""
+    out = 0.0
+    for i in range(x.size):
+        if not abs(x[i]) <= out:
+            out = abs(x[i])
+    return out

@@ -8,10 +8,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from nsdyn._kernels import reductions as _few
+from nsdyn._kernels.dynamics import links as _links
+from nsdyn._kernels.dynamics import trees as _trees
+from nsdyn.collision.distances import pose_views
 from nsdyn.scene.articulations import Loop
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Closures", "admissible", "supports"]
+__all__ = ["Closures", "admissible", "factored", "indefinite", "supports"]
 
 RANK = 1e-8
 """Singular values below this fraction of the largest are those of redundant rows: on the manifold of closed loops,
@@ -34,6 +38,24 @@ def supports(model: pin.Model) -> NDArray[np.bool_]:
                 first = model.joints[k].idx_v
                 out[joint, first : first + model.joints[k].nv] = True
     return out
+
+
+def factored(model: pin.Model, data: pin.Data, q: Array) -> tuple[Array, Array, Array]:
+    """(M, F, M⁻¹) at q, with M⁻¹ = Fᵀ F; the error of `indefinite` where there is none."""
+    M = np.array(pin.crba(model, data, q)).reshape(model.nv, model.nv)
+    F, inverse = np.empty((2, *M.shape))
+    if not _trees.factor(M, F, inverse):
+        raise indefinite(model, M)
+    return M, F, inverse
+
+
+def indefinite(model: pin.Model, M: Array) -> Exception:
+    """What is wrong with a mass matrix that has no Cholesky factor."""
+    if not np.isfinite(M).all():
+        return ArithmeticError(f"positions of {model.name!r} are no longer finite")
+    return ValueError(
+        f"mass matrix of {model.name!r} is not positive definite: a joint moves no mass; give it an armature"
+    )
 
 
 def admissible(B: Array, F: Array) -> tuple[Array, Array]:
@@ -67,25 +89,24 @@ class Closures:
 
     def __init__(self, model: pin.Model, loops: Sequence[Loop]) -> None:
         self._model, self._loops, self._data = model, loops, model.createData()
+        self._J: Array = self._data.J.reshape(6, model.nv, order="A")
+        self._R, self._x = pose_views(self._data.oMi, model.njoints)
         self._support = supports(model)
-        self.size = sum(6 if loop.kind == "frame" else 3 for loop in loops)
+        self._joints = np.array([(loop.joint1, loop.joint2) for loop in loops], dtype=np.int64)
+        self._points = np.array([(loop.placement1.translation, loop.placement2.translation) for loop in loops])
+        sizes = [6 if loop.kind == "frame" else 3 for loop in loops]
+        self._rows = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
+        self.size = int(self._rows[-1])
 
     def at(self, q: Array) -> tuple[Array, Array]:
         """(φ, G) at q, shapes (m,) in m and rad and (m, nv): dφ/dt = G v where φ = 0; world axes."""
         pin.computeJointJacobians(self._model, self._data, q)
-        J = self._data.J.reshape(6, -1, order="A")
-        phi, G, row = np.empty(self.size), np.empty((self.size, self._model.nv)), 0
-        for loop in self._loops:
-            a = self._data.oMi[loop.joint1] * loop.placement1
-            b = self._data.oMi[loop.joint2] * loop.placement2
-            Ja, Jb = J * self._support[loop.joint1], J * self._support[loop.joint2]
-            phi[row : row + 3] = a.translation - b.translation
-            G[row : row + 3] = Ja[:3] - Jb[:3] - pin.skew(a.translation) @ Ja[3:] + pin.skew(b.translation) @ Jb[3:]
-            row += 3
+        phi, G = np.zeros(self.size), np.zeros((self.size, self._model.nv))
+        _links.closures(self._x, self._R, self._J, self._support, self._joints, self._points, self._rows, phi, G)
+        for loop, row in zip(self._loops, self._rows, strict=False):
             if loop.kind == "frame":
-                phi[row : row + 3] = pin.log3(a.rotation @ b.rotation.T)
-                G[row : row + 3] = Ja[3:] - Jb[3:]
-                row += 3
+                a, b = self._data.oMi[loop.joint1].rotation, self._data.oMi[loop.joint2].rotation
+                phi[row + 3 : row + 6] = pin.log3(a @ loop.placement1.rotation @ (b @ loop.placement2.rotation).T)
         return phi, G
 
     def close(self, q: Array, driven: Array) -> Array:
@@ -107,17 +128,17 @@ class Closures:
         N: Array | None = None
         for _ in range(STEPS):
             phi, G = self.at(q)
-            gap = float(np.abs(phi).max())
+            gap = _few.largest(phi)
             if gap <= CLOSED:
                 return q
             if N is None:
-                F = np.linalg.inv(np.linalg.cholesky(pin.crba(self._model, self._data, q)))
-                Z = admissible(driven, F)[0] if len(driven) else F.T
-                N = Z @ Z.T
-            S = G @ N @ G.T
-            scale = np.sqrt(np.diag(S))
-            scale[scale == 0.0] = 1.0
-            A = S / np.outer(scale, scale) + min(gap, 1.0) * np.eye(self.size)
-            q = np.array(pin.integrate(self._model, q, -N @ (G.T @ (np.linalg.solve(A, phi / scale) / scale))))
+                _, F, N = factored(self._model, self._data, q)
+                if len(driven):
+                    Z = admissible(driven, F)[0]
+                    N = Z @ Z.T
+            step = np.zeros(self._model.nv)
+            if not _trees.closing(G, N, phi, min(gap, 1.0), step):
+                break
+            q = np.array(pin.integrate(self._model, q, step))
         names = [loop.name for loop in self._loops]
         raise ValueError(f"loops {names} do not close: they are apart by {gap:.3g} m or rad")

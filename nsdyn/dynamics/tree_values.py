@@ -160,13 +160,16 @@ class TreeEnd(NamedTuple):
     mean : ndarray, shape (nv,)
         Velocity on which the forces of the step worked.
     work : float
-        Of driven joints after them, J.
+        Of driven joints, J; but for their reactions in the forces of the step where it is not whole.
+    whole : bool
+        Whether it is one motion from the beginning under all forces.
     """
 
     q: Array
     v: Array
     mean: Array
     work: float
+    whole: bool
 
 
 class TreeWorks(NamedTuple):

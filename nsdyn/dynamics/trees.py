@@ -9,25 +9,15 @@ from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.actuators import Control, left_to_rows
-from nsdyn.dynamics.loops import Closures, admissible, supports
-from nsdyn.dynamics.runge_kutta import unconstrained
+from nsdyn.dynamics.loops import Closures, admissible, factored, indefinite, supports
+from nsdyn.dynamics.runge_kutta import TOLERANCE, Rate, fastest, move
+from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Tree"]
-
-PASSES = 20
-"""Most passes of the fixed point for the flow of a constrained tree; it contracts by O(h ω) a pass."""
-
-SETTLED = 1e-12
-"""Relative change of the velocity by the next pass, extrapolated from the last two, at which it stops."""
-
-SLOW, SLUGGISH = 1e-10, 1e-8
-"""Motions in a step, rad or m. Of a slow one Coriolis terms change the velocity by that fraction, less than round-off
-does of the velocities that forces make in a step. Of a sluggish one they change it by so little that a method of first
-order errs by the square of that: round-off of the velocity itself."""
 
 HELD = 1e-12
 """Velocity, per root of a kinetic energy of ½ J, that is round-off of 0: of a ball of 1e24 kg."""
@@ -74,6 +64,7 @@ class Tree:
         a = articulation
         self.name = a.name
         self.model = a.model.copy()
+        self.model.name = a.name
         self.model.gravity = pin.Motion(gravity, np.zeros(3))
         self.model.armature = a.armature
         self.data = self.model.createData()
@@ -169,8 +160,7 @@ class Tree:
         if not self.driven:
             return np.zeros(nv, np.bool_), np.zeros(len(self.joints), np.bool_)
         q = self.close(q)
-        M = np.array(pin.crba(self.model, self.data, q)).reshape(nv, nv)
-        Z = self._restrict(q, np.linalg.inv(np.linalg.cholesky(M)))[2]
+        Z = self._restrict(q, factored(self.model, self.data, q)[1])[2]
         J = self.links(q).J
         fields = np.einsum("ij,kj,jy->kiy", J, self.support, Z)
         # Of what constraints leave free a velocity of 1 is that of unit kinetic energy: no mass is so large.
@@ -220,50 +210,30 @@ class Tree:
     def flow(self, q: Array, v: Array, h: float) -> Flow:
         """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
 
-        A tree without constraints: fourth order, `unconstrained`; a constrained one: second order, by `_slide`. What
-        hardly moves needs no more than first order.
+        Of a tree without loops by `move`, to fourth order; with loops to second order, by `slide`. What turns by less
+        than `TOLERANCE` goes straight on.
         """
         speed, turn = _trees.fastest(v, self._turns)
-        if h * speed <= SLOW:  # Coriolis terms are below round-off
-            end = q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v))
-            return Flow(end, v, v, 0.0)
-        if h * speed <= SLUGGISH and not self.constrained:
-            out = np.empty((3, v.size))
-            _trees.first_order(v, pin.aba(self._weightless, self.data, q, v, self._zero), h, out)
-            return Flow(pin.integrate(self.model, q, out[0]), out[1], out[2], 0.0)
-        if self.constrained:
-            return self._slide(q, v, h)
-        return unconstrained(self._weightless, self.data, q, v, h, self._zero, turn)
+        if h * turn <= TOLERANCE:
+            return Flow(q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v)), v, v, 0.0)
+        if not speed < np.inf:
+            raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
+        if self._closures is not None:
+            return slide(self._weightless, self.data, self._closures, self._driven_rows, q, v, h)
+        still = 0.0 * self._driven_rows[:, 0]
+        return move(self.model, self._rate(self._weightless, self._zero, still), q, v, h, turn)
 
-    def _slide(self, q: Array, v: Array, h: float) -> Flow:
-        """One step of the implicit midpoint rule on loops and driven joints, without forces.
+    def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
+        """Accelerations of a tree without loops under joint forces, whose driven joints accelerate as said."""
+        data, rows = self.data, self._driven_rows
+        if not self.driven:
+            return lambda q, v: (pin.aba(model, data, q, v, tau), 0.0)
 
-        The velocity at the end is one that the loops admit there. Its work is that of the driven joints.
-        """
-        middle = self.close(pin.integrate(self.model, q, 0.5 * h * v))
-        M = np.array(pin.crba(self.model, self.data, middle)).reshape(v.size, v.size)
-        B, P, Z = self._restrict(middle, np.linalg.inv(np.linalg.cholesky(M)))
-        minv = Z @ Z.T
-        rest = start = minv @ (M @ v)
-        b, loops = np.zeros(len(B)), slice(len(B) - len(self.driven))
-        b[loops.stop :] = self._driven_rows @ v
-        new, change = v.copy(), SETTLED
-        for k in range(PASSES):
-            mean = 0.5 * (v + new)
-            bias = pin.nonLinearEffects(self._weightless, self.data, middle, mean)
-            if k < 2:
-                # Later passes would diverge where a step is longer than the way to a singular configuration.
-                if self._closures is not None:
-                    end = pin.integrate(self.model, q, h * mean)
-                    b[loops] = (B[loops] - self._closures.at(end)[1]) @ new
-                start = rest + P @ b
-            last, change = change, _trees.respond(start, minv, self._zero, bias, h, new)
-            if k and change * min(change, last) <= SETTLED * last:
-                break
-        mean = 0.5 * (v + new)
-        reaction = P.T @ (M @ (new - v) + h * bias)
-        work = float((B[loops.stop :] @ mean) @ reaction[loops.stop :])
-        return Flow(self.close(pin.integrate(self.model, q, h * mean)), new, mean, work)
+        def rate(q: Array, v: Array) -> tuple[Array, float]:
+            a = pin.forwardDynamics(model, data, q, v, tau, rows, -driven)
+            return a, float(data.lambda_c @ (rows @ v))
+
+        return rate
 
     def _restrict(self, q: Array, F: Array) -> tuple[Array, Array, Array]:
         """(B, P, Z) of `Constraints` at q, where M⁻¹ = Fᵀ F."""
@@ -363,9 +333,7 @@ class Tree:
         else:
             fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, v0, h, matrices, v)
         if not fine:
-            raise ValueError(
-                f"mass matrix of {self.name!r} is not positive definite: a joint moves no mass; give it an armature"
-            )
+            raise indefinite(self.model, M)
         if not self.constrained:
             return FreeMotion(v, v, loads, m, minv, None)
         B, P, Z = self._restrict(halfway.q, factor)
@@ -377,11 +345,11 @@ class Tree:
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
-        M = np.array(pin.crba(self.model, self.data, q)).reshape(v.size, v.size)
-        factor, zero = np.linalg.inv(np.linalg.cholesky(M)), self._zero
+        M, factor, minv = factored(self.model, self.data, q)
+        zero = self._zero
         loads = TreeLoads(np.zeros((2, 5, v.size)), zero, zero, np.zeros(len(self.driven)), None, None, zero, False)
         if not self.constrained:
-            return FreeMotion(v, v, loads, M, factor.T @ factor, None)
+            return FreeMotion(v, v, loads, M, minv, None)
         B, P, Z = self._restrict(q, factor)
         return FreeMotion(v, v, loads, M, Z @ Z.T, Constraints(B, P, Z))
 
@@ -392,16 +360,16 @@ class Tree:
         no joint row, and on which only gravity and given joint forces act, ends where a fourth-order motion from the
         beginning does: the same but for O(h³). At rest, where v and the velocity before it are 0, nothing moves.
         """
-        h, theta, loads = halfway.h, halfway.theta, free.loads
-        if not (pushed or loads.implicit or self.constrained):
+        h, theta, loads, begin_v = halfway.h, halfway.theta, free.loads, halfway.begin_v
+        if not (pushed or loads.implicit or self._closures is not None):
+            begin_speed, begin_turn = _trees.fastest(begin_v, self._turns)
             speed, turn = _trees.fastest(v, self._turns)
-            begin_speed, begin_turn = _trees.fastest(halfway.begin_v, self._turns)
-            if h * max(speed, begin_speed) > SLOW:
-                turn = max(turn, begin_turn)
+            if h * max(speed, begin_speed) > TOLERANCE:
                 tau = loads.laws[1, 4] + loads.push
-                return TreeEnd(*unconstrained(self.model, self.data, halfway.begin, halfway.begin_v, h, tau, turn))
+                rate = self._rate(self.model, tau, self._driven_rows @ (v - begin_v) / h)
+                return TreeEnd(*move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn)), True)
         q, v1, _, work = self.flow(halfway.q, v, theta * h)
-        return TreeEnd(q, v1, 0.5 * (halfway.v + v), work)
+        return TreeEnd(q, v1, 0.5 * (halfway.v + v), halfway.work + work, False)
 
     def forces(self, halfway: Halfway, free: FreeMotion, v: Array) -> Array:
         """Actuation, damping and springs of a step whose forces leave the velocity v, shape (3, nv), N m or N."""
@@ -442,9 +410,11 @@ class Tree:
         if free.constraints is not None:
             # Bᵀ λ is what the constraints and nothing else explain.
             B, P, _ = free.constraints
-            force = self.forces(halfway, free, v).sum(axis=0) - loads.weight
-            reaction = P.T @ (halfway.M @ (v - halfway.v) - h * force - impulse)
-            constraint = halfway.work + end.work + float((B @ end.mean) @ reaction)
+            constraint = end.work
+            if not end.whole:
+                force = self.forces(halfway, free, v).sum(axis=0) - loads.weight
+                reaction = P.T @ (halfway.M @ (v - halfway.v) - h * force - impulse)
+                constraint += float((B @ end.mean) @ reaction)
         after = self.energies(end.q, end.v)
         kinetic, potential = after if lifted is end.q else self.energies(lifted, end.v)
         # In the order of the ledger, whose round-off then is that of the changes, not of the energies.

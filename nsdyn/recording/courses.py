@@ -50,51 +50,64 @@ class Course(NamedTuple):
     work: float
 
 
-def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None) -> Course:
-    """Motion for h seconds without forces, or under gravity and constant joint forces tau; loops stay closed."""
+def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None, drive: Array | float = 0.0) -> Course:
+    """Motion for h seconds without forces, or under gravity and constant joint forces tau; loops stay closed.
+
+    Driven joints accelerate by `drive`; beside loops they keep their speed.
+    """
     if tau is None and h * np.abs(v).max(initial=0.0) <= SLOW:
         return Course(np.array(pin.integrate(m.model, q, h * v)), v, v, np.zeros((2, m.nv)), 0.0)
-    if m.bound:
+    if m.loops:
         return _slide(m, q, v, h)
     parts = min(PARTS, 1 + int(h * float(np.max(np.abs(v) * (m.turns > 0.0))) / TURN))
-    coarse, first = _fly(m, q, v, h, tau, parts), np.empty(0)
+    coarse, first = _fly(m, q, v, h, tau, drive, parts), np.empty(0)
     for _ in range(DOUBLINGS):
         parts *= 2
-        fine = _fly(m, q, v, h, tau, parts)
+        fine = _fly(m, q, v, h, tau, drive, parts)
         change = np.abs([pin.difference(m.model, coarse[0], fine[0]), coarse[1] - fine[1]])
         first = first if first.size else change
         coarse = fine
         if change[1].max() <= FINE * np.abs(fine[1]).max():
             break
-    return Course(*coarse, first, 0.0)
+    return Course(coarse[0], coarse[1], coarse[2], first, coarse[3])
 
 
-def _fly(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, parts: int) -> tuple[Array, Array, Array]:
-    """The classical method of Runge and Kutta, on the displacement in each part and v."""
+def _fly(
+    m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: Array | float, parts: int
+) -> tuple[Array, Array, Array, float]:
+    """The classical method of Runge and Kutta, on the displacement in each part, v and the work of driven joints."""
     model, force = (m.light, m.zero) if tau is None else (m.model, tau)
-    mean, h = np.zeros(m.nv), h / parts
+    mean, work, h = np.zeros(m.nv), 0.0, h / parts
 
-    def rate(x: Array, v: Array) -> tuple[Array, Array]:
-        there = pin.integrate(model, q, x)
-        a = pin.aba(model, m.data, there, v, force)
-        return (v if m.flat else np.linalg.solve(pin.dIntegrate(model, q, x, pin.ARG1), v)), a
+    def rate(x: Array, v: Array) -> tuple[Array, Array, float]:
+        there, power = pin.integrate(model, q, x), 0.0
+        if m.driven.size:
+            M, left = m.mass(there), force - np.array(pin.nonLinearEffects(model, m.data, there, v))
+            a, free = np.zeros(m.nv), np.setdiff1d(np.arange(m.nv), m.driven)
+            a[m.driven] = drive
+            a[free] = np.linalg.solve(M[np.ix_(free, free)], left[free] - M[np.ix_(free, m.driven)] @ a[m.driven])
+            power = float((M @ a - left)[m.driven] @ v[m.driven])
+        else:
+            a = pin.aba(model, m.data, there, v, force)
+        return (v if m.flat else np.linalg.solve(pin.dIntegrate(model, q, x, pin.ARG1), v)), a, power
 
     for _ in range(parts):
-        x1, a1 = rate(m.zero, v)
+        x1, a1, p1 = rate(m.zero, v)
         v2 = v + 0.5 * h * a1
-        x2, a2 = rate(0.5 * h * x1, v2)
+        x2, a2, p2 = rate(0.5 * h * x1, v2)
         v3 = v + 0.5 * h * a2
-        x3, a3 = rate(0.5 * h * x2, v3)
+        x3, a3, p3 = rate(0.5 * h * x2, v3)
         v4 = v + h * a3
-        x4, a4 = rate(h * x3, v4)
+        x4, a4, p4 = rate(h * x3, v4)
         q = pin.integrate(model, q, h / 6.0 * (x1 + 2.0 * (x2 + x3) + x4))
         mean += (v + 2.0 * (v2 + v3) + v4) / (6.0 * parts)
+        work += h / 6.0 * (p1 + 2.0 * (p2 + p3) + p4)
         v = v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
-    return q, v, mean
+    return q, v, mean, work
 
 
 def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
-    """On loops and driven joints, which keep their speed: one midpoint step, doubted by two of half."""
+    """On loops and beside driven joints, which keep their speed: one midpoint step, doubted by two of half."""
     end, new, mean, work = _midpoint(m, q, v, h)
     there, half, _, _ = _midpoint(m, q, v, 0.5 * h)
     fine, last, _, _ = _midpoint(m, there, half, 0.5 * h)

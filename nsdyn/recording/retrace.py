@@ -191,10 +191,10 @@ class Trees:
             told = [m.speeds[int(j)] for j in m.driven]
             speeds = np.array([x if rate is None else rate for x, rate in zip(speeds, told, strict=True)])
             kick = self._kick(m, first, h, theta, touches, given, speeds)
-            pushed = touches or given[1:3].any() or m.bound or m.damping.any() or m.stiffness.any()
+            pushed = touches or given[1:3].any() or m.loops or m.damping.any() or m.stiffness.any()
             if all_along and h and not pushed:
-                last = move(m, q, v, h, (given[0] + given[3]) / h)
-                kick, first = kick._replace(mean=last.mean), last._replace(doubted=0.0 * last.doubted)
+                last = move(m, q, v, h, (given[0] + given[3]) / h, (speeds - v[m.driven]) / h)
+                kick, first = kick._replace(mean=last.mean), last._replace(doubted=0.0 * last.doubted, work=0.0)
             else:
                 last = move(m, kick.q, kick.after, theta * h)
             kicks.append(kick)

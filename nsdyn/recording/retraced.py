@@ -103,7 +103,7 @@ def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     )
     doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
     # The constants of two rules of one order differ by some times.
-    doubt = 10.0 * doubt if m.bound else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
+    doubt = 10.0 * doubt if m.loops else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
     off = size(np.array(pin.difference(m.model, way.q, q)))
     for pair, amount, scale in (
@@ -125,7 +125,9 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
         works["normal"] += float(kick.given[1] @ mean)
         works["friction"] += float(kick.given[2] @ mean)
         works["damping"] += float(kick.stiff[0] @ along)
-        works["constraint"] += float(kick.reaction @ mean) + sum(c.work for c in way.flows[2 * number : 2 * number + 2])
+        works["constraint"] += sum(c.work for c in way.flows[2 * number : 2 * number + 2])
+        if kick.mean is None:
+            works["constraint"] += float(kick.reaction @ mean)
         change = np.abs(kick.after - kick.before)
         # What rebounds in a piece, or several times in one instant, works in parts that are not recorded.
         if m.restitution > 0.0 or _rebounds(out.trees, kick):

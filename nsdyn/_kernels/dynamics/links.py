@@ -98,3 +98,30 @@ def reach(x, support, J, v, h, radius, fall, out):
         a, w = linear[f], angular[f]
         speed, spin = math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
         out[f] = h * (speed + spin * radius[f]) + fall
+
+
+@in_place
+def closures(x, R, J, support, joints, points, rows, phi, G):
+    """Add to phi how far the points (m, 2, 3) of two joints each are apart, and to G the rows of closed loops.
+
+    Those of loop k are rows[k] to rows[k + 1]: three of the points, and three of the turn where there are six. Joints
+    at x (n, 3), R (n, 3, 3); columns of J as of `rows`, which move joint i if support[i].
+    """
+    for k in range(joints.shape[0]):
+        row, turns = rows[k], rows[k + 1] - rows[k] > 3
+        for side in range(2):
+            at, sign = joints[k, side], 1.0 - 2.0 * side
+            a, b, c = points[k, side]
+            p = (
+                x[at, 0] + R[at, 0, 0] * a + R[at, 0, 1] * b + R[at, 0, 2] * c,
+                x[at, 1] + R[at, 1, 0] * a + R[at, 1, 1] * b + R[at, 1, 2] * c,
+                x[at, 2] + R[at, 2, 0] * a + R[at, 2, 1] * b + R[at, 2, 2] * c,
+            )
+            for i in range(3):
+                phi[row + i] += sign * p[i]
+                j, l = (i + 1) % 3, (i + 2) % 3
+                for n in range(G.shape[1]):
+                    if support[at, n]:
+                        G[row + i, n] += sign * (J[i, n] + J[3 + j, n] * p[l] - J[3 + l, n] * p[j])
+                        if turns:
+                            G[row + 3 + i, n] += sign * J[3 + i, n]

@@ -12,7 +12,7 @@ at most, and less where δ is larger. Of a quadruped's knees δ is 6 at 5 ms: wi
 with 4 as much as with 3, and rings longer."""
 
 
-@kernel
+@in_place
 def inverse_factor(A, F):
     """F = L⁻¹ for the Cholesky factor L of A (n, n), whose upper half is overwritten: A⁻¹ = Fᵀ F.
 
@@ -41,6 +41,27 @@ def inverse_factor(A, F):
         for j in range(i):
             F[i, j] /= A[i, i]
         F[i, i] = 1.0 / A[i, i]
+    return True
+
+
+@in_place
+def factor(m, F, minv):
+    """F = L⁻¹ for the Cholesky factor L of m, and minv = m⁻¹ = Fᵀ F, all (n, n); False if not positive definite."""
+    n = m.shape[0]
+    for i in range(n):
+        for j in range(n):
+            minv[i, j] = m[i, j]
+    if not inverse_factor(minv, F):
+        return False
+    minv[:] = 0.0
+    for k in range(n):
+        for i in range(k + 1):
+            x = F[k, i]
+            for j in range(i + 1):
+                minv[i, j] += x * F[k, j]
+    for i in range(n):
+        for j in range(i):
+            minv[j, i] = minv[i, j]
     return True
 
 
@@ -101,22 +122,10 @@ def implicit(M, laws, h, F, m, minv):
     n = M.shape[0]
     for i in range(n):
         for j in range(n):
-            m[i, j] = minv[i, j] = M[i, j]
+            m[i, j] = M[i, j]
         for l in range(2):
             m[i, i] += h * (laws[l, 3, i] * laws[l, 1, i] + h * laws[l, 2, i] ** 2 * laws[l, 0, i])
-        minv[i, i] = m[i, i]
-    if not inverse_factor(minv, F):
-        return False
-    minv[:] = 0.0
-    for k in range(n):
-        for i in range(k + 1):
-            x = F[k, i]
-            for j in range(i + 1):
-                minv[i, j] += x * F[k, j]
-    for i in range(n):
-        for j in range(i):
-            minv[j, i] = minv[i, j]
-    return True
+    return factor(m, F, minv)
 
 
 @in_place
@@ -195,30 +204,106 @@ def respond(start, minv, force, bias, h, v):
 
 
 @in_place
-def first_order(v, a, h, out):
-    """Of a motion at first order: displacement, the velocity at its end, the mean velocity, into out (3, n)."""
-    for j in range(v.size):
-        change = h * a[j]
-        mean = v[j] + 0.5 * change
-        out[0, j], out[1, j], out[2, j] = h * mean, v[j] + change, mean
+def settle(start, minv, bias, h, newton, rest, v):
+    """One step of Newton's method to v = start - h minv bias(v), into v (n,), with the inverse matrix `newton`.
+
+    Returns the relative change of v, nan where it is not finite; what is left of the equation goes into rest (n,).
+    """
+    change, size = 0.0, 0.0
+    for i in range(v.size):
+        rest[i] = start[i] - v[i]
+        for j in range(v.size):
+            rest[i] -= h * minv[i, j] * bias[j]
+    for i in range(v.size):
+        step = 0.0
+        for j in range(v.size):
+            step += newton[i, j] * rest[j]
+        v[i] += step
+        if not abs(v[i]) < math.inf:
+            return math.nan
+        change, size = max(change, abs(step)), max(size, abs(v[i]))
+    return change / size if size > 0.0 else 0.0
+
+
+@kernel
+def closing(G, N, phi, damping, step):
+    """Add -N Gᵀ (G N Gᵀ + damping)⁻¹ phi to step (n,), damping as a fraction of the diagonal.
+
+    False where that matrix is not positive definite.
+    """
+    m, n = G.shape
+    A, F, inverse, scale = np.zeros((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty(m)
+    side = np.zeros((m, n))
+    for i in range(m):
+        for k in range(n):
+            for j in range(n):
+                side[i, j] += G[i, k] * N[k, j]
+    for i in range(m):
+        for k in range(m):
+            for j in range(n):
+                A[i, k] += side[i, j] * G[k, j]
+    for i in range(m):
+        scale[i] = math.sqrt(A[i, i]) if A[i, i] > 0.0 else 1.0
+    for i in range(m):
+        for k in range(m):
+            A[i, k] /= scale[i] * scale[k]
+        A[i, i] += damping
+    if not factor(A, F, inverse):
+        return False
+    for i in range(m):
+        force = 0.0
+        for k in range(m):
+            force += inverse[i, k] * phi[k] / scale[k]
+        for j in range(n):
+            step[j] -= side[i, j] * force / scale[i]
+    return True
 
 
 @in_place
-def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, out):
-    """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n)."""
+def midpoint(v1, v2, a1, a2, h, tolerance, floor, out):
+    """Of a step by the midpoint rule: displacement and the velocity at its end, into out (4, n).
+
+    Whether it goes on as it began, and its acceleration changes so little that even the first order would do.
+    """
+    change, size, rise = 0.0, 0.0, 0.0
+    for j in range(v1.size):
+        out[0, j], out[1, j] = h * v2[j], v1[j] + h * a2[j]
+        if not abs(a1[j]) + abs(a2[j]) + abs(v1[j]) < math.inf:
+            return False
+        change, rise, size = max(change, abs(a2[j] - a1[j])), max(rise, abs(a2[j])), max(size, abs(v1[j]))
+    return h * rise <= 0.5 * size and h * change <= tolerance * size + floor
+
+
+@in_place
+def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, tolerance, floor, out):
+    """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n).
+
+    Its error, of that allowed: see `nsdyn.dynamics.runge_kutta`.
+    """
+    error, size = 0.0, 0.0
     for j in range(v1.size):
         middle = 2.0 * (v2[j] + v3[j])
+        mean = (a1[j] + 2.0 * (a2[j] + a3[j]) + a4[j]) / 6.0
         out[0, j] = h / 12.0 * (3.0 * v1[j] + middle - v4[j])
         out[1, j] = h / 12.0 * (middle + 3.0 * v4[j] - v1[j])
-        out[2, j] = v1[j] + h / 6.0 * (a1[j] + 2.0 * (a2[j] + a3[j]) + a4[j])
+        out[2, j] = v1[j] + h * mean
         out[3, j] = (v1[j] + middle + v4[j]) / 6.0
+        d, most = h * abs(mean - a2[j]), max(abs(v1[j]), abs(v2[j]), abs(v3[j]), abs(v4[j]))
+        if not d + most < math.inf:
+            return math.inf
+        error, size = max(error, d), max(size, most)
+    # z⁵/120 where error = size z³/6.
+    error = (6.0 * error / size) ** (5.0 / 3.0) / 120.0 * size if size > 0.0 else 0.0
+    return error / (tolerance * size + floor)
 
 
 @in_place
 def fastest(v, turns):
-    """(largest entry of |v|, the same of those coordinates that turn)."""
+    """(largest entry of |v|, the same of those coordinates that turn); infinite where an entry is not finite."""
     most, turn = 0.0, 0.0
     for j in range(v.size):
+        if not abs(v[j]) < math.inf:
+            return math.inf, math.inf
         most = max(most, abs(v[j]))
         if turns[j]:
             turn = max(turn, abs(v[j]))
