@@ -69,7 +69,7 @@ class Actuators:
             if given is not self._last[0]:
                 kp, kd, target, rate, feedforward, limit = given.on(self._name, self._scalar, self._effort)
                 law = np.array((kp, kd, target, feedforward + kd * rate, limit))
-                self._last = given, self._parts(law, True)
+                self._last = given, self._parts(law)
             return self._last[1]
         n = self._scalar.size
         try:
@@ -80,11 +80,11 @@ class Actuators:
             raise ValueError(f"controller must give {n} finite joint forces for {self._name!r}, got {given!r}")
         law = self._none.copy()
         law[3] = tau
-        return self._parts(law, False)
+        return self._parts(law)
 
-    def _parts(self, law: Array, implicit: bool) -> tuple[Control, ...]:
+    def _parts(self, law: Array) -> tuple[Control, ...]:
         laws = [law] if len(self._trees) == 1 else [law[:, v].copy() for v in self._trees]
-        return tuple([Control(own, implicit and bool(np.isfinite(own[4]).any()), implicit) for own in laws])
+        return tuple([Control(own, bool(np.isfinite(own[4]).any()), bool(own[:2].any())) for own in laws])
 
 
 def left_to_rows(halfway: Halfway, loads: TreeLoads, limit: Array, mobility: Array, v: Array, over: Bools) -> TreeLoads:

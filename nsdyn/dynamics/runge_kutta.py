@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +14,7 @@ from nsdyn.tools.arrays import Array
 
 __all__ = ["TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
 
-TOLERANCE = 1e-10
+TOLERANCE = 1e-9
 """Error of one part of a motion: of the velocity, as a fraction of the fastest joint's, and as what moves that fraction
 of a rad or of a metre in the time of the whole. What turns by less in it has no Coriolis terms to speak of."""
 
@@ -38,8 +39,8 @@ def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float
     ArithmeticError
         Where no part is, naming the joint that is fastest.
     """
-    left, part = h, h / np.ceil(max(h * turn / TURN, 1.0))
-    longest = part
+    left = h
+    part = longest = h / math.ceil(min(max(h * turn / TURN, 1.0), 1.0 / FINEST))
     mean, work = np.zeros_like(v), 0.0
     while True:
         if part < FINEST * h:
@@ -57,7 +58,7 @@ def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float
                 return Flow(q, v, mean, work)
         part *= min(4.0, max(0.1, 0.9 * error**-0.2)) if 0.0 < error < np.inf else 0.1 if error else 4.0
         # What is left goes in equal parts, none much smaller than the others.
-        part = left / np.ceil(left / min(part, longest) - 1e-9)
+        part = left / math.ceil(left / min(part, longest) - 1e-9)
 
 
 def fastest(model: pin.Model, v: Array) -> str:

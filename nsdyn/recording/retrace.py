@@ -171,13 +171,18 @@ class Trees:
         Whether joint forces that act where nothing else does come from a law that the step treats implicitly is not
         recorded: of the two ways that leads closer to what is.
         """
-        m, goal = self.mechanisms[tree], self.state(tree, k + 1)[1]
+        m, (q, v) = self.mechanisms[tree], self.state(tree, k + 1)
         out, pieces = [], list(self.pieces(tree, k))
         for all_along in (True, False):
             out.append(self._way(m, tree, k, pieces, all_along))
-            if not any(kick.mean is not None and kick.given[0].any() for kick in out[0].kicks):
+            if not (self.trajectory.meta.get("controller", True) and any(k.mean is not None for k in out[0].kicks)):
                 break
-        return min(out, key=lambda way: float(np.abs(way.v - goal).max(initial=0.0)))
+
+        def off(way: Way) -> float:
+            moved = np.array(pin.difference(m.model, way.q, q)) / self.trajectory.dt
+            return float(np.abs([way.v - v, moved]).max(initial=0.0))
+
+        return min(out, key=off)
 
     def _way(self, m: Mechanism, tree: int, k: int, pieces: list[Piece], all_along: bool) -> Way:
         """One of the two ways: whether forces that nothing else acts with do so all the time."""
