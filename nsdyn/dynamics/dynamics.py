@@ -407,6 +407,11 @@ class Dynamics:
         """Rows of joint limits and joint friction of a step; None when there are none."""
         return self.joints.rows(self._angles(place), v, v_free, h) if self.joints.passive else None
 
+    def limit_rows(self, place: Placement, v: Array) -> JointRows | None:
+        """Rows of joint limits alone, for what happens in no time: friction has no impulse then."""
+        joints = self.joint_rows(place, v, v, 0.0)
+        return None if joints is None else joints.take(joints.mu == 0.0)
+
     def with_actuators(self, joints: JointRows | None, forces: Forces) -> JointRows | None:
         """Joint rows, and those of actuators at their limits; None when there are none."""
         for tree, free in zip(self.trees, forces.trees, strict=True):

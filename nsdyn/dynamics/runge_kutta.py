@@ -75,8 +75,8 @@ def runge_kutta(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, whol
     spherical joints too. What it changes of energy and momentum is O(h⁵). The error is a fraction of what `TOLERANCE`
     allows a part of a motion of `whole` seconds. It is estimated from the same four stages: they hold the midpoint
     rule, whose difference from the step, as a fraction of the velocity, is z³/6 for a vibration that turns by z in h,
-    where the step errs by z⁵/120. Where the first two stages say that even the first order would do, also for the work of
-    driven joints, they are all, and the midpoint rule is the step.
+    where the step errs by z⁵/120. Where the first two stages say that even the first order would do, also for the work
+    of driven joints, they are all, and the midpoint rule is the step.
 
     References
     ----------

@@ -61,7 +61,7 @@ def collide(
         limit = s.solver.tol if s.elastic and _few.most(c.restitution) > 0.0 else s.slow / h
         if _law.fastest(c.gap, s.closed, *where, *at.twists)[0] >= -limit:
             return None
-    contacts, joints = take(c, c.gap <= s.closed), d.joint_rows(at.placement, at.v, at.v, 0.0)
+    contacts, joints = take(c, c.gap <= s.closed), d.limit_rows(at.placement, at.v)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
     here = Middle(at.position, at.v, at.placement, ())
     start = contacts, at.position.driven_x, at.placement, at.twists, at.v, at.warm
@@ -94,9 +94,7 @@ def collide(
 
 
 def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:
-    """Impacts of the closed contacts and joint limits; clutches have no impulse in no time."""
-    if met.rows.press.size:
-        closed = closed & (met.rows.press[0::3] == 0.0)
+    """Impacts of the closed contacts and joint limits."""
     return strike(
         LAWS[s.impact], s.solver, met.rows.blocks, met.local[1], met.mu, met.restitution, closed, resting, slow
     )

@@ -99,8 +99,7 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         joints = None
         if placed.limits.size:
             rest = np.zeros(dynamics.n)
-            joints = dynamics.joint_rows(placed.placement, rest, rest, 0.0)
-            joints = None if joints is None else joints.take(joints.mu == 0.0)
+            joints = dynamics.limit_rows(placed.placement, rest)
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
         rows, _ = dynamics.rows(contacts, placed.placement, forces, joints)
         # In units of the deepest overlap, which the tolerance is a fraction of.
