@@ -76,9 +76,7 @@ def test_a_forest_is_controlled_as_a_whole(tmp_path):
     ):
         with pytest.raises(ValueError, match=words):
             nd.Stepper(scene, controller=wrong).step()
-    with pytest.raises(
-        ValueError, match=r"did you mean 'hand\d'\? external_force: 'all' has no moving body 'hand7'"
-    ):
+    with pytest.raises(ValueError, match=r"did you mean 'hand\d'\? external_force: 'all' has no moving body 'hand7'"):
         nd.Stepper(scene, external_force=lambda t, q, v: {"all/hand7": (0, 0, 1)}).step()
 
 

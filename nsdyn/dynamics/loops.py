@@ -1,4 +1,4 @@
-"""Bilateral constraints of a tree: closed loops and driven joints, B v = b, redundant ones included."""
+"""Bilateral constraints of a tree: closed loops, gears and driven joints, B v = b, redundant ones included."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from nsdyn.scene.articulations import Loop
+from nsdyn.scene.gears import Gear, GearGaps
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Closures", "admissible", "supports"]
@@ -57,18 +58,20 @@ def admissible(B: Array, F: Array) -> tuple[Array, Array]:
 
 
 class Closures:
-    """Closed loops of one tree as φ(q) = 0: points of two links coincide, or frames do.
+    """Closed loops and gears of one tree as φ(q) = 0: points of two links coincide, or frames do; q2 = a q1 + b.
 
     Parameters
     ----------
     model : pinocchio.Model
     loops : sequence of Loop
+    gears : sequence of Gear
     """
 
-    def __init__(self, model: pin.Model, loops: Sequence[Loop]) -> None:
+    def __init__(self, model: pin.Model, loops: Sequence[Loop], gears: Sequence[Gear] = ()) -> None:
         self._model, self._loops, self._data = model, loops, model.createData()
+        self._gears, self._names = GearGaps(model, gears), [*(loop.name for loop in loops), *(g.name for g in gears)]
         self._support = supports(model)
-        self.size = sum(6 if loop.kind == "frame" else 3 for loop in loops)
+        self.size = sum(6 if loop.kind == "frame" else 3 for loop in loops) + len(gears)
 
     def at(self, q: Array) -> tuple[Array, Array]:
         """(φ, G) at q, shapes (m,) in m and rad and (m, nv): dφ/dt = G v where φ = 0; world axes."""
@@ -86,6 +89,7 @@ class Closures:
                 phi[row : row + 3] = pin.log3(a.rotation @ b.rotation.T)
                 G[row : row + 3] = Ja[3:] - Jb[3:]
                 row += 3
+        phi[row:], G[row:] = self._gears.at(q), self._gears.rows
         return phi, G
 
     def close(self, q: Array, driven: Array) -> Array:
@@ -119,5 +123,4 @@ class Closures:
             scale[scale == 0.0] = 1.0
             A = S / np.outer(scale, scale) + min(gap, 1.0) * np.eye(self.size)
             q = np.array(pin.integrate(self._model, q, -N @ (G.T @ (np.linalg.solve(A, phi / scale) / scale))))
-        names = [loop.name for loop in self._loops]
-        raise ValueError(f"loops {names} do not close: they are apart by {gap:.3g} m or rad")
+        raise ValueError(f"loops or gears {self._names} do not close: they are apart by {gap:.3g} m or rad")

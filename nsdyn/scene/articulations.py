@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks
 from nsdyn.scene.bodies import Body
+from nsdyn.scene.gears import Gear
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
@@ -97,6 +98,7 @@ class Articulation:
     effort : ndarray, shape (nv,)
         Most that a `nsdyn.PD` control gives unless it says otherwise, N m or N; infinite for none.
     loops : tuple of Loop
+    gears : tuple of Gear
     fixed : tuple of Body
         What the file holds besides its trees: the shapes of its world, which are bodies of the scene.
     excluded : frozenset of (int, int)
@@ -125,6 +127,7 @@ class Articulation:
     rest: Array
     effort: Array
     loops: tuple[Loop, ...] = ()
+    gears: tuple[Gear, ...] = ()
     fixed: tuple[Body, ...] = ()
     excluded: frozenset[tuple[int, int]] = frozenset()
     missing: tuple[str, ...] = ()
@@ -152,6 +155,7 @@ class Description:
         The body each of them belongs to.
     stiffness, rest : ndarray, shape (nv,)
     loops : tuple of Loop
+    gears : tuple of Gear
     excluded : frozenset of frozenset of str
         Pairs of bodies that are never tested for contact.
     filtered : frozenset of frozenset of str
@@ -176,6 +180,7 @@ class Description:
     stiffness: Array
     rest: Array
     loops: tuple[Loop, ...] = ()
+    gears: tuple[Gear, ...] = ()
     excluded: frozenset[frozenset[str]] = frozenset()
     filtered: frozenset[frozenset[str]] = frozenset()
     world_touches: bool = False

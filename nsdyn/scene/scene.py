@@ -327,6 +327,25 @@ class Scene:
             self.articulations[articulation], name, frame1, frame2, position, quaternion, kind
         )
 
+    def add_gear(self, articulation: str, joint1: str, joint2: str, ratio: float, offset: float | None = None) -> None:
+        """Join two revolute or prismatic joints of an articulation by q2 = ratio q1 + offset, as a URDF `mimic` does.
+
+        Parameters
+        ----------
+        articulation : str
+        joint1, joint2 : str
+            Joints of its Pinocchio model.
+        ratio : float
+            Of the coordinates, in rad and m: for instance -r1 / r2 of two wheels that mesh, r of a wheel (joint1) and
+            its rack. Between two continuous joints, whose turns are not counted, a fraction of whole numbers.
+        offset : float, optional
+            In rad or m; by default that of the initial configuration.
+        """
+        choice(articulation, self.articulations, "articulation")
+        self.articulations[articulation] = assembly.put_gear(
+            self.articulations[articulation], (joint1, joint2), ratio, offset
+        )
+
     def _add_articulation(self, name: str, description: Description, keywords: ArticulationOptions) -> None:
         self._check_name(name)
         check_known(keywords, ArticulationOptions.__optional_keys__)

@@ -24,6 +24,12 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
         raise ValueError(
             f"geometry_model of {name!r} must be a pinocchio.GeometryModel or None, got {type(geometry).__name__}"
         )
+    for joint, kind in zip(model.names, model.joints, strict=True):
+        if kind.shortname() == "JointModelMimic":
+            raise ValueError(
+                f"model of {name!r} must have no mimic joints, {joint!r} is one: build it without mimic=True and give "
+                "Scene.add_gear the ratio, or read its URDF with Scene.add_urdf, which makes the gear"
+            )
     dropped = Notes()
     links, bodies = links_of(model, geometry.geometryObjects if geometry else (), dropped)
     for joint, body in zip(model.names, model.inertias, strict=True):
