@@ -14,7 +14,7 @@ from nsdyn.dynamics.actuators import Control, left_to_rows
 from nsdyn.dynamics.loops import Closures, admissible, supports
 from nsdyn.dynamics.runge_kutta import unconstrained
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
-from nsdyn.scene.articulations import Articulation
+from nsdyn.scene.articulations import PLANAR, Articulation
 from nsdyn.scene.gears import Gear, GearGaps
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -62,6 +62,8 @@ class Tree:
         freedom.
     bodies : dict of str to int
         Frames of the model's moving bodies and joints, by name.
+    planes : frozenset of int
+        First coordinates of planar joints, of sliding, as is the next.
     held_links : ndarray of bool, shape (k,)
         The links of `joints` that nothing else moves.
     """
@@ -117,6 +119,7 @@ class Tree:
         }
         self._zero = np.zeros(nv)  # not read-only, for which all kernels would be compiled once more
         self._no_impulses = np.zeros((nv, 3))
+        self.planes = frozenset(j.idx_v for j in self.model.joints[1:] if j.shortname() == PLANAR)
         self._round = np.zeros(nv, dtype=bool)
         self._round[[j for j, _ in self._turning]] = True
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))

@@ -23,12 +23,15 @@ from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
 
 __all__ = [
-    "WORLD", "Articulation", "ArticulationOptions", "Description", "Link", "Loop", "check_count", "check_size",
-    "describe_model",
+    "PLANAR", "WORLD", "Articulation", "ArticulationOptions", "Description", "Link", "Loop", "check_count",
+    "check_size", "describe_model",
 ]  # fmt: skip
 
 WORLD = "world"
 """Name of the body of an MJCF file that does not move."""
+
+PLANAR = "JointModelPlanar"
+"""Pinocchio's name of joints that slide in a plane, in two coordinates, and turn in it, in a third."""
 
 COORDINATES = 256
 """Most of a tree: Pinocchio's data hold three-way tables of them, 64 nv³ bytes, which is 1 GB."""
@@ -88,7 +91,7 @@ class Articulation:
     restitution : float
         Newton's coefficient of the limits, in [0, 1].
     friction : ndarray, shape (nv,)
-        Dry joint friction, N m or N.
+        Dry joint friction, N m or N; of a planar joint the first two are the same, the most against sliding.
     damping : ndarray, shape (nv,)
         Viscous, N m s/rad or N s/m.
     armature : ndarray, shape (nv,)

@@ -15,7 +15,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks, exclusions
-from nsdyn.scene.articulations import WORLD, Articulation, Description, Link, Loop, check_size
+from nsdyn.scene.articulations import PLANAR, WORLD, Articulation, Description, Link, Loop, check_size
 from nsdyn.scene.bodies import Body, BodyOptions, make_body
 from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.gears import GearGaps, gear
@@ -88,6 +88,7 @@ def assemble(
         "stiffness": of_joints(stiffness, "stiffness", description.stiffness, 6),
     }
     _check_magnitudes(name, in_joints)
+    _check_friction(name, model, in_joints["friction"])
     model.armature = in_joints["armature"]
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
@@ -149,6 +150,22 @@ def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:
         if not ((values >= 0.0) & (values <= checks.LARGEST)).all():
             size = f", nor above {checks.LARGEST:g}" if (values >= 0.0).all() else ""
             raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
+
+
+def _check_friction(name: str, model: Any, friction: Array) -> None:
+    """ValueError for dry friction of joints whose coordinates slip together, but for that of planar joints."""
+    for joint in range(1, model.njoints):
+        own = friction[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]]
+        kind, label = model.joints[joint].shortname(), f"joint {model.names[joint]!r}"
+        if kind == PLANAR and own[0] != own[1]:
+            raise ValueError(
+                f"friction of {name!r} must be the same along both axes of the planar {label}, got {own[:2].tolist()}"
+            )
+        if model.nqs[joint] != model.nvs[joint] > 1 and kind != PLANAR and own.any():
+            raise ValueError(
+                f"friction of {name!r} must be 0 in {label}, a {kind}, whose dry friction is not modelled, "
+                f"got {own.tolist()}"
+            )
 
 
 def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:

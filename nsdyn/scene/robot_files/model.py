@@ -31,6 +31,14 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
                 "Scene.add_gear the ratio, or read its URDF with Scene.add_urdf, which makes the gear"
             )
     dropped = Notes()
+    speeds = np.array(model.upperVelocityLimit)
+    fast = [
+        name
+        for name, start, nv in zip(model.names, model.idx_vs, model.nvs, strict=True)
+        if nv and ((speeds[start : start + nv] > 0.0) & (speeds[start : start + nv] < 1e300)).any()
+    ]
+    if fast:
+        dropped.append(f"joint {fast[0]!r}: velocity limit ({len(fast)})")
     links, bodies = links_of(model, geometry.geometryObjects if geometry else (), dropped)
     for joint, body in zip(model.names, model.inertias, strict=True):
         if not np.isfinite([body.mass, *body.lever, *body.inertia.ravel()]).all():
