@@ -232,3 +232,15 @@ def test_acceleration_of_geared_wheels():
 
     found = accelerations(least_constraint(scene, wrenches={"a/j0": ((0, 0, 0), (0, 0, 1.0))}))
     np.testing.assert_allclose(found.a, np.array((1.0, 3.0)) / (0.1 + 9 * 0.4), rtol=1e-9)
+
+
+def test_a_driven_wheel_drives_the_other():
+    """Its work is that of both; what contradicts the drive stops by name."""
+    scene = scene_of(model_of(pin.JointModelRZ(), pin.JointModelRZ()), -0.5)
+    scene.set_motion("a/j0", lambda t: 2.0 * t)
+    run = nd.simulate(scene, 1.0, 1e-2)
+    np.testing.assert_allclose(run.v[-1], (2.0, -1.0), rtol=1e-12)
+    assert run.energy.constraint.sum() == pytest.approx(0.5 * (0.1 * 4.0 + 0.4), rel=1e-9)
+    scene.set_motion("a/j1", 1.0)
+    with pytest.raises(ValueError, match=r"loops or gears .* do not close"):
+        nd.simulate(scene, 1.0, 1e-2)

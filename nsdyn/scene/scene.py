@@ -224,8 +224,9 @@ class Scene:
         restitution : float
             Newton's coefficient of the limits.
         friction, damping, armature : sequences, shape (nv,)
-            Dry friction, viscous damping and inertia of the joints, in place of those in the model. Efforts in the
-            file are the default limit of `nsdyn.PD` control.
+            Dry friction, viscous damping and inertia of the joints, in place of those in the model. Against sliding of
+            a planar joint friction is a disk, ‖τ‖ ≤ τ_c, for which both its axes have the same τ_c; of free and ball
+            joints it must be 0. Efforts in the file are the default limit of `nsdyn.PD` control.
         stiffness, rest : sequences, shape (nv,)
             Springs τ = -stiffness (q - rest) in revolute and prismatic joints.
         inertias : {"check", "trust"}
