@@ -36,9 +36,7 @@ AXES = {"fixed": (), "ball": (), "revolute": ("axis",), "continuous": ("axis",),
 BEHAVIOUR = {"gravity": "true", "kinematic": "false", "enable_wind": "false", "velocity_decay": None}
 """Elements of a link that change how it moves, and what they say where they do not, if they can."""
 
-GRAVITY = 0.0, 0.0, -9.81
-"""m/s²; that of the scene counts, from which the 9.8 of SDF's default may differ."""
-
+DYNAMICS = "damping", "friction", "spring_stiffness", "spring_reference"
 UNLIMITED = 1e15
 """A limit of this size means none: SDF writes 1e16, or the largest number there is."""
 
@@ -55,7 +53,8 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
         reader = _Reader(found[0], [path.parent, *package_dirs])
         dropped, unused = reader.report.dropped, reader.report.unused
         unused.of_children([root, *root.findall("world")], {"model", "world", "gravity"}, "world")
-        for where, still, near in (("gravity", GRAVITY, 0.02), ("wind/linear_velocity", (0.0, 0.0, 0.0), 0.0)):
+        # Gravity is that of the scene; 9.8 is SDF's default.
+        for where, still, near in (("gravity", (0.0, 0.0, -9.81), 0.02), ("wind/linear_velocity", (0, 0, 0), 0.0)):
             given = [numbers(e.text, 3, None, f"<{where}>") for e in root.iterfind(f"world/{where}")]
             dropped += [f"world: <{where}>" for value in given if np.abs(value - still).max() > near]
         return reader.description()
@@ -128,10 +127,9 @@ class _Reader:
         ]
         axes = [axis for e in joints for axis in e if axis.tag in ("axis", "axis2")]
         unused.of_children(axes, {"xyz", "use_parent_model_frame", "dynamics", "limit", "mimic"}, "axis")
-        springs = {"damping", "friction", "spring_stiffness", "spring_reference"}
-        unused.of_children([d for axis in axes for d in axis.iter("dynamics")], springs, "dynamics")
-        limits = [limit for e in joints for limit in e.iter("limit")]
-        unused.of_children(limits, {"lower", "upper", "effort", "velocity"}, "limit")
+        unused.of_children([d for a in axes for d in a.iter("dynamics")], {*DYNAMICS}, "dynamics")
+        of_limits = {"lower", "upper", "effort", "velocity"}
+        unused.of_children([e for a in axes for e in a.iter("limit")], of_limits, "limit")
         switches = [("model", self.element, "enable_wind"), *(("link", e, tag) for e in links for tag in BEHAVIOUR)]
         dropped += [
             f"{kind} {e.get('name')!r}: <{tag}>"
@@ -209,26 +207,23 @@ class _Reader:
         apart: frozenset[frozenset[str]] = frozenset()
         if self.element.findtext("self_collide", "false").strip() not in ("true", "1"):
             apart = frozenset(frozenset(pair) for pair in combinations(self.links, 2))
-        gears = tuple(self._gears())
         return describe_model(
-            model, self.shapes, self.bodies, q=following(model, gears, q), stiffness=stiffness, rest=rest,
-            loops=tuple(self.loops), gears=gears, excluded=apart, flaws=tuple(self.flaws), materials=self.materials,
-            **self.report.told(),
+            model, self.shapes, self.bodies, q=following(model, gears := tuple(self._gears()), q), stiffness=stiffness,
+            rest=rest, loops=tuple(self.loops), gears=gears, excluded=apart, flaws=tuple(self.flaws),
+            materials=self.materials, **self.report.told(),
         )  # fmt: skip
 
     def _gears(self) -> Iterator[Gear]:
         """Gears of <mimic>: multiplier times the other's position beyond a reference, and an offset."""
-        for joint in self.joints:
-            for axis, tag in enumerate(AXES[joint.kind]):
-                for mimic in joint.element.iterfind(f"{tag}/mimic"):
-                    label = f"mimic of {joint.name!r}"
-                    ratio, offset, reference = (
-                        float(numbers(mimic.findtext(what), 1, (default,), f"{what} of {label}")[0])
-                        for what, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
-                    )
-                    axes = int(mimic.get("axis") == "axis2"), axis
-                    pair = mimic.get("joint", ""), joint.name
-                    yield gear(self.model, label, pair, ratio, offset - ratio * reference, axes)
+        for joint, k, tag in ((j, k, tag) for j in self.joints for k, tag in enumerate(AXES[j.kind])):
+            for mimic in joint.element.iterfind(f"{tag}/mimic"):
+                label, pair = f"mimic of {joint.name!r}", (mimic.get("joint", ""), joint.name)
+                ratio, offset, zero = (
+                    float(numbers(mimic.findtext(what), 1, (default,), f"{what} of {label}")[0])
+                    for what, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
+                )
+                which = int(mimic.get("axis") == "axis2"), k
+                yield gear(self.model, label, pair, ratio, offset - ratio * zero, which)
 
     def _descend(self, parent: str) -> None:
         """Add the joints below a link, and below their children."""
@@ -311,8 +306,7 @@ class _Reader:
         limits = (-np.inf, np.inf)
         if joint.kind != "continuous":
             limits = value("limit/lower", -np.inf), value("limit/upper", np.inf)
-        rest = "damping", "friction", "spring_stiffness", "spring_reference"
-        return (*limits, *(value(f"dynamics/{what}", 0.0) for what in rest), value("limit/effort", np.inf))
+        return (*limits, *(value(f"dynamics/{what}", 0.0) for what in DYNAMICS), value("limit/effort", np.inf))
 
     # -- bodies ------------------------------------------------------------------------------------------------
 
