@@ -18,7 +18,7 @@ from nsdyn.scene.assembly import assemble
 def loaded(robot, **keywords):
     path, package_dirs = robot
     scene = nd.Scene()
-    with pytest.warns(UserWarning, match=r"'r' leaves out: joint 'jc': <mimic> of 'ja'"):
+    with pytest.warns(UserWarning, match=r"'r' leaves out: joint 'ja': velocity of <limit> \(2\)"):
         scene.add_urdf("r", path, package_dirs=package_dirs, **keywords)
     return scene, scene.articulations["r"]
 

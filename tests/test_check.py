@@ -65,9 +65,10 @@ def test_a_sheet_is_told_in_one_line(run, tmp_path):
         ({"more": FIXED.format('stiffness="3"')}, "missing", "<tendon> 't'"),
         ({"more": FIXED.format(""), "default": 'range="0 1"'}, "missing", "<tendon> 't'"),
         (
-            {"more": '<equality><joint name="e" joint1="ja" joint2="jb"/></equality>'},
-            "missing", "equality 'e' of type 'joint'",
+            {"more": '<equality><joint name="e" joint1="ja" joint2="jb" polycoef="0 1 1 0 0"/></equality>'},
+            "missing", "equality 'e': polycoef of degree 2, not linear",
         ),
+        ({"more": '<equality><joint name="e" joint1="ja" joint2="jb"/></equality>'}, None, None),
         ({"more": '<equality><joint joint1="ja" active="false"/></equality>'}, None, None),
         ({"more": '<equality><connect body1="a" body2="b" anchor="0.5 0 0"/></equality>'}, None, None),
         ({"more": '<deformable><skin/></deformable>'}, "missing", "<deformable>"),

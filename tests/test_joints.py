@@ -184,7 +184,7 @@ def test_wrong_gains_are_refused(arguments, message):
 def test_gains_on_a_free_base_are_refused():
     scene, path = nd.Scene(), nd.scenes.folder() / "quadruped.urdf"
     scene.add_urdf("robot", path, base="free", position=(0, 0, 1), q=4 * (0.0, 0.6, -1.2))
-    with pytest.raises(ValueError, match="kp of the PD control of 'robot' must be 0 on free and spherical joints"):
+    with pytest.raises(ValueError, match="kp of the PD control of 'robot' must be 0 on free, ball and planar joints"):
         nd.simulate(scene, 1e-3, controller=lambda t, q, v: {"robot": nd.PD(np.ones(18), 0.0, 0.0)})
 
 

@@ -229,5 +229,5 @@ def test_loops_that_cannot_close_are_refused():
     model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
     scene = nd.Scene()
     add(scene, "a", model, loops=[Loop("pin", 0, at((3, 0, 0)), 1, at((0, 0, -1)))])
-    with pytest.raises(ValueError, match=r"loops \['pin'\] do not close: they are apart by 2"):
+    with pytest.raises(ValueError, match=r"loops or gears \['pin'\] do not close: they are apart by 2"):
         nd.Stepper(scene)

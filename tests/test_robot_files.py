@@ -11,6 +11,7 @@ from conftest import DATA, INERTIAL, write_stl
 
 import nsdyn as nd
 from nsdyn.scene import shapes
+from nsdyn.scene.gears import Gear
 
 ROBOT, MJCF, SDF = ((DATA / f"robot.{suffix}").read_text() for suffix in ("urdf", "xml", "sdf"))
 
@@ -18,7 +19,7 @@ ROBOT, MJCF, SDF = ((DATA / f"robot.{suffix}").read_text() for suffix in ("urdf"
 def test_urdf(robot):
     path, package_dirs = robot
     scene = nd.Scene()
-    with pytest.warns(UserWarning, match=r"'r' leaves out: joint 'jc': <mimic> of 'ja'"):
+    with pytest.warns(UserWarning, match=r"'r' leaves out: joint 'ja': velocity of <limit> \(2\)"):
         scene.add_urdf("r", path, package_dirs=package_dirs)
     a = scene.articulations["r"]
     assert a.model.nv == 3 and a.model.nq == 4
@@ -41,9 +42,9 @@ def test_urdf(robot):
     np.testing.assert_allclose(mesh.placement.translation, (0.05, -0.2, 0.15), rtol=1e-6)
     np.testing.assert_allclose(tip.placement.translation, (0, 0, 2))
     assert a.report == (
-        "joint 'jc': <mimic> of 'ja', it moves on its own", "joint 'ja': velocity of <limit> (2)",
-        "robot: <transmission> (1)", "link: <visual> (1)",
+        "joint 'ja': velocity of <limit> (2)", "robot: <transmission> (1)", "link: <visual> (1)",
     )  # fmt: skip
+    assert a.gears == (Gear("mimic of 'jc'", 0, 2, 1.0, 0.0),)
 
 
 @pytest.mark.parametrize(
@@ -229,9 +230,7 @@ def mjcf(tmp_path):
 
 def loaded_mjcf(path, **keywords):
     scene = nd.Scene()
-    with pytest.warns(
-        UserWarning, match="'m' leaves out: joint 'jc': range of a ball joint; equality 'joint2' of type 'joint'; <act"
-    ):
+    with pytest.warns(UserWarning, match="'m' leaves out: joint 'jc': range of a ball joint; <act"):
         scene.add_mjcf("m", path, **keywords)
     return scene.articulations["m"]
 
@@ -252,8 +251,10 @@ def test_mjcf(mjcf):
     names = [(link.name, link.joint) for link in a.links]
     assert names == [("t", 1), ("ga", 2), ("gb", 3), ("gc", 4), ("d_0", 5), ("g2", 6), ("ge", 7)]
     assert [(body.name, body.shape.kind) for body in a.fixed] == [("m/floor", shapes.HALFSPACE)]
-    assert a.missing == ("joint 'jc': range of a ball joint", "equality 'joint2' of type 'joint'")
-    assert a.dropped == ("<actuator> 'ja'", "contact: <pair> of 'ga' and 'gb'")
+    assert a.missing == ("joint 'jc': range of a ball joint",)
+    (linked,) = a.gears  # of "joint2": the angle of ja is the length of jb
+    assert linked == Gear("ja", 7, 6, 1.0, np.radians(10.0))
+    assert a.dropped == ("<actuator> 'ja'", "option: gravity", "contact: <pair> of 'ga' and 'gb'")
     assert a.unused == (
         "mujoco: <option> (1)", "mujoco: <sensor> (1)", "body 'world': <light> (1)", "keyframe 'home'",
     )  # fmt: skip
@@ -263,15 +264,18 @@ def test_mjcf(mjcf):
 def test_mjcf_names_every_attribute_it_leaves_out(tmp_path):
     path = tmp_path / "r.xml"
     path.write_text(
-        '<mujoco><option density="1.2" wind="0 0 0" timestep="0.01"/><worldbody><body><joint springdamper="1 1" '
-        'margin=".1"/><geom size=".1" friction="2 0 0" solref=".01 1"/><geom size=".1" friction="1 0 0"/></body>'
+        '<mujoco><option density="1.2" wind="0 0 0" timestep="0.01"><flag contact="disable"/></option>'
+        '<worldbody><body><joint springdamper="1 1" margin=".1" actuatorfrcrange="-1 2"/>'
+        '<geom size=".1" friction="2 0 0" solref=".01 1"/>'
+        '<geom size=".1" friction="1 0 0"/></body>'
         "</worldbody></mujoco>"
     )
     scene = nd.Scene()
-    with pytest.warns(UserWarning, match="'m' leaves out: option: density; joint None: springdamper"):
+    with pytest.warns(UserWarning, match="'m' leaves out: option: density; option: flag"):
         scene.add_mjcf("m", path)
     assert scene.articulations["m"].report == (
-        "option: density", "joint None: springdamper", "mujoco: <option> (1)", "joint: margin (1)",
+        "option: density", "option: flag contact='disable'", "joint None: springdamper", "joint None: margin",
+        "joint None: actuatorfrcrange that is not ± the same, or of a ball joint", "mujoco: <option> (1)",
         "geom: solref (1)",
     )  # fmt: skip
 

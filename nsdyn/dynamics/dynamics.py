@@ -453,7 +453,8 @@ class Dynamics:
         if joints is None:
             return Rows(full, bases, *NO_CLUTCHES), frame
         pressed = np.flatnonzero(joints.clutch[0])
-        return Rows(self.joints.append(joints, full), bases, nc + pressed, joints.clutch[:, pressed]), frame
+        clutches = nc + pressed, joints.clutch[:, pressed], self.joints.other[joints.slot[pressed]] >= 0
+        return Rows(self.joints.append(joints, full), bases, *clutches), frame
 
     def free_rows(self, block: Index, start: Index, H: Array) -> Rows:
         """Factors of contacts of free bodies alone, as of `Blocks`."""

@@ -1,4 +1,4 @@
-"""Articulations cut at the world: what no joint and no loop joins moves by itself, as a tree of its own."""
+"""Articulations cut at the world: what no joint, no loop and no gear joins moves by itself, as a tree of its own."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import pinocchio as pin
 
 from nsdyn.scene.articulations import Articulation
+from nsdyn.scene.gears import joint_at
 
 __all__ = ["Part", "parts"]
 
 
 class Part(NamedTuple):
-    """One tree of an articulation, or several that loops join.
+    """One tree of an articulation, or several that loops or gears join.
 
     Attributes
     ----------
@@ -36,8 +37,9 @@ def parts(a: Articulation) -> list[Part]:
     model = a.model
     roots = [joint for joint in range(1, model.njoints) if model.parents[joint] == 0]
     ends = [*roots[1:], model.njoints]
-    for loop in a.loops:  # all trees from the first that it joins to the last move together
-        low, high = sorted((loop.joint1, loop.joint2))
+    joined = [(loop.joint1, loop.joint2) for loop in a.loops]
+    joined += [(joint_at(model, g.coordinate1), joint_at(model, g.coordinate2)) for g in a.gears]
+    for low, high in map(sorted, joined):  # all trees from the first to the last move together
         kept = [k for k, end in enumerate(ends) if not (low and low < end <= high)]
         roots, ends = [roots[0], *(ends[k] for k in kept[:-1])], [ends[k] for k in kept]
     if len(roots) <= 1:
@@ -59,6 +61,10 @@ def _part(a: Articulation, joints: range) -> Part:
         loops=tuple(
             replace(loop, joint1=max(0, loop.joint1 - shift), joint2=max(0, loop.joint2 - shift))
             for loop in a.loops if {loop.joint1, loop.joint2} & set(joints)
+        ),
+        gears=tuple(
+            replace(g, coordinate1=g.coordinate1 - v.start, coordinate2=g.coordinate2 - v.start)
+            for g in a.gears if v.start <= g.coordinate2 < v.stop
         ),
         fixed=(), excluded=frozenset(),
     )  # fmt: skip

@@ -2,8 +2,9 @@
 
 A limit is a frictionless contact whose normal row is ±e_j. A clutch |τ| ≤ τ_c is a contact with μ = 1 whose first
 tangent row is e_j, pressed on a coordinate of its own so that r_N = h τ_c exactly: sticking is exact, and the solvers
-need nothing new. Dry friction is a clutch to what does not move, an actuator at its limit, τ = clip(τ₀ - b v_j, ±L),
-one to a rotor: a coordinate of its own, of mass h b, which turns at τ₀/b without the clutch. While that sticks the
+need nothing new. Dry friction is a clutch to what does not move; that of a planar joint against sliding, ‖τ‖ ≤ τ_c, has
+the other coordinate for its second tangent row. An actuator at its limit, τ = clip(τ₀ - b v_j, ±L), is one to a
+rotor: a coordinate of its own, of mass h b, which turns at τ₀/b without the clutch. While that sticks the
 impulse is h (τ₀ - b v_j), while it slips ±h L. Where loops or driven joints restrict a tree, v = v_p + Z y, and the
 solver sees y.
 """
@@ -20,12 +21,13 @@ from nsdyn._kernels.dynamics import joints as _joints
 from nsdyn.dynamics.trees import Tree
 from nsdyn.problem.blocks import Blocks
 from nsdyn.scene.articulations import Articulation
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["NO_CLUTCHES", "JointLaws", "JointRows", "Rows"]
 
 NOTHING = np.empty(0)
-NO_CLUTCHES = np.empty(0, np.int64), np.empty((3, 0))
+NO_CLUTCHES = np.empty(0, np.int64), np.empty((3, 0)), np.empty(0, np.bool_)
+TINY = np.finfo(float).tiny
 
 NEAR = 1e-2
 """A limit takes part in a step when the joint is this fraction of its range away from it, plus what it moves."""
@@ -88,17 +90,19 @@ class JointLaws:
                 near = NEAR * (upper[j] - lower[j]) if np.isfinite(upper[j] - lower[j]) else NEAR
                 for sign, bound in ((1.0, lower[j]), (-1.0, upper[j])):
                     if np.isfinite(bound) and not t.held[j]:
-                        table.append((start + j, block, sign, bound, near, a.restitution))
-                if a.friction[j] > 0.0:
-                    table.append((start + j, block, 0.0, a.friction[j], 0.0, 0.0))
+                        table.append((start + j, block, sign, bound, near, a.restitution, -1))
+                if a.friction[j] > 0.0 and j - 1 not in t.planes:
+                    other = start + j + 1 if j in t.planes else -1
+                    table.append((start + j, block, 0.0, a.friction[j], 0.0, 0.0, other))
         self.passive = len(table)
         self._actuators = self.passive - (trees[0].coordinates.start if trees else 0)
         for block, t in enumerate(trees, start=first):
             start = t.coordinates.start
-            table += [(start + j, block, 0.0, 0.0, 0.0, 0.0) for j in range(t.model.nv)]
-        columns = np.array(table, dtype=float).reshape(-1, 6).T
+            table += [(start + j, block, 0.0, 0.0, 0.0, 0.0, -1) for j in range(t.model.nv)]
+        columns = np.array(table, dtype=float).reshape(-1, 7).T
         self.coordinate, self.block = columns[0].astype(np.int64), columns[1].astype(np.int64)
-        self.sign, self.bound, self.near, self.restitution = (np.ascontiguousarray(c) for c in columns[2:])
+        self.sign, self.bound, self.near, self.restitution = (np.ascontiguousarray(c) for c in columns[2:6])
+        self.other = columns[6].astype(np.int64)
         self.size = len(table)
         self.limits, self._no_impulses = np.flatnonzero(self.sign), np.zeros((self.size, 3))
         of_passive = self.coordinate, self.sign, self.bound, self.near
@@ -161,11 +165,13 @@ class JointLaws:
         by_slot[rows.slot] = r
         np.add.at(on_coordinates[1], j, self.sign[rows.slot] * r[:, 0])
         np.add.at(on_coordinates, (np.where(rows.actuated, 0, 2), j), rows.mu * r[:, 1])
+        plane = self.other[rows.slot] >= 0
+        np.add.at(on_coordinates[2], self.other[rows.slot[plane]], r[plane, 2])
         return by_slot, on_coordinates
 
     def append(self, rows: JointRows, full: Blocks) -> Blocks:
         """Contacts of `full` followed by the joint rows."""
-        table = self.coordinate, self.block, self.sign
+        table = self.coordinate, self.other, self.block, self.sign
         return Blocks(*_joints.append_rows(rows.slot, *table, full.arrays))
 
 
@@ -183,6 +189,8 @@ class Rows:
         and one of its rotor.
     clutch : ndarray, shape (3, k)
         As of `JointRows`.
+    plane : ndarray of bool, shape (k,)
+        Which have two tangents.
 
     Attributes
     ----------
@@ -192,9 +200,9 @@ class Rows:
         Velocities without impulses of the coordinates of clutches, m/s; empty where nothing presses.
     """
 
-    def __init__(self, full: Blocks, bases: Mapping[int, Array], pressed: Index, clutch: Array) -> None:
+    def __init__(self, full: Blocks, bases: Mapping[int, Array], pressed: Index, clutch: Array, plane: Bools) -> None:
         self.full = self.blocks = full
-        self.press, self._pressed, self._impulse = NOTHING, pressed, clutch[0]
+        self.press, self._pressed, self._impulse, self._plane = NOTHING, pressed, clutch[0], plane
         if not bases and not pressed.size:
             return
         z_start = np.cumsum([0, *(Z.size for Z in bases.values())])
@@ -208,7 +216,9 @@ class Rows:
         if not self._pressed.size:
             return r
         rows, press, out = self._pressed, self._impulse, r.copy()
-        out[3 * rows], out[3 * rows + 1], out[3 * rows + 2] = press, np.clip(r[3 * rows + 1], -press, press), 0.0
+        first, second = r[3 * rows + 1], np.where(self._plane, r[3 * rows + 2], 0.0)
+        less = np.minimum(1.0, press / np.maximum(np.hypot(first, second), TINY))
+        out[3 * rows], out[3 * rows + 1], out[3 * rows + 2] = press, less * first, less * second
         return out
 
     def velocity_change(self, r: Array) -> Array:

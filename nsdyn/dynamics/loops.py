@@ -1,4 +1,4 @@
-"""Bilateral constraints of a tree: closed loops and driven joints, B v = b, redundant ones included."""
+"""Bilateral constraints of a tree: closed loops, gears and driven joints, B v = b, redundant ones included."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.scene.articulations import Loop
+from nsdyn.scene.gears import Gear, GearGaps
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Closures", "admissible", "factored", "indefinite", "supports"]
@@ -79,24 +80,28 @@ def admissible(B: Array, F: Array) -> tuple[Array, Array]:
 
 
 class Closures:
-    """Closed loops of one tree as φ(q) = 0: points of two links coincide, or frames do.
+    """Closed loops and gears of one tree as φ(q) = 0: points of two links coincide, or frames do; q2 = a q1 + b.
 
     Parameters
     ----------
     model : pinocchio.Model
     loops : sequence of Loop
+    gears : sequence of Gear
     """
 
-    def __init__(self, model: pin.Model, loops: Sequence[Loop]) -> None:
+    def __init__(self, model: pin.Model, loops: Sequence[Loop], gears: Sequence[Gear] = ()) -> None:
         self._model, self._loops, self._data = model, loops, model.createData()
         self._J: Array = self._data.J.reshape(6, model.nv, order="A")
         self._R, self._x = pose_views(self._data.oMi, model.njoints)
         self._support = supports(model)
-        self._joints = np.array([(loop.joint1, loop.joint2) for loop in loops], dtype=np.int64)
-        self._points = np.array([(loop.placement1.translation, loop.placement2.translation) for loop in loops])
+        joints = [(loop.joint1, loop.joint2) for loop in loops]
+        points = [(loop.placement1.translation, loop.placement2.translation) for loop in loops]
+        self._joints = np.array(joints, dtype=np.int64).reshape(-1, 2)
+        self._points = np.array(points).reshape(-1, 2, 3)
         sizes = [6 if loop.kind == "frame" else 3 for loop in loops]
         self._rows = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
-        self.size = int(self._rows[-1])
+        self._gears, self._names = GearGaps(model, gears), [*(loop.name for loop in loops), *(g.name for g in gears)]
+        self.size = int(self._rows[-1]) + len(gears)
 
     def at(self, q: Array) -> tuple[Array, Array]:
         """(φ, G) at q, shapes (m,) in m and rad and (m, nv): dφ/dt = G v where φ = 0; world axes."""
@@ -107,6 +112,8 @@ class Closures:
             if loop.kind == "frame":
                 a, b = self._data.oMi[loop.joint1].rotation, self._data.oMi[loop.joint2].rotation
                 phi[row + 3 : row + 6] = pin.log3(a @ loop.placement1.rotation @ (b @ loop.placement2.rotation).T)
+        first = self._rows[-1]
+        phi[first:], G[first:] = self._gears.at(q), self._gears.rows
         return phi, G
 
     def close(self, q: Array, driven: Array) -> Array:
@@ -140,5 +147,4 @@ class Closures:
             if not _trees.closing(G, N, phi, min(gap, 1.0), step):
                 break
             q = np.array(pin.integrate(self._model, q, step))
-        names = [loop.name for loop in self._loops]
-        raise ValueError(f"loops {names} do not close: they are apart by {gap:.3g} m or rad")
+        raise ValueError(f"loops or gears {self._names} do not close: they are apart by {gap:.3g} m or rad")

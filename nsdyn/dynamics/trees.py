@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 
@@ -13,7 +15,8 @@ from nsdyn.dynamics.loops import Closures, admissible, factored, indefinite, sup
 from nsdyn.dynamics.runge_kutta import TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
-from nsdyn.scene.articulations import Articulation
+from nsdyn.scene.articulations import PLANAR, Articulation
+from nsdyn.scene.gears import Gear, GearGaps
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -45,9 +48,12 @@ class Tree:
     Attributes
     ----------
     held : ndarray of bool, shape (nv,)
-        Coordinates that nothing but prescribed motion moves: driven ones, and those that loops then leave no freedom.
+        Coordinates that nothing but prescribed motion moves: driven ones, and those that loops and gears then leave no
+        freedom.
     bodies : dict of str to int
         Frames of the model's moving bodies and joints, by name.
+    planes : frozenset of int
+        First coordinates of planar joints, of sliding, as is the next.
     held_links : ndarray of bool, shape (k,)
         The links of `joints` that nothing else moves.
     """
@@ -99,7 +105,7 @@ class Tree:
         self.driven = tuple(driven.values())
         self._driven_rows = np.zeros((len(driven), nv))
         self._driven_rows[np.arange(len(driven)), list(driven)] = 1.0
-        self._closures = Closures(self.model, a.loops) if a.loops else None
+        self._closures = Closures(self.model, a.loops, a.gears) if a.loops or a.gears else None
         self.constrained = bool(driven) or self._closures is not None
         kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
         self.bodies = {
@@ -107,11 +113,12 @@ class Tree:
         }
         self._zero = np.zeros(nv)  # not read-only, for which all kernels would be compiled once more
         self._no_impulses = np.zeros((nv, 3))
+        self.planes = frozenset(j.idx_v for j in self.model.joints[1:] if j.shortname() == PLANAR)
         self._round = np.zeros(nv, dtype=bool)
         self._round[[j for j, _ in self._turning]] = True
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self._turns = self._J[3:].any(axis=0)
-        self.held, self.held_links = self._held(a.q)
+        self.held, self.held_links = self._held(a.q, a.gears)
 
     def _scalar_coordinates(self) -> tuple[Index, Index, list[tuple[int, int]]]:
         """Coordinates whose rate is the velocity, their places in q, and (v, q) places of joints given by cos, sin."""
@@ -154,13 +161,15 @@ class Tree:
             out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
         return out
 
-    def _held(self, q: Array) -> tuple[Bools, Bools]:
-        """Which coordinates (nv,) and which links (k,) nothing but prescribed motion moves at q."""
+    def _held(self, q: Array, gears: Sequence[Gear]) -> tuple[Bools, Bools]:
+        """Which coordinates (nv,) and which links (k,) nothing but prescribed motion moves at q, or nothing at all."""
         nv = self.model.nv
-        if not self.driven:
+        if not (self.driven or gears):
             return np.zeros(nv, np.bool_), np.zeros(len(self.joints), np.bool_)
         q = self.close(q)
-        Z = self._restrict(q, factored(self.model, self.data, q)[1])[2]
+        F = factored(self.model, self.data, q)[1]
+        # Without driven joints loops leave a freedom that a dead centre at q may hide; gears are the same everywhere.
+        Z = self._restrict(q, F)[2] if self.driven else admissible(GearGaps(self.model, gears).rows, F)[0]
         J = self.links(q).J
         fields = np.einsum("ij,kj,jy->kiy", J, self.support, Z)
         # Of what constraints leave free a velocity of 1 is that of unit kinetic energy: no mass is so large.

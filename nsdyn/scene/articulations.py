@@ -17,17 +17,21 @@ from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks
 from nsdyn.scene.bodies import Body
+from nsdyn.scene.gears import Gear
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
 
 __all__ = [
-    "WORLD", "Articulation", "ArticulationOptions", "Description", "Link", "Loop", "check_count", "check_size",
-    "describe_model",
+    "PLANAR", "WORLD", "Articulation", "ArticulationOptions", "Description", "Link", "Loop", "check_count",
+    "check_size", "describe_model",
 ]  # fmt: skip
 
 WORLD = "world"
 """Name of the body of an MJCF file that does not move."""
+
+PLANAR = "JointModelPlanar"
+"""Pinocchio's name of joints that slide in a plane, in two coordinates, and turn in it, in a third."""
 
 COORDINATES = 256
 """Most of a tree: Pinocchio's data hold three-way tables of them, 64 nv³ bytes, which is 1 GB."""
@@ -87,7 +91,7 @@ class Articulation:
     restitution : float
         Newton's coefficient of the limits, in [0, 1].
     friction : ndarray, shape (nv,)
-        Dry joint friction, N m or N.
+        Dry joint friction, N m or N; of a planar joint the first two are the same, the most against sliding.
     damping : ndarray, shape (nv,)
         Viscous, N m s/rad or N s/m.
     armature : ndarray, shape (nv,)
@@ -97,6 +101,7 @@ class Articulation:
     effort : ndarray, shape (nv,)
         Most that a `nsdyn.PD` control gives unless it says otherwise, N m or N; infinite for none.
     loops : tuple of Loop
+    gears : tuple of Gear
     fixed : tuple of Body
         What the file holds besides its trees: the shapes of its world, which are bodies of the scene.
     excluded : frozenset of (int, int)
@@ -125,6 +130,7 @@ class Articulation:
     rest: Array
     effort: Array
     loops: tuple[Loop, ...] = ()
+    gears: tuple[Gear, ...] = ()
     fixed: tuple[Body, ...] = ()
     excluded: frozenset[tuple[int, int]] = frozenset()
     missing: tuple[str, ...] = ()
@@ -152,6 +158,7 @@ class Description:
         The body each of them belongs to.
     stiffness, rest : ndarray, shape (nv,)
     loops : tuple of Loop
+    gears : tuple of Gear
     excluded : frozenset of frozenset of str
         Pairs of bodies that are never tested for contact.
     filtered : frozenset of frozenset of str
@@ -176,6 +183,7 @@ class Description:
     stiffness: Array
     rest: Array
     loops: tuple[Loop, ...] = ()
+    gears: tuple[Gear, ...] = ()
     excluded: frozenset[frozenset[str]] = frozenset()
     filtered: frozenset[frozenset[str]] = frozenset()
     world_touches: bool = False

@@ -15,18 +15,22 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks, exclusions
-from nsdyn.scene.articulations import WORLD, Articulation, Description, Link, Loop, check_size
+from nsdyn.scene.articulations import PLANAR, WORLD, Articulation, Description, Link, Loop, check_size
 from nsdyn.scene.bodies import Body, BodyOptions, make_body
 from nsdyn.scene.exclusions import FREE
+from nsdyn.scene.gears import GearGaps, gear
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import HALFSPACE, Shape, halfspace
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["assemble", "close_loop"]
+__all__ = ["assemble", "close_loop", "put_gear"]
 
 NORMALISED = 1e-6
 """Error of norm of a quaternion or of a pair (cos, sin) in q that a user's rounding may leave."""
+
+UNBOUNDED = 1.01
+"""What Pinocchio writes for no limit of a cosine, a sine or a part of a quaternion."""
 
 SHOWN = 4
 """Most notes of what is left out that a warning shows."""
@@ -84,6 +88,7 @@ def assemble(
         "stiffness": of_joints(stiffness, "stiffness", description.stiffness, 6),
     }
     _check_magnitudes(name, in_joints)
+    _check_friction(name, model, in_joints["friction"])
     model.armature = in_joints["armature"]
     Material(restitution=restitution)
     v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
@@ -103,7 +108,7 @@ def assemble(
     _warn(name, [*description.missing, *dropped])
     return Articulation(
         name, model, links[:n], bodies[:n], q0, v0, materials[:n], limits,
-        float(restitution), **in_joints, rest=rest0, effort=_effort(model), loops=loops,
+        float(restitution), **in_joints, rest=rest0, effort=_effort(model), loops=loops, gears=description.gears,
         fixed=tuple(_fixed(name, *each) for each in zip(links[n:], materials[n:], strict=True)),
         excluded=apart, missing=description.missing, dropped=tuple(dropped), unused=tuple(unused),
     )  # fmt: skip
@@ -147,6 +152,22 @@ def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:
             raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
 
 
+def _check_friction(name: str, model: Any, friction: Array) -> None:
+    """ValueError for dry friction of joints whose coordinates slip together, but for that of planar joints."""
+    for joint in range(1, model.njoints):
+        own = friction[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]]
+        kind, label = model.joints[joint].shortname(), f"joint {model.names[joint]!r}"
+        if kind == PLANAR and own[0] != own[1]:
+            raise ValueError(
+                f"friction of {name!r} must be the same along both axes of the planar {label}, got {own[:2].tolist()}"
+            )
+        if model.nqs[joint] != model.nvs[joint] > 1 and kind != PLANAR and own.any():
+            raise ValueError(
+                f"friction of {name!r} must be 0 in {label}, a {kind}, whose dry friction is not modelled, "
+                f"got {own.tolist()}"
+            )
+
+
 def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:
     """One value per joint coordinate; those of a free base, `lead` of them, may be left out."""
     if value is None:
@@ -158,10 +179,10 @@ def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, defaul
 
 
 def _effort(model: Any) -> Array:
-    """Most joint forces, (nv,), N m or N; files write 0 or the largest float for none, and none is of free joints."""
+    """Most joint forces, (nv,), N m or N; files write 0 or the largest float for none, and ball joints have none."""
     out = np.array(model.upperEffortLimit)
     for joint in range(1, model.njoints):
-        if model.nvs[joint] > 1:
+        if model.nvs[joint] > 1 and model.nqs[joint] != model.nvs[joint]:
             out[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = np.inf
     out[~(out > 0.0) | (out > 1e300)] = np.inf
     return out
@@ -270,11 +291,20 @@ def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Arra
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     for joint in range(1, model.njoints):
         nq, nv = model.nqs[joint], model.nvs[joint]
-        at, rows = model.idx_qs[joint], slice(model.idx_vs[joint], model.idx_vs[joint] + nv)
+        at, kind = model.idx_qs[joint], f"a {model.joints[joint].shortname()}"
+        rows = slice(model.idx_vs[joint], model.idx_vs[joint] + nv)
         if nq != nv:
+            bounds = np.abs(np.r_[lower[at : at + nq], upper[at : at + nq]])
+            if limits and ((bounds < 1e300) & (bounds != UNBOUNDED)).any():
+                raise ValueError(
+                    f"limits of {name!r} must be infinite in joint {model.names[joint]!r}, {kind}, whose coordinates "
+                    "are no angles; limits=False leaves out those of all joints"
+                )
             lower[at : at + nq], upper[at : at + nq] = -np.inf, np.inf
             if nv > 1 and stiffness[rows].any():
-                raise ValueError(f"stiffness of {name!r} must be 0 in joint {model.names[joint]!r}: it has no angle")
+                raise ValueError(
+                    f"stiffness of {name!r} must be 0 in joint {model.names[joint]!r}, {kind}: it has no angle"
+                )
     # Pinocchio writes "no limit" as the largest float.
     lower[lower < -1e300], upper[upper > 1e300] = -np.inf, np.inf
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
@@ -335,3 +365,13 @@ def close_loop(
         loops=(*articulation.loops, loop),
         excluded=articulation.excluded | exclusions.joined(articulation.links, {frozenset((joint1, joint2))}),
     )
+
+
+def put_gear(articulation: Articulation, joints: tuple[str, str], ratio: float, offset: float | None) -> Articulation:
+    """Articulation with one more gear; see `nsdyn.Scene.add_gear`."""
+    name = f"gear '{articulation.name}/{joints[1]}'"
+    model, q = articulation.model, articulation.q
+    added = gear(model, name, joints, ratio, 0.0 if offset is None else offset)
+    if offset is None:
+        added = replace(added, offset=float(GearGaps(model, [added]).at(q)[0]))
+    return replace(articulation, gears=(*articulation.gears, added))

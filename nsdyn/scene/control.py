@@ -111,5 +111,7 @@ class PD:
                 )
             out.append(value if value.ndim else np.where(scalar, value, np.inf if field.name == "limit" else 0.0))
             if field.name in ("kp", "kd") and out[-1][~scalar].any():
-                raise ValueError(f"{field.name} of the PD control of {name!r} must be 0 on free and spherical joints")
+                raise ValueError(
+                    f"{field.name} of the PD control of {name!r} must be 0 on free, ball and planar joints"
+                )
         return out[0], out[1], out[2], out[3], out[4], out[5]

@@ -224,8 +224,9 @@ class Scene:
         restitution : float
             Newton's coefficient of the limits.
         friction, damping, armature : sequences, shape (nv,)
-            Dry friction, viscous damping and inertia of the joints, in place of those in the model. Efforts in the
-            file are the default limit of `nsdyn.PD` control.
+            Dry friction, viscous damping and inertia of the joints, in place of those in the model. Against sliding of
+            a planar joint friction is a disk, ‖τ‖ ≤ τ_c, for which both its axes have the same τ_c; of free and ball
+            joints it must be 0. Efforts in the file are the default limit of `nsdyn.PD` control.
         stiffness, rest : sequences, shape (nv,)
             Springs τ = -stiffness (q - rest) in revolute and prismatic joints.
         inertias : {"check", "trust"}
@@ -325,6 +326,25 @@ class Scene:
         choice(articulation, self.articulations, "articulation")
         self.articulations[articulation] = assembly.close_loop(
             self.articulations[articulation], name, frame1, frame2, position, quaternion, kind
+        )
+
+    def add_gear(self, articulation: str, joint1: str, joint2: str, ratio: float, offset: float | None = None) -> None:
+        """Join two revolute or prismatic joints of an articulation by q2 = ratio q1 + offset, as a URDF `mimic` does.
+
+        Parameters
+        ----------
+        articulation : str
+        joint1, joint2 : str
+            Joints of its Pinocchio model.
+        ratio : float
+            Of the coordinates, in rad and m: for instance -r1 / r2 of two wheels that mesh, r of a wheel (joint1) and
+            its rack. Between two continuous joints, whose turns are not counted, a fraction of whole numbers.
+        offset : float, optional
+            In rad or m; by default that of the initial configuration.
+        """
+        choice(articulation, self.articulations, "articulation")
+        self.articulations[articulation] = assembly.put_gear(
+            self.articulations[articulation], (joint1, joint2), ratio, offset
         )
 
     def _add_articulation(self, name: str, description: Description, keywords: ArticulationOptions) -> None:

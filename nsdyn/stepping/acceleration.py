@@ -119,6 +119,8 @@ def _joint_terms(d: Dynamics, position: Position, v: Array, closed: float, still
         raise ValueError(f"a joint runs into its limit at {-fastest:.3g} rad/s or m/s: an impact, no acceleration")
     at = rows.slot[reached & (rate <= still)]
     on = rows.slot[friction]
+    if (d.joints.other[on] >= 0).any():
+        raise ValueError("accelerations are not found with dry friction of a planar joint: take it out")
     speed, coordinate = v[d.joints.coordinate[on]], d.joints.coordinate[at]
     slip = np.where(np.abs(speed) > still, np.sign(speed), 0.0)
     columns = e[:, coordinate] * d.joints.sign[at], e[:, d.joints.coordinate[on]]

@@ -139,7 +139,8 @@ def checksums(scene: Scene) -> dict[str, int]:
     for a in scene.articulations.values():
         laws = a.friction, a.damping, a.armature, a.stiffness, a.rest, a.effort
         loops = [(o.joint1, str(o.placement1), o.joint2, str(o.placement2), o.kind) for o in a.loops]
-        of_joints = [a.limits, a.restitution, *(law.tolist() for law in laws), loops]
+        gears = [(g.coordinate1, g.coordinate2, g.ratio, g.offset) for g in a.gears]
+        of_joints = [a.limits, a.restitution, *(law.tolist() for law in laws), loops, gears]
         out[f"articulation {a.name!r}"] = _checksum([a.model.saveToString(), of_joints])
     return out
 

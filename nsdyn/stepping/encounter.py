@@ -216,7 +216,9 @@ class Encounter(NamedTuple):
         mu, restitution = contacts.mu, contacts.restitution
         if joints is not None:
             local[4, 3 * nc :] = h / warm.h * warm.joints[joints.slot].ravel()
-            local[3, 3 * nc + 1 :: 3][joints.actuated] = 0.0  # as of springs, their law is on the velocity here
+            # As of springs, the law of actuators is on the velocity here, and that of what slips in axes that turn.
+            here = joints.actuated | (dynamics.joints.other[joints.slot] >= 0)
+            local[3, 3 * nc :].reshape(-1, 3)[here, 1:] = 0.0
             end_gap[nc:] = joints.gap - 0.5 * ahead * local[3, 3 * nc :: 3]
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
         return cls(

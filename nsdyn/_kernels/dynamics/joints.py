@@ -2,8 +2,8 @@
 
 They follow the contacts of a step, three rows each like them. A limit is a frictionless contact with one normal row
 ±e_j; a clutch |tau| <= tau_c is a contact with mu = 1 whose first tangent row is e_j, against a rotor if there is one,
-and whose normal row lies on a coordinate of its own, pressed so that r_N = h tau_c exactly. Rows that are not named are
-zero.
+whose second is that of another coordinate where both slip together, and whose normal row lies on a coordinate of its
+own, pressed so that r_N = h tau_c exactly. Rows that are not named are zero.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ def gaps(slots, coordinate, sign, bound, angle, out):
 
 
 @kernel
-def append_rows(slots, coordinate, tree, sign, blocks):
+def append_rows(slots, coordinate, other, tree, sign, blocks):
     """Contacts followed by the joint rows of the given slots, as blocks."""
     offset, block, start, H, m_start, m, minv = blocks
     nc, nj, size = block.shape[0], slots.size, H.size
@@ -51,6 +51,8 @@ def append_rows(slots, coordinate, tree, sign, blocks):
         at = new_start[nc + i, 0] + coordinate[slots[i]] - offset[k]
         if sign[slots[i]] == 0.0:
             new_H[at + offset[k + 1] - offset[k]] = 1.0
+            if other[slots[i]] >= 0:
+                new_H[at + 2 * (offset[k + 1] - offset[k]) + other[slots[i]] - coordinate[slots[i]]] = 1.0
         else:
             new_H[at] = sign[slots[i]]
     return offset, new_block, new_start, new_H, m_start, m, minv

@@ -21,11 +21,12 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene import meshes
-from nsdyn.scene.articulations import WORLD, Description, Loop, check_count, check_size, describe_model
+from nsdyn.scene.articulations import WORLD, Description, check_count, check_size, describe_model
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
+from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
 from nsdyn.scene.robot_files.mjcf_geoms import POSE, Geoms, mesh_name
 from nsdyn.scene.robot_files.model import links_of
-from nsdyn.scene.robot_files.xml import Notes, Report, inside, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
@@ -42,6 +43,12 @@ COMPILER = {"settotalmass": "missing", "inertiagrouprange": "missing", "balancei
             "fitaabb": "dropped"}  # fmt: skip
 """Attributes of the compiler that are not read, and where that is told."""
 
+OPTIONS = {"density": "0", "viscosity": "0", "wind": "0 0 0", "gravity": "0 0 -9.81"}
+"""Options that change the motion, and their defaults; gravity is that of the scene."""
+
+FLAGS = {"constraint", "contact", "damper", "equality", "frictionloss", "gravity", "limit", "passive", "spring"}
+"""Flags by which MuJoCo leaves a force out; actuation is left out anyway."""
+
 PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
 """Attributes by which a tendon acts of itself; without them it does what an actuator says."""
 
@@ -50,7 +57,7 @@ NUMBERS = {*POSE, "axis", "size", "fromto", "ref", "scale", "vertex"}
 
 ATTRIBUTES = {
     "joint": {"name", "type", "pos", "axis", "range", "limited", "ref", "stiffness", "springref", "springdamper",
-              "damping", "armature", "frictionloss"},
+              "damping", "armature", "frictionloss", "margin", "actuatorfrcrange", "actuatorfrclimited"},
     "geom": {"name", "type", "size", "fromto", "mesh", "mass", "density", "contype", "conaffinity", "friction",
              "condim", "hfield", *POSE},
     "connect": {"name", "active", "body1", "body2", "site1", "site2", "anchor"},
@@ -76,7 +83,9 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         check_size(name, model)
         stiffness, rest = _set_joints(root, model, report)
         q = _initial(root, model, keyframe, report)
-        loops = tuple(_loops(root, model, q, report.missing))
+        loops = tuple(loops_of(root, model, q, report.missing))
+        places = {e.get("name", ""): (a.start, b.start) for e, kind, a, b in _joints(root) if SIZES[kind] == (1, 1)}
+        gears = tuple(gears_of(root, model, places, report.missing))
         links, bodies = links_of(model, geometry.geometryObjects, report.dropped)
         excluded = frozenset(frozenset((e.get("body1", ""), e.get("body2", ""))) for e in root.iter("exclude"))
         solid = [k for k, link in enumerate(links) if any(geoms.masks[link.name])]
@@ -87,9 +96,9 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     except (ValueError, RuntimeError, LookupError) as failure:  # all of them Pinocchio raises
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
     return describe_model(
-        model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, excluded=excluded, filtered=filtered,
-        world_touches=True, trees=_of_joints(trees, model) | trees, flaws=tuple(flaws), materials=geoms.materials,
-        **report.told(),
+        model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, gears=gears, excluded=excluded,
+        filtered=filtered, world_touches=True, trees=_of_joints(trees, model) | trees, flaws=tuple(flaws),
+        materials=geoms.materials, **report.told(),
     )  # fmt: skip
 
 
@@ -160,10 +169,15 @@ def _note(root: Element, world: Element, report: Report) -> None:
     for element in root.iterfind("tendon/*"):
         (missing if PASSIVE & element.attrib.keys() else dropped).append(f"<tendon> {element.get('name')!r}")
     missing += [f"<{tag}>" for tag in ("deformable",) if root.find(tag) is not None]
-    for attribute in ("density", "viscosity", "wind"):
-        if option is not None and any(float(x) for x in option.get(attribute, "0").split()):
+    for attribute, default in OPTIONS.items():
+        given = default if option is None else option.get(attribute, default)
+        if [float(x) for x in given.split()] != [float(x) for x in default.split()] and any(given.split()):
             dropped.append(f"option: {attribute}")
-    dropped += [f"joint {e.get('name')!r}: springdamper" for e in world.iter("joint") if e.get("springdamper")]
+    for flag in root.iterfind("option/flag"):
+        dropped += [f"option: flag {a}='disable'" for a in sorted(FLAGS) if flag.get(a) == "disable"]
+    for e in world.iter("joint"):
+        changing = [a for a in ("springdamper", "margin") if any(float(x) for x in e.get(a, "").split())]
+        dropped += [f"joint {e.get('name')!r}: {attribute}" for attribute in changing]
     read = {"compiler", "worldbody", "equality", "contact", "asset", "keyframe", "actuator", "tendon", "deformable"}
     unused.of_children([root], read, "mujoco")
     for tag, used in ATTRIBUTES.items():
@@ -306,12 +320,13 @@ def _joints(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
 
 
 def _set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]:
-    """Put limits, damping, dry friction and armature into the model; returns (stiffness, rest) of the springs."""
+    """Put limits, efforts, damping, friction and armature into the model; returns (stiffness, rest) of the springs."""
     compiler = root.find("compiler")
     settings: dict[str, str] = {} if compiler is None else compiler.attrib
     unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
     lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
     damping, friction, armature, stiffness, rest = np.zeros((5, model.nv))
+    effort = np.full(model.nv, np.inf)
     for element, kind, at, rows in _joints(root):
         label = f"joint {element.get('name')!r}"
         if element.tag == "freejoint":
@@ -325,6 +340,12 @@ def _set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array
         limited = element.get("limited", "auto")
         if limited == "auto":
             limited = "true" if settings.get("autolimits", "true") == "true" and element.get("range") else "false"
+        if element.get("actuatorfrcrange") and element.get("actuatorfrclimited", "auto") != "false":
+            low, high = numbers(element.get("actuatorfrcrange"), 2, None, f"actuatorfrcrange of {label}")
+            effort[rows] = high
+            if kind == "ball" or low != -high:
+                report.dropped.append(f"{label}: actuatorfrcrange that is not ± the same, or of a ball joint")
+                effort[rows] = np.inf
         if kind in ("hinge", "slide"):
             stiffness[rows], rest[rows] = value("stiffness"), factor * value("springref")
             if limited == "true":
@@ -334,9 +355,12 @@ def _set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array
             if limited == "true":
                 report.missing.append(f"{label}: range of a {kind} joint")
             if value("stiffness"):
-                report.dropped.append(f"{label}: stiffness of a {kind} joint")
+                report.missing.append(f"{label}: stiffness of a {kind} joint")
+            if value("frictionloss"):
+                report.missing.append(f"{label}: frictionloss of a {kind} joint")
+                friction[rows] = 0.0
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
-    model.damping, model.armature = damping, armature
+    model.damping, model.armature, model.upperEffortLimit = damping, armature, effort
     model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -friction, friction
     return stiffness, rest
 
@@ -355,38 +379,3 @@ def _initial(root: Element, model: Any, keyframe: str | None, report: Report) ->
     if key.get("qvel") and numbers(key.get("qvel"), model.nv, None, f"qvel of keyframe {keyframe!r}").any():
         report.dropped.append(f"keyframe {keyframe!r}: qvel")
     return q
-
-
-# -- loops -----------------------------------------------------------------------------------------------------
-
-
-def _loops(root: Element, model: Any, q: Array, missing: Notes) -> Iterator[Loop]:
-    """Loops of <connect> and <weld>; where the file gives no second point, they are closed at q."""
-    frames = {f.name: f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME)}
-    data = model.createData()
-    pin.forwardKinematics(model, data, q)
-    for number, element in enumerate(root.iterfind("equality/*")):
-        label = element.get("name", f"{element.tag}{number}")
-        if element.get("active", "true") == "false":
-            continue
-        if element.tag not in ("connect", "weld"):
-            missing.append(f"equality {label!r} of type {element.tag!r}")
-            continue
-        names = [element.get(f"{what}{k}") for what in ("site", "body") for k in (1, 2)]
-        sites = names[0] is not None
-        first, second = (frames.get(n or WORLD) for n in (names[:2] if sites else names[2:]))
-        if first is None or second is None:
-            raise ValueError(f"equality {label!r} joins {names}, which are not both bodies or sites of the file")
-        joint1, joint2 = int(first.parentJoint), int(second.parentJoint)
-        placement1, placement2 = first.placement.copy(), second.placement.copy()
-        pose = numbers(element.get("relpose"), 7, (0, 0, 0, 0, 0, 0, 0), f"relpose of {label!r}")
-        if element.tag == "connect" and not sites:
-            anchor = numbers(element.get("anchor"), 3, None, f"anchor of {label!r}")
-            placement1 = placement1 * pin.SE3(np.eye(3), anchor)
-        elif pose[3:].any():
-            placement1 = placement1 * pin.XYZQUATToSE3(
-                np.r_[pose[:3], np.roll(pose[3:], -1) / np.linalg.norm(pose[3:])]
-            )
-        if not sites and not pose[3:].any():
-            placement2 = data.oMi[joint2].actInv(data.oMi[joint1] * placement1)
-        yield Loop(label, joint1, placement1, joint2, placement2, "point" if element.tag == "connect" else "frame")

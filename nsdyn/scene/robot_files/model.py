@@ -24,7 +24,21 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
         raise ValueError(
             f"geometry_model of {name!r} must be a pinocchio.GeometryModel or None, got {type(geometry).__name__}"
         )
+    for joint, kind in zip(model.names, model.joints, strict=True):
+        if kind.shortname() == "JointModelMimic":
+            raise ValueError(
+                f"model of {name!r} must have no mimic joints, {joint!r} is one: build it without mimic=True and give "
+                "Scene.add_gear the ratio, or read its URDF with Scene.add_urdf, which makes the gear"
+            )
     dropped = Notes()
+    speeds = np.array(model.upperVelocityLimit)
+    fast = [
+        name
+        for name, start, nv in zip(model.names, model.idx_vs, model.nvs, strict=True)
+        if nv and ((speeds[start : start + nv] > 0.0) & (speeds[start : start + nv] < 1e300)).any()
+    ]
+    if fast:
+        dropped.append(f"joint {fast[0]!r}: velocity limit ({len(fast)})")
     links, bodies = links_of(model, geometry.geometryObjects if geometry else (), dropped)
     for joint, body in zip(model.names, model.inertias, strict=True):
         if not np.isfinite([body.mass, *body.lever, *body.inertia.ravel()]).all():

@@ -7,7 +7,7 @@ so that every joint of the file is a joint of the tree, with its limits, springs
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, Loop, describe_model
+from nsdyn.scene.gears import Gear, following, gear
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.xml import Report, mesh_file, numbers, parse
@@ -35,6 +36,7 @@ AXES = {"fixed": (), "ball": (), "revolute": ("axis",), "continuous": ("axis",),
 BEHAVIOUR = {"gravity": "true", "kinematic": "false", "enable_wind": "false", "velocity_decay": None}
 """Elements of a link that change how it moves, and what they say where they do not, if they can."""
 
+DYNAMICS = "damping", "friction", "spring_stiffness", "spring_reference"
 UNLIMITED = 1e15
 """A limit of this size means none: SDF writes 1e16, or the largest number there is."""
 
@@ -49,7 +51,12 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
         if len(found) != 1:
             raise ValueError(f"it must hold one model, got {[m.get('name') for m in found]}")
         reader = _Reader(found[0], [path.parent, *package_dirs])
-        reader.report.unused.of_children([root, *root.findall("world")], {"model", "world"}, "world")
+        dropped, unused = reader.report.dropped, reader.report.unused
+        unused.of_children([root, *root.findall("world")], {"model", "world", "gravity"}, "world")
+        # Gravity is that of the scene; 9.8 is SDF's default.
+        for where, still, near in (("gravity", (0.0, 0.0, -9.81), 0.02), ("wind/linear_velocity", (0, 0, 0), 0.0)):
+            given = [numbers(e.text, 3, None, f"<{where}>") for e in root.iterfind(f"world/{where}")]
+            dropped += [f"world: <{where}>" for value in given if np.abs(value - still).max() > near]
         return reader.description()
     except (ValueError, RuntimeError) as failure:  # the latter Pinocchio's, of inertias below zero
         raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, [])}") from None
@@ -112,15 +119,23 @@ class _Reader:
         fast = [e.get("name") for e in joints for v in e.iterfind("*/limit/velocity") if float(v.text or 0.0) > 0.0]
         if fast:
             dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
-        limits = [limit for e in joints for limit in e.iter("limit")]
-        unused.of_children(limits, {"lower", "upper", "effort", "velocity"}, "limit")
+        missing += [
+            f"joint {e.get('name')!r}: <{tag}> of a {e.get('type')} joint"
+            for e in joints
+            for tag in ("axis", "axis2")
+            if e.get("type") != "fixed" and e.find(tag) is not None and tag not in AXES.get(e.get("type", ""), ())
+        ]
+        axes = [axis for e in joints for axis in e if axis.tag in ("axis", "axis2")]
+        unused.of_children(axes, {"xyz", "use_parent_model_frame", "dynamics", "limit", "mimic"}, "axis")
+        unused.of_children([d for a in axes for d in a.iter("dynamics")], {*DYNAMICS}, "dynamics")
+        of_limits = {"lower", "upper", "effort", "velocity"}
+        unused.of_children([e for a in axes for e in a.iter("limit")], of_limits, "limit")
         switches = [("model", self.element, "enable_wind"), *(("link", e, tag) for e in links for tag in BEHAVIOUR)]
         dropped += [
             f"{kind} {e.get('name')!r}: <{tag}>"
             for kind, e, tag in switches
             if e.find(tag) is not None and e.findtext(tag, "").strip() != BEHAVIOUR[tag]
         ]
-        missing += [f"joint {e.get('name')!r}: <mimic>" for e in joints if e.find("*/mimic") is not None]
         missing += [
             f"link {e.get('name')!r}: automatic inertia" for e in links if e.find("inertial[@auto='true']") is not None
         ]
@@ -193,9 +208,22 @@ class _Reader:
         if self.element.findtext("self_collide", "false").strip() not in ("true", "1"):
             apart = frozenset(frozenset(pair) for pair in combinations(self.links, 2))
         return describe_model(
-            model, self.shapes, self.bodies, q=q, stiffness=stiffness, rest=rest, loops=tuple(self.loops),
-            excluded=apart, flaws=tuple(self.flaws), materials=self.materials, **self.report.told(),
+            model, self.shapes, self.bodies, q=following(model, gears := tuple(self._gears()), q), stiffness=stiffness,
+            rest=rest, loops=tuple(self.loops), gears=gears, excluded=apart, flaws=tuple(self.flaws),
+            materials=self.materials, **self.report.told(),
         )  # fmt: skip
+
+    def _gears(self) -> Iterator[Gear]:
+        """Gears of <mimic>: multiplier times the other's position beyond a reference, and an offset."""
+        for joint, k, tag in ((j, k, tag) for j in self.joints for k, tag in enumerate(AXES[j.kind])):
+            for mimic in joint.element.iterfind(f"{tag}/mimic"):
+                label, pair = f"mimic of {joint.name!r}", (mimic.get("joint", ""), joint.name)
+                ratio, offset, zero = (
+                    float(numbers(mimic.findtext(what), 1, (default,), f"{what} of {label}")[0])
+                    for what, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
+                )
+                which = int(mimic.get("axis") == "axis2"), k
+                yield gear(self.model, label, pair, ratio, offset - ratio * zero, which)
 
     def _descend(self, parent: str) -> None:
         """Add the joints below a link, and below their children."""
@@ -278,8 +306,7 @@ class _Reader:
         limits = (-np.inf, np.inf)
         if joint.kind != "continuous":
             limits = value("limit/lower", -np.inf), value("limit/upper", np.inf)
-        rest = "damping", "friction", "spring_stiffness", "spring_reference"
-        return (*limits, *(value(f"dynamics/{what}", 0.0) for what in rest), value("limit/effort", np.inf))
+        return (*limits, *(value(f"dynamics/{what}", 0.0) for what in DYNAMICS), value("limit/effort", np.inf))
 
     # -- bodies ------------------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, describe_model
+from nsdyn.scene.gears import Gear, following, gear
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.xml import XACRO, Report, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
@@ -21,6 +22,10 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 __all__ = ["read_urdf"]
+
+GAZEBO = {"dampingFactor", "fdir1", "gravity", "kinematic", "maxVel", "minDepth", "mu1", "mu2", "springReference",
+          "springStiffness", "stopCfm", "stopErp", "turnGravityOff"}  # fmt: skip
+"""Elements of <gazebo> that change how a link or joint moves."""
 
 
 def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) -> Description:
@@ -40,10 +45,16 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
     missing, dropped, unused = report.missing, report.dropped, report.unused
     elements, joints = list(root.iter("link")), [e for e in root if e.tag == "joint"]
     missing += [
-        f"joint {e.get('name')!r}: <mimic> of {m.get('joint')!r}, it moves on its own"
-        for e in joints
-        for m in e.iter("mimic")
+        f"joint {joint.get('name')!r}: <{e.tag}> of a {joint.get('type')} joint"
+        for joint in joints
+        for e in joint
+        if joint.get("type") in ("planar", "floating") and e.tag in ("limit", "dynamics", "mimic")
     ]
+    for tag, used in (("limit", {"lower", "upper", "effort", "velocity"}), ("dynamics", {"damping", "friction"})):
+        unused.of_attributes([e for joint in joints for e in joint.iter(tag)], used, tag)
+    for e in root.findall("gazebo"):
+        physics = sorted({child.tag for child in e} & GAZEBO)
+        dropped += [f"gazebo {e.get('reference')!r}: <{tag}>" for tag in physics]
     fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if e.get("velocity", "0").strip("0.")]
     if fast:
         dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
@@ -77,7 +88,26 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
             raise ValueError(f"path of {name!r}: {path}, collision of {body!r}: {failure}") from None
         links.append(Link(link, int(frame.parentJoint), placement, shape))
         bodies.append(body)
-    return describe_model(model, links, bodies, flaws=tuple(flaws), **report.told())
+    try:
+        q, gears = _mimics(joints, model)
+    except ValueError as failure:
+        raise ValueError(f"path of {name!r}: {path}, {failure}") from None
+    return describe_model(model, links, bodies, q=q, gears=gears, flaws=tuple(flaws), **report.told())
+
+
+def _mimics(joints: Sequence[Element], model: Any) -> tuple[Array, tuple[Gear, ...]]:
+    """(zero configuration but for joints that mimic others, gears of <mimic>)."""
+    gears = []
+    for joint in joints:
+        for mimic in joint.findall("mimic") if joint.get("type") not in ("planar", "floating") else ():
+            label = f"mimic of {joint.get('name')!r}"
+            ratio, offset = (
+                float(numbers(mimic.get(what), 1, (default,), f"{what} of {label}")[0])
+                for what, default in (("multiplier", 1.0), ("offset", 0.0))
+            )
+            pair = mimic.get("joint", ""), joint.get("name", "")
+            gears.append(gear(model, label, pair, ratio, offset))
+    return following(model, gears, pin.neutral(model)), tuple(gears)
 
 
 def _check_tree(links: Sequence[Element], joints: Sequence[Element]) -> None:

@@ -1,0 +1,129 @@
+"""Gears: a ratio between the coordinates of two joints of an articulation, as of `mimic` in URDF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from nsdyn.scene import checks
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+
+__all__ = ["Gear", "GearGaps", "following", "gear", "joint_at"]
+
+TEETH = 1000
+"""Most of a wheel of which turns are not counted, whose ratio to another such wheel is that of whole numbers."""
+
+
+@dataclass(frozen=True)
+class Gear:
+    """The constraint q2 = ratio q1 + offset, which no force resists that its reaction does not take.
+
+    Attributes
+    ----------
+    name : str
+    coordinate1, coordinate2 : int
+        Of revolute or prismatic joints, in v; the same one twice with the ratio 0 where q2 is held at the offset.
+    ratio, offset : float
+        In rad or m.
+    """
+
+    name: str
+    coordinate1: int
+    coordinate2: int
+    ratio: float
+    offset: float
+
+
+def joint_at(model: Any, coordinate: int) -> int:
+    """Joint that a coordinate of v belongs to."""
+    return int(np.searchsorted(np.array(model.idx_vs)[1:], coordinate, side="right"))
+
+
+def _place(model: Any, coordinate: int) -> tuple[int, bool]:
+    """Where the value of a coordinate is in q, and whether it is there as a pair (cos, sin)."""
+    joint = model.joints[joint_at(model, coordinate)]
+    return joint.idx_q + coordinate - joint.idx_v, joint.nq != joint.nv
+
+
+def gear(
+    model: Any, name: str, joints: tuple[str, str], ratio: float, offset: float, axes: Sequence[int] = (0, 0)
+) -> Gear:
+    """Gear between two joints, by name, whose second follows the first; `axes` tells which coordinate of each."""
+    ratio = checks.number(ratio, f"ratio of {name}")
+    coordinates: list[int] = []
+    for what, joint, axis in zip(("joint1", "joint2"), joints, axes, strict=True):
+        known = list(model.names)[1:]
+        of = model.joints[model.getJointId(choice(joint, known, f"{what} of {name}"))]
+        if (of.nv > 1 and of.nq != of.nv) or axis >= of.nv:
+            raise ValueError(f"{what} of {name} must be a revolute or prismatic joint, {joint!r} is none")
+        coordinates.append(of.idx_v + axis)
+    first, second = coordinates
+    if first == second:
+        raise ValueError(f"joint2 of {name} must be another than joint1, got {joints[1]!r}")
+    if _period(ratio, _place(model, first)[1], _place(model, second)[1]) == 0.0:
+        raise ValueError(
+            f"ratio of {name} must be a fraction of whole numbers up to {TEETH}, as turns of continuous joints are "
+            f"not counted, got {ratio!r}: make one of {joints[0]!r} and {joints[1]!r} revolute"
+        )
+    return Gear(name, first, second, ratio, checks.number(offset, f"offset of {name}"))
+
+
+def _period(ratio: float, round1: bool, round2: bool) -> float:
+    """What q2 - ratio q1 is known up to: inf for all of it, 0 for nothing."""
+    if not round1:
+        return 2.0 * math.pi if round2 else math.inf
+    if not round2:
+        return 2.0 * math.pi * abs(ratio) or math.inf
+    teeth = Fraction(ratio).limit_denominator(TEETH)
+    return 2.0 * math.pi / teeth.denominator if abs(ratio - teeth) <= 1e-12 * abs(ratio) else 0.0  # of text to float
+
+
+def following(model: Any, gears: Sequence[Gear], q: Array) -> Array:
+    """The configuration q but for the second joints of gears, which are where the first ones say."""
+    q = q.copy()
+    for each in [*gears] * len(gears):  # a second joint may be the first of another gear
+        k, turning = _place(model, each.coordinate2)
+        value = _angle(model, each.coordinate1, q) * each.ratio + each.offset
+        q[k : k + 1 + turning] = (math.cos(value), math.sin(value)) if turning else value
+    return q
+
+
+def _angle(model: Any, coordinate: int, q: Array) -> float:
+    k, turning = _place(model, coordinate)
+    return math.atan2(q[k + 1], q[k]) if turning else float(q[k])
+
+
+class GearGaps:
+    """q2 - ratio q1 - offset of some gears, and what it is linear in.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (k, nv)
+        Its derivative.
+    """
+
+    def __init__(self, model: Any, gears: Sequence[Gear]) -> None:
+        self.rows = np.zeros((len(gears), model.nv))
+        for row, each in zip(self.rows, gears, strict=True):
+            row[each.coordinate2] = 1.0
+            row[each.coordinate1] -= each.ratio
+        self._coordinates = np.flatnonzero(self.rows.any(axis=0))
+        places = [_place(model, int(c)) for c in self._coordinates]
+        self._at, self._round = np.array([k for k, _ in places], np.int64), np.array([r for _, r in places], np.bool_)
+        turning = {int(c) for c in self._coordinates[self._round]}
+        self._period = np.array([_period(g.ratio, g.coordinate1 in turning, g.coordinate2 in turning) for g in gears])
+        self._offset = np.array([g.offset for g in gears])
+
+    def at(self, q: Array) -> Array:
+        """The gaps at q, shape (k,), rad or m; of continuous joints the smallest that whole turns leave."""
+        angle = np.where(self._round, np.arctan2(q[self._at + self._round], q[self._at]), q[self._at])
+        gap: Array = self.rows[:, self._coordinates] @ angle - self._offset
+        turns = np.isfinite(self._period)
+        gap[turns] -= self._period[turns] * np.round(gap[turns] / self._period[turns])
+        return gap

@@ -1,0 +1,151 @@
+"""Laws of joints with several coordinates: dry friction of a planar joint is a disk, what is not modelled refused."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import INERTIAL
+
+import nsdyn as nd
+from nsdyn import cli
+
+MASS, INERTIA, MOST = 2.0, 0.1, 1.0
+
+
+def model_of(joint, **limits):
+    model = pin.Model()
+    j = model.addJoint(0, joint, pin.SE3.Identity(), "j")
+    model.appendBodyToJoint(j, pin.Inertia(MASS, np.zeros(3), INERTIA * np.eye(3)), pin.SE3.Identity())
+    for name, value in limits.items():
+        setattr(model, name, np.array(value, dtype=float))
+    return model
+
+
+def puck(v=(0.0, 0.0, 0.0), turning=0.0):
+    """A joint that slides in the plane, with at most 1 N of dry friction."""
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_model("a", model_of(pin.JointModelPlanar()), v=v, friction=(MOST, MOST, turning))
+    return scene
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4, 2.0])
+def test_planar_joint_slides_against_its_friction_whatever_the_direction(angle):
+    way = np.array((np.cos(angle), np.sin(angle)))
+    run = nd.simulate(puck((*3.0 * way, 0.0)), 1.0, 1e-2)
+    np.testing.assert_allclose(run.v[-1, :2], (3.0 - MOST / MASS) * way, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(run.q[-1, :2], (3.0 - 0.5 * MOST / MASS) * way, rtol=0.0, atol=1e-12)
+    assert run.energy.friction.sum() == pytest.approx(-MOST * (3.0 - 0.5 * MOST / MASS), rel=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(run.joint("a/j").friction[:, :2], axis=1), MOST, rtol=1e-12)
+
+
+def test_planar_joint_that_turns_slides_straight_and_stops():
+    """Its coordinates are along axes that turn with it: friction against the turn and the slip know nothing of another.
+
+    It slides straight with |v| = v0 - (τ/m) t, exactly but for what the turn in a step does, O(h²) of its stop.
+    """
+    speed, errors = np.hypot(0.1, 0.2), []
+    for dt in (2e-2, 1e-2, 5e-3):
+        run = nd.simulate(puck((3.0, 0.0, 5.0), 0.02), 1.0, dt)
+        np.testing.assert_allclose(run.v[-1, 2], 5.0 - 0.02 / INERTIA, rtol=1e-12)
+        np.testing.assert_allclose(
+            run.q[-1, :2], (3.0 - 0.5 * MOST / MASS, 0.0), rtol=0.0, atol=4e-7 * (dt / 2e-2) ** 2
+        )
+        run = nd.simulate(puck((0.1, 0.2, 5.0), 0.02), 1.0, dt)
+        np.testing.assert_allclose(run.v[-1], (0.0, 0.0, 4.8), rtol=0.0, atol=1e-12)
+        assert run.energy.friction.max() <= 1e-15
+        errors.append(np.abs(run.q[-1, :2] - 0.5 * speed * MASS / MOST * np.array((0.1, 0.2))).max())
+    assert errors[2] <= 3e-6 and errors[0] / errors[2] >= 10.0
+
+
+@pytest.mark.parametrize("excess", [-1e-6, 1e-6])
+@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 4, 1.9])
+def test_planar_joint_breaks_away_at_its_friction(angle, excess):
+    push = (1.0 + excess) * MOST * np.array((np.cos(angle), np.sin(angle), 0.0))
+    run = nd.simulate(puck(), 1.0, 1e-2, controller=lambda t, q, v: {"a": push})
+    expected = max(0.0, excess) * MOST / MASS
+    np.testing.assert_allclose(np.linalg.norm(run.v[-1]), expected, rtol=1e-6, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("joint", "keywords", "words"),
+    [
+        (pin.JointModelSpherical(), {"friction": [0.1] * 3}, r"friction of 'a' must be 0 in joint 'j', a .*Spherical"),
+        (pin.JointModelFreeFlyer(), {"friction": [0.1] * 6}, r"friction of 'a' must be 0 in joint 'j', a .*FreeFlyer"),
+        (pin.JointModelPlanar(), {"friction": (0.1, 0.2, 0)}, r"the same along both axes of the planar joint 'j'"),
+        (
+            pin.JointModelSpherical(),
+            {"stiffness": [1.0] * 3},
+            r"stiffness of 'a' must be 0 in joint 'j', a .*Spherical",
+        ),
+        (pin.JointModelPlanar(), {"stiffness": [1.0] * 3}, r"stiffness of 'a' must be 0 in joint 'j', a .*Planar"),
+    ],
+)
+def test_laws_that_are_not_modelled_are_refused(joint, keywords, words):
+    with pytest.raises(ValueError, match=words):
+        nd.Scene().add_model("a", model_of(joint), **keywords)
+
+
+def test_limits_and_gains_of_joints_without_an_angle_are_refused():
+    for joint, n in ((pin.JointModelSpherical(), 4), (pin.JointModelPlanar(), 4), (pin.JointModelRUBZ(), 2)):
+        limited = model_of(joint, lowerPositionLimit=[-0.5] * n, upperPositionLimit=[0.5] * n)
+        with pytest.raises(ValueError, match="limits of 'a' must be infinite in joint 'j', a JointModel"):
+            nd.Scene().add_model("a", limited)
+    scene = nd.Scene()
+    scene.add_model("a", model_of(pin.JointModelPlanar()))
+    with pytest.raises(ValueError, match="kp of the PD control of 'a' must be 0 on free, ball and planar joints"):
+        nd.Stepper(scene, controller=lambda t, q, v: {"a": nd.PD(np.ones(3), 0.0, np.zeros(3))}).step()
+
+
+def test_velocity_limits_of_a_model_are_told():
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match=r"'a' leaves out: joint 'j': velocity limit \(1\)"):
+        scene.add_model("a", model_of(pin.JointModelRX(), upperVelocityLimit=[3.0]))
+
+
+def test_efforts_of_joints_in_one_body_are_limits(tmp_path):
+    """Two hinges of an MJCF body, which Pinocchio makes one joint."""
+    path = tmp_path / "m.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint axis="0 1 0" actuatorfrcrange="-3 3"/><joint axis="0 0 1"/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_mjcf("m", path)
+    assert scene.articulations["m"].effort.tolist() == [3.0, np.inf] and scene.articulations["m"].report == ()
+
+
+def test_what_files_say_of_joints_without_an_angle_fails_the_check(tmp_path, capsys):
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        f'<robot name="r"><link name="w"/><link name="a">{INERTIAL}</link><joint name="j" type="planar">'
+        '<parent link="w"/><child link="a"/><limit lower="-1" upper="1" effort="1" velocity="0"/>'
+        '<dynamics damping="1" friction="2"/><safety_controller k_velocity="1"/></joint>'
+        '<gazebo reference="a"><mu1>0.2</mu1><turnGravityOff>true</turnGravityOff></gazebo></robot>'
+    )
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match="'r' leaves out: joint 'j': <limit> of a planar joint"):
+        scene.add_urdf("r", path)
+    a = scene.articulations["r"]
+    assert a.missing == ("joint 'j': <limit> of a planar joint", "joint 'j': <dynamics> of a planar joint")
+    assert a.dropped == ("gazebo 'a': <mu1>", "gazebo 'a': <turnGravityOff>")
+    assert a.unused == ("robot: <gazebo> (1)", "joint: <safety_controller> (1)")
+    assert cli.main(["check", str(path)]) == 1
+    assert "<dynamics> of a planar joint" in capsys.readouterr().out
+    path = tmp_path / "m.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="j" type="ball" frictionloss="1" stiffness="2"/><geom size=".1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    with pytest.warns(UserWarning, match="stiffness of a ball joint; joint 'j': frictionloss of a ball joint"):
+        scene.add_mjcf("m", path)
+    assert cli.main(["check", str(path)]) == 1
+    path = tmp_path / "m.sdf"
+    path.write_text(
+        '<sdf version="1.9"><world name="w"><gravity>0 0 -1</gravity>'
+        "<wind><linear_velocity>1 0 0</linear_velocity></wind>"
+        '<model name="m"><link name="a"/><joint name="j" type="ball"><parent>world</parent><child>a</child>'
+        "<axis><dynamics><damping>1</damping></dynamics></axis></joint></model></world></sdf>"
+    )
+    with pytest.warns(UserWarning, match="'s' leaves out: joint 'j': <axis> of a ball joint; world: <gravity>"):
+        scene.add_sdf("s", path)
+    assert scene.articulations["s"].missing == ("joint 'j': <axis> of a ball joint",)
+    assert scene.articulations["s"].dropped == ("world: <gravity>", "world: <wind/linear_velocity>")
