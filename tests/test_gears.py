@@ -51,6 +51,7 @@ def test_two_wheels(kinds, second):
     tau, ratio = np.array([0.3, 0.2]), -0.5
     scene, dt = scene_of(model_of(*kinds), ratio), 1e-2
     run = nd.simulate(scene, 10.0, dt, controller=lambda t, q, v: {"a": tau})
+    assert nd.check(run).passed, nd.check(run)
     rate = (tau[0] + ratio * tau[1]) / (0.1 + ratio**2 * second)
     np.testing.assert_allclose(run.v, np.outer(run.t * rate, (1.0, ratio)), rtol=1e-11, atol=1e-12)
     # What the gear does to the joints is λ (-a, 1): it works nothing.
@@ -83,6 +84,7 @@ def test_geared_pendulum_is_of_second_order():
     errors = []
     for dt in (8e-3, 4e-3, 2e-3):
         run = nd.simulate(scene_of(model, ratio, gravity=(0, 0, -9.81), q=(1.0, -2.0)), 2.0, dt)
+        assert nd.check(run).passed, nd.check(run)
         np.testing.assert_allclose(run.q[:, 1], ratio * run.q[:, 0], rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(run.v[:, 1], ratio * run.v[:, 0], rtol=0.0, atol=1e-11)
         errors.append(abs(run.q[-1, 0] - exact[0]))
@@ -99,10 +101,12 @@ def test_limits_of_either_joint_hold_both(side):
     model.upperPositionLimit = np.array([0.5, np.inf] if side == 0 else [np.inf, np.inf])
     model.lowerPositionLimit = np.array([-np.inf, -np.inf] if side == 0 else [-np.inf, -1.0])
     run = nd.simulate(scene_of(model, ratio, v=(1.0, -2.0), restitution=0.5), 1.0, 1e-3)
+    assert nd.check(run).passed, nd.check(run)
     np.testing.assert_allclose(run.v[-1], (-0.5, 1.0), rtol=1e-12)
     assert run.q[:, 0].max() <= 0.5 + 1e-9
     pressed = scene_of(model, ratio, q=(0.5, -1.0))
     run = nd.simulate(pressed, 0.5, 1e-2, controller=lambda t, q, v: {"a": (0.3, 0.0)})
+    assert nd.check(run).passed, nd.check(run)
     np.testing.assert_allclose(run.v, 0.0, rtol=0.0, atol=1e-12)
     # The limit takes all of the torque, or half of it on the wheel that turns twice as fast.
     held = run.joint("a/j0" if side == 0 else "a/j1").limit_impulse
@@ -122,6 +126,7 @@ def test_gripper_presses_with_half_the_force_on_each_side():
     scene.add_gear("a", "j0", "j1", -1.0)
     scene.add_box("box", (0.1, 0.4, 0.4), 1.0, position=(0.0, 0.0, 0.0))
     run = nd.simulate(scene, 0.5, 1e-2, controller=lambda t, q, v: {"a": (10.0, 0.0)})
+    assert nd.check(run).passed, nd.check(run)
     assert run.joint("a/j0").position[-1] == pytest.approx(0.05, abs=1e-7)
     assert run.joint("a/j1").position[-1] == pytest.approx(-0.05, abs=1e-7)
     state = nd.Stepper(scene, 1e-2, controller=lambda t, q, v: {"a": (10.0, 0.0)})
@@ -141,6 +146,7 @@ def test_urdf_mimic(tmp_path):
     scene.add_urdf("r", path)
     assert scene.articulations["r"].report == () and scene.articulations["r"].q.tolist() == [0.0, 0.1]
     run = nd.simulate(scene, 0.5, 5e-3, controller=lambda t, q, v: {"r": (1.0, 0.0)})
+    assert nd.check(run).passed, nd.check(run)
     assert np.ptp(run.q[:, 0]) > 0.1
     np.testing.assert_allclose(run.q[:, 1], 0.1 - 2 * run.q[:, 0], rtol=0.0, atol=1e-12)
     model = pin.buildModelFromXML(path.read_text(), mimic=True)
@@ -239,6 +245,7 @@ def test_a_driven_wheel_drives_the_other():
     scene = scene_of(model_of(pin.JointModelRZ(), pin.JointModelRZ()), -0.5)
     scene.set_motion("a/j0", lambda t: 2.0 * t)
     run = nd.simulate(scene, 1.0, 1e-2)
+    assert nd.check(run).passed, nd.check(run)
     np.testing.assert_allclose(run.v[-1], (2.0, -1.0), rtol=1e-12)
     assert run.energy.constraint.sum() == pytest.approx(0.5 * (0.1 * 4.0 + 0.4), rel=1e-9)
     scene.set_motion("a/j1", 1.0)

@@ -165,13 +165,16 @@ def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
                 # What drives a joint takes its friction, which does nothing to the motion.
                 some = (m.friction > 0.0) | (drag != 0.0)
                 some[m.driven] = False
-                for j in np.flatnonzero(some):
-                    over = abs(drag[j]) - most_drag[j]
+                for on in m.rubbing:
+                    if not some[on].any():
+                        continue
+                    j, pull = on[0], drag[on]
+                    over = float(np.linalg.norm(pull)) - most_drag[j]
                     bounds.append((over / max(most_drag[j], NOTHING * most, 1e-300), over, k + 1, label[j]))
-                    speeds = np.array([v[j], kick.before[j], kick.after[j], v1[j]])
+                    speeds = np.array([v[on], kick.before[on], kick.after[on], v1[on]])
                     # Within a step that begins and ends with other signs anything may be against the motion.
-                    wasted = (most_drag[j] * np.abs(speeds) + drag[j] * speeds).min()
-                    turns = speeds.min() <= 0.0 <= speeds.max()
+                    wasted = (most_drag[j] * np.linalg.norm(speeds, axis=1) + speeds @ pull).min()
+                    turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
                     slips.append((0.0 if turns else wasted / scale, wasted, k + 1, label[j]))
     for name, rows in (("stops", stops), ("joint_cone", bounds), ("joint_slip", slips)):
         figure, amount, step = np.array([row[:3] for row in rows]).reshape(-1, 3).T

@@ -71,6 +71,8 @@ class Mechanism:
         Laws of the joints, infinite where there is no limit.
     driven : ndarray of int
         Coordinates that move as prescribed.
+    rubbing : list of ndarray of int
+        Coordinates that dry friction acts on together: one each, but the two in which a planar joint slides.
 
     Raises
     ------
@@ -101,6 +103,10 @@ class Mechanism:
             self.speeds = {self._coordinate(j): rate for j, rate in told["driven"].items()}
             self._loops = [self._loop(loop) for loop in told["loops"]]
             self.loop_names = [str(loop["name"]) for loop in told["loops"]]
+            self._gears = [
+                (int(gear["coordinate1"]), int(gear["coordinate2"]), float(gear["ratio"]), float(gear["offset"]))
+                for gear in told["gears"]
+            ]
         except KeyError as failure:
             raise ValueError(f"{failure.args[0]} is no kind of joint that is known") from None
         self.model.armature = self.armature
@@ -110,7 +116,7 @@ class Mechanism:
         self.data = self.model.createData()
         self.nv = self.model.nv
         self.driven: Index = np.array(sorted(self.speeds), dtype=np.int64)
-        self.loops = len(self._loops)
+        self.loops = len(self._loops) + len(self._gears)
         self.bound = bool(self.loops or self.driven.size)
         self.zero, self.flat = np.zeros(self.nv), self.model.nq == self.nv
         scalars = [joint for joint in list(self.model.joints)[1:] if joint.nq == joint.nv]
@@ -118,6 +124,9 @@ class Mechanism:
         self._linear_q = np.concatenate([np.arange(j.idx_q, j.idx_q + j.nq) for j in scalars] or [np.empty(0)]).astype(
             int
         )
+        planes = [j.idx_v for j in list(self.model.joints)[1:] if j.shortname() == "JointModelPlanar"]
+        own = [j for j in range(self.nv) if j - 1 not in planes]
+        self.rubbing = [np.array([j, j + 1] if j in planes else [j]) for j in own]
         self.round = [(j.idx_v, j.idx_q) for j in list(self.model.joints)[1:] if (j.nq, j.nv) == (2, 1)]
         self.place(pin.neutral(self.model))
         self.turns = np.linalg.norm(self.data.J.reshape(6, -1, order="A")[3:], axis=0)
@@ -256,7 +265,7 @@ class Mechanism:
         return np.array(self.data.oMf[self._loops[loop][0]].translation)
 
     def constraints(self, q: Array) -> tuple[Array, Array]:
-        """Gaps of the loops, m and rad, and the rows B of loops and driven joints at q."""
+        """Gaps of loops and gears, m and rad, and the rows B of these and of driven joints at q."""
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
         gaps, rows = [np.empty(0)], [np.empty((0, self.nv))]
@@ -271,7 +280,13 @@ class Mechanism:
             if turned:
                 gaps.append(pin.log3(a.rotation @ b.rotation.T))
                 rows.append(Ja[3:] - Jb[3:])
-        rows.append(np.eye(self.nv)[self.driven])
+        coordinates, unit, round_ = self.angle(q), np.eye(self.nv), {j for j, _ in self.round}
+        for first, second, ratio, offset in self._gears:
+            # Of wheels whose turns are not counted the ratio alone is seen.
+            apart = 0.0 if {first, second} & round_ else coordinates[second] - ratio * coordinates[first] - offset
+            gaps.append(np.array([apart]))
+            rows.append((unit[second] - ratio * unit[first])[None])
+        rows.append(unit[self.driven])
         return np.concatenate(gaps), np.concatenate(rows)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:

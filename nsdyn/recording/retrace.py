@@ -11,9 +11,10 @@ Where nothing but gravity and constant joint forces act on a tree they may also 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -235,25 +236,57 @@ class Trees:
         return Kick(h, at.q, v, after, given[:4], given[4], pushed, touches, np.array([damping, springs]), reaction)
 
 
+def _grown(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The trees of an articulation as if each were alone; those that loops or gears join are one."""
+    model, first = told["model"], np.cumsum([0, *(nv for _, nv in told["sizes"])])
+    roots = [k for k, joint in enumerate(model["joints"]) if joint["parent"] == 0]
+    joined = [[k - 1 for k in loop["joints"] if k] for loop in model["loops"]]
+    joined += [
+        [int(np.searchsorted(first, gear[f"coordinate{side}"], side="right")) - 1 for side in (1, 2)]
+        for gear in model["gears"]
+    ]
+    starts = [k for k in roots if not any(min(both, default=k) < k <= max(both, default=-1) for both in joined)]
+    for begin, end in pairwise([*starts, len(model["joints"])]):
+        low, high = int(first[begin]), int(first[end])
+        part = dict(model)
+        part["joints"] = [joint | {"parent": max(0, joint["parent"] - begin)} for joint in model["joints"][begin:end]]
+        for law in ("armature", "friction", "damping", "stiffness", "rest", "effort", "lower", "upper"):
+            part[law] = model[law][low:high]
+        names = told["joints"][begin:end]
+        part["driven"] = {name: rate for name, rate in model["driven"].items() if name in names}
+        part["loops"] = [
+            loop | {"joints": [max(0, k - begin) for k in loop["joints"]]}
+            for loop in model["loops"] if begin < max(loop["joints"]) <= end
+        ]  # fmt: skip
+        part["gears"] = [
+            gear | {f"coordinate{side}": gear[f"coordinate{side}"] - low for side in (1, 2)}
+            for gear in model["gears"] if low <= gear["coordinate2"] < high
+        ]  # fmt: skip
+        yield {"name": told["name"], "joints": names, "sizes": told["sizes"][begin:end], "model": part}
+
+
 def trees(trajectory: Trajectory) -> Trees | str:
     """The articulations of a recording, or why they cannot be built; ValueError for none."""
     scene = trajectory.scene
-    q, v, row, mechanisms, at, rows = 7 * scene["free"], 6 * scene["free"], 0, [], [], []
+    q, v, row, at, rows = 7 * scene["free"], 6 * scene["free"], 0, [], []
+    mechanisms: list[Mechanism] = []
     places: dict[str, tuple[int, int]] = {}
-    for k, told in enumerate(scene["articulations"]):
-        if "model" not in told:
+    for articulation in scene["articulations"]:
+        if "model" not in articulation:
             return "joints and masses of articulations are not recorded"
-        try:
-            m = Mechanism(told["name"], told["joints"], told["model"], scene["gravity"])
-        except ValueError as failure:
-            return f"{told['name']!r} cannot be built: {failure}"
-        if (m.model.nq, m.nv) != (told["nq"], told["nv"]):
-            return f"{told['name']!r} cannot be built: it has {m.model.nq} and {m.nv} coordinates"
-        mechanisms.append(m)
-        at.append((slice(q, q + told["nq"]), slice(v, v + told["nv"])))
-        rows.append(slice(row, row + told["nv"]))
-        places |= {f"{told['name']}/{joint}": (k, i) for i, joint in enumerate(told["joints"], 1)}
-        q, v, row = q + told["nq"], v + told["nv"], row + told["nv"]
+        for told in _grown(articulation):
+            try:
+                m = Mechanism(told["name"], told["joints"], told["model"], scene["gravity"])
+            except ValueError as failure:
+                return f"{told['name']!r} cannot be built: {failure}"
+            nq, nv = np.sum(told["sizes"], axis=0)
+            if (m.model.nq, m.nv) != (nq, nv):
+                return f"{told['name']!r} cannot be built: it has {m.model.nq} and {m.nv} coordinates"
+            places |= {f"{told['name']}/{joint}": (len(mechanisms), i) for i, joint in enumerate(told["joints"], 1)}
+            mechanisms.append(m)
+            at.append((slice(q, q + nq), slice(v, v + nv)))
+            rows.append(slice(row, row + nv))
+            q, v, row = q + nq, v + nv, row + nv
     frames: list[Any] = scene["frames"]
     links = {k: places[name] for k, name in enumerate(frames) if k >= scene["free"] and name in places}
     return Trees(trajectory, tuple(mechanisms), tuple(at), tuple(rows), links)

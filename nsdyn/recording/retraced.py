@@ -83,6 +83,20 @@ def retraced(poses: Poses) -> Retraced | str:
     return out
 
 
+def _unseen(found: Trees, i: int, m: Mechanism, k: int) -> Array:
+    """How far driven joints of a law that is not recorded may be from even speeding up within step k, (nv,), rad/s.
+
+    A parabola through the states beside the step is from its chord by an eighth of the second difference at most.
+    """
+    out, told = np.zeros(m.nv), np.array([m.speeds[int(j)] is None for j in m.driven], dtype=bool)
+    free = m.driven[told]
+    states = range(max(0, k - 1), min(found.trajectory.steps, k + 2) + 1)
+    v = np.array([found.state(i, row)[1][free] for row in states])
+    if free.size and len(v) > 2:
+        out[free] = np.abs(np.diff(v, n=2, axis=0)).max(axis=0) / 8.0
+    return out
+
+
 def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     """How far a step ends from where it leads."""
     (_, v0), (q, v) = out.trees.state(i, k), out.trees.state(i, k + 1)
@@ -104,6 +118,8 @@ def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
     # The constants of two rules of one order differ by some times.
     doubt = 10.0 * doubt if m.loops else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
+    if len(way.kicks) > 1:
+        doubt[0] += h * size(_unseen(out.trees, i, m, k))
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
     off = size(np.array(pin.difference(m.model, way.q, q)))
     for pair, amount, scale in (

@@ -7,6 +7,7 @@ the inertia that they carry. `nsdyn.recording.mechanism` builds the model again.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ def describe_tree(a: Articulation, motions: Mapping[str, Motion]) -> dict[str, A
     dict
         joints, one after the other with their parents before them (kind, parent, pose in its frame, mass, com, inertia
         about it); armature, friction, damping, stiffness, rest, effort, lower, upper, each (nv,); restitution of the
-        limits; loops; driven, {joint: its velocity, null if it varies}.
+        limits; loops; gears; driven, {joint: its velocity, null if it varies}.
     """
     m, laws = a.model, ("armature", "friction", "damping", "stiffness", "rest", "effort")
     prefix = f"{a.name}/"
@@ -59,6 +60,7 @@ def describe_tree(a: Articulation, motions: Mapping[str, Motion]) -> dict[str, A
             }
             for loop in a.loops
         ],
+        "gears": [asdict(gear) for gear in a.gears],
         "driven": driven,
     }  # fmt: skip
 
