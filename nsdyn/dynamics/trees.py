@@ -88,7 +88,7 @@ class Tree:
         self._weightless.gravity = pin.Motion.Zero()
         # Pinocchio's kinetic energy leaves out the armature of joints about axes that are none of the coordinates'.
         self._bare, self._armature = self.model.copy(), a.armature
-        self._bare.armature = np.zeros(nv)
+        self._bare.armature, self._armoured = np.zeros(nv), bool(a.armature.any())
         # Views of Pinocchio's own memory, in which each evaluation shows; one with nv = 1 comes without its last axis.
         self._J: Array = self.data.J.reshape(6, nv, order="A")
         self._R, self._x = pose_views(self.data.oMi, self.model.njoints)
@@ -435,8 +435,9 @@ class Tree:
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""
         pin.computeMechanicalEnergy(self._bare, self.data, q, v)
-        kinetic = float(self.data.kinetic_energy) + 0.5 * float(v @ (self._armature * v))
-        potential = float(self.data.potential_energy)
+        kinetic, potential = float(self.data.kinetic_energy), float(self.data.potential_energy)
+        if self._armoured:
+            kinetic += 0.5 * float(v @ (self._armature * v))
         if self._springs:
             deviation = self._deviation(self.angle(q), self.rest)
             potential += 0.5 * float(deviation @ (self.stiffness * deviation))
