@@ -16,7 +16,7 @@ from nsdyn.dynamics.runge_kutta import TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import PLANAR, Articulation
-from nsdyn.scene.gears import Gear, GearGaps
+from nsdyn.scene.gears import Gear, GearGaps, joint_at
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -143,8 +143,7 @@ class Tree:
 
     def joint_of(self, coordinate: int) -> str:
         """Name of the joint that a coordinate belongs to."""
-        starts = [joint.idx_v for joint in self.model.joints[1:]]
-        return str(self.model.names[int(np.searchsorted(starts, coordinate, side="right"))])
+        return str(self.model.names[joint_at(self.model, coordinate)])
 
     def angle(self, q: Array) -> Array:
         """Joint coordinates in rad or m, shape (nv,); 0 where a joint has none of its own (free, spherical)."""

@@ -103,7 +103,9 @@ class Inspection:
         return asdict(self) | {"passed": self.passed}
 
     def __repr__(self) -> str:
-        counts = f"{len(self.masses)} masses, {len(self.joints)} joint coordinates, {self.shapes} shapes"
+        words = ("mass", "es"), ("joint coordinate", "s"), ("shape", "s")
+        numbers = len(self.masses), len(self.joints), self.shapes
+        counts = ", ".join(f"{n} {word}{more * (n != 1)}" for n, (word, more) in zip(numbers, words, strict=True))
         lines = [f"{self.name}: {counts}, {self._totals()}"]
         labels = [f"{body.name} (fixed)" if body.fixed else body.name for body in self.masses]
         width = max([10, *map(len, labels), *(len(joint.name) for joint in self.joints)])

@@ -132,7 +132,7 @@ class Inspector {
       this.set("kinetic energy", withUnit(recording.arrays["bodies/kinetic"][at], "J"));
       const place = stage.origin(frame);
       this.set("−m g·x", withUnit(-mass * recording.gravity.reduce((sum, g, k) => sum + g * place[k], 0), "J"));
-      this.set("mass", withUnit(mass, "kg"));
+      this.set("mass", plain(mass, "kg"));
     }
     const force = recording.force(number, t);
     if (!force) return;
