@@ -98,7 +98,6 @@ class Mechanism:
             sizes = {x.shape for x in (*laws, *bounds)}
             if sizes != {(self.model.nv,)}:
                 raise ValueError(f"its laws are of {sizes}, not of {self.model.nv} coordinates")
-            self.effort = np.array([np.inf if x is None else x for x in told["effort"]], float)
             self.restitution = float(told["restitution"])
             self.speeds = {self._coordinate(j): rate for j, rate in told["driven"].items()}
             self._loops = [self._loop(loop) for loop in told["loops"]]
