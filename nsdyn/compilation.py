@@ -96,7 +96,7 @@ def _problems() -> None:
         solvers.GaussSeidel(1e-8, local=local)(matrix)
     factors = Stepper(scenes.load("stack")(height=2), 5e-3).step().problem
     assert factors.blocks is not None
-    given = factors.q, factors.mu, factors.scales, factors.q_norm
+    given = factors.q, factors.mu, factors.scales
     for means in (ByFactors(factors.blocks, *given), ByMatrix(factors.csr, *given)):
         r = np.zeros_like(factors.q)
         means.accelerated(r, 1e-8, 4, 4)
@@ -104,13 +104,13 @@ def _problems() -> None:
         interior(means.operator, factors.q, factors.mu, factors.scales, r, 1e-8, factors.q_norm, 3)
         continuation(means, r, 1e-8, 3)
         means.newton(r, 0.0, 10.0, 3)
-    smooth = ByFactors(factors.blocks, factors.q, 0.0 * factors.mu, factors.scales, factors.q_norm)
+    smooth = ByFactors(factors.blocks, factors.q, 0.0 * factors.mu, factors.scales)
     smooth.nesterov(np.zeros_like(r)).run(1e-8, 4, 4)
     # Where sweeps do not suffice.
     heavy = Stepper(scenes.load("heavy_on_light")(ratio=1e4), 5e-3).step().problem
     solvers.by_name("auto")(FC3D(heavy.W, heavy.q, heavy.mu))
     label, islands = np.empty(factors.nc, np.int64), np.empty((2, factors.nc))
-    start.left_by_matrix(factors.csr, *given[:3], r, r, factors.q_norm, label, islands)
+    start.left_by_matrix(factors.csr, *given, r, r, label, islands)
     for problem in (factors, Stepper(scenes.load("quadruped")(), 5e-3).step().problem):
         assert problem.blocks is not None
         opening = gauss.Opening(np.zeros(problem.blocks.n), problem.nc, 1.0)

@@ -128,7 +128,7 @@ def test_what_is_posed_anew_is_asked_for_less(height, rough, loose):
 def test_continuation_from_nothing():
     """A kicked stack by its factors and by W alone; friction is large, so that the path turns back in places."""
     problem = kicked_stack(height=8, ratio=30.0)
-    given = problem.q, problem.mu, problem.scales, problem.q_norm
+    given = problem.q, problem.mu, problem.scales
     assert problem.blocks is not None
     for means in (ByFactors(problem.blocks, *given), ByMatrix(problem.csr, *given)):
         r = np.empty_like(problem.q)
@@ -140,7 +140,7 @@ def test_continuation_from_what_is_near(rng):
     """From an impulse that misses by little the path is shorter than from nothing."""
     problem = kicked_stack(height=8, ratio=30.0)
     assert problem.blocks is not None
-    means = ByFactors(problem.blocks, problem.q, problem.mu, problem.scales, problem.q_norm)
+    means = ByFactors(problem.blocks, problem.q, problem.mu, problem.scales)
     from_nothing, _ = continuation(means, np.empty_like(problem.q), 1e-6, 400)
     near = nd.solve(problem, tol=1e-10).r * (1.0 + 1e-4 * rng.normal(size=problem.q.size))
     missed = max(problem.error(near), problem.residual(near))
@@ -158,13 +158,13 @@ def test_continuation_where_nothing_else_converges(mu, rng):
     q[::3] += rng.uniform(0, 1, nc)
     problem = nd.FC3D(H.T @ H, q, np.full(nc, mu))
     r = np.empty_like(q)
-    continuation(ByMatrix(problem.csr, q, problem.mu, problem.scales, problem.q_norm), r, 1e-8, 1000)
+    continuation(ByMatrix(problem.csr, q, problem.mu, problem.scales), r, 1e-8, 1000)
     assert problem.solved(r, 1e-8)[0]
 
 
 def test_continuation_ends_by_the_effort_allowed():
     problem = kicked_stack(height=8)
-    means = ByMatrix(problem.csr, problem.q, problem.mu, problem.scales, problem.q_norm)
+    means = ByMatrix(problem.csr, problem.q, problem.mu, problem.scales)
     used, _ = continuation(means, np.empty_like(problem.q), 0.0, 20)
     assert 20 <= used < 40
 

@@ -40,7 +40,7 @@ class Search:
     count : int
         Sweeps and factorisations.
     tol, loose, coarse : float
-        The island's shares of the tolerances and of `Tuning.coarse`.
+        The tolerances and `Tuning.coarse`, with a margin.
     large : bool
         Whether a factorisation is worth many sweeps.
     abrupt : bool
@@ -49,10 +49,10 @@ class Search:
         Seconds by counts of operations; from the loose tolerance on the limit is a multiple of what that has cost.
     """
 
-    def __init__(self, means: Means, r: Array, share: float, auto: Auto, large: bool) -> None:
+    def __init__(self, means: Means, r: Array, auto: Auto, large: bool) -> None:
         self.means, self.r, self.large = means, r, large
         tols = np.array([auto.tol, max(auto.tol, auto.loose), TUNING.coarse])
-        self.tol, self.loose, self.coarse = (TUNING.margin * share * tols).tolist()
+        self.tol, self.loose, self.coarse = (TUNING.margin * tols).tolist()
         self.best, self.count, self.spent = np.inf, 0, 0.0
         self.limit = self._longest = TUNING.longest[self.loose < self.coarse] * means.factorisation
         self._sweeps: Interruptible | None = None
@@ -65,7 +65,7 @@ class Search:
         self._calm = TUNING.warm[1] if large else TUNING.calm
         if residual <= TUNING.rest * self.loose:
             self._calm = TUNING.calm_at_rest
-        self._note(max(error * p.q_norm / means.q_norm, residual), 0, 0.0)
+        self._note(max(error, residual), 0, 0.0)
 
     def _note(self, best: float, count: int, seconds: float) -> None:
         """Book what was done."""
@@ -125,7 +125,7 @@ class Search:
         if self._over(self.tol) or self.spent + most * m.factorisation > self.limit:
             return
         p = m.problem
-        used, best = interior(m.operator, p.q, p.mu, p.scales, x, self.tol, m.q_norm, most, self.coarse)
+        used, best = interior(m.operator, p.q, p.mu, p.scales, x, self.tol, p.q_norm, most, self.coarse)
         if self.tol < best <= self.coarse:
             more, best = m.newton(x, self.tol, TUNING.near, finish)
             used += more
@@ -196,7 +196,7 @@ class Search:
             return
         p = self.means.problem
         solution = ImpulseNewton(self.tol, TUNING.impulse_steps)(p, self.r)
-        best = max(solution.error * p.q_norm / self.means.q_norm, solution.residual)
+        best = max(solution.error, solution.residual)
         if best < self.best:
             self.r[:] = solution.r
         self._note(best, solution.iterations, solution.iterations * cost)
@@ -319,24 +319,25 @@ class Auto:
 
     def _given_factors(self, problem: FC3D, r: Array, start: float) -> Solution:
         """Solve a problem with factors from r, in place of r, since the time `start`."""
-        q_norm, enough, nc, blocks = problem.q_norm, TUNING.sharp(self.tol), problem.nc, cast(Blocks, problem.blocks)
-        u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((2, nc))
+        enough, nc, blocks = TUNING.sharp(self.tol), problem.nc, cast(Blocks, problem.blocks)
+        u, label, islands = np.empty(3 * nc), np.empty(nc, np.int64), np.empty((3, nc))
         given = problem.q, problem.mu, problem.scales
         found, left, count, error, residual = _start.by_factors(
-            blocks.arrays, *given, r, u, label, islands, enough, TUNING.margin * self.accept * self.tol, q_norm, LIMITS
-        )  # fmt: skip
+            blocks.arrays, *given, r, u, label, islands, enough, TUNING.margin * self.accept * self.tol, LIMITS
+        )
         if not left:
+            error /= problem.q_norm
             if error <= self.tol and residual <= self.tol:
                 # As `Solution.measured`, in a third of the time
                 return tuple.__new__(Solution, (r, u, CONVERGED, error, residual, count, clock() - start))
             return self._measured(r, u, error, residual, count, start)
-        measures, share = islands[:, :found]
+        measures = islands[0, :found]
         for k in (~(measures <= enough)).nonzero()[0].tolist():
             contacts, part = island(blocks, label, k)
             i = rows(contacts, nc)
             x = r[i].copy()
-            means = ByFactors(part, problem.q[i], problem.mu[contacts], problem.scales[contacts], q_norm)
-            count += self._island(means, x, float(share[k]), part.n > DENSE)
+            means = ByFactors(part, problem.q[i], problem.mu[contacts], problem.scales[contacts])
+            count += self._island(means, x, part.n > DENSE)
             r[i] = x
         return self._judged(problem, r, count, start)
 
@@ -356,19 +357,19 @@ class Auto:
             found = r, u, CONVERGED, error, residual, count, clock() - start
             return tuple.__new__(Solution, found)
         label, islands = np.empty(nc, np.int64), np.empty((2, nc))
-        measures, share = islands[:, : _start.left_by_matrix(W, q, mu, scales, r, u, q_norm, label, islands)]
-        for k in (~(measures <= TUNING.margin * self.tol * share)).nonzero()[0]:
+        measures = islands[0, : _start.left_by_matrix(W, q, mu, scales, r, u, label, islands)]
+        for k in (~(measures <= TUNING.margin * self.tol)).nonzero()[0]:
             contacts = np.flatnonzero(label == k)
             i = rows(contacts, nc)
             x, part = r[i], _local.extract(W, contacts)
-            means = ByMatrix(part, q[i], mu[contacts], scales[contacts], q_norm)
-            count += self._island(means, x, float(share[k]), contacts.size > TUNING.dense)
+            means = ByMatrix(part, q[i], mu[contacts], scales[contacts])
+            count += self._island(means, x, contacts.size > TUNING.dense)
             r[i] = x
         return self._judged(problem, r, count, start)
 
-    def _island(self, means: Means, r: Array, share: float, large: bool) -> int:
-        """Solve one island in place of r, to its share of the tolerances; iterations used."""
-        search = Search(means, r, share, self, large and means.factorisation > TUNING.heavy * means.sweep)
+    def _island(self, means: Means, r: Array, large: bool) -> int:
+        """Solve one island in place of r; iterations used."""
+        search = Search(means, r, self, large and means.factorisation > TUNING.heavy * means.sweep)
         self._run(search)
         return search.count
 

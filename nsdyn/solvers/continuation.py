@@ -104,7 +104,7 @@ class Path:
 
     def __init__(self, means: Means, stretch: float, near: Array, speed: float) -> None:
         p = means.problem
-        self.W, self.q, self.mu, self.scales, self.q_norm = means.operator, p.q, p.mu, p.scales, means.q_norm
+        self.W, self.q, self.mu, self.scales, self.q_norm = means.operator, p.q, p.mu, p.scales, p.q_norm
         self.kappa = stretch / p.scales
         self.k = np.repeat(self.kappa, 3)
         self.G0 = np.zeros_like(p.q)
@@ -328,13 +328,13 @@ class Continuation:
         r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
         count = 0
         if problem.nc and not problem.solved(r, self.tol)[0]:
-            q, mu, scales, q_norm = problem.q, problem.mu, problem.scales, problem.q_norm
             if problem.blocks is None:
-                count, _ = continuation(ByMatrix(problem.csr, q, mu, scales, q_norm), r, 0.9 * self.tol, self.max_iter)
+                given = problem.csr, problem.q, problem.mu, problem.scales
+                count, _ = continuation(ByMatrix(*given), r, 0.9 * self.tol, self.max_iter)
             else:
 
                 def solve(part: Blocks, q: Array, mu: Array, scales: Array, x: Array, tol: float) -> int:
-                    return continuation(ByFactors(part, q, mu, scales, q_norm), x, tol, self.max_iter)[0]
+                    return continuation(ByFactors(part, q, mu, scales), x, tol, self.max_iter)[0]
 
                 count = by_islands(problem, problem.blocks, r, self.tol, solve)
         return Solution.judge(problem, r, self.tol, count, clock() - start, Status.MAX_ITERATIONS)

@@ -43,14 +43,11 @@ class Means(Protocol):
     Attributes
     ----------
     problem : FC3D
-    q_norm : float
-        Of the whole problem that this is an island of.
     factorisation, sweep, accelerated_sweep : float
         Seconds they take, by counts of operations: the same whatever the machine is busy with.
     """
 
     problem: FC3D
-    q_norm: float
     factorisation: float
     sweep: float
     accelerated_sweep: float
@@ -80,9 +77,8 @@ def _accelerated(
 class ByFactors:
     """Means for a problem given by factors."""
 
-    def __init__(self, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> None:
-        self.blocks, self.q_norm = blocks, q_norm
-        self.problem = FC3D.from_blocks(blocks, q, mu, scales)
+    def __init__(self, blocks: Blocks, q: Array, mu: Array, scales: Array) -> None:
+        self.blocks, self.problem = blocks, FC3D.from_blocks(blocks, q, mu, scales)
         self._given = q, mu, scales
         work = float(_matrix.elimination_work(blocks.offset, blocks.block))
         self.factorisation = COORDINATE * blocks.n + ROW * blocks.nc + ROOT * math.sqrt(work)
@@ -97,24 +93,24 @@ class ByFactors:
 
     def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
         """Accelerated Gauss–Seidel."""
-        return _accelerated(_pgs.factors(self.blocks.arrays), *self._given, r, tol, self.q_norm, most, patience)
+        return _accelerated(_pgs.factors(self.blocks.arrays), *self._given, r, tol, self.problem.q_norm, most, patience)
 
     def nesterov(self, r: Array) -> Interruptible:
         """Sweeps with momentum from r, the best into r."""
         if self.free:
-            return Sweeps(self.blocks, *self._given, r, self.q_norm)
-        return MatrixSweeps(self.problem.csr, *self._given, r, self.q_norm)
+            return Sweeps(self.blocks, *self._given, r, self.problem.q_norm)
+        return MatrixSweeps(self.problem.csr, *self._given, r, self.problem.q_norm)
 
     def newton(self, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
         """Semismooth Newton of at most so many factorisations."""
-        return solve_blocks(self.blocks, *self._given, r, tol, self.q_norm, penalty, most)
+        return solve_blocks(self.blocks, *self._given, r, tol, self.problem.q_norm, penalty, most)
 
 
 class ByMatrix:
     """Means for a problem given by a block-sparse W, which need not be symmetric."""
 
-    def __init__(self, W: tuple[Index, Index, Array], q: Array, mu: Array, scales: Array, q_norm: float) -> None:
-        self.W, self.q_norm = W, q_norm
+    def __init__(self, W: tuple[Index, Index, Array], q: Array, mu: Array, scales: Array) -> None:
+        self.W = W
         start, columns, values = W
         self.problem = FC3D(sp.bsr_array((values, columns, start), shape=(q.size, q.size)), q, mu)
         self._given = q, mu, scales
@@ -128,12 +124,12 @@ class ByMatrix:
 
     def accelerated(self, r: Array, tol: float, most: int, patience: int) -> tuple[int, float]:
         """Accelerated Gauss–Seidel."""
-        return _accelerated(_pgs.matrix(*self.W), *self._given, r, tol, self.q_norm, most, patience)
+        return _accelerated(_pgs.matrix(*self.W), *self._given, r, tol, self.problem.q_norm, most, patience)
 
     def nesterov(self, r: Array) -> Interruptible:
         """Sweeps with momentum from r, the best into r."""
-        return MatrixSweeps(self.W, *self._given, r, self.q_norm)
+        return MatrixSweeps(self.W, *self._given, r, self.problem.q_norm)
 
     def newton(self, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
         """Semismooth Newton of at most so many factorisations."""
-        return solve_impulses(self.operator, *self._given, r, tol, self.q_norm, penalty, most)
+        return solve_impulses(self.operator, *self._given, r, tol, self.problem.q_norm, penalty, most)

@@ -209,7 +209,7 @@ def solve_island(W, given, r, tol, q_norm, limits):
 def solve_small(W, given, r, tol, q_norm, limits):
     """Every island of at most limits[0] contacts in place of r: one contact in closed form, more by `solve_island`.
 
-    They share the tolerance by contacts. Returns the iterations.
+    Each is a problem of its own, with its own norm of q. Returns the iterations.
     """
     indptr, indices, data = W
     q, mu, scales = given
@@ -238,7 +238,7 @@ def solve_small(W, given, r, tol, q_norm, limits):
             if contacts.size > NARROW:
                 contacts = narrow(indptr, indices, contacts)
             own_q, own_mu, own_scales, x = gather(contacts, q, mu, scales, r)
-            part, share = extract(W, contacts), math.sqrt(contacts.size / nc)
-            count += solve_island(part, (own_q, own_mu, own_scales), x, share * tol, q_norm, limits)
+            own_norm = math.sqrt(np.sum(own_q * own_q)) or 1.0
+            count += solve_island(extract(W, contacts), (own_q, own_mu, own_scales), x, tol, own_norm, limits)
             scatter(contacts, x, r)
     return count

@@ -137,15 +137,25 @@ def measure_of(blocks, q, mu, scales, q_norm, r, y, u, work):
 
 
 @in_place
-def measures_of_islands(label, scales, q_norm, u, r, mu, out):
-    """The measure of every island by itself, for the impulse r and its velocity u, into out (islands,)."""
+def norms_of_islands(label, q, out):
+    """The norm of q of every island, 1 where it is 0, into out (islands,)."""
+    out[:] = 0.0
+    for i in range(q.size):
+        out[label[i // 3]] += q[i] * q[i]
+    for k in range(out.size):
+        out[k] = math.sqrt(out[k]) or 1.0
+
+
+@in_place
+def measures_of_islands(label, scales, norms, u, r, mu, out):
+    """The measure of every island as a problem of its own, of that norm, for the impulse r and its u, into out."""
     # First the errors, whose squares add up.
     out[:] = 0.0
     for c in range(mu.size):
         part = slice(3 * c, 3 * c + 3)
         out[label[c]] += natural_error(u[part], r[part], mu[c : c + 1]) ** 2
     for k in range(out.size):
-        out[k] = math.sqrt(out[k]) / q_norm
+        out[k] = math.sqrt(out[k]) / norms[k]
     for c in range(mu.size):
         part, k = slice(3 * c, 3 * c + 3), label[c]
         residual = natural_residual(scales[c : c + 1], u[part], r[part], mu[c : c + 1])

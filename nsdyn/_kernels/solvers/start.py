@@ -1,7 +1,5 @@
 """What a solve begins with, in one call: judge the start, solve whole what is small, judge again."""
 
-import math
-
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
@@ -77,55 +75,52 @@ def part(blocks, label, k, q, mu, scales, r, measure, enough, good, q_norm, limi
 
 
 @in_place
-def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, accept, q_norm, limits):
-    """Solve every island of few coordinates in place of r, unless r is good `enough`.
+def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits):
+    """Solve every island of few coordinates in place of r, where r is not good `enough`.
 
-    One contact in closed form, more by `small`, to be `enough` or at least `accept` times their share. (So is one whose
-    W_cc is singular, as at the tip of an arm of two joints, where the closed form may miss.) The islands into
-    label (nc,), into islands (2, nc) their measures, 0 for those that end within `accept` times their share, and their
-    shares of the tolerance by contacts, since the literature's error adds the islands up in squares and the judge
-    measures them together. Returns their number, 0 if r was good enough, whether one is left, the factorisations, and
-    the literature's error and the residual of r where none is left; then its u = W r + q is in u. limits = (most
-    coordinates, penalty, most steps, a few steps).
+    One contact in closed form, more by `small`, to be `enough` or at least `good`. (So is one whose W_cc is singular,
+    as at the tip of an arm of two joints, where the closed form may miss.) Every island is a problem of its own, with
+    its own norm of q: what one gets does not depend on the others, and all together are as good as the worst. The
+    islands into label (nc,), into islands (3, nc) their measures, 0 for those that end `good`, norms and contacts.
+    Returns their number, whether one is left, the factorisations, and, where none is left, the defect of the literature
+    and the residual of r; then its u = W r + q is in u. limits = (most coordinates, penalty, most steps, a few steps).
     """
     top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
-    if top / q_norm <= enough and residual <= enough:
-        return 0, False, 0, top / q_norm, residual
     offset, block = blocks[:2]
     found = _blocks.islands(block, offset.size - 1, label)
-    measures, share = islands[0, :found], islands[1, :found]
-    newton.measures_of_islands(label, scales, q_norm, u, r, mu, measures)
-    share[:] = 0.0
+    measures, norms, size = islands[0, :found], islands[1, :found], islands[2, :found]
+    newton.norms_of_islands(label, q, norms)
+    newton.measures_of_islands(label, scales, norms, u, r, mu, measures)
+    size[:] = 0.0
     for c in range(label.size):
-        share[label[c]] += 1.0
+        size[label[c]] += 1.0
     count, left, changed, c = 0, False, False, 0
     for k in range(found):
-        good, wanted = accept * math.sqrt(share[k] / label.size), enough
+        wanted = enough
         while label[c] != k:  # the first contact of an island comes after that of the one before
             c += 1
-        if measures[k] > enough and share[k] == 1.0:
-            measures[k] = only_contact(blocks, c, q, mu, scales, r, q_norm)
+        if measures[k] > enough and size[k] == 1.0:
+            measures[k] = only_contact(blocks, c, q, mu, scales, r, norms[k])
             wanted = good
             count += 1
             changed = True
         if not measures[k] <= wanted:
             if found == 1 and offset.size == 2:  # one body, nothing to extract
                 if offset[-1] <= limits[0]:
-                    used, measures[k] = small(blocks, q, mu, scales, r, measures[k], enough, good, q_norm, limits)
+                    used, measures[k] = small(blocks, q, mu, scales, r, measures[k], enough, good, norms[k], limits)
                     count += used
             else:
                 used, measures[k] = part(
-                    blocks, label, k, q, mu, scales, r, measures[k], enough, good, q_norm, limits
+                    blocks, label, k, q, mu, scales, r, measures[k], enough, good, norms[k], limits
                 )  # fmt: skip
                 count += used
             changed = True
-        share[k] = math.sqrt(share[k] / label.size)
         if measures[k] <= good:
             measures[k] = 0.0
         left = left or not measures[k] <= enough
     if changed and not left:
         top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
-    return found, left, count, top / q_norm, residual
+    return found, left, count, top, residual
 
 
 @in_place
@@ -163,13 +158,9 @@ def by_matrix(W, q, mu, scales, r, u, tol, margin, q_norm, limits):
 
 
 @in_place
-def left_by_matrix(W, q, mu, scales, r, u, q_norm, label, islands):
-    """Islands of W into label (nc,), their measures and shares of the tolerance into islands (2, nc); how many."""
+def left_by_matrix(W, q, mu, scales, r, u, label, islands):
+    """Islands of W into label (nc,), their measures and norms of q into islands (2, nc); how many."""
     found = local.islands(W[0], W[1], label)
-    newton.measures_of_islands(label, scales, q_norm, u, r, mu, islands[0, :found])
-    islands[1, :found] = 0.0
-    for c in range(label.size):
-        islands[1, label[c]] += 1.0 / label.size
-    for k in range(found):
-        islands[1, k] = math.sqrt(islands[1, k])
+    newton.norms_of_islands(label, q, islands[1, :found])
+    newton.measures_of_islands(label, scales, islands[1, :found], u, r, mu, islands[0, :found])
     return found
