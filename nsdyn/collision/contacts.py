@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn._kernels.collision import advancement
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["ContactMemory", "ContactSet", "Poses", "Touches", "carry"]
+__all__ = ["ContactMemory", "ContactSet", "Looked", "Poses", "Touches", "carry"]
 
 
 class ContactSet(NamedTuple):
@@ -78,6 +78,21 @@ class Poses(NamedTuple):
 
     x: Array
     R: Array
+
+
+class Looked(NamedTuple):
+    """Where contacts were looked for, and how far.
+
+    Attributes
+    ----------
+    x, R : ndarray, shapes (frames, 3), (frames, 3, 3)
+    reach : ndarray, shape (frames,)
+        m.
+    """
+
+    x: Array
+    R: Array
+    reach: Array
 
 
 class Touches(NamedTuple):

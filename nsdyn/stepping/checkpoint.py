@@ -1,9 +1,8 @@
 """The state of a run as plain arrays, from which it goes on bit for bit.
 
 Everything of `nsdyn.stepping.stepper.State` is stored but what is found again to the last bit: the links of trees and
-their energies, which follow from their coordinates, and the basis of the warm start, of which the rows of the contacts
-are kept only where the next step may use them. They must be: they were made where the contacts were found, which may be
-another place than the present one by what counts as closed, so that new ones would differ.
+their energies, which follow from their coordinates, and the basis of the warm start, which follows from the contacts
+and where they were looked for.
 """
 
 from __future__ import annotations
@@ -11,19 +10,14 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
-from nsdyn.problem.blocks import Blocks
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Opening
 from nsdyn.scene.scene import Scene
-from nsdyn.stepping.encounter import Basis
-from nsdyn.tools.arrays import Array
 
 if TYPE_CHECKING:
     from nsdyn.stepping.state import State
@@ -35,36 +29,14 @@ Arrays = dict[str, NDArray[Any]]
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
-class Held(NamedTuple):
-    """What of a `Basis` is not in the state besides.
-
-    Attributes
-    ----------
-    blocks : Blocks
-    frame : ndarray, shape (nc, 3, 3)
-    q : ndarray, shape (3 nc,)
-        Of its problem, m/s.
-    """
-
-    blocks: Blocks
-    frame: Array
-    q: Array
-
-
-PAIRS = np.empty((0, 2), np.int64)
-HELD = Held(Blocks(NONE, PAIRS, PAIRS, NOTHING, NONE, NOTHING, NOTHING), np.empty((0, 3, 3)), NOTHING)
 OPENING = Opening(NOTHING, 0, 0.0)
 
 
 def pack(state: State) -> Arrays:
     """The arrays of a state by the names of its parts, numbers as arrays without axes."""
-    basis, trees = state.instant.warm.basis, state.instant.position.trees
     out = dict(_parts(_plain(state), "state"))
     if state.opening is not None:
         out |= _parts(state.opening, "opening")
-    # Others are of no use: see `nsdyn.stepping.encounter.Encounter.of`.
-    if basis is not None and basis.contacts is state.instant.contacts and not trees:
-        out |= _parts(Held(basis.rows.full, basis.frame, basis.problem.q), "basis")
     return out
 
 
@@ -83,11 +55,6 @@ def unpack(arrays: Arrays, like: State, dynamics: Dynamics) -> State:
         placement=instant.placement._replace(links=links),
         energies=dynamics.tree_energies(instant.position, instant.v),
     )
-    if "basis.q" in arrays:
-        held: Held = _made(HELD, "basis", arrays)
-        problem = FC3D.from_blocks(held.blocks, held.q, instant.contacts.mu)
-        basis = Basis(instant.contacts, Rows(held.blocks, {}, *NO_CLUTCHES), held.frame, problem)
-        instant = instant._replace(warm=instant.warm._replace(basis=basis))
     opening = _made(OPENING, "opening", arrays) if "opening.d" in arrays else None
     return state._replace(instant=instant, opening=opening)
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels.stepping import free as _free
-from nsdyn.collision.contacts import ContactSet
+from nsdyn.collision.contacts import ContactSet, Looked
 from nsdyn.dynamics.joints import Rows
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.stepping.encounter import Closing
-from nsdyn.stepping.instant import STILL, Instant, Looked, System
+from nsdyn.stepping.instant import STILL, Instant, System
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["end", "half", "meet"]
@@ -37,7 +37,7 @@ def half(s: System, begin: Instant, h: float) -> tuple[Array, Array, Array, Arra
 
 
 def meet(
-    s: System, contacts: ContactSet, x: Array, R: Array, v: Array, v_free: Array, begin: Instant, reach: Array,
+    s: System, contacts: ContactSet, looked: Looked, v: Array, v_free: Array, begin: Instant, reach: Array,
     closing: Closing, h: float,
 ) -> tuple[Rows, Array, Array, Array, Index, Bools, FC3D]:  # fmt: skip
     """What a move meets at its contacts: (rows, frame, local, end_gap, place, slides, posed) of `Encounter`."""
@@ -52,7 +52,7 @@ def meet(
     local, end_gap, b = np.empty((5, 3 * nc)), np.empty(nc), np.empty(3 * nc)
     place, slides = np.empty(nc, np.int64), np.empty(nc, np.bool_)
     size, norm, good = _free.meet(
-        d.masses, (c.key, c.frame1, c.frame2, c.point, c.normal, c.gap, x, R),
+        d.masses, (c.key, c.frame1, c.frame2, c.point, c.normal, c.gap, looked.x, looked.R),
         (old.key, old.point, old.normal, begin.placement.x, *begin.twists), (begin.v, v, v_free),
         (warm.key, warm.impulse, warm.status), reach, (c.mu, c.restitution), h / warm.h, tuple(closing),
         again, (frame, block, start, H, scales), (local, end_gap, place, slides, b),

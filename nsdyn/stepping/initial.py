@@ -6,10 +6,10 @@ import warnings
 
 import numpy as np
 
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.scene.bodies import Geom
 from nsdyn.stepping.encounter import Warm
-from nsdyn.stepping.instant import Instant, Looked, System
+from nsdyn.stepping.instant import Instant, System
 from nsdyn.stepping.projection import place, project
 
 __all__ = ["begin"]
@@ -34,7 +34,8 @@ def begin(s: System, geoms: list[Geom], overlap: float, lift: bool) -> Instant:
     """
     d = s.dynamics
     position, v = d.start()
-    placed = place(d, s.detector, position, d.place(position), ContactMemory.empty())
+    at = d.place(position)
+    placed = place(d, s.detector, position, at, ContactMemory.empty(), Looked(at.x, at.R, np.zeros(d.frames)))
     where = _overlap(geoms, placed.contacts, overlap)
     if where and not lift:
         warnings.warn(f"{where}; the first step moves them apart", stacklevel=3)
@@ -45,9 +46,8 @@ def begin(s: System, geoms: list[Geom], overlap: float, lift: bool) -> Instant:
     none = np.empty((0, 3))
     warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), s.dt, None)
     at = placed.placement
-    looked = Looked(at.x, at.R, np.zeros(d.frames))
     return Instant(
-        placed.position, v, at, placed.contacts, placed.limits, placed.memory, looked, warm, d.twists(at, v),
+        placed.position, v, at, placed.contacts, placed.limits, placed.memory, placed.looked, warm, d.twists(at, v),
         d.tree_energies(placed.position, v),
     )  # fmt: skip
 

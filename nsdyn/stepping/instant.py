@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Energies, Forces, Placement, Position
@@ -21,7 +21,7 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "Looked", "System", "account", "take"]
+__all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "System", "account", "take"]
 
 NOTHING = np.empty(0)
 
@@ -38,21 +38,6 @@ JOINT = 0.1
 
 STILL = 0.5
 """Fraction of what counts as closed by which frames may have moved while the contacts that were found stay those."""
-
-
-class Looked(NamedTuple):
-    """Where contacts were looked for, and how far.
-
-    Attributes
-    ----------
-    x, R : ndarray, shapes (frames, 3), (frames, 3, 3)
-    reach : ndarray, shape (frames,)
-        m.
-    """
-
-    x: Array
-    R: Array
-    reach: Array
 
 
 class System(NamedTuple):
@@ -117,6 +102,12 @@ class System(NamedTuple):
         """Whether the contacts found somewhere are those of now, up to the gaps that `reach` (frames,) allows, m."""
         same: bool = _law.unmoved(*looked, now.x, now.R, reach, self.arm, STILL * self.closed)
         return same
+
+    def look(self, looked: Looked, x: Array, R: Array, reach: Array) -> Looked:
+        """Where to look for contacts now: where they were looked for, but for frames of which that is no longer so."""
+        out = Looked(np.empty_like(x), np.empty_like(R), np.empty_like(reach))
+        _law.look(*looked, x, R, reach, self.arm, STILL * self.closed, *out)
+        return out
 
     def deep(self, contacts: ContactSet) -> Array:
         """Overlaps, m, that a move may catch: deeper ones are impacts to be located; of joint limits depth JOINT."""

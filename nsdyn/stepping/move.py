@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
@@ -23,7 +23,7 @@ from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
-from nsdyn.stepping.instant import FAST, Impulses, Instant, Looked, System, account
+from nsdyn.stepping.instant import FAST, Impulses, Instant, System, account
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -272,7 +272,8 @@ def _reachable(
     if half.same:
         seen = Seen(begin.contacts, begin.memory, begin.looked)
     else:
-        seen = Seen(*s.detector.find(x, R, half.reach, begin.memory), Looked(x, R, half.reach))
+        looked = s.look(begin.looked, x, R, half.reach)
+        seen = Seen(*s.detector.find(*looked, begin.memory), looked)
     contacts, joints = seen.contacts, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
     if barred is None:
         if half.fast:
@@ -295,7 +296,7 @@ def _respond(
     """
     d, middle, forces, closing = s.dynamics, half.middle, half.forces, s.closing(half.h, barred is None)
     if d.alone:
-        where = middle.placement.x, middle.placement.R, middle.v, forces.v
+        where = seen.looked, middle.v, forces.v
         rows, frame, local, end_gap, place_of, slides, posed = _free.meet(
             s, contacts, *where, begin, half.reach, closing, half.h
         )
@@ -306,7 +307,9 @@ def _respond(
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
         every, moving = d.with_actuators(joints, forces), half.surfaces[1:]
-        met = Encounter.of(d, contacts, every, middle, forces, start, half.reach, moving, half.h, half.ahead, closing)
+        met = Encounter.of(
+            d, contacts, every, middle.seen(seen.looked), forces, start, half.reach, moving, half.h, half.ahead, closing
+        )
     met, impact, kick = caught_impacts(s, met, half.h)
     slides = foresee(met)
     if last is not None:
@@ -336,9 +339,9 @@ def _respond(
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
         twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
     if same:
-        moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, True)
+        moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, seen.looked, True)
     else:
-        moved = place(d, s.detector, end, there, seen.memory, near)
+        moved = place(d, s.detector, end, there, seen.memory, s.look(seen.looked, there.x, there.R, near))
     return half, Response(
         met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, twists, moved
     )
@@ -359,7 +362,7 @@ def _resume(met: Encounter, slides: Bools, last: Response) -> None:
 
 def finish(s: System, begin: Instant, tried: Trial) -> Move:
     """The move to a position without overlap, and what was done on its way."""
-    d, half, seen, a = s.dynamics, tried.half, tried.seen, tried.response
+    d, half, a = s.dynamics, tried.half, tried.response
     placed = project(d, s.detector, a.moved, half.forces, s.closed)
     v = half.middle.v
     velocities = v, v if a.impact is None else v + a.kick, a.v
@@ -377,11 +380,8 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints, own)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
-    looked = seen.looked
-    if placed.contacts is not seen.contacts:
-        looked = Looked(placed.placement.x, placed.placement.R, d.nowhere)
     end = Instant(
-        placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, looked, warm,
+        placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, placed.looked, warm,
         twists, energies,
     )  # fmt: skip
     external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)

@@ -8,7 +8,7 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Forces, Placement, Position
@@ -45,6 +45,7 @@ class Placed(NamedTuple):
     limits : ndarray
         Gaps of all joint limits, rad or m.
     memory : ContactMemory
+    looked : Looked
     clear : bool
         Whether no shapes overlap, and no joint is beyond its limits, by more than what counts as closed.
     """
@@ -54,17 +55,17 @@ class Placed(NamedTuple):
     contacts: ContactSet
     limits: Array
     memory: ContactMemory
+    looked: Looked
     clear: bool
 
 
 def place(
     dynamics: Dynamics, detector: Detector, position: Position, placement: Placement, memory: ContactMemory,
-    reach: Array | None = None,
+    looked: Looked,
 ) -> Placed:  # fmt: skip
-    """The contacts and limits at a position, whatever overlaps, up to the gaps that `reach` (frames,) allows, m."""
-    reach = np.zeros(dynamics.frames) if reach is None else reach
-    contacts, memory = detector.find(placement.x, placement.R, reach, memory)
-    return Placed(position, placement, contacts, dynamics.limits(placement), memory, True)
+    """The contacts and limits at a position, whatever overlaps, where they are `looked` for."""
+    contacts, memory = detector.find(*looked, memory)
+    return Placed(position, placement, contacts, dynamics.limits(placement), memory, looked, True)
 
 
 def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forces, closed: float) -> Placed:
@@ -112,8 +113,9 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
             break
         moved = dynamics.shift(placed.position, -deepest * rows.velocity_change(push))
         # What the next shift may reach, which is about as far as this one, must be seen.
-        near = np.full(dynamics.frames, -deepest)
-        placed = place(dynamics, detector, moved, dynamics.place(moved), placed.memory, near)
+        there = dynamics.place(moved)
+        looked = Looked(there.x, there.R, np.full(dynamics.frames, -deepest))
+        placed = place(dynamics, detector, moved, there, placed.memory, looked)
     return placed._replace(clear=_least(placed) >= -closed)
 
 

@@ -11,14 +11,14 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free
 from nsdyn.stepping.encounter import Basis, Encounter, Warm, foresee, solve
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, Looked, System, account
+from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, System, account
 from nsdyn.stepping.move import STILL_SURFACES, Half, tree_works
 from nsdyn.tools.arrays import Array
 
@@ -44,12 +44,12 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     x, quaternion, v, R, v_free, rate, reach, far, same = free.half(s, begin, h)
     if far > FAST * s.smallest:
         return None
-    seen = (old, memory, looked) if same else _looked(s, x, R, reach, old, memory, s.closed)
+    seen = (old, memory, looked) if same else _looked(s, looked, (x, R, reach), old, memory, s.closed)
     if seen is None:
         return None
     contacts, memory, looked = seen
     rows, frame, local, _, place, slides, problem = free.meet(
-        s, contacts, x, R, v, v_free, begin, reach, s.closing(h, False), h
+        s, contacts, looked, v, v_free, begin, reach, s.closing(h, False), h
     )
     solution, mu, nc = s.solver(problem, local[4]), contacts.mu, contacts.mu.size
     r = solution.r
@@ -58,7 +58,7 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     v_plus, x, quaternion, v_end, R, twists, same = free.end(
         s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
     )
-    seen = (contacts, memory, looked) if same else _looked(s, x, R, d.nowhere, contacts, memory, np.inf)
+    seen = (contacts, memory, looked) if same else _looked(s, looked, (x, R, d.nowhere), contacts, memory, np.inf)
     if seen is None or _few.least(seen[0].gap) < -s.closed:
         return None
     found, memory, looked = seen
@@ -97,13 +97,13 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     joints = d.with_actuators(d.joint_rows(there, v, forces.v, h), forces)
     if not all_closed or approach < -s.slow / h or joints is not None:
         return None
-    seen = (old, memory, looked) if half.same else _looked(s, there.x, there.R, reach, old, memory, s.closed)
+    seen = (old, memory, looked) if half.same else _looked(s, looked, (there.x, there.R, reach), old, memory, s.closed)
     if seen is None:
         return None
     contacts, memory, looked = seen
     closing = s.closing(h, False)
     start = old, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-    met = Encounter.of(d, contacts, None, middle, forces, start, reach, still, h, half.ahead, closing)
+    met = Encounter.of(d, contacts, None, middle.seen(looked), forces, start, reach, still, h, half.ahead, closing)
     problem, solution, otherwise = solve(met, s.solver, None, closing, foresee(met), False, 0)
     if otherwise:
         return None
@@ -113,7 +113,8 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
         return None
     position, v_end, place, ends = d.end(middle, forces, v_plus, impulse, half.ahead, still[1])
     limits, same = d.limits(place), s.unmoved(looked, place, d.nowhere)
-    seen = (contacts, memory, looked) if same else _looked(s, place.x, place.R, d.nowhere, contacts, memory, np.inf)
+    now = place.x, place.R, d.nowhere
+    seen = (contacts, memory, looked) if same else _looked(s, looked, now, contacts, memory, np.inf)
     if seen is None or _few.least(seen[0].gap) < -s.closed or _few.least(limits) < -s.closed:
         return None
     found, memory, looked = seen
@@ -126,10 +127,11 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
 
 
 def _looked(
-    s: System, x: Array, R: Array, reach: Array, known: ContactSet, memory: ContactMemory, most: float
+    s: System, last: Looked, now: tuple[Array, Array, Array], known: ContactSet, memory: ContactMemory, most: float
 ) -> tuple[ContactSet, ContactMemory, Looked] | None:
     """What is found at a placement; None if that is more than the contacts known with gaps of at most `most`."""
-    found, memory = s.detector.find(x, R, reach, memory)
+    looked = s.look(last, *now)
+    found, memory = s.detector.find(*looked, memory)
     if not _law.all_known(found.key, known.key, known.gap, most):
         return None
-    return found, memory, Looked(x, R, reach)
+    return found, memory, looked

@@ -107,6 +107,24 @@ def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
 
 
 @in_place
+def look(x, R, reach, x_now, R_now, reach_now, arm, tol, x_out, R_out, reach_out):
+    """Where contacts are looked for: each frame where it was until it moves by tol, or must see farther.
+
+    What is found of a pair so depends on its two frames alone. As in `unmoved`, into (x, R, reach)_out.
+    """
+    for f in range(arm.size):
+        own = slice(f, f + 1)
+        same = unmoved(
+            x[own], R[own], reach[own], x_now[own], R_now[own], reach_now[own], arm[own], tol
+        )  # fmt: skip
+        for i in range(3):
+            x_out[f, i] = x[f, i] if same else x_now[f, i]
+            for j in range(3):
+                R_out[f, i, j] = R[f, i, j] if same else R_now[f, i, j]
+        reach_out[f] = reach[f] if same else reach_now[f]
+
+
+@in_place
 def approach_of(c, frame1, frame2, point, normal, x, linear, angular):
     """Normal velocity of contact c whose frames move as in `begin_velocities`, m/s."""
     p, w = row(point, c), (0.0, 0.0, 0.0)
