@@ -88,7 +88,7 @@ def collide(
             works = works._replace(constraint=works.constraint + 0.5 * float(reaction @ (v[k] + at.v[k])))
     # What was struck is not pressed as it was: from its last impulses a solver may find what is not symmetric.
     struck = np.isin(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
-    warm = at.warm._replace(impulse=np.where(struck[:, None], 0.0, at.warm.impulse))
+    warm = at.warm._replace(force=np.where(struck[:, None], 0.0, at.warm.force))
     after = at._replace(v=v, twists=d.twists(at.placement, v), warm=warm, energies=d.tree_energies(at.position, v))
     return after, impulses, works, (impact.problem, impact.solution)
 

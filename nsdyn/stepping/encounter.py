@@ -67,22 +67,19 @@ class Warm(NamedTuple):
     ----------
     key : ndarray of int, shape (nc,)
         Names of the contacts.
-    impulse : ndarray, shape (nc, 3)
-        World axes, N·s.
+    force : ndarray, shape (nc, 3)
+        World axes, N: impulses over the length of their move.
     status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip.
     joints : ndarray, shape (slots, 3)
-        Impulses of joint limits, joint friction and actuators, by the slots of `nsdyn.dynamics.joints.JointLaws`.
-    h : float
-        Length of the move that they are of, s: those of loads grow with it.
+        Of joint limits, joint friction and actuators, by the slots of `nsdyn.dynamics.joints.JointLaws`, N m or N.
     basis : Basis, optional
     """
 
     key: Index
-    impulse: Array
+    force: Array
     status: NDArray[np.int8]
     joints: Array
-    h: float
     basis: Basis | None
 
 
@@ -211,11 +208,11 @@ class Encounter(NamedTuple):
             full.arrays, (v_begin, middle.v, forces.v), (carried, *transport), rows.press,
             (old.key, old.point, old.normal, place.x, *twists),
             (contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame, contacts.gap, there.x),
-            (warm.key, warm.impulse), reach, h / warm.h, ahead, local, end_gap, where,
+            (warm.key, warm.force), reach, h, ahead, local, end_gap, where,
         )  # fmt: skip
         mu, restitution = contacts.mu, contacts.restitution
         if joints is not None:
-            local[4, 3 * nc :] = h / warm.h * warm.joints[joints.slot].ravel()
+            local[4, 3 * nc :] = h * warm.joints[joints.slot].ravel()
             # As of springs, the law of actuators is on the velocity here, and that of what slips in axes that turn.
             here = joints.actuated | (dynamics.joints.other[joints.slot] >= 0)
             local[3, 3 * nc :].reshape(-1, 3)[here, 1:] = 0.0
@@ -238,8 +235,8 @@ class Encounter(NamedTuple):
         where, slides = np.empty(nc, np.int64), np.empty(nc, np.bool_)
         norm, good = _law.pose(
             full.arrays, (c.key, c.frame1, c.frame2, c.point, frame, c.gap, x),
-            (old.key, old.point, old.normal, place.x, *twists), velocities, (warm.key, warm.impulse, warm.status),
-            reach, (c.mu, c.restitution), h / warm.h, tuple(closing), False, scales,
+            (old.key, old.point, old.normal, place.x, *twists), velocities, (warm.key, warm.force, warm.status),
+            reach, (c.mu, c.restitution), h, tuple(closing), False, scales,
             (local, end_gap, where, slides, b),
         )  # fmt: skip
         posed = FC3D.prepared(full, b, c.mu, scales, norm) if good else FC3D.from_blocks(full, b, c.mu)

@@ -54,7 +54,7 @@ def meet(
     size, norm, good = _free.meet(
         d.masses, (c.key, c.frame1, c.frame2, c.point, c.normal, c.gap, looked.x, looked.R),
         (old.key, old.point, old.normal, begin.placement.x, *begin.twists), (begin.v, v, v_free),
-        (warm.key, warm.impulse, warm.status), reach, (c.mu, c.restitution), h / warm.h, tuple(closing),
+        (warm.key, warm.force, warm.status), reach, (c.mu, c.restitution), h, tuple(closing),
         again, (frame, block, start, H, scales), (local, end_gap, place, slides, b),
     )  # fmt: skip
     if not again:

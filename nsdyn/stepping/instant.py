@@ -246,10 +246,12 @@ def account(
     works = Works(external, normal_work, friction_work, 0.0, constraint, beyond + rest, 0.0)
     u, impulse = u_end.reshape(-1, 3), total.reshape(-1, 3)
     slots, on_joints = d.joints.impulses(met.joints, impulse[nc:], d.n) if d.trees else d.no_impulses
+    if met.joints is not None and h > 0.0:
+        slots = slots / h
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
     impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created, time, h)
-    return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)
+    return impulses, works, Warm(met.contacts.key, world, status, slots, basis)

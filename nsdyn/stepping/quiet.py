@@ -75,7 +75,7 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     impulses = Impulses(
         contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, 0.0, time, h
     )
-    warm = Warm(contacts.key, world, status, slots, h, Basis(contacts, rows, frame, problem))
+    warm = Warm(contacts.key, world, status, slots, Basis(contacts, rows, frame, problem))
     position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
     works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)

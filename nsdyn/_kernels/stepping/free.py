@@ -32,7 +32,7 @@ def half(bodies, gravity, load, position, v, h, theta, fall, looked, arm, tol, o
 
 
 @in_place
-def meet(masses, here, begin, velocities, warm, reach, materials, longer, closing, again, rows, out):
+def meet(masses, here, begin, velocities, warm, reach, materials, h, closing, again, rows, out):
     """What a move meets at its contacts and the problem that it poses; the size of H, the norm of b and its validity.
 
     masses = (block_of_frame, offset, m_start, m, minv); here = (key, frame1, frame2, point, normal, gap, x, R) where
@@ -48,7 +48,7 @@ def meet(masses, here, begin, velocities, warm, reach, materials, longer, closin
         motion.free_rows(frame1, frame2, point, frame, x, R, x.shape[0], start, H)
     blocks = (offset, block, start, H[:size], m_start, m, minv)
     norm, good = law.pose(
-        blocks, (key, frame1, frame2, point, frame, gap, x), begin, velocities, warm, reach, materials, longer, closing,
+        blocks, (key, frame1, frame2, point, frame, gap, x), begin, velocities, warm, reach, materials, h, closing,
         again, scales, out,
     )  # fmt: skip
     return size, norm, good

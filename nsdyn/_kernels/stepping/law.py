@@ -45,14 +45,14 @@ def sorted_places(old_key, new_key, begin, out):
 
 
 @in_place
-def warm_start(place, impulse, factor, frame, r):
-    """World impulses of old contacts in the frames of those that continue them, 0 for new ones, into r (3 nc,)."""
+def warm_start(place, force, h, frame, r):
+    """Impulses in h s of old contacts' world forces, in the frames of those that go on, 0 for new ones, into r (3 nc,)."""
     for c in range(place.size):
         for i in range(3):
             r[3 * c + i] = 0.0
             if place[c] >= 0:
-                p = impulse[place[c]]
-                r[3 * c + i] = factor * (frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2])
+                p = force[place[c]]
+                r[3 * c + i] = h * (frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2])
 
 
 @in_place
@@ -177,7 +177,7 @@ def known(key, old_key, old_gap, closed, out):
 
 @in_place
 def local_velocities(
-    blocks, velocities, surfaces, press, begin, here, warm, reach, longer, ahead, out, end_gap, place
+    blocks, velocities, surfaces, press, begin, here, warm, reach, h, ahead, out, end_gap, place
 ):  # fmt: skip
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
@@ -190,8 +190,8 @@ def local_velocities(
 
     `begin` has the keys, points and normals of the contacts found where the step begins, and the places and twists of
     the frames there, `here` the keys, frames, points, directions and gaps where the impulses act, and the places of the
-    frames. The places of the contacts among those of `warm`, (keys, impulses in world axes), which start the solver,
-    `longer` times as large, as the move is, into place (nc,); they need not be those found where the step begins.
+    frames. The places of the contacts among those of `warm`, (keys, forces in world axes), whose impulses in h s start
+    the solver, into place (nc,); they need not be those found where the step begins.
     """
     v_begin, v, v_free = velocities
     carried, transport, transport_end = surfaces
@@ -209,7 +209,7 @@ def local_velocities(
         transport, u_begin,
     )  # fmt: skip
     places(warm[0], key, place)
-    warm_start(place, warm[1], longer, frame, guess)
+    warm_start(place, warm[1], h, frame, guess)
     for i in range(transport.size):
         u[i] += transport[i]
         u_free[i] += transport[i]
@@ -294,7 +294,7 @@ def offsets(local, end_gap, restitution, rebound, slides, closing, b):
 
 
 @in_place
-def pose(blocks, here, begin, velocities, warm, reach, materials, longer, closing, scaled, scales, out):
+def pose(blocks, here, begin, velocities, warm, reach, materials, h, closing, scaled, scales, out):
     """The problem that a move poses at its contacts: the norm of b, and its validity.
 
     here, begin, velocities and warm = (keys, impulses, status) as in `local_velocities`; materials = (mu,
@@ -307,7 +307,7 @@ def pose(blocks, here, begin, velocities, warm, reach, materials, longer, closin
     if not scaled:
         delassus_scales(blocks, scales)
     local_velocities(
-        blocks, velocities, (here[3][:0], none, none), none, begin, here, (warm[0], warm[1]), reach, longer, ahead,
+        blocks, velocities, (here[3][:0], none, none), none, begin, here, (warm[0], warm[1]), reach, h, ahead,
         local, end_gap, place,
     )  # fmt: skip
     foresee(blocks, mu, place, warm[2], local, slides)
