@@ -46,7 +46,7 @@ def sorted_places(old_key, new_key, begin, out):
 
 @in_place
 def warm_start(place, force, h, frame, r):
-    """Impulses in h s of old contacts' world forces, in the frames of those that go on, 0 for new ones, into r (3 nc,)."""
+    """Impulses in h s of old contacts' world forces in the frames of those that go on, 0 of new ones, into r (3 nc,)."""
     for c in range(place.size):
         for i in range(3):
             r[3 * c + i] = 0.0
@@ -297,7 +297,7 @@ def offsets(local, end_gap, restitution, rebound, slides, closing, b):
 def pose(blocks, here, begin, velocities, warm, reach, materials, h, closing, scaled, scales, out):
     """The problem that a move poses at its contacts: the norm of b, and its validity.
 
-    here, begin, velocities and warm = (keys, impulses, status) as in `local_velocities`; materials = (mu,
+    here, begin, velocities and warm = (keys, forces, status) as in `local_velocities`; materials = (mu,
     restitution); closing as in `offsets`. Into scales (nc,), unless they are `scaled` already, and out =
     (velocities, end_gap, place, slides, b).
     """
