@@ -169,7 +169,7 @@ def crank(speed):
     v = speed * np.array((1.0, -1.0 - slope, -0.1 * np.sin(a) - 0.3 * np.sin(b) * slope))
     scene = nd.Scene(gravity=(0, 0, 0))
     add(scene, "sc", limit(model), q=q, v=v, loops=[Loop("pin", arm, at((0.3, 0, 0)), slider, at((0, 0, 0)))])
-    t = Tree(scene.articulations["sc"], np.zeros(3), 0, [], 0, {})
+    t = Tree(scene.articulations["sc"], np.zeros(3), [], {})
     return t, *t.start(scene.articulations["sc"].q, v)
 
 

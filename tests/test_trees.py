@@ -36,7 +36,7 @@ def tree(model, gravity=(0, 0, -9.81), **keywords):
     scene = nd.Scene(gravity=gravity)
     add(scene, "a", model, **keywords)
     a = scene.articulations["a"]
-    return Tree(a, np.array(scene.gravity), 0, list(range(1, a.model.njoints)), 0, {})
+    return Tree(a, np.array(scene.gravity), list(range(1, a.model.njoints)), {})
 
 
 def controlled(t, given):
@@ -145,7 +145,7 @@ def test_closed_loops_are_of_second_order(mechanism):
     gravity = (0, -9.81, 0) if mechanism == "bricard" else (0, 0, -9.81)
     scene = nd.Scene(gravity=gravity)
     add(scene, "a", model, v=v, loops=loops)
-    t = Tree(scene.articulations["a"], np.array(gravity), 0, [], 0, {})
+    t = Tree(scene.articulations["a"], np.array(gravity), [], {})
     q, v = t.start(scene.articulations["a"].q, scene.articulations["a"].v)
     drifts = [abs(sum(w.change for w in follow(t, q, v, h, round(0.32 / h))[2])) for h in (8e-3, 4e-3, 2e-3)]
     assert (np.diff(-np.log2(drifts)) >= 1.8).all()

@@ -8,6 +8,7 @@ normals, points and gaps from the faces, edges and curved surfaces that this dir
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from typing import Any
 
 import coal
@@ -81,7 +82,7 @@ class Detector:
             if g.shape.kind == HALFSPACE and g.frame >= 0:
                 raise ValueError(f"halfspace {g.name!r} must be fixed, not on a moving frame")
         n = len(geoms)
-        self._max_points = max_points
+        self._geoms, self._max_points = list(geoms), max_points
         self._pair_material = pair_material
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
         self._geometry = _flatten(geoms)
@@ -116,6 +117,28 @@ class Detector:
         self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room), *points
         self._pack_geoms()
         self._set_pairs(np.empty(0, dtype=np.int64))
+
+    def only(self, geoms: Index, frame: Index) -> Detector:
+        """That of some geoms, ascending, which finds the same contacts among them.
+
+        Parameters
+        ----------
+        geoms : ndarray of int, shape (k,)
+        frame : ndarray of int, shape (k,)
+            Frames they hang on there.
+        """
+        some = [replace(self._geoms[g], frame=f) for g, f in zip(geoms.tolist(), frame.tolist(), strict=True)]
+        place = np.full(len(self._geoms), -1)
+        place[geoms] = np.arange(geoms.size)
+        apart = place[np.array(np.divmod(self._excluded, len(self._geoms)))].T
+        excluded = [(int(i), int(j)) for i, j in apart if i >= 0 and j >= 0]
+        return Detector(some, lambda i, j: self._pair_material(geoms[i], geoms[j]), excluded, self._max_points)
+
+    def boxes(self, x: Array, R: Array) -> tuple[Array, Array]:
+        """Least boxes about the geoms of frames at such poses, along the axes: (lower, upper), (geoms, 3) each, m."""
+        lower, upper = self._lower.copy(), self._upper.copy()
+        broadphase.bounds(self._fields, x, R, lower, upper)
+        return lower, upper
 
     @property
     def pairs(self) -> tuple[Index, Index]:

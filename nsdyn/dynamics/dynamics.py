@@ -8,6 +8,7 @@ prescribed have a frame, but no block.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -67,19 +68,11 @@ class Dynamics:
     def __init__(self, scene: Scene) -> None:
         bodies, frames, driven = scene.free_bodies, scene.link_frames(), scene.driven_bodies
         self.gravity: Array = np.array(scene.gravity)
-        self.free = len(bodies)
-        self.frames = self.free + len(frames) + len(driven)
-        self.nowhere, self.no_works = np.zeros(self.frames), np.zeros(self.free)
-        self.mass = np.array([b.mass for b in bodies])
-        self._inverse_mass, self.no_load = 1.0 / self.mass, np.zeros((self.free, 3))
-        self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
-        self._principal = principal(self.J)
-        self.radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
+        self.weight = float(np.linalg.norm(self.gravity))
+        self.surfaces, self._driven = Surfaces(scene), len(driven)
         self.names = {b.name: k for k, b in enumerate(bodies)}
-        self.trees: list[Tree] = []
         self._forests: dict[str, tuple[int, Actuators]] = {}
-        grown = []
-        start, first = 6 * self.free, self.free
+        trees: list[Tree] = []
         for name, a in scene.articulations.items():
             driven_joints = {
                 a.model.getJointId(joint): m
@@ -87,7 +80,7 @@ class Dynamics:
                 for owner, _, joint in [key.partition("/")]
                 if owner == name and m.kind == "joint"
             }
-            forest, planted = parts(a), len(self.trees)
+            forest, planted = parts(a), len(trees)
             for part in forest:
                 before = part.joints.start - 1
                 joints = [joint - before for owner, joint in frames if owner == name and joint in part.joints]
@@ -96,41 +89,14 @@ class Dynamics:
                     for joint, m in driven_joints.items()
                     if joint in part.joints
                 }
-                grown.append(part.articulation)
-                self.trees.append(Tree(part.articulation, self.gravity, start, joints, first, motions))
-                start, first = start + self.trees[-1].model.nv, first + len(joints)
-            scalar = np.concatenate([t.scalar for t in self.trees[planted:]])
+                trees.append(Tree(part.articulation, self.gravity, joints, motions))
+            scalar = np.concatenate([t.scalar for t in trees[planted:]])
             self._forests[name] = planted, Actuators(name, scalar, a.effort, [part.v for part in forest])
-        # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
-        self._lone = len(self.trees) == 1 and self.frames == len(frames) and not self.free
-        self._constrained = any(t.constrained for t in self.trees)
-        sizes = [6] * self.free + [t.model.nv for t in self.trees]
-        self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
-        self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
-        owner = [self.free + k for k, t in enumerate(self.trees) for _ in t.joints]
-        self.block_of_frame = np.array([*range(self.free), *owner, *([-1] * len(driven))], dtype=np.int64)
-        self.n = int(self.offset[-1])
-        m, minv = np.zeros((self.free, 6, 6)), np.zeros((self.free, 6, 6))
-        for k in range(self.free):
-            m[k, :3, :3], m[k, 3:, 3:] = self.mass[k] * np.eye(3), self.J[k]
-            inverse = np.linalg.inv(self.J[k])
-            minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / self.mass[k], 0.5 * (inverse + inverse.T)
-        self._m, self._minv = m.ravel(), minv.ravel()
-        self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
-        self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
-        self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
+        mass, J = np.array([b.mass for b in bodies]), np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
+        radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
+        self._compose(mass, J, radius, trees)
         self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
-        self.weight = float(np.linalg.norm(self.gravity))
-        self.no_impulses = NO_VECTORS, np.zeros((6, self.n))
-        self.joints = JointLaws(grown, self.trees, self.free)
-        self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]
-        self.held = np.concatenate(
-            [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(len(driven), np.bool_)]
-        )
-        self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
-        self.surfaces = Surfaces(scene)
-        self.alone = self.frames == self.free and not self.trees and not self.surfaces.count
-        starts = [t.start(a.q, a.v) for t, a in zip(self.trees, grown, strict=True)]
+        starts = [t.start(t.articulation.q, t.articulation.v) for t in self.trees]
         self._start = (
             Position(
                 np.array([b.position for b in bodies]).reshape(-1, 3),
@@ -141,6 +107,50 @@ class Dynamics:
             ),
             np.concatenate([self._velocity(b) for b in bodies] + [v for _, v in starts] + [np.empty(0)]),
         )
+
+    def only(self, bodies: Index, trees: Index) -> Dynamics:
+        """Those of some free bodies and trees, and of what moves as prescribed, which nothing else moves."""
+        out = copy(self)
+        out._compose(self.mass[bodies], self.J[bodies], self.radius[bodies], [self.trees[k] for k in trees.tolist()])
+        return out
+
+    def _compose(self, mass: Array, J: Array, radius: Array, trees: list[Tree]) -> None:
+        """The layout of coordinates and frames, and all that follows from it."""
+        self.mass, self.J, self.radius, self.free, self.trees = mass, J, radius, mass.size, []
+        start, first = 6 * self.free, self.free
+        for t in trees:
+            self.trees.append(t.at(start, first))
+            start, first = start + t.model.nv, first + len(t.joints)
+        self.frames = first + self._driven
+        self.nowhere, self.no_works = np.zeros(self.frames), np.zeros(self.free)
+        self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((self.free, 3))
+        self._principal = principal(J)
+        # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
+        self._lone = len(trees) == 1 and not self.free and not self._driven
+        self._constrained = any(t.constrained for t in trees)
+        sizes = [6] * self.free + [t.model.nv for t in trees]
+        self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
+        self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
+        owner = [self.free + k for k, t in enumerate(trees) for _ in t.joints]
+        self.block_of_frame = np.array([*range(self.free), *owner, *([-1] * self._driven)], dtype=np.int64)
+        self.n = int(self.offset[-1])
+        m, minv = np.zeros((self.free, 6, 6)), np.zeros((self.free, 6, 6))
+        for k in range(self.free):
+            m[k, :3, :3], m[k, 3:, 3:] = mass[k] * np.eye(3), J[k]
+            inverse = np.linalg.inv(J[k])
+            minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / mass[k], 0.5 * (inverse + inverse.T)
+        self._m, self._minv = m.ravel(), minv.ravel()
+        self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
+        self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
+        self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
+        self.no_impulses = NO_VECTORS, np.zeros((6, self.n))
+        self.joints = JointLaws(self.trees, self.free)
+        self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]
+        self.held = np.concatenate(
+            [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(self._driven, np.bool_)]
+        )
+        self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
+        self.alone = self.frames == self.free and not self.trees and not self.surfaces.count
 
     @staticmethod
     def _velocity(body: Any) -> Array:

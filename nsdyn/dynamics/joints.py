@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from nsdyn._kernels.dynamics import joints as _joints
 from nsdyn.dynamics.trees import Tree
 from nsdyn.problem.blocks import Blocks
-from nsdyn.scene.articulations import Articulation
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["NO_CLUTCHES", "JointLaws", "JointRows", "Rows"]
@@ -75,16 +74,15 @@ class JointLaws:
 
     Parameters
     ----------
-    articulations : sequence of Articulation
     trees : sequence of Tree
     first : int
         Block of the first tree; the others follow.
     """
 
-    def __init__(self, articulations: Sequence[Articulation], trees: Sequence[Tree], first: int) -> None:
+    def __init__(self, trees: Sequence[Tree], first: int) -> None:
         table = []
-        for block, (a, t) in enumerate(zip(articulations, trees, strict=True), start=first):
-            start = t.coordinates.start
+        for block, t in enumerate(trees, start=first):
+            a, start = t.articulation, t.coordinates.start
             lower, upper = t.limits()
             for j in range(a.model.nv):
                 near = NEAR * (upper[j] - lower[j]) if np.isfinite(upper[j] - lower[j]) else NEAR

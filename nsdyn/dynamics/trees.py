@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 import pinocchio as pin
@@ -36,17 +37,15 @@ class Tree:
     ----------
     articulation : Articulation
     gravity : ndarray, shape (3,)
-    start : int
-        Its first coordinate in the scene's velocity.
     joints : list of int
         Joints that carry geometry, one frame each.
-    first : int
-        Index of the first of these frames.
     driven : mapping of int to Motion
         Coordinates whose velocity is prescribed.
 
     Attributes
     ----------
+    coordinates, frames : slice
+        In the scene's velocity and frames, as `at` has it.
     held : ndarray of bool, shape (nv,)
         Coordinates that nothing but prescribed motion moves: driven ones, and those that loops and gears then leave no
         freedom.
@@ -62,12 +61,10 @@ class Tree:
         self,
         articulation: Articulation,
         gravity: Array,
-        start: int,
         joints: list[int],
-        first: int,
         driven: dict[int, Motion],
     ) -> None:
-        a = articulation
+        a = self.articulation = articulation
         self.name = a.name
         self.model = a.model.copy()
         self.model.name = a.name
@@ -75,8 +72,7 @@ class Tree:
         self.model.armature = a.armature
         self.data = self.model.createData()
         nv = self.model.nv
-        self.coordinates = slice(start, start + nv)
-        self.joints, self.frames = joints, slice(first, first + len(joints))
+        self.coordinates, self.joints, self.frames = slice(0, nv), joints, slice(0, len(joints))
         self.support = supports(self.model)[joints]
         self.radius = np.zeros(len(joints))
         for _, joint, placement, shape in a.links:
@@ -119,6 +115,13 @@ class Tree:
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self._turns = self._J[3:].any(axis=0)
         self.held, self.held_links = self._held(a.q, a.gears)
+
+    def at(self, start: int, first: int) -> Tree:
+        """The same tree, whose first coordinate and frame are those in a scene."""
+        out = copy(self)
+        out.coordinates = slice(start, start + self.model.nv)
+        out.frames = slice(first, first + len(self.joints))
+        return out
 
     def _scalar_coordinates(self) -> tuple[Index, Index, list[tuple[int, int]]]:
         """Coordinates whose rate is the velocity, their places in q, and (v, q) places of joints given by cos, sin."""

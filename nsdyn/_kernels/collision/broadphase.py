@@ -60,6 +60,17 @@ def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fa
     return out
 
 
+@kernel
+def bounds(fields, x, R_frames, lower, upper):
+    """Bounds of the geoms on moving frames at these poses, into their rows of lower and upper; `fields` as in `follow`."""
+    geometry = Geometry(*fields)
+    R, t = np.empty((geometry.kind.size, 3, 3)), np.empty((geometry.kind.size, 3))
+    place(geometry, x, R_frames, R, t)
+    for g in range(geometry.kind.size):
+        if geometry.frame[g] >= 0:
+            bound(geometry, g, R[g], t[g], lower, upper)
+
+
 @in_place
 def contains(sorted_codes, code):
     """Whether a sorted array holds the code."""

@@ -46,7 +46,7 @@ def sorted_places(old_key, new_key, begin, out):
 
 @in_place
 def warm_start(place, force, h, frame, r):
-    """Impulses in h s of old contacts' world forces in the frames of those that go on, 0 of new ones, into r (3 nc,)."""
+    """Impulses in h s of the world forces of old contacts, in the frames of those that go on, into r (3 nc,)."""
     for c in range(place.size):
         for i in range(3):
             r[3 * c + i] = 0.0

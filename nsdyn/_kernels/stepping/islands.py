@@ -1,0 +1,45 @@
+"""Islands of bodies: what may touch within a step."""
+
+import numpy as np
+
+from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.problem.blocks import unite
+from nsdyn._kernels.sorting import order as order_of
+
+
+@kernel
+def islands(lower, upper, node, first, second, label):
+    """Connected components of nodes whose boxes overlap, or that a contact joins; how many.
+
+    lower, upper (geoms, 3) bound the geoms of the nodes `node` (geoms,), first and second (nc,) are the nodes of the
+    contacts; -1 for what is no node. Into label (nodes,), ascending in the order of the least node.
+    """
+    parent = np.arange(label.size)
+    for c in range(first.size):
+        if first[c] >= 0 and second[c] >= 0:
+            unite(parent, first[c], second[c])
+    order = order_of(lower[:, 0].copy())
+    for a in range(order.size):
+        i = order[a]
+        if node[i] < 0:
+            continue
+        for b in range(a + 1, order.size):
+            j = order[b]
+            if lower[j, 0] > upper[i, 0]:
+                break
+            if node[j] < 0 or node[j] == node[i]:
+                continue
+            apart = lower[j, 1] > upper[i, 1] or lower[i, 1] > upper[j, 1]
+            if not (apart or lower[j, 2] > upper[i, 2] or lower[i, 2] > upper[j, 2]):
+                unite(parent, node[i], node[j])
+    found = 0
+    for k in range(label.size):
+        root = k
+        while parent[root] != root:
+            root = parent[root]
+        if root == k:
+            label[k] = found
+            found += 1
+        else:
+            label[k] = label[root]
+    return found
