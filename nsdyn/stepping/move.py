@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,31 +11,28 @@ import pinocchio as pin
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
-from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
-from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
+from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free as _free
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.impacts import Impact
-from nsdyn.stepping.instant import FAST, Impulses, Instant, Looked, System, account
+from nsdyn.stepping.instant import Impulses, Instant, Looked, System, account
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["STILL_SURFACES", "Callbacks", "Half", "Move", "Trial", "finish", "first_half", "tree_works", "trial"]
+__all__ = ["Move", "Trial", "finish", "tree_works", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
-STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
-
-Callbacks = Callable[[Position, Array], tuple[Wrenches | None, Controls]] | None
 
 
 class Move(NamedTuple):
@@ -82,39 +78,6 @@ class Seen(NamedTuple):
     contacts: ContactSet
     memory: ContactMemory
     looked: Looked
-
-
-class Half(NamedTuple):
-    """The first half of a move.
-
-    Attributes
-    ----------
-    h, ahead : float
-        The move and its second half, s.
-    middle : Middle
-        Where the forces and impulses act.
-    forces : Forces
-    rate : ndarray, shape (n,)
-        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
-    reach : ndarray, shape (frames,)
-        How far points of the frames may move in the second half, m.
-    fast : bool
-        Whether that is so far that it might go unseen.
-    same : bool
-        Whether the contacts found where the move begins are those of there.
-    surfaces : three ndarrays of shape (surfaces, 2, 3)
-        Twists of what moves as prescribed: at the beginning, when the impulses act, at the end.
-    """
-
-    h: float
-    ahead: float
-    middle: Middle
-    forces: Forces
-    rate: Array
-    reach: Array
-    fast: bool
-    same: bool
-    surfaces: tuple[Array, Array, Array]
 
 
 class Response(NamedTuple):
@@ -193,7 +156,8 @@ def trial(
 
         q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
 
-    and the contact law of `encounter`, with the contacts that the motion shows.
+    and the contact law of `encounter`, with the contacts that the motion shows. Where the callbacks say another f̃ at
+    the mean velocity ½ (v⁻ + v⁺) the motion is found once more, with that.
 
     Parameters
     ----------
@@ -202,7 +166,7 @@ def trial(
     t, h : float
         s.
     callbacks : callable, optional
-        (wrenches, control) at a position and a velocity.
+        As of `nsdyn.stepping.half`.
     barred : ndarray of int, optional
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
@@ -227,6 +191,8 @@ def trial(
             break
         rough = not same and left > 0
         half, response = _respond(s, begin, half, real, joints, seen, barred, response, rough)
+    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
+        return trial(s, begin, t, h, None, barred, again)
     unmet, until = None, h
     if barred is not None:
         moved = response.moved
@@ -238,29 +204,6 @@ def trial(
             places = half.middle.placement, moved.placement
             until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
     return Trial(half, joints, seen, response, unmet, until)
-
-
-def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
-    """Half a free flow, and the forces there."""
-    d, ahead = s.dynamics, s.theta * h
-    if d.alone and callbacks is None:
-        x, quaternion, v, R, v_free, rate, reach, far, same = _free.half(s, begin, h)
-        middle = Middle(begin.position.moved(x, quaternion), v, Placement(x, R, ()), ())
-        fast = far > FAST * s.smallest
-        return Half(h, ahead, middle, d.free_forces(v_free), rate, reach, fast, same, STILL_SURFACES)
-    surfaces = STILL_SURFACES
-    if d.surfaces.count:
-        begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
-        surfaces = begun, d.surfaces.mean(begun, ended, 0.5), ended
-    middle = d.halfway(begin.position, begin.v, h, s.theta, surfaces[0])
-    given = (None, {}) if callbacks is None else callbacks(middle.position, begin.v)
-    forces = d.forces(middle, t + h, h, *given, begin.warm.joints)
-    reach = d.reach(middle.placement, forces.foreseen, ahead, h, surfaces[2])
-    fast = _few.most(reach) > FAST * s.smallest
-    same = s.unmoved(begin.looked, middle.placement, reach)
-    rate = forces.foreseen - middle.v
-    rate /= h
-    return Half(h, ahead, middle, forces, rate, reach, fast, same, surfaces)
 
 
 def _reachable(

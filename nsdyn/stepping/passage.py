@@ -13,8 +13,9 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import Callbacks, Half, first_half
 from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
-from nsdyn.stepping.move import Callbacks, Half, Trial, finish, first_half, trial
+from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
 from nsdyn.stepping.sight import Unmet, others
 from nsdyn.stepping.state import State
@@ -75,7 +76,7 @@ def through(system: System, state: State, loads: Loads) -> Passage:
     state : State
         Where the step begins.
     loads : callable
-        What the user has to say at a time [s], as `nsdyn.stepping.move.trial` takes it.
+        What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
     """
     begin = state.instant
     whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, state.owed)
@@ -115,8 +116,9 @@ def _pass(
     found, half, sunk = None, None, False
     if begin.contacts.gap.size <= LOCATED:
         if s.dynamics.trees:
-            half = first_half(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
-            found = quiet_trees(s, begin, half)
+            callbacks = loads(end - h + (1.0 - s.theta) * h)
+            half = first_half(s, begin, end - h, h, callbacks)
+            found = quiet_trees(s, begin, half, callbacks)
         elif loads(end) is None:
             found = quiet(s, begin, h)
     if found is None:
@@ -230,5 +232,5 @@ def _until_impact(
 def _try(
     s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None, half: Half | None = None
 ) -> Trial:
-    """A move of h seconds, with what the user has to say where its impulses act, unless its first half is known."""
-    return trial(s, begin, t, h, None if half else loads(t + (1.0 - s.theta) * h), barred, half)
+    """A move of h seconds, with what the user has to say where its impulses act; its first half may be known."""
+    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, half)

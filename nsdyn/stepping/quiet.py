@@ -18,8 +18,9 @@ from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free
 from nsdyn.stepping.encounter import Basis, Encounter, Warm, foresee, solve
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
 from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, Looked, System, account
-from nsdyn.stepping.move import STILL_SURFACES, Half, tree_works
+from nsdyn.stepping.move import tree_works
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Moves", "quiet", "quiet_trees"]
@@ -82,8 +83,8 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     return end, rate, True, d.no_works, [impulses], [(problem, solution)], [works]
 
 
-def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
-    """`quiet` in scenes with trees, under whatever forces, from the first half of the move.
+def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> Moves | None:
+    """`quiet` in scenes with trees, under whatever forces, from the first half of a move, which callbacks correct.
 
     No joint is near its limits, none has dry friction, and no actuator is at its limit.
     """
@@ -111,6 +112,8 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     impulse, v_plus = met.rows.response(r, forces.v)
     if d.within_limits(middle, forces, v_plus) is not forces:
         return None
+    if (again := corrected(s, begin, half, v_plus, callbacks)) is not half:
+        return quiet_trees(s, begin, again, None)
     position, v_end, place, ends = d.end(middle, forces, v_plus, impulse, half.ahead, still[1])
     limits, same = d.limits(place), s.unmoved(looked, place, d.nowhere)
     seen = (contacts, memory, looked) if same else _looked(s, place.x, place.R, d.nowhere, contacts, memory, np.inf)
