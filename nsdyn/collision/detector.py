@@ -94,7 +94,7 @@ class Detector:
         self._cores = [cores[id(g.shape)] for g in geoms]
         rounded = (self._geometry.kind == SPHERE) | (self._geometry.kind == CAPSULE)
         self._slack = np.where(rounded, 0.0, 2.0 * SHRINK * self._geometry.radius)
-        self._frame = self._geometry.frame
+        self.frame = self._frame = self._geometry.frame
         self._moving = self._frame >= 0
         self._R = self._geometry.placement_R.copy()
         self._t = self._geometry.placement_t.copy()

@@ -63,6 +63,8 @@ class Dynamics:
         Frames that nothing but prescribed motion moves.
     prescribed : bool
         Whether there are such frames or joint coordinates.
+    node : ndarray of int, shape (frames + 1,)
+        Block of coordinates that moves each frame, -1 for none, as for the world, which is the last.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -133,6 +135,7 @@ class Dynamics:
         self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
         owner = [self.free + k for k, t in enumerate(trees) for _ in t.joints]
         self.block_of_frame = np.array([*range(self.free), *owner, *([-1] * self._driven)], dtype=np.int64)
+        self.node = np.append(self.block_of_frame, -1)
         self.n = int(self.offset[-1])
         m, minv = np.zeros((self.free, 6, 6)), np.zeros((self.free, 6, 6))
         for k in range(self.free):

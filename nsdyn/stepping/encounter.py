@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.dynamics.joints import JointRows, Rows
+from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
 from nsdyn.dynamics.values import Forces, Middle, Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -67,6 +67,8 @@ class Warm(NamedTuple):
     ----------
     key : ndarray of int, shape (nc,)
         Names of the contacts.
+    frame1, frame2 : ndarray of int, shape (nc,)
+        Frames they hang on.
     force : ndarray, shape (nc, 3)
         World axes, N: impulses over the length of their move.
     status : ndarray of int8, shape (nc,)
@@ -77,6 +79,8 @@ class Warm(NamedTuple):
     """
 
     key: Index
+    frame1: Index
+    frame2: Index
     force: Array
     status: NDArray[np.int8]
     joints: Array
@@ -259,6 +263,18 @@ class Encounter(NamedTuple):
         b = np.empty(self.local.shape[1])
         _law.offsets(self.local, self.end_gap, self.restitution, self.rebound, slides, tuple(closing), b)
         return b
+
+    def take(self, kept: Bools) -> Encounter:
+        """Some of the rows, for what they did."""
+        nc, full = self.contacts.gap.size, self.rows.full
+        rows, contacts = np.repeat(kept, 3), ContactSet._make([column[kept[:nc]] for column in self.contacts])
+        own = Rows(full._replace(block=full.block[kept], start=full.start[kept]), {}, *NO_CLUTCHES)
+        return self._replace(
+            contacts=contacts, joints=self.joints and self.joints.take(kept[nc:]), rows=own, alike=None,
+            frame=self.frame[kept[:nc]], mu=self.mu[kept], restitution=self.restitution[kept], place=self.place[kept[:nc]],
+            local=self.local[:, rows], end_gap=self.end_gap[kept], slides=None, posed=None,
+            transport=self.transport[rows] if self.transport.size else NOTHING,
+        )  # fmt: skip
 
     def otherwise(self) -> Encounter:
         """The same where the problem is not as it was posed."""

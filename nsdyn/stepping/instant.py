@@ -19,7 +19,7 @@ from nsdyn.solvers import Solver
 from nsdyn.stepping.encounter import Basis, Closing, Encounter, Warm
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
-from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "System", "account", "take"]
 
@@ -112,6 +112,13 @@ class System(NamedTuple):
     def deep(self, contacts: ContactSet) -> Array:
         """Overlaps, m, that a move may catch: deeper ones are impacts to be located; of joint limits depth JOINT."""
         out: Array = self.depth * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
+        return out
+
+    def nodes(self, contacts: ContactSet) -> Index:
+        """The block of coordinates that moves each contact, of the two the first, shape (nc,); -1 for none."""
+        node = self.dynamics.node
+        first = node[contacts.frame1]
+        out: Index = np.where(first >= 0, first, node[contacts.frame2])
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:
@@ -211,20 +218,21 @@ def take(contacts: ContactSet, kept: Bools) -> ContactSet:
 
 def account(
     s: System, met: Encounter, forces: Forces, velocities: tuple[Array, Array, Array], r: Array, h: float,
-    impact: Impact | None, problem: FC3D | None,
+    impact: Impact | None, problem: FC3D | None, mass: Array,
 ) -> tuple[Impulses, Works, Warm]:  # fmt: skip
     """What the impulses r of a move, empty for none, and its impacts did, their works, and what they leave.
 
-    The velocities are those before the impacts, after them, and after r, which solves the problem.
+    The velocities are those before the impacts, after them, and after r, which solves the problem. Gravity works on the
+    `mass` (nf,) of the free bodies.
     """
-    d, nc, nr = s.dynamics, met.frame.shape[0], met.mu.size
+    d, c, nc, nr = s.dynamics, met.contacts, met.frame.shape[0], met.mu.size
     external = beyond = normal_work = friction_work = rest = created = 0.0
     struck = NOTHING if impact is None else impact.r[0::3]
     if h > 0.0:
         out = status, normal, friction, u_end, world = (
             np.empty(nc, np.int8), np.empty(nr), np.empty(nr), np.empty(3 * nr), np.empty((nc, 3))
         )  # fmt: skip
-        bodies, loads, was = (d.mass, d.gravity), (forces.force, forces.torque), (met.place, met.status)
+        bodies, loads, was = (mass, d.gravity), (forces.force, forces.torque), (met.place, met.status)
         external, beyond, normal_work, friction_work, rest = _account.account(
             met.rows.full.arrays, bodies, loads, h, s.theta, velocities, r, met.mu, met.transport, was, struck,
             met.local, met.frame, s.solver.tol, out,
@@ -254,4 +262,4 @@ def account(
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
     impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created, time, h)
-    return impulses, works, Warm(met.contacts.key, world, status, slots, basis)
+    return impulses, works, Warm(c.key, c.frame1, c.frame2, world, status, slots, basis)

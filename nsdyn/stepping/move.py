@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,31 +11,28 @@ import pinocchio as pin
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
-from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
-from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
+from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free as _free
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.impacts import Impact
-from nsdyn.stepping.instant import FAST, Impulses, Instant, System, account
+from nsdyn.stepping.instant import Impulses, Instant, System, account, take
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["STILL_SURFACES", "Callbacks", "Half", "Move", "Trial", "finish", "first_half", "tree_works", "trial"]
+__all__ = ["Move", "Trial", "attempt", "finish", "tree_works", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
-STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
-
-Callbacks = Callable[[Position, Array], tuple[Wrenches | None, Controls]] | None
 
 
 class Move(NamedTuple):
@@ -82,39 +78,6 @@ class Seen(NamedTuple):
     contacts: ContactSet
     memory: ContactMemory
     looked: Looked
-
-
-class Half(NamedTuple):
-    """The first half of a move.
-
-    Attributes
-    ----------
-    h, ahead : float
-        The move and its second half, s.
-    middle : Middle
-        Where the forces and impulses act.
-    forces : Forces
-    rate : ndarray, shape (n,)
-        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
-    reach : ndarray, shape (frames,)
-        How far points of the frames may move in the second half, m.
-    fast : bool
-        Whether that is so far that it might go unseen.
-    same : bool
-        Whether the contacts found where the move begins are those of there.
-    surfaces : three ndarrays of shape (surfaces, 2, 3)
-        Twists of what moves as prescribed: at the beginning, when the impulses act, at the end.
-    """
-
-    h: float
-    ahead: float
-    middle: Middle
-    forces: Forces
-    rate: Array
-    reach: Array
-    fast: bool
-    same: bool
-    surfaces: tuple[Array, Array, Array]
 
 
 class Response(NamedTuple):
@@ -193,7 +156,8 @@ def trial(
 
         q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
 
-    and the contact law of `encounter`, with the contacts that the motion shows.
+    and the contact law of `encounter`, with the contacts that the motion shows. Where the callbacks say another f̃ at
+    the mean velocity ½ (v⁻ + v⁺) the motion is found once more, with that.
 
     Parameters
     ----------
@@ -202,7 +166,7 @@ def trial(
     t, h : float
         s.
     callbacks : callable, optional
-        (wrenches, control) at a position and a velocity.
+        As of `nsdyn.stepping.half`.
     barred : ndarray of int, optional
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
@@ -227,6 +191,8 @@ def trial(
             break
         rough = not same and left > 0
         half, response = _respond(s, begin, half, real, joints, seen, barred, response, rough)
+    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
+        return trial(s, begin, t, h, None, barred, again)
     unmet, until = None, h
     if barred is not None:
         moved = response.moved
@@ -240,27 +206,19 @@ def trial(
     return Trial(half, joints, seen, response, unmet, until)
 
 
-def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
-    """Half a free flow, and the forces there."""
-    d, ahead = s.dynamics, s.theta * h
-    if d.alone and callbacks is None:
-        x, quaternion, v, R, v_free, rate, reach, far, same = _free.half(s, begin, h)
-        middle = Middle(begin.position.moved(x, quaternion), v, Placement(x, R, ()), ())
-        fast = far > FAST * s.smallest
-        return Half(h, ahead, middle, d.free_forces(v_free), rate, reach, fast, same, STILL_SURFACES)
-    surfaces = STILL_SURFACES
-    if d.surfaces.count:
-        begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
-        surfaces = begun, d.surfaces.mean(begun, ended, 0.5), ended
-    middle = d.halfway(begin.position, begin.v, h, s.theta, surfaces[0])
-    given = (None, {}) if callbacks is None else callbacks(middle.position, begin.v)
-    forces = d.forces(middle, t + h, h, *given, begin.warm.joints)
-    reach = d.reach(middle.placement, forces.foreseen, ahead, h, surfaces[2])
-    fast = _few.most(reach) > FAST * s.smallest
-    same = s.unmoved(begin.looked, middle.placement, reach)
-    rate = forces.foreseen - middle.v
-    rate /= h
-    return Half(h, ahead, middle, forces, rate, reach, fast, same, surfaces)
+def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, skip: Bools) -> Trial:
+    """A move that leaves alone what may strike, as a `trial` with nothing barred; its impulses are sought only once.
+
+    Contacts of the nodes `skip` (nodes,) are passed over, whose motion is none.
+    """
+    contacts, joints, seen = _reachable(s, begin, half, NO_SLOTS)
+    if skip.any():
+        contacts = take(contacts, ~skip[s.nodes(contacts)])
+    half, response = _respond(s, begin, half, contacts, joints, seen, NO_SLOTS, None, False, once=True)
+    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
+        return attempt(s, begin, again, None, skip)
+    slots = NO_SLOTS if joints is None else joints.slot
+    return Trial(half, joints, seen, response, others(s, response.moved.contacts, contacts, response.moved.limits, slots), half.h)
 
 
 def _reachable(
@@ -288,11 +246,12 @@ def _reachable(
 
 def _respond(
     s: System, begin: Instant, half: Half, contacts: ContactSet, joints: JointRows | None, seen: Seen,
-    barred: Index | None, last: Response | None, rough: bool,
+    barred: Index | None, last: Response | None, rough: bool, once: bool = False,
 ) -> tuple[Half, Response]:  # fmt: skip
     """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
 
-    The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve.
+    The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve,
+    as do contacts that slide otherwise than foreseen, unless it is to be solved `once`.
     """
     d, middle, forces, closing = s.dynamics, half.middle, half.forces, s.closing(half.h, barred is None)
     if d.alone:
@@ -316,7 +275,7 @@ def _respond(
         met = met.otherwise()
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
-    most, back = (0, True) if barred is None else (SOLVES, last is not None)
+    most, back = (0, True) if barred is None else (0 if once else SOLVES, last is not None)
     before = None if last is None else last.solution
     problem, solution, otherwise = solve(met, s.solver, before, closing, slides, back, most, rough)
     v, near = forces.v if impact is None else forces.v + kick, d.nowhere
@@ -332,7 +291,7 @@ def _respond(
         end, there = at.moved(x, quaternion), Placement(x, R, ())
     else:
         impulse, v = met.rows.response(solution.r, v)
-        if (limited := d.within_limits(middle, forces, v)) is not forces:
+        if not once and (limited := d.within_limits(middle, forces, v)) is not forces:
             return _respond(s, begin, half._replace(forces=limited), contacts, joints, seen, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
@@ -360,13 +319,14 @@ def _resume(met: Encounter, slides: Bools, last: Response) -> None:
         guess[nc:][np.isin(met.joints.slot, rows.slot)] = r[key.size :]
 
 
-def finish(s: System, begin: Instant, tried: Trial) -> Move:
-    """The move to a position without overlap, and what was done on its way."""
+def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -> Move:
+    """The move to a position without overlap, and what was done on its way; of the nodes `left`, if not of all."""
     d, half, a = s.dynamics, tried.half, tried.response
     placed = project(d, s.detector, a.moved, half.forces, s.closed)
     v = half.middle.v
     velocities = v, v if a.impact is None else v + a.kick, a.v
-    impulses, own, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem)
+    mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
+    impulses, own, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem, mass)
     works = []
     v_end, twists = a.v_end, a.twists
     if placed is not a.moved:
@@ -377,7 +337,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
             impulses.joints[4, t.coordinates] = pin.difference(t.model, q, there)
     energies: Energies = ()
     if a.impulse is not None:
-        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints, own)
+        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints, own, left)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
     end = Instant(
@@ -390,18 +350,24 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
 
 def tree_works(
     s: System, begin: Instant, half: Half, v: Array, ends: tuple[TreeEnd, ...], impulse: Array, lifted: Position,
-    joints: Array, own: Works,
+    joints: Array, own: Works, left: Bools | None = None,
 ) -> tuple[Works, Energies]:  # fmt: skip
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
+
+    Trees that are not among the nodes `left` are passed over.
 
     The forces leave v, with the impulses H r of contacts and joint rows; those of actuation, of external wrenches and
     the most that actuators may give go into rows 0, 3 and 5 of joints (6, n).
     """
     external, normal, friction, damping, constraint, integration, projection = own
     energies = []
-    for t, before, free, end, q, energy in zip(
+    of_trees = zip(
         s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
-    ):
+    )
+    for node, (t, before, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
+        if left is not None and not left[node]:
+            energies.append(energy)
+            continue
         k = t.coordinates
         w = t.works(before, free, v[k], end, q, impulse[k], energy)
         joints[0, k] += w.joints

@@ -6,7 +6,8 @@ as prescribed is in every part.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,13 +15,14 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.encounter import Warm
+from nsdyn.stepping.half import SILENT, Callbacks, Given
 from nsdyn.stepping.instant import Impulses, Instant, System
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.stepping.state import State
+from nsdyn.tools.arrays import Bools, Index
 
-__all__ = ["Part", "Parts"]
+__all__ = ["Part", "merged"]
 
-KEPT = 512
-"""Most parts that are kept for when they are asked for again."""
+T = TypeVar("T")
 
 
 class Part:
@@ -36,105 +38,176 @@ class Part:
     ----------
     system : System
     nodes : ndarray of int
-    frames, geoms, coordinates : ndarray of int
+    geoms, coordinates : ndarray of int
         Those of the part in the whole, ascending.
-    moved : ndarray of int
-        The frames of its nodes.
     """
 
     def __init__(self, whole: System, nodes: Index) -> None:
-        d = whole.dynamics
-        mine = np.zeros(d.offset.size, np.bool_)
-        mine[nodes] = True
-        self.nodes, self._mine = nodes, mine
-        self._bodies, self._trees = nodes[nodes < d.free], nodes[nodes >= d.free] - d.free
-        free = d.block_of_frame >= 0
-        self.frames = np.flatnonzero(mine[d.block_of_frame] | ~free)
-        self.moved = self.frames[free[self.frames]]
-        frame_of_geom = whole.detector.frame
+        d, frame_of_geom = whole.dynamics, whole.detector.frame
+        self.nodes, self._bodies, self._trees = nodes, nodes[nodes < d.free], nodes[nodes >= d.free] - d.free
+        self._node = np.append(d.block_of_frame, -1)  # the last is the world's
+        mine = np.isin(d.block_of_frame, nodes)
+        self._frames = np.append(np.flatnonzero(mine | (d.block_of_frame < 0)), -1)
+        self._moved, frames = np.flatnonzero(mine), self._frames[:-1]
         self._frame = np.full(d.frames + 1, -1)
-        self._frame[self.frames] = np.arange(self.frames.size)
+        self._frame[frames] = np.arange(frames.size)
         self.geoms = np.flatnonzero((frame_of_geom < 0) | (self._frame[frame_of_geom] >= 0))
         self._geom = np.full(frame_of_geom.size, -1)
         self._geom[self.geoms] = np.arange(self.geoms.size)
         spans = [np.arange(d.offset[k], d.offset[k + 1]) for k in nodes.tolist()]
         self.coordinates = np.concatenate([np.empty(0, np.int64), *spans])
-        self._slots = np.flatnonzero(mine[d.joints.block])
-        self._limits = np.flatnonzero(mine[d.joints.block[d.joints.limits]])
-        self._owner = np.append(d.block_of_frame, -1)
-        self.system = whole.only(
-            self._bodies, self._trees, self.frames, self.geoms, self._frame[frame_of_geom[self.geoms]]
-        )
-
-    def contacts(self, c: ContactSet) -> ContactSet:
-        """Those of the part, of contacts of the whole."""
-        kept = self._has(c.frame1, c.frame2)
-        c = ContactSet._make([column[kept] for column in c])
-        geoms, frames = (self._geom[c.geom1], self._geom[c.geom2]), (self._frame[c.frame1], self._frame[c.frame2])
-        return ContactSet(*geoms, *frames, *c[4:])
+        block = d.joints.block
+        self._slots = np.flatnonzero(np.isin(block, nodes))
+        self._limits = np.flatnonzero(np.isin(block[d.joints.limits], nodes))
+        self.system = whole._replace(
+            dynamics=d.only(self._bodies, self._trees),
+            detector=whole.detector.only(self.geoms, self._frame[frame_of_geom[self.geoms]]),
+            inscribed=whole.inscribed[self.geoms], arm=whole.arm[frames],
+        )  # fmt: skip
 
     def _has(self, frame1: Index, frame2: Index) -> Bools:
-        """Whether contacts of such frames are of the part."""
-        first, second = self._owner[frame1], self._owner[frame2]
-        out: Bools = self._mine[np.where(first >= 0, first, second)]
+        """Which contacts of such frames are of the part."""
+        first = self._node[frame1]
+        out: Bools = np.isin(np.where(first >= 0, first, self._node[frame2]), self.nodes)
         return out
 
     def cut(self, at: Instant, next_key: int) -> Instant:
         """The instant of the part, whose new contacts get names from a number on."""
-        p, place, f, k = at.position, at.placement, self.frames, self._trees.tolist()
+        p, place, w, frames, trees = at.position, at.placement, at.warm, self._frames[:-1], self._trees.tolist()
         position = Position(
-            p.x[self._bodies], p.quaternion[self._bodies], tuple([p.trees[j] for j in k]), p.driven_x,
+            p.x[self._bodies], p.quaternion[self._bodies], tuple([p.trees[k] for k in trees]), p.driven_x,
             p.driven_quaternion,
+        )  # fmt: skip
+        kept = self._has(at.contacts.frame1, at.contacts.frame2)
+        c = ContactSet._make([column[kept] for column in at.contacts])
+        c = c._replace(
+            geom1=self._geom[c.geom1], geom2=self._geom[c.geom2], frame1=self._frame[c.frame1],
+            frame2=self._frame[c.frame2],
         )  # fmt: skip
         kept = self._has(at.memory.names[2], at.memory.names[3])
         names = at.memory.names[:, kept]
         names[:2], names[2:4] = self._geom[names[:2]], self._frame[names[2:4]]
-        memory, w = ContactMemory(names, at.memory.points[:, kept], next_key), at.warm
-        pressed = self._has(w.frame1, w.frame2)
+        memory = ContactMemory(names, at.memory.points[:, kept], next_key)
+        kept = self._has(w.frame1, w.frame2)
         warm = Warm(
-            w.key[pressed], self._frame[w.frame1[pressed]], self._frame[w.frame2[pressed]], w.force[pressed],
-            w.status[pressed], w.joints[self._slots], None,
+            w.key[kept], self._frame[w.frame1[kept]], self._frame[w.frame2[kept]], w.force[kept], w.status[kept],
+            w.joints[self._slots], None,
         )  # fmt: skip
+        there = Placement(place.x[frames], place.R[frames], tuple([place.links[k] for k in trees]))
         return Instant(
-            position, at.v[self.coordinates], Placement(place.x[f], place.R[f], tuple([place.links[j] for j in k])),
-            self.contacts(at.contacts), at.limits[self._limits], memory, Looked(*(column[f] for column in at.looked)),
-            warm, (at.twists[0][f], at.twists[1][f]), tuple([at.energies[j] for j in k]),
+            position, at.v[self.coordinates], there, c, at.limits[self._limits], memory,
+            Looked._make([column[frames] for column in at.looked]), warm,
+            (at.twists[0][frames], at.twists[1][frames]), tuple([at.energies[k] for k in trees]),
         )  # fmt: skip
 
     def given(self, wrenches: Wrenches | None, controls: Controls) -> tuple[Wrenches | None, Controls]:
         """What the user's functions gave, of the part."""
-        place = {k: j for j, k in enumerate(self._trees.tolist())}
-        own = {place[k]: law for k, law in controls.items() if k in place}
+        trees = self._trees.tolist()
+        own = {j: controls[k] for j, k in enumerate(trees) if k in controls}
         if wrenches is None:
             return None, own
         force, torque, applied = wrenches
-        pushed = {place[k]: push for k, push in applied.items() if k in place}
+        pushed = {j: applied[k] for j, k in enumerate(trees) if k in applied}
         return (force[self._bodies], torque[self._bodies], pushed), own
 
-    def of_whole(self, c: ContactSet) -> ContactSet:
-        """Contacts of the part as those of the whole."""
-        frames = np.append(self.frames, -1)
-        return ContactSet(self.geoms[c.geom1], self.geoms[c.geom2], frames[c.frame1], frames[c.frame2], *c[4:])
+    def loads(self, given: Given) -> Callable[[float], Callbacks]:
+        """What the user's functions gave, of the part, as what they say at any time."""
+        if given is SILENT:
+            return lambda t: None
+        own = self.given(*given)
+        return lambda t: lambda position, v: own
 
-    def acted(self, a: Impulses, n: int) -> Impulses:
+    def state(self, whole: State, next_key: int) -> State:
+        """The state of the part, whose new contacts get names from a number on."""
+        rate, owed = whole.rate[self.coordinates], whole.owed[self._bodies]
+        return whole._replace(instant=self.cut(whole.instant, next_key), rate=rate, owed=owed)
+
+    def contacts(self, c: ContactSet) -> ContactSet:
+        """Contacts of the part as those of the whole."""
+        return c._replace(
+            geom1=self.geoms[c.geom1], geom2=self.geoms[c.geom2], frame1=self._frames[c.frame1],
+            frame2=self._frames[c.frame2],
+        )  # fmt: skip
+
+    def memory(self, m: ContactMemory) -> Index:
+        """The names of contacts of the part as those of the whole."""
+        return np.concatenate((self.geoms[m.names[:2]], self._frames[m.names[2:4]], m.names[4:]))
+
+    def warm(self, w: Warm) -> Warm:
+        """The warm start of the part as that of the whole, but for the joints."""
+        return w._replace(frame1=self._frames[w.frame1], frame2=self._frames[w.frame2])
+
+    def impulses(self, a: Impulses, n: int) -> Impulses:
         """Impulses of the part as those of the whole, of n coordinates."""
         joints = np.zeros((6, n))
         joints[:, self.coordinates] = a.joints
-        return a._replace(contacts=self.of_whole(a.contacts), joints=joints)
+        return a._replace(contacts=self.contacts(a.contacts), joints=joints)
 
     def fill(self, at: Instant, end: Instant) -> None:
-        """Put what is of the nodes of the part, and no contact, where it is in the whole."""
-        p, own, f, mine = at.position, end.position, self.moved, self._frame[self.moved]
+        """Put what is of the nodes of the part where it is in arrays of the whole, but for contacts."""
+        p, own, mine = at.position, end.position, self._frame[self._moved]
         p.x[self._bodies], p.quaternion[self._bodies], at.v[self.coordinates] = own.x, own.quaternion, end.v
         at.limits[self._limits], at.warm.joints[self._slots] = end.limits, end.warm.joints
-        for column, given in zip(
-            (*at.placement[:2], *at.looked, *at.twists), (*end.placement[:2], *end.looked, *end.twists), strict=True
-        ):
-            column[f] = given[mine]
+        of_frames = [(*i.placement[:2], *i.looked, *i.twists) for i in (at, end)]
+        for column, given in zip(*of_frames, strict=True):
+            column[self._moved] = given[mine]
 
-    def trees_of(self, whole: Sequence[object], own: Sequence[object]) -> tuple[object, ...]:
+    def among(self, all_trees: Sequence[T], own: Sequence[T]) -> tuple[T, ...]:
         """Values of all trees, of which those of the part are its own."""
-        out = list(whole)
+        out = list(all_trees)
         for k, value in zip(self._trees.tolist(), own, strict=True):
             out[k] = value
         return tuple(out)
+
+
+def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part, Instant]]) -> Instant:
+    """An instant of the whole from those of parts, and what is left of a `base`: its nodes `left` (nodes,)."""
+    d, detector = whole.dynamics, whole.detector
+    out, p = _copied(base), base.position.trees
+    links, energies = base.placement.links, base.energies
+    node = np.append(d.block_of_frame, -1)
+
+    def stays(frame1: Index, frame2: Index) -> Bools:
+        first = node[frame1]
+        return left[np.where(first >= 0, first, node[frame2])]
+
+    c, m, w = base.contacts, base.memory, base.warm
+    kept = stays(c.frame1, c.frame2), stays(m.names[2], m.names[3]), stays(w.frame1, w.frame2)
+    contacts, warm = [ContactSet._make([x[kept[0]] for x in c])], [[x[kept[2]] for x in _columns(w)]]
+    names, points = [m.names[:, kept[1]]], [m.points[:, kept[1]]]
+    for part, end in parts:
+        part.fill(out, end)
+        p, links = part.among(p, end.position.trees), part.among(links, end.placement.links)
+        energies = part.among(energies, end.energies)
+        contacts.append(part.contacts(end.contacts))
+        names.append(part.memory(end.memory))
+        points.append(end.memory.points)
+        warm.append(_columns(part.warm(end.warm)))
+    c = ContactSet._make([np.concatenate(columns) for columns in zip(*contacts, strict=True)])
+    order = np.argsort(detector.codes(c), kind="stable")
+    all_names, all_points = np.concatenate(names, axis=1), np.concatenate(points, axis=1)
+    ranks = np.argsort(all_names[0] * whole.inscribed.size + all_names[1], kind="stable")
+    next_key = max(base.memory.next_key, *(end.memory.next_key for _, end in parts))
+    key, frame1, frame2, force, status = [np.concatenate(columns) for columns in zip(*warm, strict=True)]
+    return out._replace(
+        position=out.position._replace(trees=p), placement=out.placement._replace(links=links), energies=energies,
+        contacts=ContactSet._make([column[order] for column in c]),
+        memory=ContactMemory(all_names[:, ranks].copy(), all_points[:, ranks].copy(), next_key),
+        warm=Warm(key, frame1, frame2, force, status, out.warm.joints, None),
+    )  # fmt: skip
+
+
+def _columns(w: Warm) -> list[Any]:
+    """What a warm start has of every contact."""
+    return [w.key, w.frame1, w.frame2, w.force, w.status]
+
+
+def _copied(at: Instant) -> Instant:
+    """The same with arrays of its own where parts put theirs."""
+    p, w = at.position, at.warm
+    return at._replace(
+        position=p._replace(x=p.x.copy(), quaternion=p.quaternion.copy()), v=at.v.copy(), limits=at.limits.copy(),
+        placement=at.placement._replace(x=at.placement.x.copy(), R=at.placement.R.copy()),
+        looked=Looked._make([column.copy() for column in at.looked]), warm=w._replace(joints=w.joints.copy()),
+        twists=(at.twists[0].copy(), at.twists[1].copy()),
+    )  # fmt: skip

@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import Callbacks, Half, first_half
 from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
-from nsdyn.stepping.move import Callbacks, Half, Trial, finish, first_half, trial
+from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
 from nsdyn.stepping.sight import Unmet, others
 from nsdyn.stepping.state import State
@@ -55,6 +56,8 @@ class Passage(NamedTuple):
     solved : list of (FC3D, Solution)
         Of all problems.
     works : list of Works
+    path : list of Placement
+        Where the frames were on their way: between two of them bodies go straight, turning at constant rates.
     """
 
     end: Instant
@@ -64,6 +67,7 @@ class Passage(NamedTuple):
     done: list[Impulses]
     solved: list[tuple[FC3D, Solution]]
     works: list[Works]
+    path: list[Placement]
 
 
 def through(system: System, state: State, loads: Loads) -> Passage:
@@ -75,7 +79,7 @@ def through(system: System, state: State, loads: Loads) -> Passage:
     state : State
         Where the step begins.
     loads : callable
-        What the user has to say at a time [s], as `nsdyn.stepping.move.trial` takes it.
+        What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
     """
     begin = state.instant
     whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, state.owed)
@@ -88,6 +92,7 @@ def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
+    path: list[Placement] = []
     left, pieces, tries = system.dt, [1, 1], 1
     while pieces:
         halvings, tries = pieces.pop(), tries + 1
@@ -101,7 +106,8 @@ def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
         begun = system.dt - left
         now, rate, owed, clear, left = p.end, p.rate, p.owed, p.clear, left - h
         done, solved, works = done + [_later(a, begun) for a in p.done], solved + p.solved, works + p.works
-    return Passage(now, rate, owed, clear, done, solved, works)
+        path += p.path
+    return Passage(now, rate, owed, clear, done, solved, works, path)
 
 
 def _pass(
@@ -112,29 +118,39 @@ def _pass(
     They would where islands gain energy, though all is solved, and where bodies sink into each other so far, or in such
     wedges, that the projection would move them visibly.
     """
-    found, half, sunk = None, None, False
+    found, half, sunk, path = None, None, False, [begin.placement]
     if begin.contacts.gap.size <= LOCATED:
-        if s.dynamics.trees:
-            half = first_half(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
-            found = quiet_trees(s, begin, half)
-        elif loads(end) is None:
-            found = quiet(s, begin, h)
+        found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
     if found is None:
-        found, sunk = _moves(s, loads, begin, end, h, rate, half)
+        found, sunk = _moves(s, loads, begin, end, h, rate, half, path)
     now, rate, clear, external, done, solved, works = found
-    now, gained, owed, gains = balance(s, begin, now, done, external, owed)
-    if gained:
-        works.append(Works(projection=gained))
-    gains = gains and all(solution.converged for _, solution in solved)
-    coarse = (gains or sunk) and not any(_jammed(solution) for _, solution in solved)
-    return Passage(now, rate, owed, clear, done, solved, works), coarse
+    coarse = sunk and not any(_jammed(solution) for _, solution in solved)
+    return Passage(now, rate, owed, clear, done, solved, works, [*path, now.placement]), coarse
+
+
+def undisturbed(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> tuple[Passage | None, Half | None]:
+    """A move of h s from the time t in which nothing new is met, None where anything is; its first half, if known."""
+    found, half = _quietly(s, begin, t, h, callbacks)
+    if found is None:
+        return None, half
+    now, rate, clear, _, done, solved, works = found
+    return Passage(now, rate, np.zeros(s.dynamics.free), clear, done, solved, works, []), half
+
+
+def _quietly(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> tuple[Moves | None, Half | None]:
+    if s.dynamics.trees:
+        half = first_half(s, begin, t, h, callbacks)
+        return quiet_trees(s, begin, half, callbacks), half
+    return (quiet(s, begin, h) if callbacks is None else None), None
 
 
 def _moves(
-    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, half: Half | None
-) -> tuple[Moves, bool]:
+    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, half: Half | None,
+    path: list[Placement],
+) -> tuple[Moves, bool]:  # fmt: skip
     """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
 
+    Where they were goes into the path.
     The first half of a move all the way without impacts before it may be known.
     """
     now, left, clear, external, sunk = begin, h, True, s.dynamics.no_works, False
@@ -154,6 +170,7 @@ def _moves(
         )
         half = None
         m = finish(s, now, tried)
+        path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
         done.append(_later(m.impulses, h - left))
         moved = tried.response.moved
         sunk = sunk or s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
@@ -230,5 +247,5 @@ def _until_impact(
 def _try(
     s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None, half: Half | None = None
 ) -> Trial:
-    """A move of h seconds, with what the user has to say where its impulses act, unless its first half is known."""
-    return trial(s, begin, t, h, None if half else loads(t + (1.0 - s.theta) * h), barred, half)
+    """A move of h seconds, with what the user has to say where its impulses act; its first half may be known."""
+    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, half)

@@ -18,8 +18,9 @@ from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free
 from nsdyn.stepping.encounter import Basis, Encounter, Warm, foresee, solve
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
 from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, System, account
-from nsdyn.stepping.move import STILL_SURFACES, Half, tree_works
+from nsdyn.stepping.move import tree_works
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Moves", "quiet", "quiet_trees"]
@@ -75,15 +76,17 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     impulses = Impulses(
         contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, 0.0, time, h
     )
-    warm = Warm(contacts.key, world, status, slots, Basis(contacts, rows, frame, problem))
+    warm = Warm(
+        contacts.key, contacts.frame1, contacts.frame2, world, status, slots, Basis(contacts, rows, frame, problem)
+    )
     position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
     works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
     return end, rate, True, d.no_works, [impulses], [(problem, solution)], [works]
 
 
-def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
-    """`quiet` in scenes with trees, under whatever forces, from the first half of the move.
+def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> Moves | None:
+    """`quiet` in scenes with trees, under whatever forces, from the first half of a move, which callbacks correct.
 
     No joint is near its limits, none has dry friction, and no actuator is at its limit.
     """
@@ -111,6 +114,8 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     impulse, v_plus = met.rows.response(r, forces.v)
     if d.within_limits(middle, forces, v_plus) is not forces:
         return None
+    if (again := corrected(s, begin, half, v_plus, callbacks)) is not half:
+        return quiet_trees(s, begin, again, None)
     position, v_end, place, ends = d.end(middle, forces, v_plus, impulse, half.ahead, still[1])
     limits, same = d.limits(place), s.unmoved(looked, place, d.nowhere)
     now = place.x, place.R, d.nowhere
@@ -118,7 +123,7 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     if seen is None or _few.least(seen[0].gap) < -s.closed or _few.least(limits) < -s.closed:
         return None
     found, memory, looked = seen
-    impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem)
+    impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem, d.mass)
     works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses.joints, own)
     twists = d.twists(place, v_end)
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)

@@ -29,10 +29,10 @@ from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping import impacts
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
+from nsdyn.stepping.half import Callbacks
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.instant import Impulses, System
-from nsdyn.stepping.move import Callbacks
-from nsdyn.stepping.passage import through
+from nsdyn.stepping.islands import Islands
 from nsdyn.stepping.prescribed import Prescribed
 from nsdyn.stepping.state import Pieces, Start, State, Step
 from nsdyn.tools import callbacks
@@ -79,8 +79,12 @@ class Stepper:
         A name of `nsdyn.solvers.SOLVERS`, then at a tolerance of 1e-8, or a solver object. Default and "auto":
         ``Auto(tol=1e-8, loose=1e-4)``.
     controller : callable, optional
-        ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}; called with the time and
-        configuration of the impulses and the velocity at the beginning, Pinocchio's layout.
+        ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}. It is called twice a step, at the
+        time and the configuration q~ where forces and impulses act: first with the velocity v⁻ before them, then with
+        the mean velocity ½ (v⁻ + v⁺) of the motion so found. If it says something else there, that acts, and the
+        motion is found again: laws of the velocity are of second order for θ = ½, as is their work. A step that is cut,
+        at impacts or because it is too coarse, calls so in each move that is tried, at its own times. Layout as
+        Pinocchio's, for q and for v.
     external_force : callable, optional
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's
@@ -182,6 +186,7 @@ class Stepper:
         self._prescribed = None
         if self.dynamics.prescribed:
             self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
+        self._islands = Islands(self.system)
         instant, d = begin(self.system, geoms, float(overlap), lift), self.dynamics
         energies = d.energies(instant.position, instant.v, instant.energies)
         self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies, np.zeros(d.free))
@@ -293,7 +298,7 @@ class Stepper:
 
     def _advance(self) -> Step:
         s = self._state
-        now, rate, owed, clear, done, solved, works = through(self.system, s, self._loads)
+        now, rate, owed, clear, done, solved, works, _ = self._islands.step(s, self._loads)
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.placement, now.placement, s.t + s.dt)
             clear = clear and depth <= self.closed

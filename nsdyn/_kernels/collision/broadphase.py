@@ -62,7 +62,7 @@ def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fa
 
 @kernel
 def bounds(fields, x, R_frames, lower, upper):
-    """Bounds of the geoms on moving frames at these poses, into their rows of lower and upper; `fields` as in `follow`."""
+    """Bounds of the geoms on moving frames at these poses, into their rows; `fields` as in `follow`."""
     geometry = Geometry(*fields)
     R, t = np.empty((geometry.kind.size, 3, 3)), np.empty((geometry.kind.size, 3))
     place(geometry, x, R_frames, R, t)

@@ -1,0 +1,249 @@
+"""The step of a scene: all that moves at once; an island that meets an event is taken back and made by itself.
+
+An island is what may touch within the step. One that strikes, opens, closes, ends in an overlap or slips otherwise than
+foreseen is made as if there were nothing else, through all its events, and so does exactly what it would do alone. Its
+motion then says whether it came near another after all: these are made once more, together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsdyn._kernels import reductions as _few
+from nsdyn._kernels.stepping import islands as _islands
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.values import Placement
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Status
+from nsdyn.stepping.encounter import foresee
+from nsdyn.stepping.half import Half, first_half
+from nsdyn.stepping.instant import FAST, JOINT, Instant, System
+from nsdyn.stepping.move import Trial, attempt, finish
+from nsdyn.stepping.parts import Part, merged
+from nsdyn.stepping.passage import Loads, Passage, through, undisturbed
+from nsdyn.stepping.sight import approach
+from nsdyn.stepping.state import State
+from nsdyn.tools.arrays import Array, Bools, Index
+
+__all__ = ["Islands"]
+
+KEPT = 512
+"""Most parts of a scene that are kept for when they are asked for again."""
+
+BENT = 0.25
+"""Of what a link of a tree moves between two configurations, how far it may be from the straight way there."""
+
+
+class Islands:
+    """The step of a scene, and the systems of its islands.
+
+    Parameters
+    ----------
+    whole : System
+    """
+
+    def __init__(self, whole: System) -> None:
+        d = whole.dynamics
+        self.whole, self.count = whole, d.offset.size - 1
+        frame = whole.detector.frame
+        self._node = np.where(frame >= 0, d.node[frame], -1)
+        self._parts: dict[tuple[int, ...], Part] = {}
+
+    def step(self, state: State, loads: Loads) -> Passage:
+        """Everything dt later.
+
+        Parameters
+        ----------
+        state : State
+        loads : callable
+            What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it: where forces act in a step
+            that meets no event, which islands that do are under, too.
+        """
+        s, begin, h = self.whole, state.instant, state.dt
+        t = state.next_t - h
+        callbacks = loads(t + (1.0 - s.theta) * h)
+        if self.count < 2 and callbacks is None:
+            return through(s, state, loads)
+        found, half = undisturbed(s, begin, t, h, callbacks)
+        if found is not None:
+            return found
+        half = half or first_half(s, begin, t, h, callbacks)
+        label, count = self._foreseen(begin, half)
+        if count < 2 and callbacks is None:
+            return through(s, state, loads)
+        opened, tried = np.zeros(count, np.bool_), None
+        opened[label[np.concatenate((self._struck(begin, half), self._fast(half)))]] = True
+        if not opened.all():
+            tried = attempt(s, begin, half, callbacks, opened[label])
+            half = tried.half
+            opened[label[self._events(tried)]] = True
+            if not opened.any():
+                m = finish(s, begin, tried)
+                return Passage(m.end, m.rate, state.owed, m.clear, [m.impulses], [(m.problem, m.solution)], m.works, [])
+        return self._together(state, half, label, opened, tried)
+
+    def _together(self, state: State, half: Half, label: Index, opened: Bools, tried: Trial | None) -> Passage:
+        """The step from an attempt at it, of which the islands `opened` are made by themselves."""
+        s, begin, d = self.whole, state.instant, self.whole.dynamics
+        boxes = self._swept(s, [begin.placement])
+        if tried is not None:
+            boxes = self._swept(s, [begin.placement, half.middle.placement, tried.response.moved.placement])
+        done: dict[tuple[int, ...], tuple[Part, Passage]] = {}
+        key = (begin if tried is None else tried.seen).memory.next_key
+        while True:
+            for k in np.flatnonzero(opened).tolist():
+                nodes = np.flatnonzero(label == k)
+                if (name := tuple(nodes.tolist())) in done:
+                    continue
+                part = self._part(name, nodes)
+                passage = through(part.system, part.state(state, key), part.loads(half.given))
+                done[name], key = (part, passage), passage.end.memory.next_key
+                own = self._swept(part.system, passage.path)
+                moves = part.system.detector.frame >= 0
+                for box, mine in zip(boxes, own, strict=True):
+                    box[part.geoms[moves]] = mine[moves]
+            before, count = label, int(label.max()) + 1
+            label = np.empty(self.count, np.int64)
+            if self._islands(boxes, begin.contacts, before, label) == count:
+                break
+            again = np.zeros(int(label.max()) + 1, np.bool_)
+            again[label[opened[before]]] = True
+            pairs = np.unique(np.stack((label, before)), axis=1)[0]
+            again |= np.bincount(pairs, minlength=again.size) > 1
+            opened = again
+        made = [done[tuple(np.flatnonzero(label == k).tolist())] for k in np.flatnonzero(opened).tolist()]
+        left = ~opened[label]
+        if tried is None or not left.any():
+            base, clear, rate, acted, solved, works = begin, True, np.empty(d.n), [], [], []
+        else:
+            m = finish(s, begin, self._kept(tried, left), left)
+            base, clear, rate, acted, solved = m.end, m.clear, m.rate.copy(), [m.impulses], [(m.problem, m.solution)]
+            works = m.works
+        for part, p in made:
+            rate[part.coordinates] = p.rate
+            acted += [part.impulses(a, d.n) for a in p.done]
+            solved, works, clear = solved + p.solved, works + p.works, clear and p.clear
+        end = merged(s, base, left, [(part, p.end) for part, p in made])
+        return Passage(end, rate, state.owed, clear, acted, solved, works, [])
+
+    def _part(self, name: tuple[int, ...], nodes: Index) -> Part:
+        """The system of some nodes."""
+        if name not in self._parts:
+            if len(self._parts) >= KEPT:
+                self._parts.clear()
+            self._parts[name] = Part(self.whole, nodes)
+        return self._parts[name]
+
+    # -- islands -----------------------------------------------------------------------------------------------
+
+    def _foreseen(self, begin: Instant, half: Half) -> tuple[Index, int]:
+        """Islands of what may touch, should nothing be met, (nodes,), and their number."""
+        s, d = self.whole, self.whole.dynamics
+        reach = s.arm * 1e-3 + half.reach + d.reach(begin.placement, begin.v, half.h - half.ahead, half.h, half.surfaces[0])
+        lower, upper = s.detector.boxes(*begin.placement[:2])
+        frame = s.detector.frame
+        far = np.where(frame >= 0, reach[frame], 0.0)[:, None]
+        label = np.empty(self.count, np.int64)
+        return label, self._islands((lower - far, upper + far), begin.contacts, None, label)
+
+    def _islands(self, boxes: tuple[Array, Array], contacts: ContactSet, before: Index | None, label: Index) -> int:
+        """Connected nodes, by their boxes, contacts and the islands there were, into label (nodes,); their number."""
+        node = self.whole.dynamics.node
+        first, second = node[contacts.frame1], node[contacts.frame2]
+        if before is not None:
+            _, least = np.unique(before, return_index=True)
+            first, second = np.concatenate((first, least[before])), np.concatenate((second, np.arange(self.count)))
+        return int(_islands.islands(*boxes, self._node, first, second, label))
+
+    def _swept(self, s: System, path: list[Placement]) -> tuple[Array, Array]:
+        """Boxes about the geoms on their way, (geoms, 3) each, m."""
+        link = np.arange(s.dynamics.frames) >= s.dynamics.free
+        frame = s.detector.frame
+        lower, upper = s.detector.boxes(*path[0][:2])
+        wide = np.zeros(s.dynamics.frames)
+        for one, other in zip(path, path[1:], strict=False):
+            low, high = s.detector.boxes(*other[:2])
+            np.minimum(lower, low, out=lower)
+            np.maximum(upper, high, out=upper)
+            turn = np.abs(other.R - one.R).max(axis=(1, 2), initial=0.0)  # at least 0.4 of the angle, or of a radian
+            far = s.arm * np.minimum(1.0, turn * turn)
+            far[link] += BENT * np.linalg.norm(other.x - one.x, axis=1)[link]
+            np.maximum(wide, far, out=wide)
+        more = np.where(frame >= 0, wide[frame], 0.0)[:, None]
+        return lower - more, upper + more
+
+    # -- events ------------------------------------------------------------------------------------------------
+
+    def _struck(self, begin: Instant, half: Half) -> Index:
+        """Nodes of closed contacts and joint limits that approach so fast that they may strike in no time."""
+        s, d, c = self.whole, self.whole.dynamics, begin.contacts
+        out = [np.empty(0, np.int64)]
+        if c.gap.size:
+            u = approach(d, c, begin.placement, begin.v)
+            if d.surfaces.count:
+                carried = d.surfaces.velocities(c, begin.position.driven_x, half.surfaces[0])
+                u += (c.normal * carried).sum(axis=1)
+            limit = np.where(c.restitution > 0.0, s.solver.tol, s.slow / half.h)
+            out += self._nodes(c, (c.gap <= s.closed) & (u < -limit))
+        if _few.any_below(begin.limits, s.closed):
+            joints, slots = d.joints, d.joints.limits
+            limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * JOINT / half.h)
+            out.append(joints.block[slots[(begin.limits <= s.closed) & (joints.rates(slots, begin.v) < -limit)]])
+        return np.concatenate(out)
+
+    def _fast(self, half: Half) -> Index:
+        """Nodes so fast that they might pass through something unseen."""
+        if not half.fast:
+            return np.empty(0, np.int64)
+        node = self.whole.dynamics.node[:-1][half.reach > FAST * self.whole.smallest]
+        return node[node >= 0]
+
+    def _nodes(self, c: ContactSet, which: Bools) -> list[Index]:
+        """Nodes of some contacts."""
+        node = self.whole.dynamics.node
+        both = np.concatenate((node[c.frame1[which]], node[c.frame2[which]]))
+        return [both[both >= 0]]
+
+    def _events(self, tried: Trial) -> Index:
+        """Nodes that an attempt at a step does not do: they meet an event, or impulses are to be sought once more."""
+        s, d, a, out = self.whole, self.whole.dynamics, tried.response, []
+        c, found, limits = a.met.contacts, a.moved.contacts, a.moved.limits
+        out += self._nodes(found, found.gap < -s.closed)
+        out.append(d.joints.block[d.joints.limits[limits < -s.closed]])
+        if tried.unmet is not None:
+            hit = tried.unmet.code[tried.unmet.gap < -tried.unmet.limit]
+            geoms = np.concatenate(np.divmod(hit[hit >= 0], self._node.size))
+            nodes = self._node[geoms]
+            out += [nodes[nodes >= 0], d.joints.block[d.joints.limits[-1 - hit[hit < 0]]]]
+        if a.otherwise:
+            out += self._nodes(c, a.slides != foresee(a.met._replace(slides=None)))
+        if not a.solution.accepted:
+            out += self._nodes(c, np.ones(c.gap.size, np.bool_))
+        if a.impact is not None:
+            out += self._nodes(c, a.impact.r[0 : 3 * c.gap.size : 3] > 0.0)
+        limited = d.within_limits(tried.half.middle, tried.half.forces, a.v)
+        changed = [x is not y for x, y in zip(limited.trees, tried.half.forces.trees, strict=True)]
+        out.append(d.free + np.flatnonzero(changed))
+        return np.concatenate(out)
+
+    def _kept(self, tried: Trial, left: Bools) -> Trial:
+        """What an attempt did to the nodes left."""
+        s, d, a = self.whole, self.whole.dynamics, tried.response
+        kept, there = left[s.nodes(a.met.contacts)], left[s.nodes(a.moved.contacts)]
+        if a.met.joints is not None:
+            kept = np.concatenate((kept, left[d.joints.block[a.met.joints.slot]]))
+        limits = a.moved.limits
+        if limits.size:
+            limits = np.where(left[d.joints.block[d.joints.limits]], limits, np.inf)
+        contacts = ContactSet._make([column[there] for column in a.moved.contacts])
+        rows, blocks = np.repeat(kept, 3), a.problem.blocks
+        problem = FC3D.from_blocks(
+            blocks._replace(block=blocks.block[kept], start=blocks.start[kept]), a.problem.q[rows], a.problem.mu[kept],
+            a.problem.scales[kept],
+        )  # fmt: skip
+        solution = a.solution.judge(problem, a.solution.r[rows], s.solver.tol, a.solution.iterations, a.solution.time, Status.LOOSE)
+        response = a._replace(
+            met=a.met.take(kept), impact=None, kick=0.0, problem=problem, solution=solution,
+            moved=a.moved._replace(contacts=contacts, limits=limits),
+        )  # fmt: skip
+        return tried._replace(response=response)
