@@ -7,17 +7,19 @@ motion then says whether it came near another after all: these are made once mor
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import islands as _islands
-from nsdyn.collision.contacts import ContactSet
+from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Status
 from nsdyn.stepping.encounter import foresee
 from nsdyn.stepping.half import Half, first_half
-from nsdyn.stepping.instant import FAST, JOINT, Instant, System
+from nsdyn.stepping.instant import JOINT, Instant, System, take
 from nsdyn.stepping.move import Trial, attempt, finish
 from nsdyn.stepping.parts import Part, merged
 from nsdyn.stepping.passage import Loads, Passage, through, undisturbed
@@ -72,11 +74,13 @@ class Islands:
         if count < 2 and callbacks is None:
             return through(s, state, loads)
         opened, tried = np.zeros(count, np.bool_), None
-        opened[label[np.concatenate((self._struck(begin, half), self._fast(half)))]] = True
-        if not opened.all():
-            tried = attempt(s, begin, half, callbacks, opened[label])
+        opened[label[self._struck(begin, half)]] = True
+        if callbacks is not None or not opened.all():
+            # What the user says at the mean velocity is asked of the motion of all.
+            skipped = np.zeros(self.count, np.bool_) if callbacks else opened[label]
+            tried = attempt(s, begin, half, callbacks, skipped)
             half = tried.half
-            opened[label[self._events(tried)]] = True
+            opened[label[self._events(begin, tried)]] = True
             if not opened.any():
                 m = finish(s, begin, tried)
                 return Passage(m.end, m.rate, state.owed, m.clear, [m.impulses], [(m.problem, m.solution)], m.works, [])
@@ -161,7 +165,7 @@ class Islands:
         frame = s.detector.frame
         lower, upper = s.detector.boxes(*path[0][:2])
         wide = np.zeros(s.dynamics.frames)
-        for one, other in zip(path, path[1:], strict=False):
+        for one, other in pairwise(path):
             low, high = s.detector.boxes(*other[:2])
             np.minimum(lower, low, out=lower)
             np.maximum(upper, high, out=upper)
@@ -191,20 +195,13 @@ class Islands:
             out.append(joints.block[slots[(begin.limits <= s.closed) & (joints.rates(slots, begin.v) < -limit)]])
         return np.concatenate(out)
 
-    def _fast(self, half: Half) -> Index:
-        """Nodes so fast that they might pass through something unseen."""
-        if not half.fast:
-            return np.empty(0, np.int64)
-        node = self.whole.dynamics.node[:-1][half.reach > FAST * self.whole.smallest]
-        return node[node >= 0]
-
     def _nodes(self, c: ContactSet, which: Bools) -> list[Index]:
         """Nodes of some contacts."""
         node = self.whole.dynamics.node
         both = np.concatenate((node[c.frame1[which]], node[c.frame2[which]]))
         return [both[both >= 0]]
 
-    def _events(self, tried: Trial) -> Index:
+    def _events(self, begin: Instant, tried: Trial) -> Index:
         """Nodes that an attempt at a step does not do: they meet an event, or impulses are to be sought once more."""
         s, d, a, out = self.whole, self.whole.dynamics, tried.response, []
         c, found, limits = a.met.contacts, a.moved.contacts, a.moved.limits
@@ -215,6 +212,12 @@ class Islands:
             geoms = np.concatenate(np.divmod(hit[hit >= 0], self._node.size))
             nodes = self._node[geoms]
             out += [nodes[nodes >= 0], d.joints.block[d.joints.limits[-1 - hit[hit < 0]]]]
+        if tried.half.fast:
+            poses = [Poses(*p[:2]) for p in (begin.placement, tried.half.middle.placement, a.moved.placement)]
+            closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+            for one, other in pairwise(poses):
+                met = s.touches(one, other, tried.seen.memory, closed).contacts
+                out += self._nodes(met, np.ones(met.gap.size, np.bool_))
         if a.otherwise:
             out += self._nodes(c, a.slides != foresee(a.met._replace(slides=None)))
         if not a.solution.accepted:
