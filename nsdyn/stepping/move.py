@@ -307,7 +307,7 @@ def _respond(
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
         every, moving = d.with_actuators(joints, forces), half.surfaces[1:]
         met = Encounter.of(d, contacts, every, middle, forces, start, half.reach, moving, half.h, half.ahead, closing)
-    met, impact, kick = caught_impacts(s, met, half.h)
+    met, impact, kick = caught_impacts(s, met, middle.placement, half.rate, half.h)
     slides = foresee(met)
     if last is not None:
         met = met.otherwise()
