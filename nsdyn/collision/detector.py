@@ -100,7 +100,7 @@ class Detector:
         self._t = self._geometry.placement_t.copy()
         arm = np.linalg.norm(self._t, axis=1) + self._geometry.radius
         self._arm = np.where(self._moving, arm, 0.0)  # farthest any point is from the origin of its frame
-        self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
+        self.base = self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
         self._reach = np.zeros(n)
         self._lower, self._upper = np.empty((n, 3)), np.empty((n, 3))
         for k in range(n):

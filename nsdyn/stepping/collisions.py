@@ -6,7 +6,7 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.dynamics.values import Middle
+from nsdyn.dynamics.values import Middle, Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
@@ -18,21 +18,24 @@ from nsdyn.tools.arrays import Array, Bools
 __all__ = ["caught_impacts", "collide"]
 
 
-def caught_impacts(s: System, met: Encounter, h: float) -> tuple[Encounter, Impact | None, Array | float]:
-    """Impacts in no time where the other impulses act, of contacts that close within the move.
+def caught_impacts(
+    s: System, met: Encounter, there: Placement, rate: Array, h: float
+) -> tuple[Encounter, Impact | None, Array | float]:
+    """Impacts in no time where the other impulses act, of contacts that close within the move of h s.
 
-    What the others meet then, the impacts, and the change of v by them, 0 where there are none.
+    What the others meet then, the impacts, and the change of v by them, 0 where there are none. `rate` (n,) is the free
+    acceleration.
     """
     if not s.elastic or not met.mu.size:
         return met, None, 0.0
     u_begin, u, u_free, drift = met.local[:4, 0::3]
-    fall = 2.0 * s.dt / h * np.abs(u_free - u)
+    resting = s.resting(met.contacts, met.joints, met.restitution, there, rate)
     closes = met.end_gap + s.theta * h * (u_free + drift) <= 0.0
-    struck = (met.restitution > 0.0) & (u_begin < -fall) & (u < 0.0) & closes
+    struck = (met.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & closes
     if not struck.any():
         return met, None, 0.0
     # Rows that turn with their bodies are no approach.
-    resting = np.where(struck, fall, fall + 2.0 * np.abs(drift))
+    resting = np.where(struck, resting, resting + 2.0 * np.abs(drift))
     closed = struck | (met.end_gap <= s.closed)
     impact = _strike(s, met, closed, resting, resting)
     kick = met.rows.velocity_change(impact.r)
@@ -66,8 +69,7 @@ def collide(
     here = Middle(at.position, at.v, at.placement, ())
     start = contacts, at.position.driven_x, at.placement, at.twists, at.v, at.warm
     met = Encounter.of(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0, 0.0)
-    # What the solver's tolerance leaves of a velocity is no approach.
-    resting = s.solver.tol + 2.0 * s.dt * np.abs(met.rows.full.relative_velocity(rate)[0::3])
+    resting = s.resting(contacts, joints, met.restitution, at.placement, rate)
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)
     depth[:nc] = s.deep(contacts)
     if s.depth == DEEP:

@@ -271,8 +271,8 @@ class Encounter(NamedTuple):
         own = Rows(full._replace(block=full.block[kept], start=full.start[kept]), {}, *NO_CLUTCHES)
         return self._replace(
             contacts=contacts, joints=self.joints and self.joints.take(kept[nc:]), rows=own, alike=None,
-            frame=self.frame[kept[:nc]], mu=self.mu[kept], restitution=self.restitution[kept], place=self.place[kept[:nc]],
-            local=self.local[:, rows], end_gap=self.end_gap[kept], slides=None, posed=None,
+            frame=self.frame[kept[:nc]], mu=self.mu[kept], restitution=self.restitution[kept],
+            place=self.place[kept[:nc]], local=self.local[:, rows], end_gap=self.end_gap[kept], slides=None, posed=None,
             transport=self.transport[rows] if self.transport.size else NOTHING,
         )  # fmt: skip
 

@@ -13,6 +13,7 @@ from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Energies, Forces, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import Solver
@@ -21,7 +22,7 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "System", "account", "take"]
+__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "Impulses", "Instant", "System", "account", "take"]
 
 NOTHING = np.empty(0)
 
@@ -35,6 +36,9 @@ falls so far is lifted again at the end, and the energy of that is numerical: wh
 
 JOINT = 0.1
 """What counts for joint limits as the inscribed radius of a shape does, rad or m."""
+
+EVENTS = 16
+"""Most impacts at which one step is cut, and bounces in a step that count as infinitely many."""
 
 STILL = 0.5
 """Fraction of what counts as closed by which frames may have moved while the contacts that were found stay those."""
@@ -51,7 +55,7 @@ class System(NamedTuple):
     theta : float
         Fraction of the move after the impulses.
     dt : float
-        The step of which moves are parts, s: what rests is slower than what forces do in two of them.
+        The step of which moves are parts, s: what bounces on for less than that rests.
     closed : float
         Largest gap that counts as closed, m.
     inscribed : ndarray, shape (geoms,)
@@ -119,6 +123,33 @@ class System(NamedTuple):
         node = self.dynamics.node
         first = node[contacts.frame1]
         out: Index = np.where(first >= 0, first, node[contacts.frame2])
+        return out
+
+    def rests(
+        self, contacts: ContactSet, joints: JointRows | None, restitution: Array, there: Placement, rate: Array
+    ) -> Array:
+        """Speeds of parting up to which contacts, and joint rows, rest at a free acceleration `rate` (n,), m/s.
+
+        After an impact that leaves u the flight takes 2 u/a_n, and those that follow e, e², ... times as long: they are
+        over within a step, or the `EVENTS` of it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS).
+        """
+        weight = np.empty(contacts.gap.size)
+        where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, there.x
+        _law.weights(*where, *self.dynamics.twists(there, rate), weight)
+        if joints is not None:
+            weight = np.concatenate((weight, np.abs(self.dynamics.joints.rates(joints.slot, rate))))
+        out: Array = 0.5 * self.dt * weight * np.maximum(1.0 - restitution, 1.0 / EVENTS)
+        return out
+
+    def resting(
+        self, contacts: ContactSet, joints: JointRows | None, restitution: Array, there: Placement, rate: Array
+    ) -> Array:
+        """Speeds of approach up to which what strikes `rests` afterwards, m/s.
+
+        What the solver's tolerance leaves of a velocity is no approach.
+        """
+        parting = self.rests(contacts, joints, restitution, there, rate)
+        out: Array = self.solver.tol + parting / np.where(restitution > 0.0, restitution, 1.0)
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:

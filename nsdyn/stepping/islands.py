@@ -16,10 +16,10 @@ from nsdyn._kernels.stepping import islands as _islands
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Status
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.encounter import foresee
 from nsdyn.stepping.half import Half, first_half
-from nsdyn.stepping.instant import JOINT, Instant, System, take
+from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
 from nsdyn.stepping.move import Trial, attempt, finish
 from nsdyn.stepping.parts import Part, merged
 from nsdyn.stepping.passage import Loads, Passage, through, undisturbed
@@ -80,7 +80,7 @@ class Islands:
             skipped = np.zeros(self.count, np.bool_) if callbacks else opened[label]
             tried = attempt(s, begin, half, callbacks, skipped)
             half = tried.half
-            opened[label[self._events(begin, tried)]] = True
+            self._open(begin, tried, label, opened)
             if not opened.any():
                 m = finish(s, begin, tried)
                 return Passage(m.end, m.rate, state.owed, m.clear, [m.impulses], [(m.problem, m.solution)], m.works, [])
@@ -143,10 +143,11 @@ class Islands:
     def _foreseen(self, begin: Instant, half: Half) -> tuple[Index, int]:
         """Islands of what may touch, should nothing be met, (nodes,), and their number."""
         s, d = self.whole, self.whole.dynamics
-        reach = s.arm * 1e-3 + half.reach + d.reach(begin.placement, begin.v, half.h - half.ahead, half.h, half.surfaces[0])
+        # What is found in the middle of the step is as far as detection sees, and as the second half may reach.
+        reach = d.reach(begin.placement, begin.v, half.h - half.ahead, half.h, half.surfaces[0]) + half.reach
         lower, upper = s.detector.boxes(*begin.placement[:2])
         frame = s.detector.frame
-        far = np.where(frame >= 0, reach[frame], 0.0)[:, None]
+        far = np.where(frame >= 0, reach[frame] + s.detector.base, 0.0)[:, None]
         label = np.empty(self.count, np.int64)
         return label, self._islands((lower - far, upper + far), begin.contacts, None, label)
 
@@ -201,9 +202,10 @@ class Islands:
         both = np.concatenate((node[c.frame1[which]], node[c.frame2[which]]))
         return [both[both >= 0]]
 
-    def _events(self, begin: Instant, tried: Trial) -> Index:
-        """Nodes that an attempt at a step does not do: they meet an event, or impulses are to be sought once more."""
-        s, d, a, out = self.whole, self.whole.dynamics, tried.response, []
+    def _open(self, begin: Instant, tried: Trial, label: Index, opened: Bools) -> None:
+        """Open the islands that an attempt does not do: they meet an event, or impulses are to be sought once more."""
+        s, d, a = self.whole, self.whole.dynamics, tried.response
+        out = [np.empty(0, np.int64)]
         c, found, limits = a.met.contacts, a.moved.contacts, a.moved.limits
         out += self._nodes(found, found.gap < -s.closed)
         out.append(d.joints.block[d.joints.limits[limits < -s.closed]])
@@ -212,12 +214,6 @@ class Islands:
             geoms = np.concatenate(np.divmod(hit[hit >= 0], self._node.size))
             nodes = self._node[geoms]
             out += [nodes[nodes >= 0], d.joints.block[d.joints.limits[-1 - hit[hit < 0]]]]
-        if tried.half.fast:
-            poses = [Poses(*p[:2]) for p in (begin.placement, tried.half.middle.placement, a.moved.placement)]
-            closed = take(begin.contacts, begin.contacts.gap <= s.closed)
-            for one, other in pairwise(poses):
-                met = s.touches(one, other, tried.seen.memory, closed).contacts
-                out += self._nodes(met, np.ones(met.gap.size, np.bool_))
         if a.otherwise:
             out += self._nodes(c, a.slides != foresee(a.met._replace(slides=None)))
         if not a.solution.accepted:
@@ -227,7 +223,15 @@ class Islands:
         limited = d.within_limits(tried.half.middle, tried.half.forces, a.v)
         changed = [x is not y for x, y in zip(limited.trees, tried.half.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
-        return np.concatenate(out)
+        opened[label[np.concatenate(out)]] = True
+        # What passes through something unseen.
+        fast = d.node[:-1][tried.half.reach > FAST * s.smallest] if tried.half.fast else d.node[:0]
+        if not opened[label[fast[fast >= 0]]].all():
+            poses = [Poses(*p[:2]) for p in (begin.placement, tried.half.middle.placement, a.moved.placement)]
+            closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+            for one, other in pairwise(poses):
+                met = s.touches(one, other, tried.seen.memory, closed).contacts
+                opened[label[self._nodes(met, np.ones(met.gap.size, np.bool_))[0]]] = True
 
     def _kept(self, tried: Trial, left: Bools) -> Trial:
         """What an attempt did to the nodes left."""
@@ -239,12 +243,13 @@ class Islands:
         if limits.size:
             limits = np.where(left[d.joints.block[d.joints.limits]], limits, np.inf)
         contacts = ContactSet._make([column[there] for column in a.moved.contacts])
-        rows, blocks = np.repeat(kept, 3), a.problem.blocks
+        rows, blocks = np.repeat(kept, 3), a.met.rows.blocks
         problem = FC3D.from_blocks(
             blocks._replace(block=blocks.block[kept], start=blocks.start[kept]), a.problem.q[rows], a.problem.mu[kept],
             a.problem.scales[kept],
         )  # fmt: skip
-        solution = a.solution.judge(problem, a.solution.r[rows], s.solver.tol, a.solution.iterations, a.solution.time, Status.LOOSE)
+        r, *_, count, time = a.solution
+        solution = Solution.judge(problem, r[rows], s.solver.tol, count, time, Status.LOOSE)
         response = a._replace(
             met=a.met.take(kept), impact=None, kick=0.0, problem=problem, solution=solution,
             moved=a.moved._replace(contacts=contacts, limits=limits),

@@ -217,8 +217,9 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, skip: B
     half, response = _respond(s, begin, half, contacts, joints, seen, NO_SLOTS, None, False, once=True)
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return attempt(s, begin, again, None, skip)
-    slots = NO_SLOTS if joints is None else joints.slot
-    return Trial(half, joints, seen, response, others(s, response.moved.contacts, contacts, response.moved.limits, slots), half.h)
+    slots, moved = NO_SLOTS if joints is None else joints.slot, response.moved
+    unmet = others(s, moved.contacts, contacts, moved.limits, slots)
+    return Trial(half, joints, seen, response, unmet, half.h)
 
 
 def _reachable(
@@ -269,7 +270,7 @@ def _respond(
         met = Encounter.of(
             d, contacts, every, middle.seen(seen.looked), forces, start, half.reach, moving, half.h, half.ahead, closing
         )
-    met, impact, kick = caught_impacts(s, met, half.h)
+    met, impact, kick = caught_impacts(s, met, middle.placement, half.rate, half.h)
     slides = foresee(met)
     if last is not None:
         met = met.otherwise()

@@ -14,7 +14,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, first_half
-from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
+from nsdyn.stepping.instant import DEEP, EVENTS, Impulses, Instant, System, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
 from nsdyn.stepping.sight import Unmet, others
@@ -25,9 +25,9 @@ __all__ = ["Passage", "through"]
 
 Loads = Callable[[float], Callbacks]
 
-CUTS, HITS, LOCATED = 8, 16, 50
-"""Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
-effort is bounded; beyond, impacts are caught within the step."""
+HITS, LOCATED = 16, 50
+"""Most contacts that may be hit in a step, and most contacts in all, so that the effort is bounded; beyond, impacts are
+caught within the step."""
 
 HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
 """Most times that a step is halved in which bodies gained energy, sank or were lifted far, most pieces tried in it, so
@@ -157,7 +157,7 @@ def _moves(
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
-    for cut in range(2 * CUTS):
+    for cut in range(EVENTS + 1):
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
             now, impulses, more, pair = struck
@@ -166,7 +166,7 @@ def _moves(
             solved.append(pair)
             works.append(more)
         length, tried = (
-            _until_impact(s, loads, now, t, left, half) if cut < CUTS else (left, _try(s, loads, now, t, left, None))
+            _until_impact(s, loads, now, t, left, half) if cut < EVENTS else (left, _try(s, loads, now, t, left, None))
         )
         half = None
         m = finish(s, now, tried)

@@ -21,6 +21,7 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
 from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, System, account
 from nsdyn.stepping.move import tree_works
+from nsdyn.stepping.sight import approach
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Moves", "quiet", "quiet_trees"]
@@ -36,14 +37,14 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     Nothing strikes, opens, closes or overlaps, and what slides goes on to.
     """
     d, old, memory, looked = s.dynamics, begin.contacts, begin.memory, begin.looked
-    if s.elastic or not d.alone:
+    if not d.alone:
         return None
     where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
     approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
     if not all_closed or approach < -s.slow / h:
         return None
     x, quaternion, v, R, v_free, rate, reach, far, same = free.half(s, begin, h)
-    if far > FAST * s.smallest:
+    if far > FAST * s.smallest or _bounces(s, begin, (v_free - begin.v) / h):
         return None
     seen = (old, memory, looked) if same else _looked(s, looked, (x, R, reach), old, memory, s.closed)
     if seen is None:
@@ -93,7 +94,9 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     d, old, memory, looked, h = s.dynamics, begin.contacts, begin.memory, begin.looked, half.h
     middle, forces, reach, still = half.middle, half.forces, half.reach, STILL_SURFACES[1:]
     there, v = middle.placement, middle.v
-    if s.elastic or d.surfaces.count or half.fast or _few.any_below(begin.limits, s.closed):
+    if d.surfaces.count or half.fast or _few.any_below(begin.limits, s.closed):
+        return None
+    if _bounces(s, begin, (forces.foreseen - begin.v) / h):
         return None
     where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
     approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
@@ -129,6 +132,16 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)
     external = d.external_works(forces, begin.position, position, v, v_plus, h)
     return end, half.rate, True, external, [impulses], [(problem, solution)], [works]
+
+
+def _bounces(s: System, begin: Instant, rate: Array) -> bool:
+    """Whether anything that may rebound strikes or parts faster than what rests at a free acceleration `rate` (n,)."""
+    c = begin.contacts
+    if not s.elastic or _few.most(c.restitution) == 0.0:
+        return False
+    u, e = approach(s.dynamics, c, begin.placement, begin.v), c.restitution
+    rests, resting = (of(c, None, e, begin.placement, rate) for of in (s.rests, s.resting))
+    return bool(((e > 0.0) & ((u > s.solver.tol + rests) | (u < -resting))).any())
 
 
 def _looked(

@@ -51,13 +51,14 @@ class Unmet(NamedTuple):
 def caught(
     s: System, contacts: ContactSet, begin: Instant, placement: Placement, v: Array, ahead: float, barred: Index
 ) -> ContactSet:
-    """Contacts that a move need not leave alone: closed where it begins, or neither barred, deep nor elastic.
+    """Contacts that a move need not leave alone: closed where it begins, or neither barred nor deep, and at rest soon.
 
     What parts there after a rebound is left alone, too: where bodies turn, it may strike again within the move. What
     pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
     that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
     """
-    before, parted = begin.contacts, _parted(s, begin, v, ahead) if s.elastic else NONE
+    before, rate = begin.contacts, s.theta / ahead * (v - begin.v)
+    parted = _parted(s, begin, rate) if s.elastic else NONE
     if not parted.size and _law.all_known(contacts.key, before.key, before.gap, s.closed):
         return contacts
     held = np.empty(contacts.gap.size, np.bool_)
@@ -66,19 +67,22 @@ def caught(
     warm = begin.warm
     pressed = np.isin(contacts.key, warm.key[warm.status > 0])
     loaded, free = (approach(s.dynamics, contacts, placement, w) for w in (begin.v, v))
-    shallow = contacts.gap + ahead * np.where(pressed, loaded, free) > -s.deep(contacts)
+    u, e = np.where(pressed, loaded, free), contacts.restitution
+    shallow = contacts.gap + ahead * u > -s.deep(contacts)
     shallow &= ~np.isin(s.detector.codes(contacts), barred)
-    return take(contacts, held | (shallow & (contacts.restitution == 0.0)))
+    if s.elastic:
+        shallow &= (e == 0.0) | (u > -s.resting(contacts, None, e, placement, rate))
+    return take(contacts, held | shallow)
 
 
-def _parted(s: System, begin: Instant, v: Array, ahead: float) -> Index:
-    """Keys of elastic contacts that are closed where a move begins, but part faster than forces make them rest."""
+def _parted(s: System, begin: Instant, rate: Array) -> Index:
+    """Keys of elastic contacts that are closed where a move begins, but part faster than what rests."""
     c = begin.contacts
     if not c.gap.size:
         return NONE
-    parts, free = (approach(s.dynamics, c, begin.placement, w) for w in (begin.v, v))
-    rests = s.solver.tol + 2.0 * s.dt * s.theta / ahead * np.abs(free - parts)
-    return c.key[(c.restitution > 0.0) & (c.gap <= s.closed) & (parts > rests)]
+    parts = approach(s.dynamics, c, begin.placement, begin.v)
+    rests = s.rests(c, None, c.restitution, begin.placement, rate)
+    return c.key[(c.restitution > 0.0) & (c.gap <= s.closed) & (parts > s.solver.tol + rests)]
 
 
 def caught_limits(

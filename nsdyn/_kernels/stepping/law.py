@@ -144,6 +144,21 @@ def approach(frame1, frame2, point, normal, x, linear, angular, out):
 
 
 @in_place
+def weights(frame1, frame2, point, normal, x, linear, angular, out):
+    """How much faster free accelerations would make each contact approach, |a1·n| + |a2·n|, into out (nc,), m/s².
+
+    Of frames whose accelerations are those fields. Not their difference: what two bodies that fall together rest by is
+    nothing, but one of them is borne.
+    """
+    for c in range(out.size):
+        p, n, total = row(point, c), row(normal, c), 0.0
+        for f in (frame1[c], frame2[c]):
+            if f >= 0:
+                total += abs(dot(n, along(row(linear, f), 1.0, cross(row(angular, f), minus(p, row(x, f))))))
+        out[c] = total
+
+
+@in_place
 def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
     """The least normal velocity of contacts that are closed, m/s, 0 if none is negative; whether all are closed."""
     least, all_closed = 0.0, True
