@@ -418,7 +418,7 @@ class Dynamics:
 
     def joint_rows(self, place: Placement, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""
-        return self.joints.rows(self._angles(place), v, v_free, h) if self.joints.passive else None
+        return self.joints.rows(self.angles(place), v, v_free, h) if self.joints.passive else None
 
     def limit_rows(self, place: Placement, v: Array) -> JointRows | None:
         """Rows of joint limits alone, for what happens in no time: friction has no impulse then."""
@@ -435,9 +435,9 @@ class Dynamics:
     def limits(self, place: Placement) -> Array:
         """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
         slots = self.joints.limits
-        return self.joints.gaps(slots, self._angles(place)) if slots.size else NONE
+        return self.joints.gaps(slots, self.angles(place)) if slots.size else NONE
 
-    def _angles(self, place: Placement) -> Array:
+    def angles(self, place: Placement) -> Array:
         """Joint coordinates, shape (n,), 0 where there are none."""
         if self._lone:
             return place.links[0].angle

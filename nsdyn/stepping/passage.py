@@ -17,7 +17,7 @@ from nsdyn.stepping.half import Callbacks, Half, first_half
 from nsdyn.stepping.instant import DEEP, EVENTS, Impulses, Instant, System, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
-from nsdyn.stepping.sight import Unmet, others
+from nsdyn.stepping.sight import Unmet, approach, others
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
 
@@ -217,9 +217,6 @@ def _until_impact(
         return h, _try(s, loads, begin, t, h, None)
     barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
     far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))
-    found, _ = s.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
-    held = s.dynamics.joints.limits[begin.limits <= s.closed]
-    before = others(s, found, take(begin.contacts, begin.contacts.gap <= s.closed), begin.limits, held)
     wide, moves = float(far.max(initial=s.closed)), {h: m}
 
     def least(left: Unmet | None) -> float:
@@ -230,18 +227,43 @@ def _until_impact(
 
     def gap(time: float) -> float:
         if time == 0.0:
+            found, _ = s.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
+            held = s.dynamics.joints.limits[begin.limits <= s.closed]
+            before = others(s, found, take(begin.contacts, begin.contacts.gap <= s.closed), begin.limits, held)
             return max(least(before), s.closed)
         if time not in moves:
             moves[time] = _try(s, loads, begin, t, time, barred)
         return least(moves[time].unmet)
 
-    brentq(gap, 0.0, h, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
+    # In free flight the first guess is exact.
+    guess = _first_touch(s, m, barred)
+    if gap(guess) != 0.0:
+        low, high = (guess, h) if gap(guess) > 0.0 else (0.0, guess)
+        brentq(gap, low, high, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
     # Where another feature is the first to touch the gap jumps, and has no root.
     length = min(moves, key=lambda time: abs(gap(time)))
     best, located = moves[length], abs(gap(length)) <= limit
     # What `gap` holds lives until garbage is collected: SciPy wraps it in a function that refers to itself.
     moves.clear()
     return (length, best) if located else (h, _try(s, loads, begin, t, h, None))
+
+
+def _first_touch(s: System, m: Trial, barred: Index) -> float:
+    """When a move touches first what is barred, by the parabolas of gaps that end as it does under its free forces, s."""
+    d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
+    c = take(c, np.isin(s.detector.codes(c), barred) & ~np.isin(c.key, a.met.contacts.key))
+    there, joints = a.moved.placement, d.joints
+    slots = joints.limits[-1 - barred[barred < 0]]
+    gap = np.concatenate((c.gap, joints.gaps(slots, d.angles(there)) if slots.size else NOTHING))
+    u, fall = (
+        np.concatenate((approach(d, c, there, w), joints.rates(slots, w))) for w in (a.v_end, rate)
+    )  # fmt: skip
+    # gap(h - x) = gap - u x + fall x²/2 = 0, where gap is negative: its least positive root
+    root = np.sqrt(np.maximum(u * u - 2.0 * fall * gap, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = np.where(u < 0.0, 2.0 * gap / (u - root), (u + root) / fall)
+    times = m.half.h - x[(gap < 0.0) & (x > 0.0) & (x < m.half.h)]
+    return float(times.min()) if times.size else 0.5 * m.half.h
 
 
 def _try(
