@@ -1,0 +1,128 @@
+"""What an island does depends on nothing that it does not touch: the same bits alone and beside anything else."""
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+
+E = 0.8
+FAR = 1000.0
+
+
+def ball(scene):
+    """A ball that bounces."""
+    scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 1.1), material=nd.Material(mu=0.5, restitution=E))
+
+
+def cubes(scene, count=6, at=(0.0, 0.0), name="cube", seed=0):
+    """Cubes that tumble on each other, and come to rest."""
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        q = rng.normal(size=4)
+        x = (at[0] + rng.uniform(-0.15, 0.15), at[1] + rng.uniform(-0.15, 0.15), 0.25 + 0.3 * k)
+        spin = rng.normal(size=3)
+        scene.add_box(
+            f"{name} {k}", (0.2, 0.2, 0.2), 1.0, position=x, quaternion=q / np.linalg.norm(q), angular_velocity=spin
+        )
+
+
+def slider(scene):
+    """A box that slides to rest."""
+    scene.add_box("slider", (0.2, 0.2, 0.1), 1.0, position=(0, 0, 0.05), linear_velocity=(0.5, 0.1, 0))
+
+
+def robot(scene):
+    """A robot of four legs that lands."""
+    quadruped = nd.scenes.load("quadruped")()
+    scene.articulations.update(quadruped.articulations)
+
+
+def rest(scene, count):
+    """Boxes at rest."""
+    for k in range(count):
+        scene.add_box(f"box {k}", (0.2, 0.2, 0.2), 1.0, position=(FAR + 0.5 * (k % 40), 0.5 * (k // 40), 0.1))
+        scene.set_pair(f"box {k}", "ground", mu=0.5, restitution=0.0)
+
+
+def world(restitution=0.0):
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(mu=0.5, restitution=restitution))
+    return scene
+
+
+def states(scene, steps, dt, bodies=(), robot=None, **options):
+    """Positions and velocities of some bodies, or of a robot's joints, after each step, as bytes."""
+    stepper, out = nd.Stepper(scene, dt, **options), []
+    names = [b.name for b in scene.free_bodies]
+    rows = [names.index(name) for name in bodies]
+    for _ in range(steps):
+        stepper.step()
+        i = stepper.get_state().instant
+        own = [i.position.x[rows], i.position.quaternion[rows], i.v[: 6 * len(names)].reshape(-1, 6)[rows]]
+        if robot is not None:
+            own += [i.position.trees[robot], i.v[stepper.dynamics.trees[robot].coordinates]]
+        out.append(b"".join(part.tobytes() for part in own))
+    return out
+
+
+@pytest.mark.parametrize("boxes", [1, 12, 13, 300])
+def test_a_ball_bounces_as_it_does_alone(boxes):
+    """On sixty contacts and more, too, among which others come near each other."""
+    alone, beside = world(E), world(E)
+    for scene in (alone, beside):
+        ball(scene)
+    rest(beside, boxes)
+    cubes(beside, 2, at=(FAR / 2, 0.0), name="falling")
+    for k in range(2):
+        beside.set_pair(f"falling {k}", "ground", mu=0.5, restitution=0.0)
+    assert states(alone, 60, 1e-2, ["ball"]) == states(beside, 60, 1e-2, ["ball"])
+
+
+def test_cubes_tumble_and_rest_as_they_do_alone():
+    alone, beside = world(), world()
+    for scene in (alone, beside):
+        cubes(scene)
+    cubes(beside, 9, at=(FAR, 0.0), name="other", seed=1)
+    own = [f"cube {k}" for k in range(6)]
+    assert states(alone, 200, 5e-3, own) == states(beside, 200, 5e-3, own)
+
+
+def test_what_rests_and_slides_does_so_beside_what_falls():
+    alone, beside = world(), world()
+    for scene in (alone, beside):
+        slider(scene)
+        rest(scene, 3)
+    cubes(beside, 4, at=(-FAR, 0.0))
+    own = ["slider", "box 0", "box 2"]
+    assert states(alone, 100, 1e-2, own) == states(beside, 100, 1e-2, own)
+
+
+@pytest.mark.parametrize("controlled", [False, True])
+def test_a_robot_walks_as_it_does_alone(controlled):
+    """Controllers are asked for the whole scene: what they say of a robot is what they would say of it alone."""
+    alone, beside = world(), world()
+    for scene in (alone, beside):
+        robot(scene)
+    cubes(beside, 5, at=(FAR, 0.0))
+    name = next(iter(alone.articulations))
+    options = {}
+    if controlled:
+        start = alone.articulations[name].v.size
+        options["controller"] = lambda t, q, v: {name: np.r_[np.zeros(6), -0.5 * v[-start:][6:]]}
+    runs = [states(scene, 60, 4e-3, robot=0, **options) for scene in (alone, beside)]
+    assert runs[0] == runs[1]
+
+
+def test_islands_that_meet_within_a_step_are_made_together():
+    """Two balls that fly at each other from far: the one that was struck before, a third, flies on with its speed."""
+    scene, m = nd.Scene(gravity=(0, 0, 0)), nd.Material(mu=0.0, restitution=1.0)
+    for k, (x, v) in enumerate([(-1.0, 100.0), (0.0, 0.0), (0.25, 0.0), (2.0, -100.0)]):
+        scene.add_sphere(f"b{k}", 0.1, 1.0, position=(x, 0, 0), linear_velocity=(v, 0, 0), material=m)
+    stepper = nd.Stepper(scene, 5e-2)
+    step = stepper.step()
+    v = step.v.reshape(-1, 6)[:, 0]
+    # 0 strikes 1, which strikes 2, which meets 3: speeds are handed on, and back
+    np.testing.assert_allclose(np.sort(v), [-100, 0, 0, 100], atol=1e-9)
+    assert step.ledger.kinetic == pytest.approx(1e4, rel=1e-12)
+    x = step.q.reshape(-1, 7)[:, 0]
+    assert (np.diff(x) >= 0.2 - 1e-9).all()
