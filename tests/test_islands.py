@@ -113,6 +113,26 @@ def test_a_robot_walks_as_it_does_alone(controlled):
     assert runs[0] == runs[1]
 
 
+def test_a_plate_that_shakes_couples_nothing():
+    """Bodies on one driven plate, that hop off it and land, are islands of their own; and no shapes overlap."""
+
+    def shake(t):
+        return (0.1 * np.cos(7 * t), 0, 0.5 * np.cos(30 * t)), (0, 0, 0.2 * np.sin(5 * t))
+
+    def shaken(others):
+        scene = nd.Scene()
+        scene.add_box("plate", (4, 4, 0.2), fixed=True, position=(0, 0, -0.1), material=nd.Material(0.5, 0.3))
+        scene.set_motion("plate", shake)
+        scene.add_sphere("ball", 0.1, 1.0, position=(1, 1, 0.1), material=nd.Material(0.5, 0.3))
+        for k in range(others):
+            scene.add_box(f"box {k}", (0.2, 0.2, 0.2), 1.0, position=(-1, 0.5 * k - 1, 0.1 + 0.1 * k))
+        return scene
+
+    alone, beside = (states(shaken(k), 150, 5e-3, ["ball"]) for k in (0, 4))
+    assert alone == beside
+    assert nd.check(nd.simulate(shaken(4), 0.75, 5e-3)).passed
+
+
 def test_islands_that_meet_within_a_step_are_made_together():
     """Two balls that fly at each other from far: the one that was struck before, a third, flies on with its speed."""
     scene, m = nd.Scene(gravity=(0, 0, 0)), nd.Material(mu=0.0, restitution=1.0)

@@ -116,6 +116,14 @@ class Dynamics:
         out._compose(self.mass[bodies], self.J[bodies], self.radius[bodies], [self.trees[k] for k in trees.tolist()])
         return out
 
+    def during(self, t: float, h: float) -> Dynamics:
+        """The same with surfaces whose velocities change linearly in the h s from t on."""
+        if not self.surfaces.count:
+            return self
+        out = copy(self)
+        out.surfaces = self.surfaces.during(t, h)
+        return out
+
     def _compose(self, mass: Array, J: Array, radius: Array, trees: list[Tree]) -> None:
         """The layout of coordinates and frames, and all that follows from it."""
         self.mass, self.J, self.radius, self.free, self.trees = mass, J, radius, mass.size, []

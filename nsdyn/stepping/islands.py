@@ -21,7 +21,7 @@ from nsdyn.stepping.encounter import foresee
 from nsdyn.stepping.half import Half, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
 from nsdyn.stepping.move import Trial, attempt, finish
-from nsdyn.stepping.parts import Part, merged
+from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import Loads, Passage, through, undisturbed
 from nsdyn.stepping.sight import approach
 from nsdyn.stepping.state import State
@@ -61,18 +61,27 @@ class Islands:
             What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it: where forces act in a step
             that meets no event, which islands that do are under, too.
         """
-        s, begin, h = self.whole, state.instant, state.dt
-        t = state.next_t - h
+        out, begin = self._step(state, loads), state.instant.position
+        d = self.whole.dynamics.during(state.next_t - state.dt, state.dt)
+        if not begin.driven_x.size:
+            return out
+        # Islands may come to them in pieces: what is prescribed is a function of the time alone.
+        x, quaternion = d.surfaces.ahead(begin.driven_x, begin.driven_quaternion, self.whole.theta)
+        return out._replace(end=driven(d, out.end, x, quaternion))
+
+    def _step(self, state: State, loads: Loads) -> Passage:
+        begin, h, t = state.instant, state.dt, state.next_t - state.dt
+        s = self.whole.during(t, h)
         callbacks = loads(t + (1.0 - s.theta) * h)
         if self.count < 2 and callbacks is None:
-            return through(s, state, loads)
+            return through(self.whole, state, loads)
         found, half = undisturbed(s, begin, t, h, callbacks)
         if found is not None:
             return found
         half = half or first_half(s, begin, t, h, callbacks)
         label, count = self._foreseen(begin, half)
         if count < 2 and callbacks is None:
-            return through(s, state, loads)
+            return through(self.whole, state, loads)
         opened, tried = np.zeros(count, np.bool_), None
         opened[label[self._struck(begin, half)]] = True
         if callbacks is not None or not opened.all():

@@ -11,16 +11,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
-from nsdyn.dynamics.dynamics import Controls, Wrenches
+from nsdyn.dynamics.dynamics import Controls, Dynamics, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.encounter import Warm
 from nsdyn.stepping.half import SILENT, Callbacks, Given
 from nsdyn.stepping.instant import Impulses, Instant, System
 from nsdyn.stepping.state import State
-from nsdyn.tools.arrays import Bools, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Part", "merged"]
+__all__ = ["Part", "driven", "merged"]
 
 T = TypeVar("T")
 
@@ -195,6 +196,15 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
         memory=ContactMemory(all_names[:, ranks].copy(), all_points[:, ranks].copy(), next_key),
         warm=Warm(key, frame1, frame2, force, status, out.warm.joints, None),
     )  # fmt: skip
+
+
+def driven(d: Dynamics, at: Instant, x: Array, quaternion: Array) -> Instant:
+    """The instant with the driven bodies at such poses (nd, 3), (nd, 4)."""
+    out, own = _copied(at), slice(-len(x), None)
+    out.placement.x[own] = x
+    _motion.rotations(quaternion, out.placement.R[own])
+    out.looked.x[own], out.looked.R[own], out.looked.reach[own] = x, out.placement.R[own], 0.0
+    return out._replace(position=out.position._replace(driven_x=x, driven_quaternion=quaternion))
 
 
 def _columns(w: Warm) -> list[Any]:

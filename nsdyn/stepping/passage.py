@@ -81,7 +81,7 @@ def through(system: System, state: State, loads: Loads) -> Passage:
     loads : callable
         What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
     """
-    begin = state.instant
+    begin, system = state.instant, system.during(state.next_t - state.dt, state.dt)
     whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, state.owed)
     return _in_pieces(system, state, loads) if coarse and begin.contacts.gap.size <= LOCATED else whole
 
