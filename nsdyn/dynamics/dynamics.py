@@ -32,7 +32,7 @@ from nsdyn.tools.naming import meant
 __all__ = ["Controls", "Dynamics", "Wrenches"]
 
 NOTHING: Mapping[Any, Any] = {}
-Wrenches = tuple[Array, Array, Mapping[int, Array]]
+Wrenches = tuple[Array, Array, Mapping[int, tuple[Array, Array]]]
 Controls = Mapping[int, Control]
 NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
 
@@ -122,6 +122,7 @@ class Dynamics:
         self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
         self.weight = float(np.linalg.norm(self.gravity))
         self.no_impulses = NO_VECTORS, np.zeros((6, self.n))
+        self.links, self.no_push = sum(t.model.njoints - 1 for t in self.trees), np.zeros((0, 6))
         self.joints = JointLaws(grown, self.trees, self.free)
         self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]
         self.held = np.concatenate(
@@ -342,7 +343,7 @@ class Dynamics:
         return Forces(v, foreseen, force, torque, m, minv, tuple(motions))
 
     def wrenches(self, middle: Position, given: Mapping[str, Any]) -> Wrenches:
-        """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index.
+        """What external wrenches are: forces and torques on the free bodies; of trees by their index as `Tree.pushed`.
 
         Parameters
         ----------
@@ -352,7 +353,7 @@ class Dynamics:
             body of an articulation, "articulation/body", the force acts at the origin of its frame.
         """
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
-        applied: dict[int, Array] = {}
+        applied: dict[int, tuple[Array, Array]] = {}
         for name, wrench in _mapping(given, "external_force").items():
             try:
                 parts = np.array(wrench, dtype=float)
@@ -366,7 +367,9 @@ class Dynamics:
                 force[k], torque[k] = pull, _rotation(middle.quaternion[k]).T @ turn
             elif name in self._bodies:
                 k, body = self._bodies[name], name.partition("/")[2]
-                applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(middle.trees[k], body, pull, turn)
+                push, wrenches = self.trees[k].pushed(middle.trees[k], body, pull, turn)
+                before = applied.get(k, (0.0, 0.0))
+                applied[k] = before[0] + push, before[1] + wrenches
             else:
                 self._refuse_body(name)
         return force, torque, applied

@@ -205,15 +205,17 @@ class Tree:
         """The closest configuration whose loops are closed; q itself when they are."""
         return q if self._closures is None else self._closures.close(q, self._driven_rows)
 
-    def joint_forces(self, q: Array, body: str, force: Array, torque: Array) -> Array:
-        """Jᵀ (force, torque), shape (nv,), of a force [N] at the origin of a body's frame and a torque [N m] at q.
+    def pushed(self, q: Array, body: str, force: Array, torque: Array) -> tuple[Array, Array]:
+        """What a force [N] at the origin of a body's frame and a torque [N m] do at q; world axes.
 
-        World axes.
+        Jᵀ (force, torque), shape (nv,), and what of `TreeLoads.wrenches` they are, shape (njoints - 1, 6).
         """
-        at = self.bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        J = pin.computeFrameJacobian(self.model, self.data, q, *at).reshape(6, -1, order="A")
-        out: Array = J.T @ np.concatenate((force, torque))
-        return out
+        frame, wrenches = self.bodies[body], np.zeros((self.model.njoints - 1, 6))
+        J = pin.computeFrameJacobian(self.model, self.data, q, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1, order="A")
+        pin.framesForwardKinematics(self.model, self.data, q)
+        moment = torque + np.cross(self.data.oMf[frame].translation, force)
+        wrenches[self.model.frames[frame].parentJoint - 1] = *force, *moment
+        return J.T @ np.concatenate((force, torque)), wrenches
 
     def flow(self, q: Array, v: Array, h: float) -> Flow:
         """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
@@ -274,8 +276,9 @@ class Tree:
         return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
     def free_motion(
-        self, halfway: Halfway, t: float, control: Control | None, applied: Array | None, last: Array | None = None
-    ) -> FreeMotion:
+        self, halfway: Halfway, t: float, control: Control | None, applied: tuple[Array, Array] | None,
+        last: Array | None = None,
+    ) -> FreeMotion:  # fmt: skip
         """Velocity after the forces of a step without contacts and joint rows.
 
         M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces for v' = v0. Damping, springs
@@ -293,8 +296,8 @@ class Tree:
             Time at the end of the step, s.
         control : Control, optional
             As `Actuators.controls` makes it.
-        applied : ndarray, shape (nv,), optional
-            Joint forces of external wrenches.
+        applied : (ndarray, ndarray), optional
+            `push` and `wrenches` of `TreeLoads`.
         last : ndarray, shape (nv, 3), optional
             Last impulses of the rows of actuators: what was at its limit is left to its row again.
 
@@ -307,11 +310,11 @@ class Tree:
         laws = np.empty((2, 5, n))
         step = halfway.links.angle, self._round, halfway.h, halfway.theta
         _trees.linear_laws(halfway.M, self._laws, law, *step, laws)
-        push = self._zero if applied is None else applied
+        push, wrenches = applied or (self._zero, None)
         weight = pin.computeGeneralizedGravity(self.model, self.data, halfway.q)
         rates = np.array([motion.rate(t) for motion in self.driven]) if self.driven else self._zero[:0]
         limit = law[-1] if limited else None
-        loads = TreeLoads(laws, push, weight, rates, limit, None, self._zero, implicit or self._implicit)
+        loads = TreeLoads(laws, push, wrenches, weight, rates, limit, None, self._zero, implicit or self._implicit)
         free = self._respond(halfway, loads)
         return self.within_limits(halfway, free, free.v, last)
 
@@ -355,7 +358,8 @@ class Tree:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
         M, factor, minv = factored(self.model, self.data, q)
         zero = self._zero
-        loads = TreeLoads(np.zeros((2, 5, v.size)), zero, zero, np.zeros(len(self.driven)), None, None, zero, False)
+        rates = np.zeros(len(self.driven))
+        loads = TreeLoads(np.zeros((2, 5, v.size)), zero, None, zero, rates, None, None, zero, False)
         if not self.constrained:
             return FreeMotion(v, v, loads, M, minv, None)
         B, P, Z = self._restrict(q, factor)

@@ -192,6 +192,8 @@ class Impulses(NamedTuple):
         On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
         wrenches, N m s or N s; displacement by the position projection, rad or m; and the most that
         actuators may give, N m s or N s, infinite where they have no limit.
+    links : ndarray, shape (links, 6)
+        Of external wrenches on the links of trees, one by joint: force and moment about the world's origin, N·s, N m s.
     created : float
         Energy that impacts created, J.
     time : ndarray, shape (nc,)
@@ -208,6 +210,7 @@ class Impulses(NamedTuple):
     normal: Array
     friction: Array
     joints: Array
+    links: Array
     created: float
     time: Array
     duration: float
@@ -260,5 +263,8 @@ def account(
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
-    impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created, time, h)
+    links = np.zeros((d.links, 6))
+    impulses = Impulses(
+        met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, links, created, time, h
+    )
     return impulses, works, Warm(met.contacts.key, world, status, slots, h, basis)

@@ -374,7 +374,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
             impulses.joints[4, t.coordinates] = pin.difference(t.model, q, there)
     energies: Energies = ()
     if a.impulse is not None:
-        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints, own)
+        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses, own)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
     looked = seen.looked
@@ -390,15 +390,15 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
 
 def tree_works(
     s: System, begin: Instant, half: Half, v: Array, ends: tuple[TreeEnd, ...], impulse: Array, lifted: Position,
-    joints: Array, own: Works,
+    acted: Impulses, own: Works,
 ) -> tuple[Works, Energies]:  # fmt: skip
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
     The forces leave v, with the impulses H r of contacts and joint rows; those of actuation, of external wrenches and
-    the most that actuators may give go into rows 0, 3 and 5 of joints (6, n).
+    the most that actuators may give go into rows 0, 3 and 5 of `acted.joints`, the wrenches into `acted.links`.
     """
     external, normal, friction, damping, constraint, integration, projection = own
-    energies = []
+    energies, joints, link = [], acted.joints, 0
     for t, before, free, end, q, energy in zip(
         s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
     ):
@@ -406,6 +406,9 @@ def tree_works(
         w = t.works(before, free, v[k], end, q, impulse[k], energy)
         joints[0, k] += w.joints
         joints[3, k] = half.h * free.loads.push
+        if free.loads.wrenches is not None:
+            acted.links[link : link + t.model.njoints - 1] = half.h * free.loads.wrenches
+        link += t.model.njoints - 1
         joints[5, k] = math.inf if free.loads.limit is None else half.h * free.loads.limit
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint

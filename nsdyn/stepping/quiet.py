@@ -73,7 +73,18 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
     impulses = Impulses(
-        contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, 0.0, time, h
+        contacts,
+        frame,
+        u.reshape(-1, 3),
+        r.reshape(-1, 3),
+        status,
+        normal,
+        friction,
+        on_joints,
+        d.no_push,
+        0.0,
+        time,
+        h,
     )
     warm = Warm(contacts.key, world, status, slots, h, Basis(contacts, rows, frame, problem))
     position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
@@ -118,7 +129,7 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
         return None
     found, memory, looked = seen
     impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem)
-    works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses.joints, own)
+    works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses, own)
     twists = d.twists(place, v_end)
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)
     external = d.external_works(forces, begin.position, position, v, v_plus, h)

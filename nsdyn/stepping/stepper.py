@@ -356,8 +356,8 @@ class Stepper:
             pieces = _pieces(done, 6 * d.free) if len(done) > 1 else None
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
-            acted.time, acted.normal, acted.friction, joints, pieces, acted.created, ledger, certificate, problem,
-            solution,
+            acted.time, acted.normal, acted.friction, joints, acted.links, pieces, acted.created, ledger, certificate,
+            problem, solution,
         )  # fmt: skip
 
 
@@ -365,9 +365,10 @@ def _joined(done: list[Impulses]) -> Impulses:
     """All that acted in a step, one after the other."""
     contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
     frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
-    joints, time = np.sum([a.joints for a in done], axis=0), np.concatenate([a.time for a in done])
+    joints, links = (np.sum([getattr(a, name) for a in done], axis=0) for name in ("joints", "links"))
+    time = np.concatenate([a.time for a in done])
     created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
-    return Impulses(contacts, frame, u, r, status, normal, friction, joints, created, time, duration)
+    return Impulses(contacts, frame, u, r, status, normal, friction, joints, links, created, time, duration)
 
 
 def _pieces(done: list[Impulses], first: int) -> Pieces:
