@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -19,7 +20,7 @@ from nsdyn.tools.naming import choice, meant
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["UNITS", "JointMotion", "LoopReaction", "joint", "joint_table", "loop"]
+__all__ = ["JointMotion", "LoopReaction", "heading", "joint", "joint_table", "loop"]
 
 UNITS = {
     "t": "s", "position": "rad or m", "velocity": "rad/s or m/s", "torque": "N m or N", "limit_impulse": "N m s or N s",
@@ -139,6 +140,12 @@ def loop(trajectory: Trajectory, name: str) -> LoopReaction:
     """Reaction in the loop "articulation/loop"; see `nsdyn.Trajectory.loop`."""
     found = trajectory.reactions[choice(name, links.loops(trajectory.scene), "loop")]
     return LoopReaction(name, found[:, :3], found[:, 3:])
+
+
+def heading(column: str) -> str:
+    """A column of `joint_table` with its unit."""
+    unit = next((unit for name, unit in UNITS.items() if re.fullmatch(rf"{name}(_[\dxyz])?", column)), "")
+    return f"{column} [{unit}]" if unit else column
 
 
 def joint_table(trajectory: Trajectory, pattern: str) -> Any:
