@@ -20,7 +20,7 @@ from nsdyn.tools.naming import choice, meant
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["JointMotion", "LoopReaction", "heading", "joint", "joint_table", "loop"]
+__all__ = ["JointMotion", "LoopReaction", "coordinates", "heading", "joint", "joint_table", "loop"]
 
 UNITS = {
     "t": "s", "position": "rad or m", "velocity": "rad/s or m/s", "torque": "N m or N", "limit_impulse": "N m s or N s",
@@ -109,13 +109,13 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
     known = links.joints(trajectory.scene)
     if known and any("sizes" not in a for a in trajectory.scene["articulations"]):
         raise ValueError("joints have no places in recordings before format 4")
-    found = _coordinates(trajectory, choice(name, known, "joint"))
+    found = coordinates(trajectory, choice(name, known, "joint"))
     if found["velocity"].shape[1] == 1:
         found = {what: values[:, 0] for what, values in found.items()}
     return JointMotion(name, **found, _reaction=lambda: trajectory.reactions[name])
 
 
-def _coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:
+def coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:
     """Of a joint what `JointMotion` has of its coordinates, by columns."""
     scene = trajectory.scene
     free, sizes = scene["free"], np.concatenate([np.array(a["sizes"]) for a in scene["articulations"]])
@@ -159,7 +159,7 @@ def joint_table(trajectory: Trajectory, pattern: str) -> Any:
         )
     step = np.repeat(np.arange(1, n + 1), len(names))
     out: dict[str, NDArray[Any]] = {"step": step, "t": trajectory.t[step], "joint": np.tile(names, n)}
-    moving = {k: _coordinates(trajectory, name) for k, name in enumerate(names) if name in joints}
+    moving = {k: coordinates(trajectory, name) for k, name in enumerate(names) if name in joints}
     for what in ("position", "velocity", "torque", "limit_impulse", "friction", "external", "shift"):
         columns = np.full((n, len(names), max((m[what].shape[1] for m in moving.values()), default=1)), np.nan)
         for k, m in moving.items():
