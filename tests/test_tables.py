@@ -187,3 +187,18 @@ def test_torque_of_a_control_is_what_moves_the_joint():
     np.testing.assert_allclose(joint.external, 7.0, rtol=1e-14)
     # It is not kp (target - q) of the beginning, 10 N, which explicit control would give.
     assert joint.torque[0] < 9.9
+
+
+def test_joints_of_an_old_recording():
+    scene = nd.Scene()
+    add(scene, "a", slider())
+    t = nd.simulate(scene, 0.02, 1e-2)
+    trees = [
+        {key: value for key, value in a.items() if key not in ("sizes", "model")} for a in t.scene["articulations"]
+    ]
+    old = nd.Trajectory(t.meta, t.scene | {"articulations": trees}, t.columns)
+    with pytest.raises(ValueError, match="before format 4"):
+        old.joint("a/rail")
+    with pytest.raises(ValueError, match="before format 4"):
+        old.joint_table()
+    assert np.isnan(old.reactions["a/rail"]).all()

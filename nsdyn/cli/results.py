@@ -73,16 +73,18 @@ def show_contacts(arguments: argparse.Namespace) -> int:
 
 def show_joints(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn joints``."""
-    from nsdyn.recording.joints import heading
+    import numpy as np
+
+    from nsdyn.recording.joints import heading, joint_table
 
     trajectory = _at_a_step(arguments)
-    found = trajectory.joint_table(arguments.joint)
-    if arguments.csv:
-        write_table(found, arguments.csv, heading)
     k = arguments.step if arguments.step > 0 else trajectory.steps + 1 + arguments.step
+    found = joint_table(trajectory, arguments.joint, np.array([k]))
+    if arguments.csv:
+        write_table(trajectory.joint_table(arguments.joint), arguments.csv, heading)
     shown = {name: name for name in ("joint", "position", "velocity", "torque", "friction")}
     shown |= {f"reaction_{what}_{axis}": f"{what[0]}_{axis}" for what in ("force", "torque") for axis in "xyz"}
-    rows = zip(*(found[name][found["step"] == k].tolist() for name in shown), strict=True)
+    rows = zip(*(found[name].tolist() for name in shown), strict=True)
     cells = [[None if x != x else x for x in row] for row in rows]  # NaN, as the position of a loop
     say(arguments, table([dict(zip(shown.values(), row, strict=True)) for row in cells], list(shown.values())))
     say(arguments, _JOINTS.format(step=k, t=trajectory.t[k]))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nsdyn.recording import links
 from nsdyn.recording.file import JOINTS
 from nsdyn.recording.tables import framed
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice, meant
 
 if TYPE_CHECKING:
@@ -106,10 +106,7 @@ class LoopReaction:
 
 def joint(trajectory: Trajectory, name: str) -> JointMotion:
     """Motion of the joint "articulation/joint"; see `nsdyn.Trajectory.joint`."""
-    known = links.joints(trajectory.scene)
-    if known and any("sizes" not in a for a in trajectory.scene["articulations"]):
-        raise ValueError("joints have no places in recordings before format 4")
-    found = coordinates(trajectory, choice(name, known, "joint"))
+    found = coordinates(trajectory, choice(name, links.joints(trajectory.scene), "joint"))
     if found["velocity"].shape[1] == 1:
         found = {what: values[:, 0] for what, values in found.items()}
     return JointMotion(name, **found, _reaction=lambda: trajectory.reactions[name])
@@ -118,6 +115,8 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
 def coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:
     """Of a joint what `JointMotion` has of its coordinates, by columns."""
     scene = trajectory.scene
+    if any("sizes" not in a for a in scene["articulations"]):
+        raise ValueError("joints have no places in recordings before format 4")
     free, sizes = scene["free"], np.concatenate([np.array(a["sizes"]) for a in scene["articulations"]])
     which = links.joints(scene).index(name)
     q, v = np.sum(sizes[:which], axis=0)
@@ -148,24 +147,29 @@ def heading(column: str) -> str:
     return f"{column} [{unit}]" if unit else column
 
 
-def joint_table(trajectory: Trajectory, pattern: str) -> Any:
-    """Joints and loops of all steps by columns; see `nsdyn.Trajectory.joint_table`."""
-    joints, n = links.joints(trajectory.scene), trajectory.steps
+def joint_table(trajectory: Trajectory, pattern: str, steps: Index) -> Any:
+    """Joints and loops of some steps, from 1 on, by columns; see `nsdyn.Trajectory.joint_table`."""
+    from nsdyn.recording.reactions import reactions  # Pinocchio, which to read a recording does not need
+
+    joints, n = links.joints(trajectory.scene), steps.size
     known = [*joints, *links.loops(trajectory.scene)]
     names = [name for name in known if fnmatchcase(name, pattern)]
     if not names:
         raise ValueError(
             f"{meant(pattern, known)}joints must match one of {', '.join(known) or 'none'}; got {pattern!r}"
         )
-    step = np.repeat(np.arange(1, n + 1), len(names))
+    step = np.repeat(steps, len(names))
     out: dict[str, NDArray[Any]] = {"step": step, "t": trajectory.t[step], "joint": np.tile(names, n)}
     moving = {k: coordinates(trajectory, name) for k, name in enumerate(names) if name in joints}
     for what in ("position", "velocity", "torque", "limit_impulse", "friction", "external", "shift"):
         columns = np.full((n, len(names), max((m[what].shape[1] for m in moving.values()), default=1)), np.nan)
         for k, m in moving.items():
-            columns[:, k, : m[what].shape[1]] = m[what][len(m[what]) - n :]  # states without the initial one
+            columns[:, k, : m[what].shape[1]] = m[what][len(m[what]) - trajectory.steps :][
+                steps - 1
+            ]  # states end steps
         out |= {f"{what}_{c + 1}" if c else what: columns[:, :, c].ravel() for c in range(columns.shape[2])}
-    reaction = np.stack([trajectory.reactions[name] for name in names], axis=1)
+    found = trajectory.reactions if n == trajectory.steps else reactions(trajectory, steps - 1)
+    reaction = np.stack([found[name] for name in names], axis=1)
     for what, part in (("reaction_force", reaction[:, :, :3]), ("reaction_torque", reaction[:, :, 3:])):
         out |= {f"{what}_{axis}": part[:, :, k].ravel() for k, axis in enumerate("xyz")}
     return framed(out)

@@ -10,9 +10,9 @@ exactly; of moments, which are told about the joint where it is halfway, second 
 fall into the step. What loops do is what explains the components of these along the coordinates, but for what is
 recorded to act there.
 
-All that takes longer than a step of a quadruped: it is found when it is asked for, and not while it is recorded.
-Recorded is what cannot be found afterwards, the external wrenches, and the impulses of contacts that are left out
-(`/links/impulse`).
+All that takes longer than the step itself, 0.5 ms of a quadruped whose step takes 0.15 to 0.4 ms: it is found when it
+is asked for, and not while it is recorded. Recorded is what cannot be found afterwards, the external wrenches, and the
+impulses of contacts that are left out (`/links/impulse`); `nsdyn joints` writes all of it as a table.
 """
 
 from __future__ import annotations

@@ -218,7 +218,7 @@ class Trajectory:
         ValueError
             If none matches, naming the known ones.
         """
-        return joints.joint_table(self, pattern)
+        return joints.joint_table(self, pattern, np.arange(1, self.steps + 1))
 
     @cached_property
     def reactions(self) -> dict[str, Array]:
