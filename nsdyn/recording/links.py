@@ -33,15 +33,22 @@ def carriers(scene: Mapping[str, Any]) -> Index:
     return out
 
 
-def by_contacts(scene: Mapping[str, Any], columns: Mapping[str, NDArray[Any]], step: Index, steps: int) -> Array:
-    """Impulses of contacts on links in each of some steps, (steps, links, 6): force and moment about the origin.
+def by_contacts(carrier: Index, columns: Mapping[str, NDArray[Any]], step: Index, out: Array) -> None:
+    """Add impulses of contacts on links to those in `out`: force and moment about the world's origin, N·s and N·m·s.
 
-    Their columns are those of a recording, and `step` has their steps, from 0 on.
+    Parameters
+    ----------
+    carrier : ndarray of int
+        As of `carriers`.
+    columns : mapping
+        Of contacts, as of a recording.
+    step : ndarray of int
+        Their steps, from 0 on.
+    out : ndarray, shape (steps, links, 6)
     """
-    carrier, out, push = carriers(scene), np.zeros((steps, len(joints(scene)), 6)), impulses_world(columns)
+    push = impulses_world(columns)
     wrench = np.concatenate((push, np.cross(columns["contacts/point"], push)), axis=1)
     for side, sign in (("geom1", -1.0), ("geom2", 1.0)):
         link = carrier[columns[f"contacts/{side}"]]
         on = link >= 0
         np.add.at(out, (step[on], link[on]), sign * wrench[on])
-    return out

@@ -49,10 +49,11 @@ def reactions(trajectory: Trajectory, steps: Index) -> dict[str, Array]:
     if isinstance(found, str) or not c.keys() >= {*JOINTS} or (untold and ON_LINKS not in c):
         known = [*links.joints(trajectory.scene), *links.loops(trajectory.scene)]
         return {name: np.full((steps.size, 6), np.nan) for name in known}
-    outside = np.zeros((trajectory.steps, 1, 6)) if ON_LINKS not in c else c[ON_LINKS]
+    count = len(links.joints(trajectory.scene))
+    outside = c[ON_LINKS].copy() if ON_LINKS in c else np.zeros((trajectory.steps, count, 6))
     if not left_out(trajectory):
         step = np.repeat(np.arange(trajectory.steps), np.diff(c["contacts/offset"]))
-        outside = outside + links.by_contacts(trajectory.scene, c, step, trajectory.steps)
+        links.by_contacts(links.carriers(trajectory.scene), c, step, outside)
     out, first = dict[str, Array](), 0
     for i, m in enumerate(found.mechanisms):
         own = slice(first, first + len(m.joints))

@@ -156,6 +156,7 @@ class Recorder:
             with files.writing(self.path, files.RECORDING) as part:
                 recording.create(part, self.meta, self.scene, columns, grow=True, state=saved)
             self._blocks = []
+        self._carriers = links.carriers(scene) if scene["articulations"] and _left_out(meta) else None
         self._wall: list[float] = []
         self._clock = time.perf_counter()
         self._deadline = self._clock + _FLUSH_SECONDS
@@ -235,14 +236,14 @@ class Recorder:
 
     def _on_links(self) -> Array | None:
         """What acted on the links in the steps of a row, (links, 6), where it is recorded."""
-        if not (self.scene["articulations"] and _left_out(self.meta)):
+        if self._carriers is None:
             return None
         steps = [step for _, step, _ in self._open]
         out: Array = np.sum([step[PIECE - 1] for step in steps], axis=0)
         if self.meta["every"] > 1 or not self.meta["contacts"]:
             columns = zip(CONTACT, zip(*(step[-len(CONTACT) :] for step in steps), strict=True), strict=True)
             found = {f"contacts/{name}": np.concatenate(parts) for name, parts in columns}
-            out += links.by_contacts(self.scene, found, np.zeros(len(found["contacts/gap"]), np.int64), 1)[0]
+            links.by_contacts(self._carriers, found, np.zeros(len(found["contacts/gap"]), np.int64), out[None])
         return out
 
     def flush(self) -> None:

@@ -73,19 +73,9 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
     impulses = Impulses(
-        contacts,
-        frame,
-        u.reshape(-1, 3),
-        r.reshape(-1, 3),
-        status,
-        normal,
-        friction,
-        on_joints,
-        d.no_push,
-        0.0,
-        time,
-        h,
-    )
+        contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, d.no_push, 0.0,
+        time, h,
+    )  # fmt: skip
     warm = Warm(contacts.key, world, status, slots, h, Basis(contacts, rows, frame, problem))
     position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
