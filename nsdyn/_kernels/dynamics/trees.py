@@ -260,35 +260,53 @@ def closing(G, N, phi, damping, step):
 
 
 @in_place
-def midpoint(v1, v2, a1, a2, h, tolerance, floor, out):
-    """Of a step by the midpoint rule: displacement and the velocity at its end, into out (4, n).
+def stage(k, v, a, h, x):
+    """Stage k = 2, 3, 4 of a Runge–Kutta step from v, where the one before accelerates with a, into x (7, n).
+
+    Its velocity into x[k - 2], and into x[3] the displacement to its place, of the last from that of the second stage.
+    """
+    for j in range(v.size):
+        if k == 4:
+            x[2, j], x[3, j] = v[j] + h * a[j], h * x[1, j] - 0.5 * h * v[j]
+        else:
+            x[3, j] = 0.5 * h * (v[j] if k == 2 else x[0, j])
+            x[k - 2, j] = v[j] + 0.5 * h * a[j]
+
+
+@in_place
+def midpoint(v, a1, a2, h, tolerance, floor, x):
+    """Of a step by the midpoint rule, with x of `stage`: displacement into x[3], and the velocity at its end into x[5].
 
     Whether it goes on as it began, and its acceleration changes so little that even the first order would do.
     """
     change, size, rise = 0.0, 0.0, 0.0
-    for j in range(v1.size):
-        out[0, j], out[1, j] = h * v2[j], v1[j] + h * a2[j]
-        if not abs(a1[j]) + abs(a2[j]) + abs(v1[j]) < math.inf:
+    for j in range(v.size):
+        if not abs(a1[j]) + abs(a2[j]) + abs(v[j]) < math.inf:
             return False
-        change, rise, size = max(change, abs(a2[j] - a1[j])), max(rise, abs(a2[j])), max(size, abs(v1[j]))
-    return h * rise <= 0.5 * size and h * change <= tolerance * size + floor
+        change, rise, size = max(change, abs(a2[j] - a1[j])), max(rise, abs(a2[j])), max(size, abs(v[j]))
+    if h * rise > 0.5 * size or h * change > tolerance * size + floor:
+        return False
+    for j in range(v.size):
+        x[3, j], x[5, j] = h * x[0, j], v[j] + h * a2[j]
+    return True
 
 
 @in_place
-def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, tolerance, floor, out):
-    """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n).
+def combine(v, a1, a2, a3, a4, h, tolerance, floor, x):
+    """Of a Runge–Kutta step, with x of `stage`: two displacements, the velocity at its end and the mean into x[3:].
 
     Its error, of that allowed: see `nsdyn.dynamics.runge_kutta`.
     """
     error, size = 0.0, 0.0
-    for j in range(v1.size):
-        middle = 2.0 * (v2[j] + v3[j])
+    for j in range(v.size):
+        v2, v3, v4 = x[0, j], x[1, j], x[2, j]
+        middle = 2.0 * (v2 + v3)
         mean = (a1[j] + 2.0 * (a2[j] + a3[j]) + a4[j]) / 6.0
-        out[0, j] = h / 12.0 * (3.0 * v1[j] + middle - v4[j])
-        out[1, j] = h / 12.0 * (middle + 3.0 * v4[j] - v1[j])
-        out[2, j] = v1[j] + h * mean
-        out[3, j] = (v1[j] + middle + v4[j]) / 6.0
-        d, most = h * abs(mean - a2[j]), max(abs(v1[j]), abs(v2[j]), abs(v3[j]), abs(v4[j]))
+        x[3, j] = h / 12.0 * (3.0 * v[j] + middle - v4)
+        x[4, j] = h / 12.0 * (middle + 3.0 * v4 - v[j])
+        x[5, j] = v[j] + h * mean
+        x[6, j] = (v[j] + middle + v4) / 6.0
+        d, most = h * abs(mean - a2[j]), max(abs(v[j]), abs(v2), abs(v3), abs(v4))
         if not d + most < math.inf:
             return math.inf
         error, size = max(error, d), max(size, most)
