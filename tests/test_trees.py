@@ -63,7 +63,7 @@ def follow(t, q, v, h, steps, control=None, impulse=None, theta=0.5):
         p = np.zeros(v.size) if impulse is None else h * impulse(half)
         v1 = free.v + free.minv @ p
         end = t.end(half, free, v1, bool(p.any()))
-        works.append(t.works(half, free, v1, end, end.q, p, t.energies(q, v)))
+        works.append(t.works(half, free, v1, end, end.q, p, t.energies(q, v), np.zeros((6, v.size))))
         q, v = end.q, end.v
     return q, v, works
 

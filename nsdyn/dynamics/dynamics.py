@@ -8,6 +8,7 @@ prescribed have a frame, but no block.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -238,6 +239,8 @@ class Dynamics:
 
     def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
         """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
+        if self._lone:
+            return self.trees[0].twists(place.links[0], v)
         linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
         if self.free:
             _motion.twists(place.R, v, self.free, linear, angular)
@@ -299,11 +302,13 @@ class Dynamics:
 
         The forces themselves where none is beyond.
         """
-        motions, same = [], True
-        for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            motions.append(tree.within_limits(half, free, v[tree.coordinates]))
-            same = same and motions[-1] is free
-        return forces if same else self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
+        motions = [
+            tree.within_limits(half, free, v[tree.coordinates])
+            for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True)
+        ]
+        if all(map(is_, motions, forces.trees)):
+            return forces
+        return self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
 
     def external_works(self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float) -> Array:
         """Works of external forces and torques on the free bodies in a move of h s, shape (nf,), J.

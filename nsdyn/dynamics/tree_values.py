@@ -188,8 +188,6 @@ class TreeWorks(NamedTuple):
         constant joint forces, O(h³) else.
     projection : float
         Of the position projection.
-    joints : ndarray, shape (nv,)
-        Impulses of actuation, without external wrenches, N m s or N s.
     """
 
     kinetic: float
@@ -200,4 +198,3 @@ class TreeWorks(NamedTuple):
     constraint: float
     integration: float
     projection: float
-    joints: Array

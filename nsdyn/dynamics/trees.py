@@ -197,7 +197,7 @@ class Tree:
 
     def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
         """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
-        linear, angular = np.empty_like(links.x), np.empty_like(links.x)
+        linear, angular = np.empty(links.x.shape), np.empty(links.x.shape)
         _links.twists(links.x, self.support, links.J, v, linear, angular)
         return linear, angular
 
@@ -270,7 +270,7 @@ class Tree:
     def halfway(self, q: Array, v: Array, h: float, theta: float) -> Halfway:
         """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
         middle, v0, _, work = self.flow(q, v, (1.0 - theta) * h)
-        M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD)).reshape(v.size, v.size)
+        M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD), ndmin=2)
         return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
     def free_motion(
@@ -334,12 +334,11 @@ class Tree:
         """What loads do in a step; ValueError where a joint moves no mass."""
         v0, M, h = halfway.v, halfway.M, halfway.h
         n = v0.size
-        matrices, v = np.empty((3, n, n)), v0.copy()
-        factor, m, minv = matrices
+        factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), v0.copy()
         if self.constrained:
-            fine = _trees.implicit(M, loads.laws, h, *matrices)
+            fine = _trees.implicit(M, loads.laws, h, factor, m, minv)
         else:
-            fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, v0, h, matrices, v)
+            fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, h, m, minv, v)
         if not fine:
             raise indefinite(self.model, M)
         if not self.constrained:
@@ -394,6 +393,7 @@ class Tree:
         lifted: Array,
         impulse: Array,
         before: tuple[float, float],
+        joints: Array,
     ) -> TreeWorks:
         """The tree's part in the ledger of a step.
 
@@ -410,10 +410,16 @@ class Tree:
             H r of contacts and joint rows.
         before : (float, float)
             Kinetic and potential energy at its beginning, J.
+        joints : ndarray, shape (6, n)
+            Of the scene, where rows 0, 3 and 5 are for impulses of actuation, of external wrenches, and the most that
+            actuators may give, N m s or N s.
         """
-        h, loads, joints = halfway.h, free.loads, np.empty_like(v)
-        velocities = halfway.v, v
-        actuation, damping, pushed = _trees.works(loads.laws, loads.push, velocities, end.mean, impulse, h, joints)
+        h, loads = halfway.h, free.loads
+        limit = self._no_control.law[-1] if loads.limit is None else loads.limit
+        velocities, start = (halfway.v, v), self.coordinates.start
+        actuation, damping, pushed = _trees.works(
+            loads.laws, loads.push, limit, velocities, end.mean, impulse, h, start, joints
+        )
         constraint = 0.0
         if free.constraints is not None:
             # Bᵀ λ is what the constraints and nothing else explain.
@@ -429,7 +435,7 @@ class Tree:
         projection = (kinetic - after[0]) + (potential - after[1])
         change = (kinetic - before[0]) + (potential - before[1])
         integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
-        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection, joints)
+        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -403,10 +402,7 @@ def tree_works(
         s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
     ):
         k = t.coordinates
-        w = t.works(before, free, v[k], end, q, impulse[k], energy)
-        joints[0, k] += w.joints
-        joints[3, k] = half.h * free.loads.push
-        joints[5, k] = math.inf if free.loads.limit is None else half.h * free.loads.limit
+        w = t.works(before, free, v[k], end, q, impulse[k], energy, joints)
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection

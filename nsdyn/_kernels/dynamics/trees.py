@@ -158,32 +158,32 @@ def strained(laws, limit, last, v0, v1, h, over):
 
 
 @kernel
-def loaded(M, laws, push, weight, v0, h, matrices, v):
-    """Velocity v (n,) after the forces of a step on a tree without constraints; whether its m is positive definite.
+def loaded(M, laws, push, weight, h, m, minv, v):
+    """Change the velocity v (n,) to that after the forces of a step on a tree without constraints.
 
-    F, m and minv of `implicit` into matrices (3, n, n).
+    False where m of `implicit` is not positive definite.
     """
-    if not implicit(M, laws, h, matrices[0], matrices[1], matrices[2]):
+    acting, start = np.empty((3, v.size)), v.copy()
+    if not implicit(M, laws, h, np.empty(M.shape), m, minv):
         return False
-    acting = np.empty((3, v0.size))
-    forces(laws, push, v0, v0, h, acting)
-    v[:] = v0
-    respond(v0, matrices[2], acting[0] + acting[1] + acting[2], weight, h, v)
+    forces(laws, push, start, start, h, acting)
+    respond(start, minv, acting[0] + acting[1] + acting[2], weight, h, v)
     return True
 
 
 @kernel
-def works(laws, push, velocities, mean, impulse, h, joints):
+def works(laws, push, limit, velocities, mean, impulse, h, start, joints):
     """Works of actuation, of damping and of an impulse on the velocity `mean` (n,), J.
 
-    Velocities before and after the forces. The impulses of actuation, without what wrenches `push` (n,), into joints
-    (n,).
+    Velocities before and after the forces. The impulses of actuation without what wrenches `push` (n,), of these, and
+    of the limits of actuators (n,) into rows 0, 3 and 5 of joints, from column `start` on.
     """
     acting = np.empty((3, mean.size))
     forces(laws, push, velocities[0], velocities[1], h, acting)
     actuation, dissipation, pushed = 0.0, 0.0, 0.0
     for j in range(mean.size):
-        joints[j] = h * (acting[0, j] - push[j])
+        joints[0, start + j] += h * (acting[0, j] - push[j])
+        joints[3, start + j], joints[5, start + j] = h * push[j], h * limit[j]
         actuation += h * mean[j] * acting[0, j]
         dissipation += h * mean[j] * acting[1, j]
         pushed += mean[j] * impulse[j]
