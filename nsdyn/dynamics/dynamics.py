@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics.rotation import principal
@@ -186,7 +187,7 @@ class Dynamics:
         position = middle.position
         if self._lone:
             free = forces.trees[0]
-            pushed = free.loads.implicit or (impulse is not None and bool(impulse.any()))
+            pushed = free.loads.implicit or (impulse is not None and _few.largest(impulse) > 0.0)
             only = self.trees[0].end(middle.trees[0], free, v, pushed)
             return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
         x, quaternion, after, X, R = self._flow(position, v, h)
@@ -195,7 +196,7 @@ class Dynamics:
             return there, after, Placement(X, R, ()), ()
         ends = []
         for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            pushed = free.loads.implicit or (impulse is not None and bool(impulse[t.coordinates].any()))
+            pushed = free.loads.implicit or (impulse is not None and _few.largest(impulse[t.coordinates]) > 0.0)
             ends.append(t.end(half, free, v[t.coordinates], pushed))
             after[t.coordinates] = ends[-1].v
         driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
@@ -403,7 +404,8 @@ class Dynamics:
                 known = list(self._forests)
                 raise ValueError(f"{meant(name, known)}controller names {name!r}; articulations are {known}")
             first, actuators = self._forests[name]
-            out.update(enumerate(actuators.controls(value), start=first))
+            for k, control in enumerate(actuators.controls(value), first):
+                out[k] = control
         return out
 
     # -- rows --------------------------------------------------------------------------------------------------

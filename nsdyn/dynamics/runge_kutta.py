@@ -24,6 +24,10 @@ ROUNDED = 1e-13
 TURN = 0.1
 """rad: no part turns by more, since beside what spins fast the error of what moves slowly would count for nothing."""
 
+SLOW = 1e-7
+"""rad or m, and fraction of the velocity: of what moves and changes by less in a part, an acceleration that is constant
+tells the velocity to 1e-14."""
+
 FINEST = 1e-5
 """Least part of a motion, so that the effort is bounded."""
 
@@ -80,7 +84,7 @@ def runge_kutta(
     allows a part of a motion of `whole` seconds. It is estimated from the same four stages: they hold the midpoint
     rule, whose difference from the step, as a fraction of the velocity, is z³/6 for a vibration that turns by z in h,
     where the step errs by z⁵/120. Where the first two stages say that even the first order would do, also for the work
-    of driven joints, they are all, and the midpoint rule is the step.
+    of driven joints, they are all, and the midpoint rule is the step; of what is `SLOW`, the first order is.
 
     References
     ----------
@@ -88,7 +92,8 @@ def runge_kutta(
     2003.
     """
     (a1, p1), x = first, np.empty((7, v.size))
-    _trees.stage(2, v, a1, h, x)
+    if _trees.outset(v, a1, h, SLOW, x):
+        return Flow(pin.integrate(model, q, x[3]), x[5], x[6], h * p1), 0.0
     q2 = pin.integrate(model, q, x[3])
     a2, p2 = rate(q2, x[0])
     if p1 == p2 and _trees.midpoint(v, a1, a2, h, TOLERANCE, ROUNDED / whole, x):

@@ -105,6 +105,7 @@ class Tree:
         self.driven = tuple(driven.values())
         self._driven_rows = np.zeros((len(driven), nv))
         self._driven_rows[np.arange(len(driven)), list(driven)] = 1.0
+        self._steady = np.zeros(len(driven))
         self._closures = Closures(self.model, a.loops, a.gears) if a.loops or a.gears else None
         self.constrained = bool(driven) or self._closures is not None
         kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
@@ -228,8 +229,7 @@ class Tree:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
         if self._closures is not None:
             return slide(self._weightless, self.data, self._closures, self._driven_rows, q, v, h)
-        still = 0.0 * self._driven_rows[:, 0]
-        return move(self.model, self._rate(self._weightless, self._zero, still), q, v, h, turn)
+        return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
         """Accelerations of a tree without loops under joint forces, whose driven joints accelerate as said."""
@@ -373,7 +373,8 @@ class Tree:
             speed, turn = _trees.fastest(v, self._turns)
             if h * max(speed, begin_speed) > TOLERANCE:
                 tau = loads.laws[1, 4] + loads.push
-                rate = self._rate(self.model, tau, self._driven_rows @ (v - begin_v) / h)
+                driven = self._driven_rows @ (v - begin_v) / h if self.driven else self._steady
+                rate = self._rate(self.model, tau, driven)
                 return TreeEnd(*move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn)), True)
         q, v1, _, work = self.flow(halfway.q, v, theta * h)
         return TreeEnd(q, v1, 0.5 * (halfway.v + v), halfway.work + work, False)

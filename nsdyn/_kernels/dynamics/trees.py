@@ -274,6 +274,24 @@ def stage(k, v, a, h, x):
 
 
 @in_place
+def outset(v, a, h, slow, x):
+    """Of a step under a constant acceleration, into rows of x (7, n): displacement 3, velocity at its end 5, mean 6.
+
+    Whether v and its change are `slow`. If not, the second stage of a Runge–Kutta step, as of `stage`.
+    """
+    size, rise = 0.0, 0.0
+    for j in range(v.size):
+        size, rise = max(size, abs(v[j])), max(rise, abs(a[j]))
+    if not (h * size <= slow and h * rise <= slow * size):
+        stage(2, v, a, h, x)
+        return False
+    for j in range(v.size):
+        x[5, j], x[6, j] = v[j] + h * a[j], v[j] + 0.5 * h * a[j]
+        x[3, j] = h * x[6, j]
+    return True
+
+
+@in_place
 def midpoint(v, a1, a2, h, tolerance, floor, x):
     """Of a step by the midpoint rule, with x of `stage`: displacement into x[3], and the velocity at its end into x[5].
 
