@@ -12,7 +12,7 @@ from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.tools.arrays import Array
 
-__all__ = ["TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
+__all__ = ["COARSER", "TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
 
 TOLERANCE = 1e-9
 """Error of one part of a motion: of the velocity, as a fraction of the fastest joint's, and as what moves that fraction
@@ -28,6 +28,10 @@ SLOW = 1e-7
 """rad or m, and fraction of the velocity: of what moves and changes by less in a part, an acceleration that is constant
 tells the velocity to 1e-14."""
 
+COARSER = 10.0
+"""How much more a half of a motion may err whose forces act in its middle: that is of second order, so that where a half
+turns so far that it errs by this, the whole errs by thousands of times as much."""
+
 FINEST = 1e-5
 """Least part of a motion, so that the effort is bounded."""
 
@@ -35,8 +39,10 @@ Rate = Callable[[Array, Array], tuple[Array, float]]
 """(acceleration, power of driven joints in W) at a configuration and a velocity."""
 
 
-def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float) -> Flow:
-    """Motion for h seconds at rates of about `turn` rad/s, in parts of `runge_kutta` that err by less than `TOLERANCE`.
+def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float, coarser: float = 1.0) -> Flow:
+    """Motion for h seconds at rates of about `turn` rad/s, in parts of `runge_kutta`.
+
+    They err by less than `TOLERANCE`, or so many times more if it may be `coarser`.
 
     Raises
     ------
@@ -53,6 +59,7 @@ def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float
                 f"in {model.name!r} {fastest(model, v)}, too wildly to follow in {1 / FINEST:.0f} parts"
             )
         new, error = runge_kutta(model, rate, q, v, first, part, h)
+        error /= coarser
         if error <= 1.0:
             if part == h:
                 return new

@@ -12,7 +12,7 @@ from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.actuators import Control, left_to_rows
 from nsdyn.dynamics.loops import Closures, admissible, factored, indefinite, supports
-from nsdyn.dynamics.runge_kutta import TOLERANCE, Rate, fastest, move
+from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import PLANAR, Articulation
@@ -229,7 +229,7 @@ class Tree:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
         if self._closures is not None:
             return slide(self._weightless, self.data, self._closures, self._driven_rows, q, v, h)
-        return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn)
+        return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
         """Accelerations of a tree without loops under joint forces, whose driven joints accelerate as said."""
