@@ -29,8 +29,8 @@ SLOW = 1e-7
 tells the velocity to 1e-14."""
 
 COARSER = 10.0
-"""How much more a half of a motion may err whose forces act in its middle: that is of second order, so that where a half
-turns so far that it errs by this, the whole errs by thousands of times as much."""
+"""How much more a half of a motion may err whose forces act in its middle: that is of second order, and where a half
+errs by so much, the whole errs by thousands of times as much."""
 
 FINEST = 1e-5
 """Least part of a motion, so that the effort is bounded."""

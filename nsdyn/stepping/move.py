@@ -172,7 +172,7 @@ class Trial(NamedTuple):
         What the motion did not meet, where it ends; None where there is nothing or all was caught.
     touched : float
         Time just after a pair that is open where the move begins touches on its way, s; that of the move if none does,
-        or if nothing is so fast that it might go unseen.
+        if nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
     """
 
     half: Half
@@ -233,7 +233,7 @@ def trial(
         if limits.size and not barred.size and _few.least(limits) >= -s.closed:
             limits = NOTHING
         unmet = others(s, moved.contacts, response.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
-        if half.fast:
+        if half.fast and not barred.size:
             places = half.middle.placement, moved.placement
             until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
     return Trial(half, joints, seen, response, unmet, until)
