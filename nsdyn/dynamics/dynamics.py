@@ -8,11 +8,13 @@ prescribed have a frame, but no block.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import is_
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics.rotation import principal
@@ -186,7 +188,7 @@ class Dynamics:
         position = middle.position
         if self._lone:
             free = forces.trees[0]
-            pushed = free.loads.implicit or (impulse is not None and bool(impulse.any()))
+            pushed = free.loads.implicit or (impulse is not None and _few.largest(impulse) > 0.0)
             only = self.trees[0].end(middle.trees[0], free, v, pushed)
             return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
         x, quaternion, after, X, R = self._flow(position, v, h)
@@ -195,7 +197,7 @@ class Dynamics:
             return there, after, Placement(X, R, ()), ()
         ends = []
         for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            pushed = free.loads.implicit or (impulse is not None and bool(impulse[t.coordinates].any()))
+            pushed = free.loads.implicit or (impulse is not None and _few.largest(impulse[t.coordinates]) > 0.0)
             ends.append(t.end(half, free, v[t.coordinates], pushed))
             after[t.coordinates] = ends[-1].v
         driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
@@ -239,6 +241,8 @@ class Dynamics:
 
     def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
         """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
+        if self._lone:
+            return self.trees[0].twists(place.links[0], v)
         linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
         if self.free:
             _motion.twists(place.R, v, self.free, linear, angular)
@@ -300,11 +304,13 @@ class Dynamics:
 
         The forces themselves where none is beyond.
         """
-        motions, same = [], True
-        for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            motions.append(tree.within_limits(half, free, v[tree.coordinates]))
-            same = same and motions[-1] is free
-        return forces if same else self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
+        motions = [
+            tree.within_limits(half, free, v[tree.coordinates])
+            for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True)
+        ]
+        if all(map(is_, motions, forces.trees)):
+            return forces
+        return self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
 
     def external_works(self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float) -> Array:
         """Works of external forces and torques on the free bodies in a move of h s, shape (nf,), J.
@@ -401,7 +407,8 @@ class Dynamics:
                 known = list(self._forests)
                 raise ValueError(f"{meant(name, known)}controller names {name!r}; articulations are {known}")
             first, actuators = self._forests[name]
-            out.update(enumerate(actuators.controls(value), start=first))
+            for k, control in enumerate(actuators.controls(value), first):
+                out[k] = control
         return out
 
     # -- rows --------------------------------------------------------------------------------------------------

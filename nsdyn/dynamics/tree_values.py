@@ -191,8 +191,6 @@ class TreeWorks(NamedTuple):
         constant joint forces, O(h³) else.
     projection : float
         Of the position projection.
-    joints : ndarray, shape (nv,)
-        Impulses of actuation, without external wrenches, N m s or N s.
     """
 
     kinetic: float
@@ -203,4 +201,3 @@ class TreeWorks(NamedTuple):
     constraint: float
     integration: float
     projection: float
-    joints: Array

@@ -12,7 +12,7 @@ from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.actuators import Control, left_to_rows
 from nsdyn.dynamics.loops import Closures, admissible, factored, indefinite, supports
-from nsdyn.dynamics.runge_kutta import TOLERANCE, Rate, fastest, move
+from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import PLANAR, Articulation
@@ -105,6 +105,7 @@ class Tree:
         self.driven = tuple(driven.values())
         self._driven_rows = np.zeros((len(driven), nv))
         self._driven_rows[np.arange(len(driven)), list(driven)] = 1.0
+        self._steady = np.zeros(len(driven))
         self._closures = Closures(self.model, a.loops, a.gears) if a.loops or a.gears else None
         self.constrained = bool(driven) or self._closures is not None
         kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
@@ -197,7 +198,7 @@ class Tree:
 
     def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
         """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
-        linear, angular = np.empty_like(links.x), np.empty_like(links.x)
+        linear, angular = np.empty(links.x.shape), np.empty(links.x.shape)
         _links.twists(links.x, self.support, links.J, v, linear, angular)
         return linear, angular
 
@@ -230,8 +231,7 @@ class Tree:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
         if self._closures is not None:
             return slide(self._weightless, self.data, self._closures, self._driven_rows, q, v, h)
-        still = 0.0 * self._driven_rows[:, 0]
-        return move(self.model, self._rate(self._weightless, self._zero, still), q, v, h, turn)
+        return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
         """Accelerations of a tree without loops under joint forces, whose driven joints accelerate as said."""
@@ -272,7 +272,7 @@ class Tree:
     def halfway(self, q: Array, v: Array, h: float, theta: float) -> Halfway:
         """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
         middle, v0, _, work = self.flow(q, v, (1.0 - theta) * h)
-        M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD)).reshape(v.size, v.size)
+        M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD), ndmin=2)
         return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
     def free_motion(
@@ -337,12 +337,11 @@ class Tree:
         """What loads do in a step; ValueError where a joint moves no mass."""
         v0, M, h = halfway.v, halfway.M, halfway.h
         n = v0.size
-        matrices, v = np.empty((3, n, n)), v0.copy()
-        factor, m, minv = matrices
+        factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), v0.copy()
         if self.constrained:
-            fine = _trees.implicit(M, loads.laws, h, *matrices)
+            fine = _trees.implicit(M, loads.laws, h, factor, m, minv)
         else:
-            fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, v0, h, matrices, v)
+            fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, h, m, minv, v)
         if not fine:
             raise indefinite(self.model, M)
         if not self.constrained:
@@ -378,7 +377,8 @@ class Tree:
             speed, turn = _trees.fastest(v, self._turns)
             if h * max(speed, begin_speed) > TOLERANCE:
                 tau = loads.laws[1, 4] + loads.push
-                rate = self._rate(self.model, tau, self._driven_rows @ (v - begin_v) / h)
+                driven = self._driven_rows @ (v - begin_v) / h if self.driven else self._steady
+                rate = self._rate(self.model, tau, driven)
                 return TreeEnd(*move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn)), True)
         q, v1, _, work = self.flow(halfway.q, v, theta * h)
         return TreeEnd(q, v1, 0.5 * (halfway.v + v), halfway.work + work, False)
@@ -398,6 +398,7 @@ class Tree:
         lifted: Array,
         impulse: Array,
         before: tuple[float, float],
+        joints: Array,
     ) -> TreeWorks:
         """The tree's part in the ledger of a step.
 
@@ -414,10 +415,16 @@ class Tree:
             H r of contacts and joint rows.
         before : (float, float)
             Kinetic and potential energy at its beginning, J.
+        joints : ndarray, shape (6, n)
+            Of the scene, where rows 0, 3 and 5 are for impulses of actuation, of external wrenches, and the most that
+            actuators may give, N m s or N s.
         """
-        h, loads, joints = halfway.h, free.loads, np.empty_like(v)
-        velocities = halfway.v, v
-        actuation, damping, pushed = _trees.works(loads.laws, loads.push, velocities, end.mean, impulse, h, joints)
+        h, loads = halfway.h, free.loads
+        limit = self._no_control.law[-1] if loads.limit is None else loads.limit
+        velocities, start = (halfway.v, v), self.coordinates.start
+        actuation, damping, pushed = _trees.works(
+            loads.laws, loads.push, limit, velocities, end.mean, impulse, h, start, joints
+        )
         constraint = 0.0
         if free.constraints is not None:
             # Bᵀ λ is what the constraints and nothing else explain.
@@ -433,7 +440,7 @@ class Tree:
         projection = (kinetic - after[0]) + (potential - after[1])
         change = (kinetic - before[0]) + (potential - before[1])
         integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
-        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection, joints)
+        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -173,7 +172,7 @@ class Trial(NamedTuple):
         What the motion did not meet, where it ends; None where there is nothing or all was caught.
     touched : float
         Time just after a pair that is open where the move begins touches on its way, s; that of the move if none does,
-        or if nothing is so fast that it might go unseen.
+        if nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
     """
 
     half: Half
@@ -234,7 +233,7 @@ def trial(
         if limits.size and not barred.size and _few.least(limits) >= -s.closed:
             limits = NOTHING
         unmet = others(s, moved.contacts, response.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
-        if half.fast:
+        if half.fast and not barred.size:
             places = half.middle.placement, moved.placement
             until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
     return Trial(half, joints, seen, response, unmet, until)
@@ -403,13 +402,10 @@ def tree_works(
         s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
     ):
         k = t.coordinates
-        w = t.works(before, free, v[k], end, q, impulse[k], energy)
-        joints[0, k] += w.joints
-        joints[3, k] = half.h * free.loads.push
+        w = t.works(before, free, v[k], end, q, impulse[k], energy, joints)
         if free.loads.wrenches is not None:
             acted.links[link : link + t.model.njoints - 1] = half.h * free.loads.wrenches
         link += t.model.njoints - 1
-        joints[5, k] = math.inf if free.loads.limit is None else half.h * free.loads.limit
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection
