@@ -24,6 +24,7 @@ from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.impacts import Impact
 from nsdyn.stepping.instant import Impulses, Instant, Looked, System, account
 from nsdyn.stepping.projection import Placed, place, project
+from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -137,6 +138,8 @@ class Trial(NamedTuple):
     touched : float
         Time just after a pair that is open where the move begins touches on its way, s; that of the move if none does,
         or if nothing is so fast that it might go unseen.
+    turned : float
+        When the first slip turns round, s; that of the move if none does, or if all is caught.
     """
 
     half: Half
@@ -145,6 +148,7 @@ class Trial(NamedTuple):
     response: Response
     unmet: Unmet | None
     touched: float
+    turned: float
 
 
 def trial(
@@ -193,7 +197,7 @@ def trial(
         half, response = _respond(s, begin, half, real, joints, seen, barred, response, rough)
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return trial(s, begin, t, h, None, barred, again)
-    unmet, until = None, h
+    unmet, until, turned = None, h, h
     if barred is not None:
         moved = response.moved
         limits = moved.limits
@@ -203,7 +207,9 @@ def trial(
         if half.fast:
             places = half.middle.placement, moved.placement
             until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
-    return Trial(half, joints, seen, response, unmet, until)
+        if not barred.size:
+            turned = h * reversal(response.met, s.solver, response.problem, response.solution)
+    return Trial(half, joints, seen, response, unmet, until, turned)
 
 
 def _reachable(
@@ -244,7 +250,7 @@ def _respond(
         )
         met = Encounter(
             contacts, None, rows, frame, None, contacts.mu, contacts.restitution, place_of, begin.warm.status, local,
-            end_gap, NOTHING, NOTHING, slides, posed,
+            end_gap, slides=slides, posed=posed,
         )  # fmt: skip
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
