@@ -63,9 +63,10 @@ class Stepper:
 
     All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
-    impacts with restitution, which act in no time, until they are too many to tell apart, and where slip turns round. No shapes overlap at its end:
-    what a step leaves is removed by a projection of the positions. No island of free bodies gains energy but by the
-    works of external forces: what it gained is taken by rolling resistance, which keeps every momentum.
+    impacts with restitution, which act in no time, until they are too many to tell apart, and where slip turns round.
+    No shapes overlap at its end: what a step leaves is removed by a projection of the positions. No island of free
+    bodies gains energy but by the works of external forces: what it gained is taken by rolling resistance, which keeps
+    every momentum.
 
     Parameters
     ----------
