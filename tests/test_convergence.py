@@ -3,12 +3,14 @@
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
 
 import nsdyn as nd
+from nsdyn.scene import shapes
 
 g = 9.81
 ROUGH = nd.Material(mu=2.0)
@@ -306,6 +308,122 @@ def test_path_of_a_sliding_point_on_an_incline():
         return np.linalg.norm(v, axis=1) + v[:, 0] - 1.0
 
     np.testing.assert_allclose(orders(error, (50, 100, 200)), 2.0, rtol=0, atol=0.05)
+
+
+# -- forces that depend on the velocity ----------------------------------------------------------------------
+
+
+def closes(trajectory):
+    """The trajectory, whose ledger closes."""
+    e = trajectory.energy
+    assert np.abs(e.defect).max() <= 1e-13 * (np.abs(e.kinetic).max() + np.ptp(e.potential))
+    return trajectory
+
+
+def test_drag_is_second_order():
+    """v' = -c v: 1 - e^-c far after 1 s, and half of 1 - e^-2c of the energy lost, by the external force alone."""
+
+    def error(steps):
+        scene = nd.Scene(gravity=(0, 0, 0))
+        scene.add_sphere("ball", 0.1, 1.0, linear_velocity=(1, 0, 0))
+        trajectory = closes(nd.simulate(scene, 1.0, 1 / steps, external_force=lambda t, q, v: {"ball": -2.0 * v[:3]}))
+        ball, work = trajectory.body("ball"), trajectory.energy.external.sum()
+        exact = 0.5 * (1 - math.exp(-2)), math.exp(-2), -0.5 * (1 - math.exp(-4))
+        return np.array((ball.position[-1, 0], ball.linear_velocity[-1, 0], work)) - exact
+
+    np.testing.assert_allclose(orders(error, (50, 100, 200)), 2.0, rtol=0, atol=0.05)
+
+
+def test_a_magnetic_force_does_no_work():
+    """One turn: the place to second order, the energy, which only the prediction errs in, to third."""
+
+    def run(steps):
+        scene, w = nd.Scene(gravity=(0, 0, 0)), 2 * math.pi
+        scene.add_sphere("ball", 0.1, 1.0, linear_velocity=(1, 0, 0))
+        return closes(
+            nd.simulate(scene, 1.0, 1 / steps, external_force=lambda t, q, v: {"ball": (w * v[1], -w * v[0], 0)})
+        )
+
+    energy = {n: run(n).energy.kinetic for n in (100, 200, 400)}
+    assert energy[100][-1] / energy[100][0] - 1 < 5e-4  # ½ π (2 π/100)³ = 3.9e-4
+    np.testing.assert_allclose(orders(lambda n: energy[n][-1] - energy[n][0], energy), 3.0, rtol=0, atol=0.02)
+    place = orders(lambda n: run(n).body("ball").position[-1], (100, 200, 400))
+    np.testing.assert_allclose(place, 2.0, rtol=0, atol=0.05)
+
+
+def test_a_torque_against_the_spin_is_second_order():
+    """-c ω on a body that tumbles, in world axes, against a fine run."""
+
+    def run(steps):
+        scene = spinning(INERTIA, (1.0, 4.0, 2.0))
+
+        def brake(t, q, v):
+            return {"body": ((0, 0, 0), -Rotation.from_quat(q[3:7]).apply(v[3:6]))}
+
+        return closes(nd.simulate(scene, 1.0, 1 / steps, external_force=brake))
+
+    np.testing.assert_allclose(against_fine(run, (50, 100, 200), 1600), 2.0, rtol=0, atol=0.05)
+
+
+def test_sliding_with_drag_is_second_order():
+    """v' = -μ g - c v on a plane."""
+    mu, c, time, speed = 0.1, 1.0, 0.8, 3.0
+    k = mu * g / c
+    exact = np.array(((speed + k) * (1 - math.exp(-c * time)) / c - k * time, (speed + k) * math.exp(-c * time) - k))
+
+    def error(steps):
+        scene, material = nd.Scene(), nd.Material(mu)
+        scene.add_halfspace("ground", material=material)
+        scene.add_box(
+            "box", (0.4, 0.4, 0.1), 1.0, position=(0, 0, 0.05), linear_velocity=(speed, 0, 0), material=material
+        )
+        drag = closes(nd.simulate(scene, time, time / steps, external_force=lambda t, q, v: {"box": -c * v[:3]}))
+        box = drag.body("box")
+        return np.array((box.position[-1, 0], box.linear_velocity[-1, 0])) - exact
+
+    np.testing.assert_allclose(orders(error, (20, 40, 80)), 2.0, rtol=0, atol=0.05)
+
+
+def test_joint_torques_against_the_motion_are_second_order():
+    """A damping torque, and a force across the motion of the hand of an arm."""
+
+    def run(steps):
+        scene = nd.Scene(gravity=(0, g, 0))
+        scene.add_urdf("arm", nd.scenes.folder() / "arm.urdf", q=(0.5, 0.3), v=(2.0, 1.0))
+        return closes(
+            nd.simulate(
+                scene, 0.5, 0.5 / steps, controller=lambda t, q, v: {"arm": -0.3 * v},
+                external_force=lambda t, q, v: {"arm/hand": (0.5 * v[1], -0.5 * v[0], 0)},
+            )
+        )  # fmt: skip
+
+    # 0.09 and 0.06 for the next order.
+    np.testing.assert_allclose(against_fine(run, (50, 100, 200), 1600), 2.0, rtol=0, atol=0.1)
+
+
+def test_a_controlled_slide_on_a_plane_is_second_order():
+    """A ball on two rails, x and z, that the control slows by c v and presses on the ground by d v: c + μ d in all."""
+    mu, c, d, mass, time, speed = 0.2, 0.7, 1.5, 2.0, 0.8, 3.0
+    model, joint = pin.Model(), 0
+    for kind in (pin.JointModelPX(), pin.JointModelPZ()):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"rail{joint}")
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    decay, k = (c + mu * d) / mass, mu * g / ((c + mu * d) / mass)
+    far = (speed + k) * (1 - math.exp(-decay * time)) / decay - k * time
+    exact = np.array((far, (speed + k) * math.exp(-decay * time) - k))
+
+    def error(steps):
+        scene, material = nd.Scene(), nd.Material(mu)
+        scene.add_halfspace("ground", material=material)
+        ball = {"rail1": [(shapes.sphere(0.1), pin.SE3.Identity())]}
+        scene.add_model("a", model, collisions=ball, q=[0.0, 0.1], v=[speed, 0.0], material=material)
+        control = closes(
+            nd.simulate(scene, time, time / steps, controller=lambda t, q, v: {"a": (-c * v[0], -d * v[0])})
+        )
+        return np.array((control.q[-1, 0], control.v[-1, 0])) - exact
+
+    np.testing.assert_allclose(orders(error, (20, 40, 80)), 2.0, rtol=0, atol=0.05)
 
 
 # -- impacts and stops ---------------------------------------------------------------------------------------

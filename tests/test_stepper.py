@@ -222,6 +222,32 @@ def test_torque_and_controller():
     assert abs(trajectory.v[-1, 6]) > 0.01, "the arm turns"
 
 
+@pytest.mark.parametrize("drag", [0.0, 1.0])
+def test_callbacks_are_called_twice_a_step(drag):
+    """Where the forces act, at v⁻ and at ½ (v⁻ + v⁺); where they do not depend on v the second call changes nothing."""
+    seen, solved = [], []
+
+    class Counting(nd.solvers.PGS):
+        def __call__(self, problem, guess=None):
+            solved.append(problem)
+            return super().__call__(problem, guess)
+
+    def push(t, q, v):
+        seen.append((t, q[0], v[0]))
+        return {"box": (-drag * v[0], 0.0, 0.0)}
+
+    stepper = nd.Stepper(nd.scenes.load("slide")(), 0.01, solver=Counting(tol=1e-12), external_force=push)
+    before = stepper.step().v[0]
+    seen.clear(), solved.clear()
+    after, free = stepper.step().v[0], before - 0.5 * 9.81 * 0.01
+    assert len(solved) == (2 if drag else 1)
+    (t, x, v), (t_again, x_again, v_again) = seen
+    assert t == t_again == pytest.approx(0.015, rel=1e-15) and x == x_again
+    means = before, 0.5 * (before + free - 0.01 * drag * before)
+    np.testing.assert_allclose((v, v_again), means, rtol=0, atol=1e-12)
+    assert after == pytest.approx(free - 0.01 * drag * v_again, rel=0, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("callback", "words"),
     [

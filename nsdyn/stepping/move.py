@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,31 +10,29 @@ import pinocchio as pin
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactMemory, ContactSet
-from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
-from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
+from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free as _free
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.impacts import Impact
-from nsdyn.stepping.instant import FAST, Impulses, Instant, Looked, System, account
+from nsdyn.stepping.instant import Impulses, Instant, Looked, System, account
 from nsdyn.stepping.projection import Placed, place, project
+from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["STILL_SURFACES", "Callbacks", "Half", "Move", "Trial", "finish", "first_half", "tree_works", "trial"]
+__all__ = ["Move", "Trial", "finish", "tree_works", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
-STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
-
-Callbacks = Callable[[Position, Array], tuple[Wrenches | None, Controls]] | None
 
 
 class Move(NamedTuple):
@@ -81,39 +78,6 @@ class Seen(NamedTuple):
     contacts: ContactSet
     memory: ContactMemory
     looked: Looked
-
-
-class Half(NamedTuple):
-    """The first half of a move.
-
-    Attributes
-    ----------
-    h, ahead : float
-        The move and its second half, s.
-    middle : Middle
-        Where the forces and impulses act.
-    forces : Forces
-    rate : ndarray, shape (n,)
-        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
-    reach : ndarray, shape (frames,)
-        How far points of the frames may move in the second half, m.
-    fast : bool
-        Whether that is so far that it might go unseen.
-    same : bool
-        Whether the contacts found where the move begins are those of there.
-    surfaces : three ndarrays of shape (surfaces, 2, 3)
-        Twists of what moves as prescribed: at the beginning, when the impulses act, at the end.
-    """
-
-    h: float
-    ahead: float
-    middle: Middle
-    forces: Forces
-    rate: Array
-    reach: Array
-    fast: bool
-    same: bool
-    surfaces: tuple[Array, Array, Array]
 
 
 class Response(NamedTuple):
@@ -173,6 +137,8 @@ class Trial(NamedTuple):
     touched : float
         Time just after a pair that is open where the move begins touches on its way, s; that of the move if none does,
         if nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
+    turned : float
+        When the first slip turns round, s; that of the move if none does, or if all is caught.
     """
 
     half: Half
@@ -181,6 +147,7 @@ class Trial(NamedTuple):
     response: Response
     unmet: Unmet | None
     touched: float
+    turned: float
 
 
 def trial(
@@ -192,7 +159,8 @@ def trial(
 
         q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
 
-    and the contact law of `encounter`, with the contacts that the motion shows.
+    and the contact law of `encounter`, with the contacts that the motion shows. Where the callbacks say another f̃ at
+    the mean velocity ½ (v⁻ + v⁺) the motion is found once more, with that.
 
     Parameters
     ----------
@@ -201,7 +169,7 @@ def trial(
     t, h : float
         s.
     callbacks : callable, optional
-        (wrenches, control) at a position and a velocity.
+        As of `nsdyn.stepping.half`.
     barred : ndarray of int, optional
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
@@ -226,7 +194,9 @@ def trial(
             break
         rough = not same and left > 0
         half, response = _respond(s, begin, half, real, joints, seen, barred, response, rough)
-    unmet, until = None, h
+    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
+        return trial(s, begin, t, h, None, barred, again)
+    unmet, until, turned = None, h, h
     if barred is not None:
         moved = response.moved
         limits = moved.limits
@@ -236,30 +206,9 @@ def trial(
         if half.fast and not barred.size:
             places = half.middle.placement, moved.placement
             until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
-    return Trial(half, joints, seen, response, unmet, until)
-
-
-def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
-    """Half a free flow, and the forces there."""
-    d, ahead = s.dynamics, s.theta * h
-    if d.alone and callbacks is None:
-        x, quaternion, v, R, v_free, rate, reach, far, same = _free.half(s, begin, h)
-        middle = Middle(begin.position.moved(x, quaternion), v, Placement(x, R, ()), ())
-        fast = far > FAST * s.smallest
-        return Half(h, ahead, middle, d.free_forces(v_free), rate, reach, fast, same, STILL_SURFACES)
-    surfaces = STILL_SURFACES
-    if d.surfaces.count:
-        begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
-        surfaces = begun, d.surfaces.mean(begun, ended, 0.5), ended
-    middle = d.halfway(begin.position, begin.v, h, s.theta, surfaces[0])
-    given = (None, {}) if callbacks is None else callbacks(middle.position, begin.v)
-    forces = d.forces(middle, t + h, h, *given, begin.warm.joints)
-    reach = d.reach(middle.placement, forces.foreseen, ahead, h, surfaces[2])
-    fast = _few.most(reach) > FAST * s.smallest
-    same = s.unmoved(begin.looked, middle.placement, reach)
-    rate = forces.foreseen - middle.v
-    rate /= h
-    return Half(h, ahead, middle, forces, rate, reach, fast, same, surfaces)
+        if not barred.size:
+            turned = h * reversal(response.met, s.solver, response.problem, response.solution)
+    return Trial(half, joints, seen, response, unmet, until, turned)
 
 
 def _reachable(
@@ -300,7 +249,7 @@ def _respond(
         )
         met = Encounter(
             contacts, None, rows, frame, None, contacts.mu, contacts.restitution, place_of, begin.warm.status, local,
-            end_gap, NOTHING, NOTHING, slides, posed,
+            end_gap, slides=slides, posed=posed,
         )  # fmt: skip
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm

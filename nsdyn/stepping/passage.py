@@ -13,8 +13,9 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import Callbacks, Half, first_half
 from nsdyn.stepping.instant import DEEP, Impulses, Instant, System, take
-from nsdyn.stepping.move import Callbacks, Half, Trial, finish, first_half, trial
+from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
 from nsdyn.stepping.sight import Unmet, others
 from nsdyn.stepping.state import State
@@ -25,8 +26,12 @@ __all__ = ["Passage", "through"]
 Loads = Callable[[float], Callbacks]
 
 CUTS, HITS, LOCATED = 8, 16, 50
-"""Most impacts at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
+"""Most events at which one step is cut, most contacts that may be hit in it, and most contacts in all, so that the
 effort is bounded; beyond, impacts are caught within the step."""
+
+SOON, AGAIN = 1e-6, 0.1
+"""Fractions of a move in which slip that turns round is not located: before it is nothing but round-off, and where slip
+has just been cut, which is located to second order, what is left of it."""
 
 HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
 """Most times that a step is halved in which bodies gained energy, sank or were lifted far, most pieces tried in it, so
@@ -75,7 +80,7 @@ def through(system: System, state: State, loads: Loads) -> Passage:
     state : State
         Where the step begins.
     loads : callable
-        What the user has to say at a time [s], as `nsdyn.stepping.move.trial` takes it.
+        What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
     """
     begin = state.instant
     whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, state.owed)
@@ -115,8 +120,9 @@ def _pass(
     found, half, sunk = None, None, False
     if begin.contacts.gap.size <= LOCATED:
         if s.dynamics.trees:
-            half = first_half(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
-            found = quiet_trees(s, begin, half)
+            callbacks = loads(end - h + (1.0 - s.theta) * h)
+            half = first_half(s, begin, end - h, h, callbacks)
+            found = quiet_trees(s, begin, half, callbacks)
         elif loads(end) is None:
             found = quiet(s, begin, h)
     if found is None:
@@ -149,8 +155,11 @@ def _moves(
             done.append(_later(impulses, h - left))
             solved.append(pair)
             works.append(more)
+        soon = left * (AGAIN if cut and struck is None else SOON)
         length, tried = (
-            _until_impact(s, loads, now, t, left, half) if cut < CUTS else (left, _try(s, loads, now, t, left, None))
+            _until_event(s, loads, now, t, left, soon, half)
+            if cut < CUTS
+            else (left, _try(s, loads, now, t, left, None))
         )
         half = None
         m = finish(s, now, tried)
@@ -177,12 +186,13 @@ def _later(acted: Impulses, begun: float) -> Impulses:
     return acted._replace(time=begun + acted.time) if begun > 0.0 else acted
 
 
-def _until_impact(
-    s: System, loads: Loads, begin: Instant, t: float, h: float, half: Half | None = None, looks: int = CLOSER
-) -> tuple[float, Trial]:
+def _until_event(
+    s: System, loads: Loads, begin: Instant, t: float, h: float, soon: float, half: Half | None = None,
+    looks: int = CLOSER,
+) -> tuple[float, Trial]:  # fmt: skip
     """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many.
 
-    The first half of a move of h seconds may be known.
+    Or to where a slip turns round, but not `soon`, s. The first half of a move of h seconds may be known.
     """
     if begin.contacts.gap.size > LOCATED:
         return h, _try(s, loads, begin, t, h, None)
@@ -190,7 +200,9 @@ def _until_impact(
     if _jammed(m.response.solution):
         return h, _try(s, loads, begin, t, h, None)
     if m.touched < h and looks:
-        return _until_impact(s, loads, begin, t, m.touched, None, looks - 1)
+        return _until_event(s, loads, begin, t, m.touched, soon, None, looks - 1)
+    if soon < m.turned < h:
+        return _until_event(s, loads, begin, t, m.turned, h, None, looks)
     if m.unmet is None:
         return h, m
     hit = m.unmet.gap < -m.unmet.limit
@@ -230,5 +242,5 @@ def _until_impact(
 def _try(
     s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None, half: Half | None = None
 ) -> Trial:
-    """A move of h seconds, with what the user has to say where its impulses act, unless its first half is known."""
-    return trial(s, begin, t, h, None if half else loads(t + (1.0 - s.theta) * h), barred, half)
+    """A move of h seconds, with what the user has to say where its impulses act; its first half may be known."""
+    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, half)

@@ -11,6 +11,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
+from nsdyn._kernels.stepping import reversal as _reversal
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
@@ -18,11 +19,15 @@ from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free
 from nsdyn.stepping.encounter import Basis, Encounter, Warm, foresee, solve
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
 from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, Looked, System, account
-from nsdyn.stepping.move import STILL_SURFACES, Half, tree_works
+from nsdyn.stepping.move import tree_works
+from nsdyn.stepping.reversal import reversal
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Moves", "quiet", "quiet_trees"]
+
+NO_ROWS = np.empty(0, np.bool_)
 
 Moves = tuple[Instant, Array, bool, Array, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
 """End of some moves, the last free acceleration, whether the end is clear, works of external forces on the free bodies,
@@ -53,7 +58,8 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     )
     solution, mu, nc = s.solver(problem, local[4]), contacts.mu, contacts.mu.size
     r = solution.r
-    if _law.reconsider(r, solution.u, problem.q, mu, local, slides, False):
+    shown, was = (r, solution.u, problem.q, mu, local), (place, begin.warm.status)
+    if _law.reconsider(*shown, slides, False) or _reversal.ending(*shown, was, NO_ROWS, np.empty(nc, np.int8)):
         return None
     v_plus, x, quaternion, v_end, R, twists, same = free.end(
         s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
@@ -67,7 +73,7 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     )  # fmt: skip
     external, beyond, normal_work, friction_work, rest = _account.account(
         rows.full.arrays, (d.mass, d.gravity), (d.no_load, d.no_load), h, s.theta, (v, v, v_plus), r, mu, NOTHING,
-        (place, begin.warm.status), NOTHING, local, frame, s.solver.tol, out,
+        was, NOTHING, local, frame, s.solver.tol, out,
     )  # fmt: skip
     slots, on_joints = d.no_impulses
     time = np.empty(nc)
@@ -83,8 +89,8 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     return end, rate, True, d.no_works, [impulses], [(problem, solution)], [works]
 
 
-def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
-    """`quiet` in scenes with trees, under whatever forces, from the first half of the move.
+def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> Moves | None:
+    """`quiet` in scenes with trees, under whatever forces, from the first half of a move, which callbacks correct.
 
     No joint is near its limits, none has dry friction, and no actuator is at its limit.
     """
@@ -106,12 +112,14 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     start = old, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     met = Encounter.of(d, contacts, None, middle, forces, start, reach, still, h, half.ahead, closing)
     problem, solution, otherwise = solve(met, s.solver, None, closing, foresee(met), False, 0)
-    if otherwise:
+    if otherwise or reversal(met, s.solver, problem, solution) < 1.0:
         return None
     r = solution.r
     impulse, v_plus = met.rows.response(r, forces.v)
     if d.within_limits(middle, forces, v_plus) is not forces:
         return None
+    if (again := corrected(s, begin, half, v_plus, callbacks)) is not half:
+        return quiet_trees(s, begin, again, None)
     position, v_end, place, ends = d.end(middle, forces, v_plus, impulse, half.ahead, still[1])
     limits, same = d.limits(place), s.unmoved(looked, place, d.nowhere)
     seen = (contacts, memory, looked) if same else _looked(s, place.x, place.R, d.nowhere, contacts, memory, np.inf)

@@ -29,9 +29,9 @@ from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping import impacts
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
+from nsdyn.stepping.half import Callbacks
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.instant import Impulses, System
-from nsdyn.stepping.move import Callbacks
 from nsdyn.stepping.passage import through
 from nsdyn.stepping.prescribed import Prescribed
 from nsdyn.stepping.state import Pieces, Start, State, Step
@@ -63,9 +63,10 @@ class Stepper:
 
     All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
-    impacts with restitution, which act in no time, until they are too many to tell apart. No shapes overlap at its end:
-    what a step leaves is removed by a projection of the positions. No island of free bodies gains energy but by the
-    works of external forces: what it gained is taken by rolling resistance, which keeps every momentum.
+    impacts with restitution, which act in no time, until they are too many to tell apart, and where slip turns round.
+    No shapes overlap at its end: what a step leaves is removed by a projection of the positions. No island of free
+    bodies gains energy but by the works of external forces: what it gained is taken by rolling resistance, which keeps
+    every momentum.
 
     Parameters
     ----------
@@ -79,8 +80,12 @@ class Stepper:
         A name of `nsdyn.solvers.SOLVERS`, then at a tolerance of 1e-8, or a solver object. Default and "auto":
         ``Auto(tol=1e-8, loose=1e-4)``.
     controller : callable, optional
-        ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}; called with the time and
-        configuration of the impulses and the velocity at the beginning, Pinocchio's layout.
+        ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}. It is called twice a step, at the
+        time and the configuration q~ where forces and impulses act: first with the velocity v⁻ before them, then with
+        the mean velocity ½ (v⁻ + v⁺) of the motion so found. If it says something else there, that acts, and the
+        motion is found again: laws of the velocity are of second order for θ = ½, as is their work. A step that is cut,
+        at impacts or because it is too coarse, calls so in each move that is tried, at its own times. Layout as
+        Pinocchio's, for q and for v.
     external_force : callable, optional
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's

@@ -1,0 +1,126 @@
+"""The first half of a move: half a free flow, and the forces there, those of the user's callbacks at second order.
+
+Forces that depend on the velocity are those at the mean velocity of the move, ½ (v⁻ + v⁺), which is found by predicting
+them: the callbacks are called where the forces act, first with the velocity v⁻ before them, and once more with
+½ (v⁻ + v⁺) of the motion so found. Where they then say something else the motion is found again, with that. The works
+of forces are those on the mean velocity, too: a force that is perpendicular to the velocity works O(h⁴) in a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nsdyn._kernels import reductions as _few
+from nsdyn.dynamics.dynamics import Controls, Wrenches
+from nsdyn.dynamics.values import Forces, Middle, Placement, Position
+from nsdyn.stepping import free as _free
+from nsdyn.stepping.instant import FAST, Instant, System
+from nsdyn.tools.arrays import Array
+
+__all__ = ["STILL_SURFACES", "Callbacks", "Half", "corrected", "first_half"]
+
+STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
+
+Given = tuple[Wrenches | None, Controls]
+"""What the user's functions say."""
+
+SILENT: Given = None, {}
+
+Callbacks = Callable[[Position, Array], Given] | None
+"""What the user's functions say at a position and a velocity; None where there are none, or where they are done."""
+
+
+class Half(NamedTuple):
+    """The first half of a move.
+
+    Attributes
+    ----------
+    h, ahead : float
+        The move and its second half, s.
+    end : float
+        Time at the end of the move, s.
+    middle : Middle
+        Where the forces and impulses act.
+    forces : Forces
+    rate : ndarray, shape (n,)
+        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
+    reach : ndarray, shape (frames,)
+        How far points of the frames may move in the second half, m.
+    fast : bool
+        Whether that is so far that it might go unseen.
+    same : bool
+        Whether the contacts found where the move begins are those of there.
+    surfaces : three ndarrays of shape (surfaces, 2, 3)
+        Twists of what moves as prescribed: at the beginning, when the impulses act, at the end.
+    given : (Wrenches or None, Controls)
+        What the callbacks say.
+    """
+
+    h: float
+    ahead: float
+    end: float
+    middle: Middle
+    forces: Forces
+    rate: Array
+    reach: Array
+    fast: bool
+    same: bool
+    surfaces: tuple[Array, Array, Array]
+    given: Given
+
+
+def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
+    """Half a free flow from the time t, and the forces there, as callbacks say at the velocity v⁻."""
+    d, ahead = s.dynamics, s.theta * h
+    if d.alone and callbacks is None:
+        x, quaternion, v, R, v_free, rate, reach, far, same = _free.half(s, begin, h)
+        middle = Middle(begin.position.moved(x, quaternion), v, Placement(x, R, ()), ())
+        forces, fast = d.free_forces(v_free), far > FAST * s.smallest
+        return Half(h, ahead, t + h, middle, forces, rate, reach, fast, same, STILL_SURFACES, SILENT)
+    surfaces = STILL_SURFACES
+    if d.surfaces.count:
+        begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
+        surfaces = begun, d.surfaces.mean(begun, ended, 0.5), ended
+    middle = d.halfway(begin.position, begin.v, h, s.theta, surfaces[0])
+    given = SILENT if callbacks is None else callbacks(middle.position, middle.v)
+    return _under(s, begin, h, t + h, middle, surfaces, given)
+
+
+def corrected(s: System, begin: Instant, half: Half, v: Array, callbacks: Callbacks) -> Half:
+    """The half with what callbacks say at the mean velocity, where v⁺ = v; itself where they say the same."""
+    if callbacks is None:
+        return half
+    given = callbacks(half.middle.position, 0.5 * (half.middle.v + v))
+    if _same(given, half.given):
+        return half
+    return _under(s, begin, half.h, half.end, half.middle, half.surfaces, given)
+
+
+def _under(
+    s: System, begin: Instant, h: float, end: float, middle: Middle, surfaces: tuple[Array, Array, Array], given: Given
+) -> Half:
+    """The first half of a move of h s until the time `end` under the forces given."""
+    d, ahead = s.dynamics, s.theta * h
+    forces = d.forces(middle, end, h, *given, begin.warm.joints)
+    reach = d.reach(middle.placement, forces.foreseen, ahead, h, surfaces[2])
+    fast = _few.most(reach) > FAST * s.smallest
+    same = s.unmoved(begin.looked, middle.placement, reach)
+    rate = forces.foreseen - middle.v
+    rate /= h
+    return Half(h, ahead, end, middle, forces, rate, reach, fast, same, surfaces, given)
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether nested values are the same to the last bit."""
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other)
+    if isinstance(one, Mapping):
+        return one.keys() == other.keys() and all(_same(value, other[key]) for key, value in one.items())
+    if isinstance(one, tuple):
+        return all(map(_same, one, other))
+    return bool(one == other)
