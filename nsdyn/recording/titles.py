@@ -68,7 +68,7 @@ def _text(value: Any) -> str:
 
 def _told(name: str, *values: Any) -> list[str]:
     """One setting of each recording as text, with as many digits as tell the two apart."""
-    if name == "solver":
+    if name in ("solver", "impact"):
         kinds, inner = zip(*(re.findall(r"^(\w*)\(?(.*?)\)?$", str(value), re.S)[0] for value in values), strict=True)
         if kinds[0] != kinds[1]:
             return [f"solver={kind}" for kind in kinds]

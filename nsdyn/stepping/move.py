@@ -22,9 +22,9 @@ from nsdyn.stepping import free as _free
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.impacts import Impact
 from nsdyn.stepping.instant import FAST, Impulses, Instant, Looked, System, account
 from nsdyn.stepping.projection import Placed, place, project
+from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 
