@@ -128,7 +128,7 @@ class Newton:
 
 @dataclass(frozen=True)
 class Dissipative(Newton):
-    """Newton's law, with the restitution of an island lowered as far as its impact would create energy else.
+    """Newton's law, with the restitution of an island lowered where its impact would create energy else.
 
     r = (1 - s) r₀ + s r₁, with r₁ as of `Newton`, r₀ the same with e = 0, and the largest s in [0, 1] for which the
     impulses on the island do no work:
@@ -171,7 +171,7 @@ class Dissipative(Newton):
 def _workless(impact: Round, label: Index, begin: Array, end: Array) -> Array:
     """Per island the s for which (1 - s) begin + s end does no work, of which `begin` does none and `end` positive."""
     # The work is a s² + b s + c; a is that of the change alone, on what is at rest.
-    a = impact._replace(before=np.zeros_like(begin)).work(end - begin, label)
+    a = np.maximum(impact._replace(before=np.zeros_like(begin)).work(end - begin, label), 0.0)
     c = np.minimum(impact.work(begin, label), 0.0)
     b = impact.work(end, label) - a - c
     root = np.sqrt(b * b - 4.0 * a * c)
