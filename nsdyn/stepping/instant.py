@@ -18,7 +18,8 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import Solver
 from nsdyn.stepping.encounter import Basis, Closing, Encounter, Warm
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.impacts import Impact
+from nsdyn.stepping.impacts import Law
+from nsdyn.stepping.rounds import Impact
 from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["DEEP", "FAST", "JOINT", "Impulses", "Instant", "Looked", "System", "account", "take"]
@@ -75,8 +76,8 @@ class System(NamedTuple):
         The least of them, m.
     arm : ndarray, shape (frames,)
         How far shapes reach from the origins of their frames, m.
-    impact : str
-        Law of impact.
+    impact : Law
+        Of impact.
     elastic : bool
         Whether any contact or joint limit has restitution.
     depth : float
@@ -92,7 +93,7 @@ class System(NamedTuple):
     inscribed: Array
     smallest: float
     arm: Array
-    impact: str
+    impact: Law
     elastic: bool
     depth: float = DEEP
 

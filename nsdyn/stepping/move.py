@@ -20,10 +20,10 @@ from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
-from nsdyn.stepping.impacts import Impact
 from nsdyn.stepping.instant import Impulses, Instant, Looked, System, account
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.reversal import reversal
+from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 

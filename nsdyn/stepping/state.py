@@ -111,8 +111,8 @@ class Step(NamedTuple):
     pieces : Pieces or None
         What the step was cut into; None where it was made in one, and in scenes without articulations.
     created : float
-        Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
-        chains, and Poisson's with several restitutions (`impacts`).
+        Energy that impacts created, J, summed over islands of contacts: 0 but for `Newton`'s law with friction or in
+        chains, and `Poisson`'s with several restitutions (`nsdyn.stepping.impacts`).
     ledger : Ledger
         Energies at the end and works of the step, J.
     gauss : Certificate
