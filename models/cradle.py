@@ -1,8 +1,8 @@
 """Row of equal elastic balls, the first one thrown at the others.
 
-Apart by a gap they pass their velocity on one by one and the last flies off with all of it. Touching they are one
-impact with many contacts, and Newton's law at e = 1 sends the first back at (n - 2)/n of its speed and all others off
-together at 2/n: energy and momentum are kept, but real cradles do otherwise.
+Apart by a gap they pass their velocity on one by one and the last flies off with all of it; touching too, in rounds of
+one instant. The laws of Poisson and Frémond take all contacts that touch at once: at e = 1 they send the first back at
+(n - 2)/n of its speed and all others off together at 2/n; energy and momentum are kept, but real cradles do otherwise.
 """
 
 from nsdyn import Material, Scene

@@ -3,7 +3,7 @@
     import nsdyn as nd
 
 nd.Scene, nd.Material, nd.scenes           describe a scene, or take a named one
-nd.simulate, nd.Stepper, nd.PD             run it, step by step if need be, under control
+nd.simulate, nd.Stepper, nd.PD, nd.impacts run it, step by step if need be, under control, with a law of impact
 nd.Trajectory                              what happened: states, energies, contacts, forces, certificates, files, pages
 nd.check, nd.compare, nd.plots             audit a motion or a model, say where two part, draw what is recorded
 nd.sweep, nd.refine                        many parameters, several time steps
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from nsdyn.scene.materials import Material
     from nsdyn.scene.scene import Scene
     from nsdyn.solvers import solve
+    from nsdyn.stepping import impacts
     from nsdyn.stepping.simulation import simulate
     from nsdyn.stepping.state import State, Step
     from nsdyn.stepping.stepper import Stepper
@@ -60,6 +61,7 @@ __all__ = [
     "check",
     "compare",
     "fclib",
+    "impacts",
     "plots",
     "refine",
     "scenes",
@@ -89,6 +91,7 @@ _HOME = {
 }
 _MODULES = {
     "fclib": "problem.fclib",
+    "impacts": "stepping.impacts",
     "plots": "recording.plots",
     "scenes": "scene.named",
     "solvers": "solvers",

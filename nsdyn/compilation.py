@@ -42,7 +42,7 @@ SCENES = (
 """Named scenes whose first steps call what others do."""
 
 
-def _steps(name: str, count: int, impact: str = "newton") -> None:
+def _steps(name: str, count: int, impact: str = "dissipative") -> None:
     """Some steps of a named scene."""
     setup = scenes.setup(name)
     stepper = Stepper(setup.scene, **setup.options(on_fail="ignore", impact=impact))

@@ -669,6 +669,37 @@ def test_links_have_no_mass(opened):
     assert "not recorded" in text(page, ".inspector p") and "mass" not in table(page)
 
 
+def test_a_link_shows_its_joint(opened):
+    """A mass on a rail that a force pushes, and a hinge on it: what its panel says is what the recording does."""
+    scene = nd.scenes.load("cart_pole")()
+    t = nd.simulate(scene, 0.2, dt=1e-2, controller=lambda t, q, v: {"cart_pole": np.array([3.0, 0.0])})
+    page = opened(t)
+    for link, drive, unit in (("cart", "force", "N"), ("pole", "torque", "N·m")):
+        page.run(
+            f"nsdyn.panes[0].inspector.body(nsdyn.recordings[0].bodies.findIndex(b => b.joint?.name === '{link}'))"
+        )
+        page.run("nsdyn.show(0.1)")
+        shown, joint = table(page), t.joint(f"cart_pole/{link}")
+        assert shown["joint"] == link
+        place = "position" if unit == "N" else "angle"
+        for label, of, value in (
+            (place, "m" if unit == "N" else "rad", joint.position[10]),
+            ("velocity", "m/s" if unit == "N" else "rad/s", joint.velocity[10]),
+            (drive, unit, joint.torque[9]),
+            ("reaction", "N", np.linalg.norm(joint.reaction_force[9])),
+            ("its moment", "N·m", np.linalg.norm(joint.reaction_torque[9])),
+        ):
+            assert number(shown[label], of) == pytest.approx(value, rel=1e-3), label  # four digits are shown
+        curves = page.run("Array.from(document.querySelectorAll('.inspector .plot'), plot => plot.dataset.label)")
+        assert [place, drive, "reaction"] == [label for label in curves if label in shown]
+    times, forces = page.run(
+        "(p => [p.times, p.values])(nsdyn.panes[0].inspector.plots.find(p => p.label === 'reaction'))"
+    )
+    known = np.linalg.norm(t.joint("cart_pole/pole").reaction_force, axis=1)
+    # Of the steps that end at the states shown; the numbers of the page have 15 bits.
+    np.testing.assert_allclose(forces, np.interp(times, t.t_steps, known), rtol=2**-15, atol=0)
+
+
 def test_rest_is_rest(opened):
     page = opened(nd.simulate(nd.scenes.load("stack")(height=2), 0.05, dt=1e-2))
     assert page.run("nsdyn.panes[0].chart.lanes[0].note") == "at rest: nothing of 3.924 J moves"

@@ -16,28 +16,42 @@ def middle(values):
     return 0.5 * (values[1:] + values[:-1])
 
 
-def test_pendulum():
-    """Along the rod m g cos θ + m l θ̇², across it m g sin θ + m l θ̈; second order in dt."""
-    length, mass = 0.7, 1.3
+PLAIN = {"every": 1, "contacts": True}
+"""How every step is recorded, with its contacts."""
+
+
+@pytest.mark.parametrize("rows", [PLAIN, {"every": 5}, {"contacts": False}], ids=str)
+@pytest.mark.parametrize("push", [(0.0, 0.0, 0.0), (1.0, 3.0, 0.0)], ids=str)
+def test_pendulum(push, rows):
+    """Along the rod m g cos θ + m l θ̇² less what pulls its end, across it nothing; second order in what is recorded.
+
+    A push across the plane moves nothing: the hinge takes it, and its moment.
+    """
+    length, mass, push, every = 0.7, 1.3, np.array(push), rows.get("every", 1)
 
     def error(dt):
         model = pin.Model()
         joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "hinge")
         point = pin.Inertia(mass, np.array([0, 0, -length]), 1e-12 * np.eye(3))
         model.appendBodyToJoint(joint, point, at((0, 0, 0)))
+        model.addBodyFrame("end", joint, at((0, 0, -length)), 0)
         scene = nd.Scene()
         add(scene, "p", model, q=[1.0], v=[0.5])
-        t = nd.simulate(scene, 1.0, dt)
+        t = nd.simulate(scene, 1.0, dt / every, external_force=lambda *_: {"p/end": push}, **rows)
         joint = t.joint("p/hinge")
+        assert joint.reaction_force.shape == (round(1.0 / dt), 3) and np.abs(joint.reaction_force).max() > 15.0
         up = np.column_stack([np.sin(joint.position), 0.0 * joint.position, np.cos(joint.position)])
-        tension = mass * G * np.cos(joint.position) + mass * length * joint.velocity**2
-        assert np.abs(joint.reaction_force).max() > 20.0 and joint.reaction_force.shape == (t.steps, 3)
-        free = np.abs(joint.reaction_torque).max()  # a hinge carries none about its axis, nor does a point across
-        return np.abs(joint.reaction_force - middle(tension[:, None] * up)).max(), free
+        tension = mass * G * np.cos(joint.position) + mass * length * joint.velocity**2 - up @ push
+        across = push * [0, 1, 0]
+        force, torque = tension[:, None] * up - across, np.cross(length * up, across)
+        return [
+            np.abs(found - middle(known)).max()
+            for found, known in ((joint.reaction_force, force), (joint.reaction_torque, torque))
+        ]
 
-    (coarse, turn), (fine, less) = error(1e-2), error(5e-3)
-    assert coarse < 1e-2 and turn < 2e-3
-    assert coarse / fine == pytest.approx(4.0, rel=0.02) and turn / less == pytest.approx(4.0, rel=0.02)
+    coarse, fine = np.array(error(1e-2)), np.array(error(5e-3))
+    assert (coarse < (1e-2, 4e-3)).all(), coarse
+    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.02)
 
 
 def test_an_arm_that_is_held():
@@ -55,7 +69,27 @@ def test_an_arm_that_is_held():
         np.testing.assert_allclose(joint.reaction_torque, np.tile([0, lever * G, 0], (10, 1)), rtol=0, atol=1e-9)
 
 
-def test_slider_crank():
+def test_an_arm_that_is_held_and_pushed():
+    """A wrench on the middle rod, of which the motors hold what moves: it acts up to there, its moment at its lever."""
+    model, q = pendulum(3), np.array([np.pi / 2, 0.0, 0.0])
+    scene = nd.Scene()
+    add(scene, "arm", model, q=q)
+    push, turn = np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.7, 0.9])
+    held = pin.computeGeneralizedGravity(model, model.createData(), q)
+    held[:2] -= turn[1] + np.array([push[2], 0.0])  # about y, at (-1, 0, 0) and at the origin of the first two joints
+    t = nd.simulate(
+        scene, 0.05, 5e-3, controller=lambda *_: {"arm": held}, external_force=lambda *_: {"arm/j1": (push, turn)}
+    )
+    for k in range(3):
+        joint, beyond, on = t.joint(f"arm/j{k}"), 3 - k, k < 2
+        force = np.array([0, 0, beyond * G]) - on * push
+        moment = np.array([0, beyond**2 / 2.0 * G, 0]) - on * (turn + np.cross([k - 1.0, 0, 0], push))
+        np.testing.assert_allclose(joint.reaction_force, np.tile(force, (10, 1)), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(joint.reaction_torque, np.tile(moment, (10, 1)), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_slider_crank(every):
     """Forces in both pins and the loop at the slider, by Newton and Euler for crank and rod by hand."""
 
     def error(dt):
@@ -73,7 +107,7 @@ def test_slider_crank():
         scene = nd.Scene()
         add(scene, "m", limit(model), pinned, q=[turn, tilt, reach], v=[0.0, 0.0, 0.0])
         scene.set_motion("m/crank", velocity=5.0)
-        t = nd.simulate(scene, 0.4, dt)
+        t = nd.simulate(scene, 0.4, dt / every, every=every)
         a, b = t.q[:, 0], t.q[:, 0] + t.q[:, 1]
 
         def along(angle, length):
@@ -110,7 +144,8 @@ def test_slider_crank():
     assert (coarse < 5e-3).all() and (fine < 0.3 * coarse + 1e-9).all(), (coarse, fine)
 
 
-def test_a_box_on_a_platform_that_is_driven():
+@pytest.mark.parametrize("rows", [PLAIN, {"every": 4}, {"contacts": False}], ids=str)
+def test_a_box_on_a_platform_that_is_driven(rows):
     """The platform's joint carries both, m (g + a); the box is pushed by its own share."""
     model = pin.Model()
     lift = model.addJoint(0, pin.JointModelPZ(), at((0, 0, 0)), "lift")
@@ -120,9 +155,10 @@ def test_a_box_on_a_platform_that_is_driven():
     scene.add_model("p", model, collisions={"lift": [shapes.box((1, 1, 0.1))]})
     scene.add_box("box", (0.2, 0.2, 0.2), 2.0, position=(0.3, 0, 0.15))
     scene.set_motion("p/lift", velocity=lambda t: 0.5 * t)
-    t = nd.simulate(scene, 0.2, 5e-3)
+    t = nd.simulate(scene, 0.2, 5e-3, **rows)
     joint = t.joint("p/lift")
-    np.testing.assert_allclose(joint.reaction_force[2:], np.tile([0, 0, 5.0 * (G + 0.5)], (38, 1)), rtol=0, atol=1e-6)
+    carried = np.tile([0, 0, 5.0 * (G + 0.5)], (t.steps - 2, 1))
+    np.testing.assert_allclose(joint.reaction_force[2:], carried, rtol=0, atol=1e-6)
     np.testing.assert_allclose(joint.reaction_torque[2:, 1], -0.3 * 2.0 * (G + 0.5), rtol=0, atol=1e-6)
 
 
@@ -161,12 +197,76 @@ def test_redundant_loops_carry_the_weight():
     np.testing.assert_allclose(feet, np.tile([0, 0, 5 * G], (10, 1)), rtol=0, atol=1e-9)
 
 
+def test_forces_of_several_steps_are_their_mean():
+    """A quadruped that is pushed from the side while it stands, recorded in every step and every fifth."""
+    setup = nd.scenes.setup("quadruped")
+    options = setup.options() | {"external_force": lambda t, q, v: {"quadruped/FL_knee": (0.0, 30.0 * (t > 0.05), 0.0)}}
+    one = nd.simulate(setup.scene, 0.2, **options)
+    five = nd.simulate(setup.scene, 0.2, every=5, **options)
+    for name in ("FL_abduction", "FL_knee", "HR_hip"):
+        each, mean = (t.joint(f"quadruped/{name}") for t in (one, five))
+        known = each.reaction_force.reshape(-1, 5, 3).mean(axis=1)
+        # Differences of momenta: round-off of them, and what projections of 1e-8 m do to them over dt.
+        np.testing.assert_allclose(mean.reaction_force, known, rtol=0, atol=1e-7)
+        known = each.reaction_torque.reshape(-1, 5, 3).mean(axis=1)
+        # Its point moves by millimetres at levers of 0.1 m while the forces set in.
+        np.testing.assert_allclose(mean.reaction_torque, known, rtol=0, atol=5e-3 * np.abs(known).max())
+    pushed = one.columns["links/impulse"][:, 3, :3] / one.dt
+    np.testing.assert_allclose(pushed[:, 1], 30.0 * (one.t[1:] > 0.05 + one.dt / 2), rtol=1e-14)
+
+
+def test_wrenches_of_steps_in_pieces(tmp_path):
+    """What is recorded of a constant force is the whole of it in every step, of several moves too."""
+    push = np.array([1.0, 2.0, 3.0])
+    scene = nd.scenes.load("arm_pushes_box")()
+    link = "arm/" + scene.articulations["arm"].model.names[2]
+    t = nd.simulate(scene, 0.5, 2e-3, external_force=lambda *_: {link: push}, record=tmp_path / "run.h5")
+    assert (np.diff(t.columns["pieces/offset"]) > 1).any()
+    found = t.columns["links/impulse"]
+    assert found.shape == (250, 2, 6) and not found[:, 0].any()
+    np.testing.assert_allclose(found[:, 1, :3], np.tile(2e-3 * push, (250, 1)), rtol=1e-12)
+    assert np.isfinite(t.joint(link).reaction_force).all()
+
+
+def test_the_table_of_joints():
+    """Rows are steps and joints, then loops, with the numbers of each; other coordinates have columns of their own."""
+    model, loops, _ = four_bars(2)
+    scene = nd.Scene()
+    add(scene, "bars", model, loops=loops)
+    add(scene, "p", pendulum(), q=[1.0])
+    t = nd.simulate(scene, 0.02, 2e-3, controller=lambda *_: {"p": np.array([0.3])})
+    table = t.joint_table()
+    names = [f"bars/{name}" for name in ("v0", "h0", "v1", "h1", "v2")] + ["p/j0", "bars/foot1", "bars/foot2"]
+    assert list(table["joint"]) == 10 * names
+    assert list(table["step"]) == [k for k in range(1, 11) for _ in names]
+    np.testing.assert_array_equal(table["t"], t.t[table["step"]])
+    for name in names:
+        row, loop = np.array(table["joint"]) == name, "foot" in name
+        one = t.loop(name) if loop else t.joint(name)
+        for what in ("force", "torque"):
+            found = np.column_stack([table[f"reaction_{what}_{axis}"][row] for axis in "xyz"])
+            np.testing.assert_array_equal(found, getattr(one, f"reaction_{what}"))
+        for what in ("position", "velocity", "torque", "limit_impulse", "friction", "external", "shift"):
+            known = np.full(10, np.nan) if loop else getattr(one, what)[-10:]
+            np.testing.assert_array_equal(table[what][row], known)
+    assert set(t.joint_table("p/*")["joint"]) == {"p/j0"} and set(t.joint_table("*foot2")["joint"]) == {"bars/foot2"}
+    with pytest.raises(ValueError, match=r"did you mean 'p/j0'\? joints must match one of bars/v0, .*; got 'p/j'"):
+        t.joint_table("p/j")
+    robot = nd.simulate(nd.scenes.load("quadruped")(), 0.01, 5e-3)
+    table, first = robot.joint_table("*root_joint"), robot.joint("quadruped/root_joint")
+    assert {name for name in table if name.startswith("position")} == {
+        "position",
+        *(f"position_{k}" for k in range(2, 8)),
+    }
+    np.testing.assert_array_equal(table["velocity_6"], first.velocity[1:, 5])
+
+
 def test_what_is_not_recorded_is_nan():
     scene = nd.Scene()
     add(scene, "p", pendulum())
-    t = nd.simulate(scene, 0.02, 1e-3, every=2)
-    assert np.isnan(t.joint("p/j0").reaction_force).all()
     pushed = nd.simulate(scene, 0.02, 1e-3, external_force=lambda t, q, v: {"p/j0": (1.0, 0, 0)})
-    assert np.isnan(pushed.joint("p/j0").reaction_torque).all()
+    assert np.isfinite(pushed.joint("p/j0").reaction_torque).all()
+    older = {name: values for name, values in pushed.columns.items() if name != "links/impulse"}
+    assert np.isnan(nd.Trajectory(pushed.meta, pushed.scene, older).joint("p/j0").reaction_torque).all()
     with pytest.raises(ValueError, match="loop must be one of none; got 'p/none'"):
         pushed.loop("p/none")

@@ -128,7 +128,7 @@ def test_what_rests_goes_on_bit_for_bit():
         ({}, {"every": 2}, "its option every is 1, not 2"),
         ({}, {"contacts": False}, "its option contacts is True, not False"),
         ({}, {"max_points": 4}, "its option max_points is 8, not 4"),
-        ({}, {"impact": "poisson"}, "its option impact is 'newton', not 'poisson'"),
+        ({}, {"impact": "poisson"}, r"its option impact is 'Dissipative\(\)', not 'Poisson\(\)'"),
         ({}, {"external_force": lambda t, q, v: {}}, "its option external_force is False, not True"),
         ({}, {"duration": 0.02}, "duration must be at least the 0.05 s"),
         ({}, {"record": "other.h5"}, "record must be None where resume"),

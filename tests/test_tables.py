@@ -116,6 +116,32 @@ def test_contacts_on_the_command_line(tmp_path, capsys, monkeypatch):
     assert "--step must be one of 1 to 20, or -1 back, got 99" in capsys.readouterr().err
 
 
+def test_joints_on_the_command_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["run", "four_bar", "--time", "0.02", "--dt", "2e-3", "-o", "run.h5"]) == 0
+    capsys.readouterr()
+    trajectory = nd.Trajectory.load("run.h5")
+    assert cli.main(["joints", "run.h5", "--step", "3", "--joint", "*/*1", "--csv", "j.csv"]) == 0
+    table = trajectory.joint_table("*/*1")
+    head, *rows = csv.reader((tmp_path / "j.csv").read_text().splitlines())
+    assert [name.partition(" ")[0] for name in head] == list(table) and len(rows) == len(table["t"])
+    units = dict(name.partition(" ")[::2] for name in head)
+    assert units["position"] == "[rad or m]" and units["reaction_force_x"] == "[N]" and units["step"] == ""
+    assert units["reaction_torque_z"] == "[N m about its origin]"
+    for k, name in enumerate(table):
+        if name != "joint":
+            np.testing.assert_array_equal([float(row[k]) for row in rows], table[name])
+    assert {row[2] for row in rows} == set(table["joint"]) and np.isnan(table["position"]).any()
+    # The printed step, a loop without a position.
+    shown = [line.split() for line in capsys.readouterr().out.splitlines()]
+    at = {line[0]: dict(zip(shown[0], line, strict=False)) for line in shown[1:]}
+    (loop,) = [name for name in at if name in table["joint"].tolist() and at[name]["position"] == "-"]
+    force = trajectory.loop(loop).reaction_force[2]
+    np.testing.assert_allclose([float(at[loop][f"f_{axis}"]) for axis in "xyz"], force, rtol=1e-5, atol=1e-300)
+    assert cli.main(["joints", "run.h5", "--joint", "four_bar/none"]) == 2
+    assert "joints must match one of" in capsys.readouterr().err
+
+
 def test_what_acts_in_a_joint(tmp_path):
     """A slider of 2 kg that a force of 5 N pushes against 3 N of dry friction until its stop, and holds it there."""
     push = {"a": np.array([5.0])}
@@ -158,5 +184,21 @@ def test_torque_of_a_control_is_what_moves_the_joint():
     joint = trajectory.joint("a/rail")
     torque = 2.0 * np.diff(joint.velocity) / 1e-2 - 7.0
     np.testing.assert_allclose(joint.torque, torque, rtol=0, atol=1e-11)  # round-off of differences over dt
+    np.testing.assert_allclose(joint.external, 7.0, rtol=1e-14)
     # It is not kp (target - q) of the beginning, 10 N, which explicit control would give.
     assert joint.torque[0] < 9.9
+
+
+def test_joints_of_an_old_recording():
+    scene = nd.Scene()
+    add(scene, "a", slider())
+    t = nd.simulate(scene, 0.02, 1e-2)
+    trees = [
+        {key: value for key, value in a.items() if key not in ("sizes", "model")} for a in t.scene["articulations"]
+    ]
+    old = nd.Trajectory(t.meta, t.scene | {"articulations": trees}, t.columns)
+    with pytest.raises(ValueError, match="before format 4"):
+        old.joint("a/rail")
+    with pytest.raises(ValueError, match="before format 4"):
+        old.joint_table()
+    assert np.isnan(old.reactions["a/rail"]).all()

@@ -20,8 +20,8 @@ def parameters(trajectory):
     return json.loads(trajectory.meta["parameters"])
 
 
-def slide(dt=0.01, solver=None, **settings):
-    return nd.simulate(nd.scenes.load("slide")(**settings), 0.02, dt=dt, solver=solver)
+def slide(dt=0.01, solver=None, impact="dissipative", **settings):
+    return nd.simulate(nd.scenes.load("slide")(**settings), 0.02, dt=dt, solver=solver, impact=impact)
 
 
 def thrown(speed, mu=0.4, **rest):
@@ -135,6 +135,7 @@ def test_a_run_goes_on_whatever_its_parameters_are_called(tmp_path):
         ({"dt": 0.005}, {}, "slide: dt=0.005 s | dt=0.01 s"),
         ({"mu": 0.2, "dt": 0.005}, {}, "slide: mu=0.2, dt=0.005 s | mu=0.5, dt=0.01 s"),
         ({"solver": "pgs"}, {"solver": "newton"}, "slide: solver=PGS | solver=Newton"),
+        ({}, {"impact": "newton"}, "slide: impact=Dissipative | impact=Newton"),
         (
             {"solver": nd.solvers.by_name("pgs", 1e-6)}, {"solver": nd.solvers.by_name("pgs", 1e-9)},
             "slide: tol=1e-06 | tol=1e-09",

@@ -21,7 +21,7 @@ from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import unfinished
 
 DT = 0.01
-META = {"dt": DT, "theta": 0.5, "solver": "Auto(tol=1e-08)"}
+META = {"dt": DT, "theta": 0.5, "solver": "Auto(tol=1e-08)", "external_force": True}
 WORKS = ["external", "normal", "friction", "damping", "constraint", "integration", "projection", "defect"]
 
 
@@ -44,7 +44,7 @@ def scene_dict(links: bool = False):
     scene = {"name": "two boxes", "geoms": geoms, "frames": ["a", "b"], "free": 2, "articulations": []}
     if links:
         scene["frames"] = ["a", "b", "arm/elbow"]
-        scene["articulations"] = [{"name": "arm", "nq": 1, "nv": 1}]
+        scene["articulations"] = [{"name": "arm", "nq": 1, "nv": 1, "joints": ["elbow"]}]
     return scene
 
 
@@ -81,7 +81,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
             pieces=SimpleNamespace(
                 duration=np.full(k % 3, DT / 2), contacts=np.arange(k % 3), joints=rng.normal(size=(6, k % 3, 1))
             ) if links and k % 3 else None,
-            joints=rng.normal(size=(6, 1)) if links else None,
+            joints=rng.normal(size=(6, 1)) if links else None, links=rng.normal(size=(int(links), 6)),
             gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k),
             solution=SimpleNamespace(
                 error=1e-10 * k, residual=1e-9 * k, iterations=k, status=nd.Status.CONVERGED, time=1e-4
@@ -125,6 +125,8 @@ def test_what_goes_in_comes_out(n, links, tmp_path):
         assert len(table) == step.gap.size
         np.testing.assert_array_equal(table.impulse_raw, step.r)
         np.testing.assert_array_equal(table.key, step.contacts.key)
+        if links:
+            np.testing.assert_array_equal(trajectory.columns["links/impulse"][k - 1], step.links)
 
     in_file, _, _ = record(tmp_path / "run.h5", n, links)
     assert_same(in_file, trajectory)
@@ -159,6 +161,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         assert {name: file["joints"][name].shape for name in file["joints"]} == dict.fromkeys(
             ("actuation", "limit", "friction", "external", "shift", "strength"), (7, 1)
         )
+        assert file["links/impulse"].shape == (7, 1, 6)
         columns = set(file["contacts"]) - {"offset"}
         assert columns == {
             "geom1", "geom2", "point", "normal", "gap", "u", "impulse", "mu", "restitution", "key", "status",

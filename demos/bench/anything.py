@@ -176,9 +176,9 @@ def random_scene(seed: int, folder: Path) -> tuple[nd.Scene, dict[str, Any], boo
         a, b = rng.choice(names, 2, replace=False) if len(names) > 1 else (names[0], names[0])
         if a != b:
             scene.set_pair(str(a), str(b), mu=float(rng.uniform(0.0, 1.0)) if kind != "smooth" else 0.0)
-    law = str(kind) if kind in ("poisson", "fremond") else "newton"
+    law = str(kind) if kind in ("poisson", "fremond") else "dissipative"
     theta = float(rng.choice([0.5, 0.5, 0.5, rng.uniform(0.5, 1.0)]))
-    return scene, {"dt": dt, "impact": law, "theta": theta}, free and kind != "kane" and theta == 0.5
+    return scene, {"dt": dt, "impact": law, "theta": theta}, free and theta == 0.5
 
 
 def add_arm(scene: nd.Scene, folder: Path, base: float, cell: float, dt: float, rng: Rng) -> None:
@@ -243,7 +243,7 @@ def bad_scene(seed: int, folder: Path) -> tuple[nd.Scene, dict[str, Any], bool]:
     if kind == "vice":  # a wall comes down on what cannot go anywhere
         scene.add_box("wall", (10 * scale, 10 * scale, scale), fixed=True, position=where + np.array([0, 0, 8 * scale]))
         scene.set_motion("wall", velocity=(0, 0, -0.5 * scale / dt))
-    return scene, {"dt": dt, "impact": "newton", "theta": 0.5}, kind != "vice"
+    return scene, {"dt": dt, "impact": "dissipative", "theta": 0.5}, kind != "vice"
 
 
 REFUSED = ("overlap at the start", "must", "is not possible", "in each other")

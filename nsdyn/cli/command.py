@@ -23,7 +23,7 @@ from nsdyn.cli.doctor import diagnose, version_of
 from nsdyn.cli.output import OUTPUTS, add_input, add_json, add_output, one_line
 from nsdyn.cli.plots import add_plot, draw
 from nsdyn.cli.problems import bench_engines, profile_solvers, solve_file
-from nsdyn.cli.results import show_contacts, show_energy, write_page
+from nsdyn.cli.results import show_contacts, show_energy, show_joints, write_page
 from nsdyn.cli.simulation import add_simulation, begin_scene, list_scenes, run_scene
 from nsdyn.cli.studies import add_check, add_compare, add_study, check_anything, compare_recordings, study_steps
 from nsdyn.cli.sweeps import add_sweep, sweep_scene
@@ -221,6 +221,14 @@ def _add_results(command: Command) -> None:
     add_input(p, "recording", metavar="RUN.h5")
     p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
     add_output(p, "--csv", kind=TABLE, metavar="C.csv", help="all contacts of all steps, one a line")
+
+    p = command("joints", show_joints, "Print or export joints and loops of a recording: motion, torques, reactions.")
+    add_input(p, "recording", metavar="RUN.h5")
+    p.add_argument(
+        "--joint", metavar="NAME", default="*", help="joints or loops by name, or as 'robot/*knee*' (default: all)"
+    )
+    p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
+    add_output(p, "--csv", kind=TABLE, metavar="J.csv", help="all steps, one joint or loop a line, with units")
 
     p = command("view", write_page, "Make a web page, a picture or a film of a recording, or of two side by side.")
     add_input(p, "recording", metavar="RUN.h5")

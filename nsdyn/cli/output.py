@@ -34,6 +34,7 @@ __all__ = [
     "table",
     "write_columns",
     "write_rows",
+    "write_table",
 ]
 
 
@@ -173,6 +174,18 @@ def write_rows(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: 
         sink = csv.DictWriter(file, columns)
         sink.writeheader()
         sink.writerows(rows)
+
+
+def write_table(columns: Any, path: Path, heading: Callable[[str], str] = str) -> None:
+    """Write columns, a mapping or a DataFrame, as a CSV file; `heading` says what stands over each."""
+    import csv
+
+    from nsdyn.tools import files
+
+    with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
+        sink = csv.writer(file)
+        sink.writerow(map(heading, columns))
+        sink.writerows(zip(*(columns[name].tolist() for name in columns), strict=True))
 
 
 def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""`nsdyn energy`, `nsdyn contacts` and `nsdyn view`: what recordings show."""
+"""`nsdyn energy`, `nsdyn contacts`, `nsdyn joints` and `nsdyn view`: what recordings show."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nsdyn.cli.output import check_files, ledger, plot_to, say, say_json, write_columns
+from nsdyn.cli.output import check_files, ledger, plot_to, say, say_json, table, write_columns, write_table
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.tools.arrays import Array
 
-__all__ = ["show_contacts", "show_energy", "write_page"]
+__all__ = ["show_contacts", "show_energy", "show_joints", "write_page"]
 
 
 def show_energy(arguments: argparse.Namespace) -> int:
@@ -64,23 +64,48 @@ def _energy_by(arguments: argparse.Namespace, trajectory: Trajectory) -> int:
 
 def show_contacts(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn contacts``."""
-    import csv
+    trajectory = _at_a_step(arguments)
+    if arguments.csv:
+        write_table(trajectory.contact_table(), arguments.csv)
+    say(arguments, trajectory.contacts(arguments.step))
+    return 0
 
+
+def show_joints(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn joints``."""
+    import numpy as np
+
+    from nsdyn.recording.joints import heading, joint_table
+
+    trajectory = _at_a_step(arguments)
+    k = arguments.step if arguments.step > 0 else trajectory.steps + 1 + arguments.step
+    found = joint_table(trajectory, arguments.joint, np.array([k]))
+    if arguments.csv:
+        write_table(trajectory.joint_table(arguments.joint), arguments.csv, heading)
+    shown = {name: name for name in ("joint", "position", "velocity", "torque", "friction")}
+    shown |= {f"reaction_{what}_{axis}": f"{what[0]}_{axis}" for what in ("force", "torque") for axis in "xyz"}
+    rows = zip(*(found[name].tolist() for name in shown), strict=True)
+    cells = [[None if x != x else x for x in row] for row in rows]  # NaN, as the position of a loop
+    say(arguments, table([dict(zip(shown.values(), row, strict=True)) for row in cells], list(shown.values())))
+    say(arguments, _JOINTS.format(step=k, t=trajectory.t[k]))
+    return 0
+
+
+_JOINTS = (
+    "step {step}, which ends at t = {t:g} s; rad or m, N m or N; reactions f [N] and t [N m]: mean of the step, on the "
+    "child\nabout the joint's origin, world axes. Of several coordinates the first is shown, --csv has all"
+)
+
+
+def _at_a_step(arguments: argparse.Namespace) -> Trajectory:
+    """The recording of which a step is to be printed; ValueError where it has no such step."""
     from nsdyn.recording.trajectory import Trajectory
-    from nsdyn.tools import files
 
     check_files(arguments)
     trajectory = Trajectory.load(arguments.recording)
     if not 1 <= abs(arguments.step) <= trajectory.steps:
         raise ValueError(f"--step must be one of 1 to {trajectory.steps}, or -1 back, got {arguments.step}")
-    if arguments.csv:
-        table = trajectory.contact_table()
-        with files.writing(arguments.csv, files.TABLE) as part, open(part, "w", newline="") as file:
-            sink = csv.writer(file)
-            sink.writerow(table)
-            sink.writerows(zip(*(table[name].tolist() for name in table), strict=True))
-    say(arguments, trajectory.contacts(arguments.step))
-    return 0
+    return trajectory
 
 
 def write_page(arguments: argparse.Namespace) -> int:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
+from operator import is_
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics.rotation import principal
@@ -33,7 +35,7 @@ from nsdyn.tools.naming import meant
 __all__ = ["Controls", "Dynamics", "Wrenches"]
 
 NOTHING: Mapping[Any, Any] = {}
-Wrenches = tuple[Array, Array, Mapping[int, Array]]
+Wrenches = tuple[Array, Array, Mapping[int, tuple[Array, Array]]]
 Controls = Mapping[int, Control]
 NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
 
@@ -155,6 +157,7 @@ class Dynamics:
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
         self.no_impulses = NO_VECTORS, np.zeros((6, self.n))
+        self.links, self.no_push = sum(t.model.njoints - 1 for t in self.trees), np.zeros((0, 6))
         self.joints = JointLaws(self.trees, self.free)
         self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]
         self.held = np.concatenate(
@@ -206,7 +209,7 @@ class Dynamics:
         position = middle.position
         if self._lone:
             free = forces.trees[0]
-            pushed = free.loads.implicit or (impulse is not None and bool(impulse.any()))
+            pushed = free.loads.implicit or (impulse is not None and _few.largest(impulse) > 0.0)
             only = self.trees[0].end(middle.trees[0], free, v, pushed)
             return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
         x, quaternion, after, X, R = self._flow(position, v, h)
@@ -215,7 +218,7 @@ class Dynamics:
             return there, after, Placement(X, R, ()), ()
         ends = []
         for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            pushed = free.loads.implicit or (impulse is not None and bool(impulse[t.coordinates].any()))
+            pushed = free.loads.implicit or (impulse is not None and _few.largest(impulse[t.coordinates]) > 0.0)
             ends.append(t.end(half, free, v[t.coordinates], pushed))
             after[t.coordinates] = ends[-1].v
         driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
@@ -259,6 +262,8 @@ class Dynamics:
 
     def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
         """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
+        if self._lone:
+            return self.trees[0].twists(place.links[0], v)
         linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
         if self.free:
             _motion.twists(place.R, v, self.free, linear, angular)
@@ -320,11 +325,13 @@ class Dynamics:
 
         The forces themselves where none is beyond.
         """
-        motions, same = [], True
-        for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            motions.append(tree.within_limits(half, free, v[tree.coordinates]))
-            same = same and motions[-1] is free
-        return forces if same else self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
+        motions = [
+            tree.within_limits(half, free, v[tree.coordinates])
+            for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True)
+        ]
+        if all(map(is_, motions, forces.trees)):
+            return forces
+        return self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
 
     def external_works(self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float) -> Array:
         """Works of external forces and torques on the free bodies in a move of h s, shape (nf,), J.
@@ -363,7 +370,7 @@ class Dynamics:
         return Forces(v, foreseen, force, torque, m, minv, tuple(motions))
 
     def wrenches(self, middle: Position, given: Mapping[str, Any]) -> Wrenches:
-        """What external wrenches are: forces and torques on the free bodies, joint forces of trees by their index.
+        """What external wrenches are: forces and torques on the free bodies; of trees by their index as `Tree.pushed`.
 
         Parameters
         ----------
@@ -373,7 +380,7 @@ class Dynamics:
             body of an articulation, "articulation/body", the force acts at the origin of its frame.
         """
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
-        applied: dict[int, Array] = {}
+        applied: dict[int, tuple[Array, Array]] = {}
         for name, wrench in _mapping(given, "external_force").items():
             try:
                 parts = np.array(wrench, dtype=float)
@@ -387,7 +394,9 @@ class Dynamics:
                 force[k], torque[k] = pull, _rotation(middle.quaternion[k]).T @ turn
             elif name in self._bodies:
                 k, body = self._bodies[name], name.partition("/")[2]
-                applied[k] = applied.get(k, 0.0) + self.trees[k].joint_forces(middle.trees[k], body, pull, turn)
+                push, wrenches = self.trees[k].pushed(middle.trees[k], body, pull, turn)
+                before = applied.get(k, (0.0, 0.0))
+                applied[k] = before[0] + push, before[1] + wrenches
             else:
                 self._refuse_body(name)
         return force, torque, applied
@@ -419,7 +428,8 @@ class Dynamics:
                 known = list(self._forests)
                 raise ValueError(f"{meant(name, known)}controller names {name!r}; articulations are {known}")
             first, actuators = self._forests[name]
-            out.update(enumerate(actuators.controls(value), start=first))
+            for k, control in enumerate(actuators.controls(value), first):
+                out[k] = control
         return out
 
     # -- rows --------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.tools.arrays import Array
 
-__all__ = ["TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
+__all__ = ["COARSER", "TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
 
 TOLERANCE = 1e-9
 """Error of one part of a motion: of the velocity, as a fraction of the fastest joint's, and as what moves that fraction
@@ -24,6 +24,14 @@ ROUNDED = 1e-13
 TURN = 0.1
 """rad: no part turns by more, since beside what spins fast the error of what moves slowly would count for nothing."""
 
+SLOW = 1e-7
+"""rad or m, and fraction of the velocity: of what moves and changes by less in a part, an acceleration that is constant
+tells the velocity to 1e-14."""
+
+COARSER = 10.0
+"""How much more a half of a motion may err whose forces act in its middle: that is of second order, and where a half
+errs by so much, the whole errs by thousands of times as much."""
+
 FINEST = 1e-5
 """Least part of a motion, so that the effort is bounded."""
 
@@ -31,8 +39,10 @@ Rate = Callable[[Array, Array], tuple[Array, float]]
 """(acceleration, power of driven joints in W) at a configuration and a velocity."""
 
 
-def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float) -> Flow:
-    """Motion for h seconds at rates of about `turn` rad/s, in parts of `runge_kutta` that err by less than `TOLERANCE`.
+def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float, coarser: float = 1.0) -> Flow:
+    """Motion for h seconds at rates of about `turn` rad/s, in parts of `runge_kutta`.
+
+    They err by less than `TOLERANCE`, or so many times more if it may be `coarser`.
 
     Raises
     ------
@@ -41,13 +51,15 @@ def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float
     """
     left = h
     part = longest = h / math.ceil(min(max(h * turn / TURN, 1.0), 1.0 / FINEST))
-    mean, work = np.zeros_like(v), 0.0
+    mean, work = np.zeros(v.size), 0.0
+    first = rate(q, v)
     while True:
         if part < FINEST * h:
             raise ArithmeticError(
                 f"in {model.name!r} {fastest(model, v)}, too wildly to follow in {1 / FINEST:.0f} parts"
             )
-        new, error = runge_kutta(model, rate, q, v, part, h)
+        new, error = runge_kutta(model, rate, q, v, first, part, h)
+        error /= coarser
         if error <= 1.0:
             if part == h:
                 return new
@@ -56,6 +68,7 @@ def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float
             work += new.work
             if left <= 0.0:
                 return Flow(q, v, mean, work)
+            first = rate(q, v)
         part *= min(4.0, max(0.1, 0.9 * error**-0.2)) if 0.0 < error < np.inf else 0.1 if error else 4.0
         # What is left goes in equal parts, none much smaller than the others.
         part = left / math.ceil(left / min(part, longest) - 1e-9)
@@ -68,31 +81,34 @@ def fastest(model: pin.Model, v: Array) -> str:
     return f"joint {name!r} moves at {abs(v[j]):.3g} rad/s or m/s"
 
 
-def runge_kutta(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, whole: float) -> tuple[Flow, float]:
-    """One step of the classical Runge–Kutta method of fourth order, of h seconds, and its error.
+def runge_kutta(
+    model: pin.Model, rate: Rate, q: Array, v: Array, first: tuple[Array, float], h: float, whole: float
+) -> tuple[Flow, float]:
+    """One step of the classical Runge–Kutta method of fourth order, of h seconds, and its error; `first` is rate(q, v).
 
     Its last combination is made of two displacements one after the other, so that it is of that order for free and
     spherical joints too. What it changes of energy and momentum is O(h⁵). The error is a fraction of what `TOLERANCE`
     allows a part of a motion of `whole` seconds. It is estimated from the same four stages: they hold the midpoint
     rule, whose difference from the step, as a fraction of the velocity, is z³/6 for a vibration that turns by z in h,
     where the step errs by z⁵/120. Where the first two stages say that even the first order would do, also for the work
-    of driven joints, they are all, and the midpoint rule is the step.
+    of driven joints, they are all, and the midpoint rule is the step; of what is `SLOW`, the first order is.
 
     References
     ----------
     E. Celledoni, A. Marthinsen, B. Owren, Commutator-free Lie group methods, Future Generation Computer Systems 19,
     2003.
     """
-    half, out = 0.5 * h, np.empty((4, v.size))
-    a1, p1 = rate(q, v)
-    v2, q2 = v + half * a1, pin.integrate(model, q, half * v)
-    a2, p2 = rate(q2, v2)
-    if p1 == p2 and _trees.midpoint(v, v2, a1, a2, h, TOLERANCE, ROUNDED / whole, out):
-        return Flow(pin.integrate(model, q, out[0]), out[1], v2, h * p2), 0.0
-    v3, q3 = v + half * a2, pin.integrate(model, q, half * v2)
-    a3, p3 = rate(q3, v3)
-    v4, q4 = v + h * a3, pin.integrate(model, q2, h * v3 - half * v)
-    a4, p4 = rate(q4, v4)
-    error = _trees.combine(v, v2, v3, v4, a1, a2, a3, a4, h, TOLERANCE, TOLERANCE / whole, out)
+    (a1, p1), x = first, np.empty((7, v.size))
+    if _trees.outset(v, a1, h, SLOW, x):
+        return Flow(pin.integrate(model, q, x[3]), x[5], x[6], h * p1), 0.0
+    q2 = pin.integrate(model, q, x[3])
+    a2, p2 = rate(q2, x[0])
+    if p1 == p2 and _trees.midpoint(v, a1, a2, h, TOLERANCE, ROUNDED / whole, x):
+        return Flow(pin.integrate(model, q, x[3]), x[5], x[0], h * p2), 0.0
+    _trees.stage(3, v, a2, h, x)
+    a3, p3 = rate(pin.integrate(model, q, x[3]), x[1])
+    _trees.stage(4, v, a3, h, x)
+    a4, p4 = rate(pin.integrate(model, q2, x[3]), x[2])
+    error = _trees.combine(v, a1, a2, a3, a4, h, TOLERANCE, TOLERANCE / whole, x)
     work = h / 6.0 * (p1 + 2.0 * (p2 + p3) + p4)
-    return Flow(pin.integrate(model, pin.integrate(model, q, out[0]), out[1]), out[2], out[3], work), error
+    return Flow(pin.integrate(model, pin.integrate(model, q, x[3]), x[4]), x[5], x[6], work), error

@@ -89,6 +89,8 @@ class TreeLoads(NamedTuple):
         `nsdyn._kernels.dynamics.trees.linear_laws`.
     push : ndarray, shape (nv,)
         Joint forces of external wrenches.
+    wrenches : ndarray, shape (njoints - 1, 6), or None
+        These on the links, force and moment about the world's origin, N and N m; None without any.
     weight : ndarray, shape (nv,)
         Gravity terms at the midpoint.
     rates : ndarray
@@ -106,6 +108,7 @@ class TreeLoads(NamedTuple):
 
     laws: Array
     push: Array
+    wrenches: Array | None
     weight: Array
     rates: Array
     limit: Array | None
@@ -188,8 +191,6 @@ class TreeWorks(NamedTuple):
         constant joint forces, O(h³) else.
     projection : float
         Of the position projection.
-    joints : ndarray, shape (nv,)
-        Impulses of actuation, without external wrenches, N m s or N s.
     """
 
     kinetic: float
@@ -200,4 +201,3 @@ class TreeWorks(NamedTuple):
     constraint: float
     integration: float
     projection: float
-    joints: Array

@@ -13,7 +13,7 @@ from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.actuators import Control, left_to_rows
 from nsdyn.dynamics.loops import Closures, admissible, factored, indefinite, supports
-from nsdyn.dynamics.runge_kutta import TOLERANCE, Rate, fastest, move
+from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import PLANAR, Articulation
@@ -101,6 +101,7 @@ class Tree:
         self.driven = tuple(driven.values())
         self._driven_rows = np.zeros((len(driven), nv))
         self._driven_rows[np.arange(len(driven)), list(driven)] = 1.0
+        self._steady = np.zeros(len(driven))
         self._closures = Closures(self.model, a.loops, a.gears) if a.loops or a.gears else None
         self.constrained = bool(driven) or self._closures is not None
         kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
@@ -200,7 +201,7 @@ class Tree:
 
     def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
         """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
-        linear, angular = np.empty_like(links.x), np.empty_like(links.x)
+        linear, angular = np.empty(links.x.shape), np.empty(links.x.shape)
         _links.twists(links.x, self.support, links.J, v, linear, angular)
         return linear, angular
 
@@ -208,15 +209,17 @@ class Tree:
         """The closest configuration whose loops are closed; q itself when they are."""
         return q if self._closures is None else self._closures.close(q, self._driven_rows)
 
-    def joint_forces(self, q: Array, body: str, force: Array, torque: Array) -> Array:
-        """Jᵀ (force, torque), shape (nv,), of a force [N] at the origin of a body's frame and a torque [N m] at q.
+    def pushed(self, q: Array, body: str, force: Array, torque: Array) -> tuple[Array, Array]:
+        """What a force [N] at the origin of a body's frame and a torque [N m] do at q; world axes.
 
-        World axes.
+        Jᵀ (force, torque), shape (nv,), and what of `TreeLoads.wrenches` they are, shape (njoints - 1, 6).
         """
-        at = self.bodies[body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        J = pin.computeFrameJacobian(self.model, self.data, q, *at).reshape(6, -1, order="A")
-        out: Array = J.T @ np.concatenate((force, torque))
-        return out
+        frame, wrenches = self.bodies[body], np.zeros((self.model.njoints - 1, 6))
+        J = pin.computeFrameJacobian(self.model, self.data, q, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1, order="A")
+        pin.framesForwardKinematics(self.model, self.data, q)
+        moment = torque + np.cross(self.data.oMf[frame].translation, force)
+        wrenches[self.model.frames[frame].parentJoint - 1] = *force, *moment
+        return J.T @ np.concatenate((force, torque)), wrenches
 
     def flow(self, q: Array, v: Array, h: float) -> Flow:
         """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
@@ -231,8 +234,7 @@ class Tree:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
         if self._closures is not None:
             return slide(self._weightless, self.data, self._closures, self._driven_rows, q, v, h)
-        still = 0.0 * self._driven_rows[:, 0]
-        return move(self.model, self._rate(self._weightless, self._zero, still), q, v, h, turn)
+        return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
         """Accelerations of a tree without loops under joint forces, whose driven joints accelerate as said."""
@@ -273,12 +275,13 @@ class Tree:
     def halfway(self, q: Array, v: Array, h: float, theta: float) -> Halfway:
         """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
         middle, v0, _, work = self.flow(q, v, (1.0 - theta) * h)
-        M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD)).reshape(v.size, v.size)
+        M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD), ndmin=2)
         return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
     def free_motion(
-        self, halfway: Halfway, t: float, control: Control | None, applied: Array | None, last: Array | None = None
-    ) -> FreeMotion:
+        self, halfway: Halfway, t: float, control: Control | None, applied: tuple[Array, Array] | None,
+        last: Array | None = None,
+    ) -> FreeMotion:  # fmt: skip
         """Velocity after the forces of a step without contacts and joint rows.
 
         M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces for v' = v0. Damping, springs
@@ -296,8 +299,8 @@ class Tree:
             Time at the end of the step, s.
         control : Control, optional
             As `Actuators.controls` makes it.
-        applied : ndarray, shape (nv,), optional
-            Joint forces of external wrenches.
+        applied : (ndarray, ndarray), optional
+            `push` and `wrenches` of `TreeLoads`.
         last : ndarray, shape (nv, 3), optional
             Last impulses of the rows of actuators: what was at its limit is left to its row again.
 
@@ -310,11 +313,11 @@ class Tree:
         laws = np.empty((2, 5, n))
         step = halfway.links.angle, self._round, halfway.h, halfway.theta
         _trees.linear_laws(halfway.M, self._laws, law, *step, laws)
-        push = self._zero if applied is None else applied
+        push, wrenches = applied or (self._zero, None)
         weight = pin.computeGeneralizedGravity(self.model, self.data, halfway.q)
         rates = np.array([motion.rate(t) for motion in self.driven]) if self.driven else self._zero[:0]
         limit = law[-1] if limited else None
-        loads = TreeLoads(laws, push, weight, rates, limit, None, self._zero, implicit or self._implicit)
+        loads = TreeLoads(laws, push, wrenches, weight, rates, limit, None, self._zero, implicit or self._implicit)
         free = self._respond(halfway, loads)
         return self.within_limits(halfway, free, free.v, last)
 
@@ -337,12 +340,11 @@ class Tree:
         """What loads do in a step; ValueError where a joint moves no mass."""
         v0, M, h = halfway.v, halfway.M, halfway.h
         n = v0.size
-        matrices, v = np.empty((3, n, n)), v0.copy()
-        factor, m, minv = matrices
+        factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), v0.copy()
         if self.constrained:
-            fine = _trees.implicit(M, loads.laws, h, *matrices)
+            fine = _trees.implicit(M, loads.laws, h, factor, m, minv)
         else:
-            fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, v0, h, matrices, v)
+            fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, h, m, minv, v)
         if not fine:
             raise indefinite(self.model, M)
         if not self.constrained:
@@ -358,7 +360,8 @@ class Tree:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
         M, factor, minv = factored(self.model, self.data, q)
         zero = self._zero
-        loads = TreeLoads(np.zeros((2, 5, v.size)), zero, zero, np.zeros(len(self.driven)), None, None, zero, False)
+        rates = np.zeros(len(self.driven))
+        loads = TreeLoads(np.zeros((2, 5, v.size)), zero, None, zero, rates, None, None, zero, False)
         if not self.constrained:
             return FreeMotion(v, v, loads, M, minv, None)
         B, P, Z = self._restrict(q, factor)
@@ -377,7 +380,8 @@ class Tree:
             speed, turn = _trees.fastest(v, self._turns)
             if h * max(speed, begin_speed) > TOLERANCE:
                 tau = loads.laws[1, 4] + loads.push
-                rate = self._rate(self.model, tau, self._driven_rows @ (v - begin_v) / h)
+                driven = self._driven_rows @ (v - begin_v) / h if self.driven else self._steady
+                rate = self._rate(self.model, tau, driven)
                 return TreeEnd(*move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn)), True)
         q, v1, _, work = self.flow(halfway.q, v, theta * h)
         return TreeEnd(q, v1, 0.5 * (halfway.v + v), halfway.work + work, False)
@@ -397,6 +401,7 @@ class Tree:
         lifted: Array,
         impulse: Array,
         before: tuple[float, float],
+        joints: Array,
     ) -> TreeWorks:
         """The tree's part in the ledger of a step.
 
@@ -413,10 +418,16 @@ class Tree:
             H r of contacts and joint rows.
         before : (float, float)
             Kinetic and potential energy at its beginning, J.
+        joints : ndarray, shape (6, n)
+            Of the scene, where rows 0, 3 and 5 are for impulses of actuation, of external wrenches, and the most that
+            actuators may give, N m s or N s.
         """
-        h, loads, joints = halfway.h, free.loads, np.empty_like(v)
-        velocities = halfway.v, v
-        actuation, damping, pushed = _trees.works(loads.laws, loads.push, velocities, end.mean, impulse, h, joints)
+        h, loads = halfway.h, free.loads
+        limit = self._no_control.law[-1] if loads.limit is None else loads.limit
+        velocities, start = (halfway.v, v), self.coordinates.start
+        actuation, damping, pushed = _trees.works(
+            loads.laws, loads.push, limit, velocities, end.mean, impulse, h, start, joints
+        )
         constraint = 0.0
         if free.constraints is not None:
             # Bᵀ λ is what the constraints and nothing else explain.
@@ -432,7 +443,7 @@ class Tree:
         projection = (kinetic - after[0]) + (potential - after[1])
         change = (kinetic - before[0]) + (potential - before[1])
         integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
-        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection, joints)
+        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""

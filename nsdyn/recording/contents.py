@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import umsgpack
 from numpy.typing import NDArray
 
-from nsdyn.recording import arrows, bundle, contact_points, curves, impacts, keyframes, motion, titles
+from nsdyn.recording import arrows, bundle, contact_points, curves, impacts, keyframes, links, motion, titles
 from nsdyn.recording.commands import Json
 from nsdyn.recording.solids import body_path, geom_path, shape_commands
 from nsdyn.recording.stage import FIELD_OF_VIEW, View, stage_commands
@@ -62,6 +63,8 @@ def packed(
         for name, x in motion.keys(trajectory, rows, view.radius).items()
     }
     arrays |= {f"bodies/{name}": bundle.rounded(x) for name, x in curves.bodies(trajectory, rows).items()}
+    if _joints(trajectory.scene):
+        arrays |= {f"joints/{name}": bundle.rounded(x) for name, x in curves.joints(trajectory, rows).items()}
     ticks = np.sort(strongest)
     arrays |= {
         "impacts/t": t[hits.step[ticks]],
@@ -92,11 +95,12 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
     scene = trajectory.scene
     labels = [geom.get("link", geom["name"]) for geom in scene["geoms"]]
     names = list(dict.fromkeys(labels))
-    bodies = []
+    bodies, joints = [], _joints(scene)
     for name in names:
         frame = scene["geoms"][labels.index(name)]["frame"]
         mass = scene["masses"][frame] if 0 <= frame < scene["free"] else None
-        bodies.append({"name": name, "frame": frame, "mass": mass})
+        joint = joints.get(scene["frames"][frame]) if frame >= scene["free"] else None
+        bodies.append({"name": name, "frame": frame, "mass": mass, "joint": joint})
     values = {
         "name": trajectory.meta["scene_name"],
         "begin": float(trajectory.t[0]),
@@ -122,6 +126,19 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         },
     }
     return values, {"outline": view.outline.astype("<f4")}
+
+
+def _joints(scene: Mapping[str, Any]) -> dict[str, Json]:
+    """Joints by name: short name, place among all, units of their coordinate and of what acts along it.
+
+    None in recordings before format 7, which do not tell their kinds.
+    """
+    if not all("model" in a for a in scene["articulations"]):
+        return {}
+    told = [joint["kind"] for a in scene["articulations"] for joint in a["model"]["joints"]]
+    units = [["m", "N"] if kind.startswith("JointModelP") else ["rad", "N·m"] for kind in told]
+    names = links.joints(scene)
+    return {name: {"name": name.partition("/")[2], "column": k, "units": units[k]} for k, name in enumerate(names)}
 
 
 def _made(trajectory: Trajectory) -> dict[str, str]:

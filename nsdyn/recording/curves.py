@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nsdyn.recording import links
 from nsdyn.recording.file import WORKS
+from nsdyn.recording.joints import coordinates
 from nsdyn.recording.keyframes import thinned
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["MAX_POINTS", "bodies", "ledger"]
+__all__ = ["MAX_POINTS", "bodies", "joints", "ledger"]
 
 MAX_POINTS = 2000
 """Of a curve."""
@@ -51,7 +53,7 @@ def ledger(trajectory: Trajectory) -> dict[str, Array]:
     return out
 
 
-def bodies(trajectory: Trajectory, rows: np.ndarray) -> dict[str, Array]:
+def bodies(trajectory: Trajectory, rows: Index) -> dict[str, Array]:
     """Speed of the centre of mass, m/s, and kinetic energy, J, of the free bodies at states; shape (states, bodies)."""
     free = trajectory.scene["free"]
     twist = trajectory.v[rows, : 6 * free].reshape(rows.size, free, 6)
@@ -59,3 +61,24 @@ def bodies(trajectory: Trajectory, rows: np.ndarray) -> dict[str, Array]:
     speed = np.linalg.norm(twist[..., :3], axis=2)
     turning = np.einsum("nbi,bij,nbj->nb", twist[..., 3:], inertia, twist[..., 3:])
     return {"speed": speed, "kinetic": 0.5 * (speed**2 * np.array(trajectory.scene["masses"]) + turning)}
+
+
+def joints(trajectory: Trajectory, rows: Index) -> dict[str, Array]:
+    """Position, velocity and torque of joints of one coordinate, sizes of reactions of all; shape (states, joints).
+
+    In rad or m, per s, N m or N; force, N, and moment, N m, as of `nsdyn.recording.joints.JointMotion`. What belongs to
+    steps is of those that end at the states. NaN for other joints, at the initial state and where it is not recorded.
+    """
+    from nsdyn.recording.reactions import reactions  # Pinocchio, which only scenes with joints need
+
+    names, begun = links.joints(trajectory.scene), rows > 0
+    found = {what: np.full((rows.size, len(names)), np.nan) for what in ("position", "velocity", "torque")}
+    for k, name in enumerate(names):
+        own = coordinates(trajectory, name)
+        if own["velocity"].shape[1] == 1:
+            found["position"][:, k], found["velocity"][:, k] = own["position"][rows, 0], own["velocity"][rows, 0]
+            found["torque"][begun, k] = own["torque"][rows[begun] - 1, 0]
+    passed, known = np.full((rows.size, len(names), 6), np.nan), reactions(trajectory, rows[begun] - 1)
+    passed[begun] = np.stack([known[name] for name in names], axis=1)
+    sizes = {"force": passed[..., :3], "moment": passed[..., 3:]}
+    return found | {what: np.linalg.norm(vectors, axis=2) for what, vectors in sizes.items()}

@@ -32,6 +32,10 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                                                    version 7
     /joints/strength                               (n, nv)  most impulse that the actuators may give, N m s or N s;
                                                    infinite where they have no limit; since version 7
+    /links/impulse                                 (n, links, 6)  on the links, one by joint in its order, of external
+                                                   wrenches, and where not every step has its contacts here of all
+                                                   contacts: force and moment about the world's origin, N s and N m s;
+                                                   only where there are such; since version 7
     /pieces/offset                                 (n+1,)  moves and impacts of step k are rows offset[k-1] to
                                                    offset[k] of the following, none of a step made in one move; only
                                                    in scenes with articulations; since version 7
@@ -52,10 +56,10 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /state           the last states of the run, from which it can go on: see `nsdyn.recording.slots`; since version 5
 
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
-them, so that the ledger closes, as are `/joints`, `/solver/iterations`, `time` and `/wall_time`; `shift` and `bound`
-are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the last, their impulses and
-works too; there are no `/pieces`. With contacts false there are none. A recording that is complete is compressed (byte
-shuffle and gzip).
+them, so that the ledger closes, as are `/joints`, `/links`, `/solver/iterations`, `time` and `/wall_time`; `shift` and
+`bound` are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the last, their
+impulses and works too; there are no `/pieces`. With contacts false there are none. A recording that is complete is
+compressed (byte shuffle and gzip).
 
 A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
 HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file
@@ -118,6 +122,7 @@ STATES = ["t", "q", "v", *(f"energy/{name}" for name in ENERGIES), "contacts/off
 LINKS = ["frames/x", "frames/quat"]
 ON_JOINTS = ("actuation", "limit", "friction", "external", "shift", "strength")
 JOINTS = [f"joints/{name}" for name in ON_JOINTS]
+ON_LINKS = "links/impulse"
 PIECES = {"duration": "f8", "contacts": "i8", **dict.fromkeys(ON_JOINTS, "f8")}
 STEPS = [f"energy/{name}" for name in WORKS]
 STEPS += [f"gauss/{name}" for name in GAUSS] + [f"solver/{name}" for name in SOLVER] + ["energy/created", "wall_time"]
@@ -278,7 +283,7 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     states = len(schema.column(file, "t", None, "f8", ()))
     if not states:
         raise ValueError("/t has no rows")
-    joints = [name for name in JOINTS if name in file]
+    joints = [name for name in (*JOINTS, ON_LINKS) if name in file]
     pieces = ["pieces/offset", *(f"pieces/{name}" for name in PIECES)] if "pieces" in file else []
     offsets = [name for name in (*STATES, *pieces) if name.endswith("/offset")]
     ends = _ends({name: schema.column(file, name, states, "i8", ()) for name in offsets}, -1)
@@ -305,7 +310,7 @@ def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
         return PIECES[inner], (None,) if inner in ON_JOINTS else ()
     row: tuple[str, tuple[int | None, ...]] = ("f8", (None,))
     return {
-        "q": row, "v": row, **dict.fromkeys(JOINTS, row),
+        "q": row, "v": row, **dict.fromkeys(JOINTS, row), ON_LINKS: ("f8", (None, 6)),
         "frames/x": ("f8", (None, 3)), "frames/quat": ("f8", (None, 4)),
         "contacts/offset": ("i8", ()), "pieces/offset": ("i8", ()),
     }.get(name, ("f8", ()))  # fmt: skip

@@ -180,7 +180,7 @@ class Mechanism:
         return np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
 
     def place(self, q: Array) -> None:
-        """Have frames and Jacobians at q for `pose`, `push` and `carried`."""
+        """Have frames and Jacobians at q for `pose`, `push`, `carried` and `along`."""
         pin.computeJointJacobians(self.model, self.data, q)
 
     def pose(self, joint: int) -> Any:
@@ -200,42 +200,34 @@ class Mechanism:
         out: Array = twist[:3] + np.cross(twist[3:], point)
         return out
 
-    def passed(
-        self, q: Array, change: Array, flights: Sequence[tuple[float, Array]], h: float,
-        pushes: Sequence[tuple[int, Array]],
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """Impulses on the coordinates, and those that every joint passes on from its parent to its child.
+    def momenta(self, q: Array, v: Array) -> Array:
+        """Linear and angular momentum about the world's origin of every link, (links, 6), N·s and N·m·s."""
+        pin.forwardKinematics(self.model, self.data, q, v)
+        parts = zip(self.data.oMi, self.model.inertias, self.data.v, strict=True)
+        return np.array([place.act(body * twist).vector for place, body, twist in parts])[1:]
 
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Where all of it acts.
-        change : ndarray, shape (nv,)
-            Of v.
-        flights : sequence of (float, ndarray)
-            Times and velocities with which it flies.
-        h : float
-            For which gravity acts, s.
-        pushes : sequence of (int, ndarray)
-            Joint and impulse on its link, force and moment about the world's origin, (6,), N·s and N·m·s.
+    def weights(self, q: Array) -> tuple[Array, Array]:
+        """Gravity on every link, (links, 6), N and, about the world's origin, N·m; and origins of the joints, m."""
+        pin.forwardKinematics(self.model, self.data, q)
+        parts = list(zip(self.data.oMi, self.model.inertias, strict=True))[1:]
+        force = np.array([body.mass * self.model.gravity.linear for _, body in parts])
+        moment = np.cross([place.act(body.lever) for place, body in parts], force)
+        return np.concatenate((force, moment), axis=1), np.array([place.translation for place, _ in parts])
 
-        Returns
-        -------
-        (nv,), (njoints, 6) : ndarray
-            The latter force and moment about the origin of the joint, world axes, N·s and N·m·s.
-        """
+    def passed(self, needs: Array) -> Array:
+        """What every joint passes on to its child, of what the links need, (links, 6) each, about one point."""
+        out = needs.copy()
+        for k in reversed(range(len(out))):
+            if parent := int(self.model.parents[k + 1]):
+                out[parent - 1] += out[k]
+        return out
+
+    def along(self, q: Array, passed: Array) -> Array:
+        """Components along the joints' coordinates of what these pass on about the world's origin, N·m or N."""
         self.place(q)
-        outside = [pin.Force.Zero() for _ in range(self.model.njoints)]
-        for joint, impulse in pushes:
-            outside[joint] += self.data.oMi[joint].actInv(pin.Force(impulse))
-        tau, out, still = np.zeros(self.nv), np.zeros((self.model.njoints, 6)), self.zero
-        parts = [(1.0, self.light, still, change, [outside]), (h, self.model, still, still, [])]
-        for share, model, v, a, more in parts + [(s, self.light, v, still, []) for s, v in flights]:
-            tau += share * np.array(pin.rnea(model, self.data, q, v, a, *more))
-            out += share * np.array([f.vector for f in self.data.f])
-        for k, place in enumerate(self.data.oMi):
-            out[k] = (place.rotation @ out[k].reshape(2, 3).T).T.ravel()
-        return tau, out
+        J, owner = self.data.J.reshape(6, -1, order="A"), np.repeat(range(len(passed)), self.model.nvs.tolist()[1:])
+        out: Array = (J * passed[owner].T).sum(axis=0)
+        return out
 
     def held(self, q: Array, tau: Array) -> list[list[tuple[int, Array]]]:
         """Impulses of the loops that explain those on the coordinates, as `pushes` on both frames of each.

@@ -18,6 +18,7 @@ import numpy as np
 import nsdyn
 from nsdyn.problem.solution import Status
 from nsdyn.recording import file as recording
+from nsdyn.recording import links
 from nsdyn.recording.file import (
     ADDED_META,
     CONTACT,
@@ -26,6 +27,7 @@ from nsdyn.recording.file import (
     GAUSS,
     JOINTS,
     ON_JOINTS,
+    ON_LINKS,
     PIECES,
     SOLVER,
     WORKS,
@@ -42,7 +44,7 @@ State = Callable[[], Columns]
 
 _FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %
 PIECE = -len(CONTACT) - 1
-"""Where the pieces of a step stand in what is read of it."""
+"""Where the pieces of a step stand in what is read of it, before them what acts on links."""
 
 _BLOCK_ROWS = 256  # rows kept as they are read before they are packed into arrays
 
@@ -53,6 +55,7 @@ _read_step = attrgetter(
     *(f"solution.{name}" for name in SOLVER),
     "created",
     "joints",
+    "links",
     "pieces",
     *(path for path, _, _ in CONTACT.values()),
 )
@@ -109,6 +112,8 @@ class Recorder:
     joints                        (6, nv) impulses of actuation, limits, friction and external wrenches,
                                   displacement by projections, most that actuators may give; None without
                                   articulations
+    links                         (links, 6) impulses of external wrenches on the links of articulations, force and
+                                  moment about the origin; only read where they are recorded
     pieces                        duration and contacts (m,), joints (6, m, nv) of what a step with articulations
                                   was cut into; None if it was not
     work_normal, work_friction    (nc,)
@@ -128,6 +133,8 @@ class Recorder:
         if trees := scene["articulations"]:
             none = np.empty((0, sum(tree["nv"] for tree in trees)))
             columns |= dict.fromkeys(JOINTS, none) | _no_pieces(none) | {"pieces/offset": np.zeros(1, np.int64)}
+            if _left_out({**ADDED_META, **meta}):
+                columns[ON_LINKS] = np.empty((0, len(links.joints(scene)), 6))
         self._begin(path, _full(meta, scene), scene, columns, None if state is None else (0, state()))
 
     def _begin(
@@ -149,6 +156,7 @@ class Recorder:
             with files.writing(self.path, files.RECORDING) as part:
                 recording.create(part, self.meta, self.scene, columns, grow=True, state=saved)
             self._blocks = []
+        self._carriers = links.carriers(scene) if scene["articulations"] and _left_out(meta) else None
         self._wall: list[float] = []
         self._clock = time.perf_counter()
         self._deadline = self._clock + _FLUSH_SECONDS
@@ -215,6 +223,7 @@ class Recorder:
         self._open.append((_read_state(step), _read_step(step), time.perf_counter() - self._clock))
         if len(self._open) == self.meta["every"]:
             row, did, wall = self._open[0] if len(self._open) == 1 else _merged(self._open)
+            did = (*did[: PIECE - 1], self._on_links(), *did[PIECE:])
             self._states.append(row)
             self._steps.append(did if self.meta["contacts"] else (*did[: -len(CONTACT)], *_NO_CONTACTS))
             self._wall.append(wall)
@@ -224,6 +233,18 @@ class Recorder:
             if self.path is not None and time.perf_counter() >= self._deadline:
                 self.flush()
         self._clock = time.perf_counter()
+
+    def _on_links(self) -> Array | None:
+        """What acted on the links in the steps of a row, (links, 6), where it is recorded."""
+        if self._carriers is None:
+            return None
+        steps = [step for _, step, _ in self._open]
+        out: Array = np.sum([step[PIECE - 1] for step in steps], axis=0)
+        if self.meta["every"] > 1 or not self.meta["contacts"]:
+            columns = zip(CONTACT, zip(*(step[-len(CONTACT) :] for step in steps), strict=True), strict=True)
+            found = {f"contacts/{name}": np.concatenate(parts) for name, parts in columns}
+            links.by_contacts(self._carriers, found, np.zeros(len(found["contacts/gap"]), np.int64), out[None])
+        return out
 
     def flush(self) -> None:
         """Write the rows collected so far to the file, if there is one, and the state after them."""
@@ -301,6 +322,11 @@ def _short(value: Any) -> str:
     return f"a list of {len(value)}" if isinstance(value, list) else repr(value)
 
 
+def _left_out(meta: Mapping[str, Any]) -> bool:
+    """Whether of what acts on links something is not among the contacts recorded."""
+    return bool(meta.get("external_force", False) or meta["every"] > 1 or not meta["contacts"])
+
+
 def _merged(
     parts: list[tuple[tuple[Any, ...], tuple[Any, ...], float]],
 ) -> tuple[tuple[Any, ...], tuple[Any, ...], float]:
@@ -308,14 +334,14 @@ def _merged(
     states, steps, wall = zip(*parts, strict=True)
     *state, energy = states[-1]
     energy = {**energy, **{name: sum(s[-1][name] for s in states) for name in WORKS}}
-    gap, shift, bound, error, residual, iterations, status, spent, created, joints, _ = zip(
+    gap, shift, bound, error, residual, iterations, status, spent, created, joints, _, _ = zip(
         *(step[: -len(CONTACT)] for step in steps), strict=True
     )
     fine = Status.CONVERGED, Status.LOOSE
     worst = max(range(len(steps)), key=lambda k: (status[k] not in fine, error[k]))
     did = sum(gap), max(shift), max(bound), error[worst], residual[worst], sum(iterations), status[worst], sum(spent)
     total = None if joints[0] is None else sum(joints)
-    return (*state, energy), (*did, sum(created), total, None, *steps[-1][-len(CONTACT) :]), sum(wall)
+    return (*state, energy), (*did, sum(created), total, None, None, *steps[-1][-len(CONTACT) :]), sum(wall)
 
 
 def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Columns:
@@ -337,6 +363,8 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
     out["energy/created"] = np.array(next(columns), dtype=float)
     if (joints := next(columns)) and joints[0] is not None:
         out |= dict(zip(JOINTS, np.stack(joints, axis=1), strict=True)) | _no_pieces(np.empty((0, joints[0].shape[1])))
+    if (on_links := next(columns, ())) and on_links[0] is not None:
+        out[ON_LINKS] = np.stack(on_links)
     if cut := [piece for piece in next(columns, ()) if piece is not None]:
         out |= {f"pieces/{name}": np.concatenate([getattr(p, name) for p in cut]) for name in ("duration", "contacts")}
         parts = np.concatenate([p.joints for p in cut], axis=1)

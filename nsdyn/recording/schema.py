@@ -113,6 +113,10 @@ def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     for name in columns:
         if name.startswith(("joints/", "pieces/")) and columns[name].shape[1:] not in ((), (sizes[1] - 6 * free,)):
             raise ValueError(f"/{name} must have {sizes[1] - 6 * free} columns like the articulations of /meta/scene")
+    if "links/impulse" in columns and columns["links/impulse"].shape[1] != (
+        links := sum(len(a.get("joints", ())) for a in trees)
+    ):
+        raise ValueError(f"/links/impulse must have {links} links like the articulations of /meta/scene")
     if "frames/x" in columns and columns["frames/x"].shape[1] != moving:
         raise ValueError(f"/frames must have {moving} bodies like /meta/scene")
     if "frames/x" not in columns and moving > free:

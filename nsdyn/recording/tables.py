@@ -1,8 +1,8 @@
-"""Tables of a recording: its contacts, what two bodies do to each other, forces on a body, the motion of a joint."""
+"""Tables of a recording: its contacts, what two bodies do to each other, forces on a body."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording import shares
-from nsdyn.recording.file import CONTACT_STATES, JOINTS
+from nsdyn.recording.file import CONTACT_STATES
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
 
@@ -19,17 +19,15 @@ if TYPE_CHECKING:
 
 
 __all__ = [
-    "JointMotion",
-    "LoopReaction",
     "Pair",
     "body_names",
     "contact_rows",
     "contact_table",
     "force",
     "impulses",
-    "joint",
+    "impulses_world",
+    "framed",
     "left_out",
-    "loop",
     "need_contacts",
     "pair",
     "pair_rows",
@@ -69,71 +67,6 @@ class Pair:
         return f"<Pair {self.a!r}, {self.b!r}: {len(self.state)} steps, {touching} of them pushing>"
 
 
-@dataclass(frozen=True, eq=False)
-class JointMotion:
-    """Motion of a joint and what acts in it; without the second axis where it has one coordinate.
-
-    Attributes
-    ----------
-    name : str
-    position, velocity : ndarray, shapes (n + 1, nq), (n + 1, nv)
-        At the times t; rad or m, and per s.
-    torque : ndarray, shape (n, nv)
-        Mean actuation in each step, what the controller gave and `nsdyn.PD` made of it, N m or N.
-    limit_impulse, friction : ndarray, shape (n, nv)
-        Impulse of the limits in each step [N m s or N s], and mean dry friction [N m or N]. NaN, as `torque`, in
-        recordings that do not tell.
-    """
-
-    name: str
-    position: Array
-    velocity: Array
-    torque: Array
-    limit_impulse: Array
-    friction: Array
-    _reaction: Callable[[], Array]
-
-    @property
-    def reaction_force(self) -> Array:
-        """Mean force in each step that the joint passes on to its child, shape (n, 3), N, world axes.
-
-        All of it: what the joint constrains, its actuation, limits, friction, damping and springs, as a sensor in it
-        would measure; the impulses of impacts over dt. It is found by the balance of momentum of all links beyond, at
-        the configuration where the impulses act (`nsdyn.recording.reactions`), to second order in dt. NaN where not
-        every step and contact is recorded, before format 7, and where external forces act, of which it is not recorded
-        on which links.
-        """
-        return self._reaction()[:, :3]
-
-    @property
-    def reaction_torque(self) -> Array:
-        """Mean torque of the same about the origin of the joint's frame on the child, shape (n, 3), N m, world axes."""
-        return self._reaction()[:, 3:]
-
-    def __repr__(self) -> str:
-        return f"<JointMotion of {self.name!r}: {len(self.position)} states>"
-
-
-@dataclass(frozen=True, eq=False)
-class LoopReaction:
-    """What a closed loop does.
-
-    Attributes
-    ----------
-    name : str
-    reaction_force, reaction_torque : ndarray, shape (n, 3)
-        Mean in each step on the link of its first frame, at that frame; its opposite is on the second's. World axes, N
-        and N m; as of `JointMotion`. Where loops are redundant, the least in the norm of forces and torques.
-    """
-
-    name: str
-    reaction_force: Array
-    reaction_torque: Array
-
-    def __repr__(self) -> str:
-        return f"<LoopReaction of {self.name!r}: {len(self.reaction_force)} steps>"
-
-
 def contact_table(trajectory: Trajectory) -> Any:
     """All contacts of all steps by columns; see `nsdyn.Trajectory.contact_table`."""
     columns, names = trajectory.columns, body_names(trajectory)
@@ -148,18 +81,23 @@ def contact_table(trajectory: Trajectory) -> Any:
         ("point", columns["contacts/point"]),
         ("normal", columns["contacts/normal"]),
         ("impulse", np.einsum("ci,cij->cj", shown, frame)),
-        ("impulse_raw", _impulses(columns)),
+        ("impulse_raw", impulses_world(columns)),
         ("velocity", np.einsum("ci,cij->cj", columns["contacts/u"], frame)),
     ):
         out |= {f"{name}_{axis}": vector[row, k] for k, axis in enumerate("xyz")}
     for name, values in (("impulse", shown), ("u", columns["contacts/u"])):
         out |= {f"{name}_N": values[:, 0], f"{name}_T": np.hypot(values[:, 1], values[:, 2])}
     out |= {name: columns[f"contacts/{name}"][row] for name in ("mu", "restitution", "work_normal", "work_friction")}
+    return framed(out)
+
+
+def framed(columns: dict[str, NDArray[Any]]) -> Any:
+    """A pandas.DataFrame of columns, or the columns where pandas is not installed."""
     try:
         import pandas as pd
     except ModuleNotFoundError:
-        return out
-    return pd.DataFrame(out)
+        return columns
+    return pd.DataFrame(columns)
 
 
 def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
@@ -167,7 +105,7 @@ def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
     row, step, sign = pair_rows(trajectory, a, b)
     step, n = step - 1, trajectory.steps
     c = {name: trajectory.columns[f"contacts/{name}"][row] for name in ("point", "gap", "status")}
-    push = sign[:, None] * _impulses(trajectory.columns)[row]
+    push = sign[:, None] * impulses_world(trajectory.columns)[row]
     force, torque, work, gap = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
     np.add.at(force, step, push / trajectory.dt)
     np.add.at(torque, step, np.cross(c["point"], push) / trajectory.dt)
@@ -197,42 +135,8 @@ def force(trajectory: Trajectory, name: str) -> Array:
     first, second = (members[trajectory.columns[f"contacts/geom{side}"][row]] for side in "12")
     sign = 1.0 * second - 1.0 * first
     out = np.zeros((trajectory.steps, 3))
-    np.add.at(out, step - 1, sign[:, None] * _impulses(trajectory.columns)[row] / trajectory.dt)
+    np.add.at(out, step - 1, sign[:, None] * impulses_world(trajectory.columns)[row] / trajectory.dt)
     return out
-
-
-def joint(trajectory: Trajectory, name: str) -> JointMotion:
-    """Motion of the joint "articulation/joint"; see `nsdyn.Trajectory.joint`."""
-    scene = trajectory.scene
-    free = scene["free"]
-    q, v, places = 7 * free, 0, {}
-    for a in scene["articulations"]:
-        sizes = a.get("sizes")
-        if sizes is None:
-            raise ValueError("joints have no places in recordings before format 4")
-        for label, (nq, nv) in zip(a["joints"], sizes, strict=True):
-            places[f"{a['name']}/{label}"] = slice(q, q + nq), slice(v, v + nv)
-            q, v = q + nq, v + nv
-    at, rows = places[choice(name, places, "joint")]
-    position, velocity = trajectory.q[:, at], trajectory.v[:, 6 * free :][:, rows]
-    told = (trajectory.columns.get(column) for column in JOINTS[:3])
-    nothing = np.full((trajectory.steps, velocity.shape[1]), np.nan)
-    actuation, limit, drag = (nothing if impulses is None else impulses[:, rows] for impulses in told)
-    duration = trajectory.dt * trajectory.every
-    acts: list[Array] = [actuation / duration, limit, drag / duration]
-    if velocity.shape[1] == 1 and position.shape[1] == 2:  # cos and sin of an angle, which goes on over turns
-        position = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))[:, None]
-    if velocity.shape[1] == 1:
-        position, velocity, *acts = (values[:, 0] for values in (position, velocity, *acts))
-    return JointMotion(name, position, velocity, acts[0], acts[1], acts[2], lambda: trajectory.reactions[name])
-
-
-def loop(trajectory: Trajectory, name: str) -> LoopReaction:
-    """Reaction in the loop "articulation/loop"; see `nsdyn.Trajectory.loop`."""
-    told = [(a["name"], a.get("model", {})) for a in trajectory.scene["articulations"]]
-    known = [f"{owner}/{loop['name']}" for owner, model in told for loop in model.get("loops", ())]
-    found = trajectory.reactions[choice(name, known, "loop")]
-    return LoopReaction(name, found[:, :3], found[:, 3:])
 
 
 def left_out(t: Trajectory) -> str:
@@ -268,13 +172,13 @@ def impulses(trajectory: Trajectory, row: Index) -> Array:
     return shares.shared(bodies, step[row], c)
 
 
-def _frames(columns: dict[str, NDArray[Any]]) -> Array:
+def _frames(columns: Mapping[str, NDArray[Any]]) -> Array:
     """Axes (n, t1, t2) of all contacts, shape (., 3, 3)."""
     normal, tangent = columns["contacts/normal"], columns["contacts/tangent"]
     return np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
 
 
-def _impulses(columns: dict[str, NDArray[Any]]) -> Array:
+def impulses_world(columns: Mapping[str, NDArray[Any]]) -> Array:
     """The solver's impulses on body 2 of all contacts in world axes, shape (., 3), N·s."""
     out: Array = np.einsum("ci,cij->cj", columns["contacts/impulse"], _frames(columns))
     return out

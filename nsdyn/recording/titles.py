@@ -68,10 +68,10 @@ def _text(value: Any) -> str:
 
 def _told(name: str, *values: Any) -> list[str]:
     """One setting of each recording as text, with as many digits as tell the two apart."""
-    if name == "solver":
+    if name in ("solver", "impact"):
         kinds, inner = zip(*(re.findall(r"^(\w*)\(?(.*?)\)?$", str(value), re.S)[0] for value in values), strict=True)
         if kinds[0] != kinds[1]:
-            return [f"solver={kind}" for kind in kinds]
+            return [f"{name}={kind}" for kind in kinds]
         words = [text.split(", ") for text in inner]
         return [", ".join(w for w in mine if w not in other) for mine, other in zip(words, words[::-1], strict=True)]
     texts = [_text(value) for value in values]

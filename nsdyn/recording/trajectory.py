@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from nsdyn.recording import breakdown, tables
+from nsdyn.recording import breakdown, joints, tables
 from nsdyn.recording import file as recording
 from nsdyn.recording.file import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog, rotate
@@ -188,20 +188,44 @@ class Trajectory:
         """
         return tables.force(self, name)
 
-    def joint(self, name: str) -> tables.JointMotion:
+    def joint(self, name: str) -> joints.JointMotion:
         """Motion of a joint, "articulation/joint", and what acts in it; ValueError naming the known ones."""
-        return tables.joint(self, name)
+        return joints.joint(self, name)
 
-    def loop(self, name: str) -> tables.LoopReaction:
+    def loop(self, name: str) -> joints.LoopReaction:
         """Reaction in a closed loop, "articulation/loop"; ValueError naming the known ones."""
-        return tables.loop(self, name)
+        return joints.loop(self, name)
+
+    def joint_table(self, pattern: str = "*") -> Any:
+        """All joints and loops of all steps, one a row, by columns; SI units, world axes.
+
+        Parameters
+        ----------
+        pattern : str
+            Which, by "articulation/joint" or "articulation/loop", where * stands for anything: "robot/*knee*".
+
+        Returns
+        -------
+        pandas.DataFrame, or dict of str to ndarray where pandas is not installed
+            step, t of its end, joint; of its coordinates position, velocity at the end, torque, limit_impulse,
+            friction, external and shift (those after the first also _2, _3, ...; NaN where there are none, as of
+            loops); reaction_force, N, and reaction_torque, N m (each _x, _y, _z), on the child about the joint's
+            origin, of loops on the link of the first frame about its place. All of them as in
+            `nsdyn.recording.joints.JointMotion`.
+
+        Raises
+        ------
+        ValueError
+            If none matches, naming the known ones.
+        """
+        return joints.joint_table(self, pattern, np.arange(1, self.steps + 1))
 
     @cached_property
     def reactions(self) -> dict[str, Array]:
         """Of all joints and loops, (n, 6): mean forces N, then torques N m; see `nsdyn.recording.reactions`."""
         from nsdyn.recording.reactions import reactions  # Pinocchio, which to read a recording does not need
 
-        return reactions(self)
+        return reactions(self, np.arange(self.steps))
 
     def save(self, path: str | Path) -> None:
         """Write an HDF5 file, which replaces one of that name once complete; ValueError naming the path."""

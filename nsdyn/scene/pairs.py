@@ -15,20 +15,7 @@ from nsdyn.tools.arrays import Array, Bools, Index
 if TYPE_CHECKING:
     from nsdyn.scene.scene import Scene
 
-__all__ = ["excluded", "pair_material", "restitutions"]
-
-
-def restitutions(scene: Scene) -> list[float]:
-    """The restitutions that its contacts may have, ascending."""
-    geoms = scene.geoms()
-    kinds: dict[tuple[float, bool], list[int]] = {}
-    for k, g in enumerate(geoms):
-        kinds.setdefault((g.material.restitution, g.frame < 0), []).append(k)
-    # Two of each kind stand for all; what is fixed does not touch what is fixed.
-    some = [k for members in kinds.values() for k in members[:2]]
-    pairs = [(i, j) for i in some for j in some if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)]
-    combined = pair_material(scene, geoms)(*np.array(pairs, dtype=np.int64).reshape(-1, 2).T)[1]
-    return sorted({*combined.tolist(), *(e for _, e in scene.pairs.values() if e is not None)})
+__all__ = ["excluded", "pair_material"]
 
 
 def pair_material(scene: Scene, geoms: Sequence[Geom]) -> Callable[[Index, Index], tuple[Array, Array]]:

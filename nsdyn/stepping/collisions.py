@@ -11,8 +11,9 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.impacts import LAWS, Impact, strike
+from nsdyn.stepping.impacts import Round
 from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Impulses, Instant, System, account, take
+from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["caught_impacts", "collide"]
@@ -97,9 +98,8 @@ def collide(
 
 def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:
     """Impacts of the closed contacts and joint limits."""
-    return strike(
-        LAWS[s.impact], s.solver, met.rows.blocks, met.local[1], met.mu, met.restitution, closed, resting, slow
-    )
+    at = Round(met.rows.blocks, met.local[1], met.mu, met.restitution, closed, s.solver)
+    return strike(s.impact, at, resting, slow)
 
 
 def _hits(s: System, at: Instant, h: float) -> bool:

@@ -131,6 +131,8 @@ class Encounter(NamedTuple):
         G, m or rad.
     transport : ndarray, shape (3 rows,)
         What surfaces that move add to u⁻ and u⁺, m/s; empty if none do.
+    quickening : ndarray, shape (3 rows,)
+        How much more of it there is at the end of the step, and less where it begins, m/s; empty if none move.
     rebound : ndarray, shape (rows,)
         u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
         Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
@@ -153,6 +155,7 @@ class Encounter(NamedTuple):
     local: Array
     end_gap: Array
     transport: Array = NOTHING
+    quickening: Array = NOTHING
     rebound: Array = NOTHING
     slides: Bools | None = None
     posed: FC3D | None = None
@@ -224,6 +227,7 @@ class Encounter(NamedTuple):
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
         return cls(
             contacts, joints, rows, frame, alike, mu, restitution, where, warm.status, local, end_gap, transport[0],
+            transport[1] - transport[0],
         )  # fmt: skip
 
     @classmethod
@@ -245,8 +249,8 @@ class Encounter(NamedTuple):
         )  # fmt: skip
         posed = FC3D.prepared(full, b, c.mu, scales, norm) if good else FC3D.from_blocks(full, b, c.mu)
         return cls(
-            c, None, rows, frame, None, c.mu, c.restitution, where, warm.status, local, end_gap, NOTHING, NOTHING,
-            slides, posed,
+            c, None, rows, frame, None, c.mu, c.restitution, where, warm.status, local, end_gap, slides=slides,
+            posed=posed,
         )  # fmt: skip
 
     def changed(self, dv: Array, struck: Bools) -> Encounter:

@@ -1,4 +1,4 @@
-"""What is done where a step misses its tolerance: warned of, written, or raised."""
+"""What is done where a step misses its tolerance, or its law of impact creates energy: told, written, or raised."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from nsdyn.collision.contacts import ContactSet
 from nsdyn.problem import cones, fclib
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
+from nsdyn.stepping.instant import Impulses, take
 from nsdyn.stepping.state import State
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import check_folder
 from nsdyn.tools.naming import choice
 
@@ -55,7 +57,7 @@ class Failures:
                 check_folder(self.folder)
             except ValueError as refused:
                 raise ValueError(f"dump_on_fail must be a folder that can be written: {refused}") from None
-        self.count = 0
+        self.count, self.created = 0, False
 
     def tell(self, problem: FC3D, solution: Solution, contacts: ContactSet, state: State, tol: float) -> None:
         """Warn of a step from a state that missed its tolerance, write its problem, or raise `NotConverged`."""
@@ -79,6 +81,23 @@ class Failures:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=4)
         self.count += 1
 
+    def tell_created(self, law: str, acted: Impulses, state: State) -> None:
+        """Warn, the first time, of the energy that a law of impact created in a step from a state."""
+        if self.created:
+            return
+        self.created = True
+        work = acted.normal + acted.friction
+        gains = work > 0.0
+        where, t = "at limits of joints", state.t
+        if gains.any():
+            where = f"between {self._pairs(take(acted.contacts, gains), work[gains])}"
+            t += float(acted.time[work.argmax()])
+        warnings.warn(
+            f"the law of impact {law} created {acted.created:.3g} J at t = {t:.6g} s {where}; Step.created has how "
+            "much it creates from now on, impact='dissipative' creates none",
+            stacklevel=4,
+        )
+
     def _culprits(self, problem: FC3D, solution: Solution, contacts: ContactSet) -> str:
         """The bodies between which a problem is furthest from being solved, in words."""
         u, r = solution.u.reshape(-1, 3), solution.r.reshape(-1, 3)
@@ -86,10 +105,14 @@ class Failures:
         size = problem.scales * np.linalg.norm(wrong, axis=1)
         if problem.nc < contacts.gap.size:  # an impact of some of them
             size = np.ones(contacts.gap.size)
+        pairs = self._pairs(contacts, size[: contacts.gap.size])
+        return f"; worst between {pairs}" if pairs else ""
+
+    def _pairs(self, contacts: ContactSet, size: Array) -> str:
+        """The bodies of contacts in words, those of largest `size` (nc,) first."""
         names = [(self.names[i], self.names[j]) for i, j in zip(contacts.geom1, contacts.geom2, strict=True)]
-        order = [names[k] for k in np.argsort(-size[: len(names)], kind="stable")]
-        pairs = [f"{a!r} and {b!r}" for a, b in list(dict.fromkeys(order))[:NAMED]]
-        return f"; worst between {', '.join(pairs)}" if pairs else ""
+        order = [names[k] for k in np.argsort(-size, kind="stable")]
+        return ", ".join(f"{a!r} and {b!r}" for a, b in list(dict.fromkeys(order))[:NAMED])
 
 
 def _is_none(solution: Solution) -> bool:

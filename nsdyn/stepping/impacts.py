@@ -1,12 +1,13 @@
 """Laws of impact: what contacts that strike give back, in no time and at one configuration.
 
 With U⁻ and U⁺ before and after, U⁺ = U⁻ + W r, and per contact the restitution e, which is 0 where the contact rests.
-On a single frictionless contact all laws agree. Impacts that others provoke follow in rounds, until nothing strikes.
+On a single frictionless contact all laws agree. What impacts provoke follows in rounds: `nsdyn.stepping.rounds`.
 
 To add a law:
 
-1. a class with the methods of `Law` and a docstring with its equations, its source, and when it creates energy;
-2. an entry in `LAWS`: its name is then an option of `nsdyn.Stepper`;
+1. a frozen dataclass of its options with the methods of `Law` and a docstring with its equations, its source, and when
+   it creates energy; an object of it is an option of `nsdyn.Stepper`;
+2. an entry in `LAWS`: its name is then one too;
 3. its line in the docstring of `nsdyn.Stepper` and in the README;
 4. `tests/test_impacts.py` tries all of `LAWS` on single and multiple impacts: say there what it promises;
 5. `python demos/bench/truth.py impacts` tries to prove that promise wrong.
@@ -15,7 +16,7 @@ To add a law:
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -23,15 +24,15 @@ import numpy as np
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
-from nsdyn.tools.arrays import Array, Bools
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.solvers import Solver
+from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.naming import choice
 
-__all__ = ["LAWS", "Impact", "Law", "strike"]
+__all__ = ["LAWS", "Dissipative", "Fremond", "Law", "Newton", "Poisson", "Round", "as_law"]
 
-ROUNDS = 60
-"""Most rounds of impacts in no time; what then still approaches is caught without restitution by the step."""
-
-Solve = Callable[[FC3D, Array | None], Solution]
+Solved = tuple[FC3D, Solution]
+Given = tuple[Array, list[Solved]]
 
 
 class Round(NamedTuple):
@@ -40,13 +41,13 @@ class Round(NamedTuple):
     Attributes
     ----------
     blocks : Blocks
+        Factors of W.
     before : ndarray, shape (3 rows,)
         U⁻, m/s.
     mu, e : ndarray, shape (rows,)
     hit : ndarray of bool, shape (rows,)
         Which approach.
-    solve : callable
-        Solves a contact problem.
+    solver : Solver
     """
 
     blocks: Blocks
@@ -54,49 +55,131 @@ class Round(NamedTuple):
     mu: Array
     e: Array
     hit: Bools
-    solve: Callable[[FC3D], Solution]
+    solver: Solver
+
+    def of(self, part: Bools) -> Round:
+        """The impact of some of the contacts alone."""
+        blocks = self.blocks._replace(block=self.blocks.block[part], start=self.blocks.start[part])
+        return Round(blocks, self.before[np.repeat(part, 3)], self.mu[part], self.e[part], self.hit[part], self.solver)
+
+    def after(self, r: Array) -> Array:
+        """U⁺ = U⁻ + W r, m/s."""
+        return self.before + self.blocks.relative_velocity(self.blocks.velocity_change(r))
+
+    def solved(self, b: Array) -> Solved:
+        """The problem K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K, y = W r + b, and its solution.
+
+        It is near the impulses without friction, which keep what is symmetric so: with it there may be several.
+        """
+        problem, start = FC3D.from_blocks(self.blocks, b, self.mu), None
+        if problem.nc > 1 and self.mu.any():
+            start = self.solver(FC3D.from_blocks(self.blocks, b, np.zeros(problem.nc)), None).r
+        return problem, self.solver(problem, start)
+
+    def islands(self) -> Index:
+        """The island of each contact, from 0 on."""
+        label = np.empty(self.mu.size, np.int64)
+        _blocks.islands(self.blocks.block, self.blocks.offset.size - 1, label)
+        return label
+
+    def work(self, r: Array, label: Index) -> Array:
+        """Work of impulses on each island, J: ½ (U⁻ + U⁺)·r."""
+        work = 0.5 * (self.before + self.after(r)) * r
+        return np.bincount(np.repeat(label, 3), work).astype(float, copy=False)
+
+    def created(self, r: Array, label: Index, tol: float) -> Array:
+        """As `work`, but 0 where it is not positive by more than an error `tol` of U leaves, m/s."""
+        work = self.work(r, label)
+        noise = tol * np.bincount(np.repeat(label, 3), np.abs(r))
+        return np.where(work > noise, work, 0.0)
 
 
 class Law(Protocol):
-    """What tells laws apart.
-
-    Attributes
-    ----------
-    one_restitution : bool
-        Whether energy is sure not to grow only where all contacts have one restitution.
-    """
-
-    one_restitution: bool
+    """What tells laws apart: a frozen dataclass of its own options that is called on an impact."""
 
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
         """Which closed contacts of an island that is struck take part."""
 
-    def given(self, impact: Round) -> tuple[Array, Array]:
-        """Impulses r₀ that are given, and b: then r = r₀ + r' with K* ∋ y + μ‖y_T‖ e_N ⟂ r' ∈ K, y = W r' + b."""
+    def __call__(self, impact: Round) -> Given:
+        """The impulses r, shape (3 rows,), N·s, and the problems that were solved for them."""
 
 
+@dataclass(frozen=True)
 class Newton:
-    """U_N⁺ ≥ -e U_N⁻, friction opposes U_T⁺: the common law.
+    """U_N⁺ ≥ -e U_N⁻, friction opposes U_T⁺: K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K, y = U⁺ + e U_N⁻ e_N.
 
     With friction, or in chains of contacts, it may create energy (T. R. Kane, D. A. Levinson, Dynamics: theory and
     applications, 1985); `Step.created` says how much. Contacts that rest and have a restitution of their own follow in
     a round of their own, so that the balls of Newton's cradle strike one after the other.
     """
 
-    one_restitution = False
-
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
         """What approaches, and what cannot rebound."""
         out: Bools = hit | (restitution == 0.0)
         return out
 
-    def given(self, impact: Round) -> tuple[Array, Array]:
-        """No impulse; b_N = (1 + e) U_N⁻, b_T = U_T⁻."""
+    def __call__(self, impact: Round) -> Given:
+        """One problem."""
         b = impact.before.copy()
         b[0::3] += impact.e * impact.before[0::3]
-        return np.zeros_like(b), b
+        solved = impact.solved(b)
+        return solved[1].r, [solved]
 
 
+@dataclass(frozen=True)
+class Dissipative(Newton):
+    """Newton's law, with the restitution of an island lowered where its impact would create energy else.
+
+    r = (1 - s) r₀ + s r₁, with r₁ as of `Newton`, r₀ the same with e = 0, and the largest s in [0, 1] for which the
+    impulses on the island do no work:
+
+        ½ (U⁻ + U⁺)·r ≤ 0,    U_N⁺ = (1 - s) U_N⁰ + s U_N¹ ≥ -s e U_N⁻,    r ∈ K, which is convex.
+
+    There is one: r₀ never does any, since ½ (U⁻ + U⁰)·r₀ = -μ‖U_T⁰‖·r₀_N - ½ r₀·W r₀ (J. J. Moreau, Unilateral contact
+    and dry friction in finite freedom dynamics, CISM 302, 1988), and the work is a convex quadratic of s. So no impact
+    creates energy, whatever W, μ and e, and where Newton's law creates none it is Newton's law, with r₁ alone. Where it
+    does, the impact keeps the energy, and friction is a mean of that of both. No restitution is left (s = 0) where no
+    velocity obeys Newton's law, as of a body that fits between two walls.
+    """
+
+    def __call__(self, impact: Round) -> Given:
+        """One problem, and one more where that creates energy."""
+        r, solved = super().__call__(impact)
+        label = impact.islands()
+        created = impact.created(r, label, impact.solver.tol)
+        jammed = solved[0][1].status is Status.NO_SLATER_POINT
+        if not (jammed or created.any()):
+            return r, solved
+        if jammed and created.size > 1:  # other islands rebound all the same
+            return self._apart(impact, label)
+        plastic = impact.solved(impact.before)
+        if jammed:
+            return plastic[1].r, [plastic]
+        share = np.where(created > 0.0, _workless(impact, label, plastic[1].r, r), 1.0)
+        return plastic[1].r + np.repeat(share[label], 3) * (r - plastic[1].r), [*solved, plastic]
+
+    def _apart(self, impact: Round, label: Index) -> Given:
+        """The islands one by one."""
+        r, solved = np.empty_like(impact.before), []
+        for k in range(int(label.max()) + 1):
+            own = label == k
+            r[np.repeat(own, 3)], more = self(impact.of(own))
+            solved += more
+        return r, solved
+
+
+def _workless(impact: Round, label: Index, begin: Array, end: Array) -> Array:
+    """Per island the s for which (1 - s) begin + s end does no work, of which `begin` does none and `end` positive."""
+    # The work is a s² + b s + c; a is that of the change alone, on what is at rest.
+    a = np.maximum(impact._replace(before=np.zeros_like(begin)).work(end - begin, label), 0.0)
+    c = np.minimum(impact.work(begin, label), 0.0)
+    b = impact.work(end, label) - a - c
+    root = np.sqrt(b * b - 4.0 * a * c)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of the form that cancels, which is not taken
+        return np.where(b > 0.0, -2.0 * c / (b + root), (root - b) / (2.0 * a))
+
+
+@dataclass(frozen=True)
 class Poisson:
     """Compression with e = 0 gives r_c; expansion e r_c, and more where bodies would meet else: r = r_c + e r_c + r'.
 
@@ -105,19 +188,19 @@ class Poisson:
     unilateral contacts, 1996, chapter 8, with ε_T = ε_N.)
     """
 
-    one_restitution = True
-
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
         """Every closed contact."""
         return np.ones_like(hit)
 
-    def given(self, impact: Round) -> tuple[Array, Array]:
-        """(1 + e) r_c, and U⁻ + W (1 + e) r_c."""
-        blocks, b = impact.blocks, impact.before
-        r = np.repeat(1.0 + impact.e, 3) * impact.solve(FC3D.from_blocks(blocks, b, impact.mu)).r
-        return r, b + blocks.relative_velocity(blocks.velocity_change(r))
+    def __call__(self, impact: Round) -> Given:
+        """Two problems, one after the other."""
+        compression = impact.solved(impact.before)
+        r = np.repeat(1.0 + impact.e, 3) * compression[1].r
+        expansion = impact.solved(impact.after(r))
+        return r + expansion[1].r, [compression, expansion]
 
 
+@dataclass(frozen=True)
 class Fremond:
     """U_N⁺ ≥ -e U_N⁻ where bodies approach, U_N⁺ ≥ -U_N⁻ where they part, friction opposes ½ (U_T⁺ + U_T⁻).
 
@@ -125,125 +208,30 @@ class Fremond:
     (M. Frémond, Rigid bodies collisions, Physics Letters A 204, 1995.)
     """
 
-    one_restitution = False
-
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
         """Every closed contact."""
         return np.ones_like(hit)
 
-    def given(self, impact: Round) -> tuple[Array, Array]:
-        """No impulse; b_N = (1 + e) U_N⁻ where bodies approach, 2 U_N⁻ where they part, b_T = 2 U_T⁻."""
+    def __call__(self, impact: Round) -> Given:
+        """One problem: b_N = (1 + e) U_N⁻ where bodies approach, 2 U_N⁻ where they part, b_T = 2 U_T⁻."""
         before = impact.before
         b = 2.0 * before
         rebound = before[0::3] + impact.e * before[0::3]
         b[0::3] = np.where(impact.hit, rebound, rebound + np.maximum(before[0::3], 0.0))
-        return np.zeros_like(b), b
+        solved = impact.solved(b)
+        return solved[1].r, [solved]
 
 
-LAWS: dict[str, Law] = {"newton": Newton(), "poisson": Poisson(), "fremond": Fremond()}
+LAWS: dict[str, Callable[[], Law]] = {
+    "dissipative": Dissipative, "newton": Newton, "poisson": Poisson, "fremond": Fremond,
+}  # fmt: skip
 """By the names that users give."""
 
 
-class Impact(NamedTuple):
-    """What a series of impacts did.
-
-    Attributes
-    ----------
-    r : ndarray, shape (3 rows,)
-        Sum of the impulses, N·s.
-    u : ndarray, shape (3 rows,)
-        Relative velocities after it, m/s.
-    normal, friction : ndarray, shape (rows,)
-        Works of the impulses, J.
-    created : float
-        Energy created, J: the sum over rounds and islands of contacts whose impulses together did positive work.
-    problem, solution : FC3D and Solution, or None
-        Of the round that was solved worst.
-    """
-
-    r: Array
-    u: Array
-    normal: Array
-    friction: Array
-    created: float
-    problem: FC3D | None
-    solution: Solution | None
-
-
-def strike(
-    law: Law,
-    solver: Solve,
-    blocks: Blocks,
-    u: Array,
-    mu: Array,
-    restitution: Array,
-    closed: Bools,
-    resting: Array,
-    slow: Array,
-) -> Impact:
-    """Impacts at one configuration until nothing strikes.
-
-    Parameters
-    ----------
-    law : Law
-    solver : callable
-    blocks : Blocks
-        Factors of W.
-    u : ndarray, shape (3 rows,)
-        Relative velocities before, m/s.
-    mu, restitution : ndarray, shape (rows,)
-    closed : ndarray of bool, shape (rows,)
-        Rows that may carry an impulse.
-    resting : ndarray, shape (rows,)
-        Speeds of approach [m/s] below which a contact rests: what strikes with less does not rebound.
-    slow : ndarray, shape (rows,)
-        Speeds of approach below which it does not strike at all.
-    """
-    nc = mu.size
-    label = np.empty(nc, np.int64)
-    islands = int(_blocks.islands(blocks.block, blocks.offset.size - 1, label))
-    total, normal, friction = np.zeros(3 * nc), np.zeros(nc), np.zeros(nc)
-    created, worst, where = 0.0, None, None
-    for _ in range(ROUNDS):
-        hit = closed & (u[0::3] < -slow)
-        if not hit.any():
-            break
-        # An island without an impact is not concerned.
-        concerned = closed & np.isin(label, label[hit])
-        part = concerned & law.takes_part(hit, restitution)
-        e = np.where(hit & (u[0::3] < -resting), restitution, 0.0)
-        problem, r, solution = _round(law, solver, blocks, u, mu, e, hit, part)
-        after = u + blocks.relative_velocity(blocks.velocity_change(r))
-        work = 0.5 * (u + after) * r
-        normal += work[0::3]
-        friction += work[1::3] + work[2::3]
-        gained = np.bincount(label, work[0::3] + work[1::3] + work[2::3], islands)
-        created += float(gained[gained > 0.0].sum())
-        total += r
-        u = after
-        if worst is None or solution.error > worst.error:
-            worst, where = solution, problem
-        if not solution.accepted:  # what follows on no solution is none either
-            break
-    return Impact(total, u, normal, friction, created, where, worst)
-
-
-def _round(
-    law: Law, solver: Solve, blocks: Blocks, u: Array, mu: Array, e: Array, hit: Bools, part: Bools
-) -> tuple[FC3D, Array, Solution]:
-    """(problem, impulses, solution) of one impact of all contacts that take part, e the restitution of this time."""
-    rows, own = np.repeat(part, 3), blocks._replace(block=blocks.block[part], start=blocks.start[part])
-    solve = partial(_solve, solver)
-    given, b = law.given(Round(own, u[rows], mu[part], e[part], hit[part], solve))
-    problem, r = FC3D.from_blocks(own, b, mu[part]), np.zeros_like(u)
-    solution = solve(problem)
-    r[rows] = given + solution.r
-    return problem, r, solution
-
-
-def _solve(solver: Solve, problem: FC3D) -> Solution:
-    """A solution near the impulses without friction, which keep what is symmetric so: with it there may be several."""
-    if problem.nc == 1 or problem.blocks is None or not problem.mu.any():
-        return solver(problem, None)
-    smooth = FC3D.from_blocks(problem.blocks, problem.q, np.zeros(problem.nc))
-    return solver(problem, solver(smooth, None).r)
+def as_law(given: str | Law) -> Law:
+    """The law of a name of `LAWS`, or the law itself; ValueError for anything else."""
+    if isinstance(given, str):
+        return LAWS[choice(given, LAWS, "impact")]()
+    if isinstance(given, type) or not callable(given) or not hasattr(given, "takes_part"):
+        raise ValueError(f"impact must be one of {', '.join(LAWS)}, or an object of these; got {given!r}")
+    return given

@@ -19,7 +19,8 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import Solver
 from nsdyn.stepping.encounter import Basis, Closing, Encounter, Warm
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.impacts import Impact
+from nsdyn.stepping.impacts import Law
+from nsdyn.stepping.rounds import Impact
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "Impulses", "Instant", "System", "account", "take"]
@@ -64,8 +65,8 @@ class System(NamedTuple):
         The least of them, m.
     arm : ndarray, shape (frames,)
         How far shapes reach from the origins of their frames, m.
-    impact : str
-        Law of impact.
+    impact : Law
+        Of impact.
     elastic : bool
         Whether any contact or joint limit has restitution.
     depth : float
@@ -81,7 +82,7 @@ class System(NamedTuple):
     inscribed: Array
     smallest: float
     arm: Array
-    impact: str
+    impact: Law
     elastic: bool
     depth: float = DEEP
 
@@ -225,6 +226,8 @@ class Impulses(NamedTuple):
         On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
         wrenches, N m s or N s; displacement by the position projection, rad or m; and the most that
         actuators may give, N m s or N s, infinite where they have no limit.
+    links : ndarray, shape (links, 6)
+        Of external wrenches on the links of trees, one by joint: force and moment about the world's origin, N·s, N m s.
     created : float
         Energy that impacts created, J.
     time : ndarray, shape (nc,)
@@ -241,6 +244,7 @@ class Impulses(NamedTuple):
     normal: Array
     friction: Array
     joints: Array
+    links: Array
     created: float
     time: Array
     duration: float
@@ -296,5 +300,8 @@ def account(
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
-    impulses = Impulses(met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, created, time, h)
+    links = np.zeros((d.links, 6))
+    impulses = Impulses(
+        met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, links, created, time, h
+    )
     return impulses, works, Warm(c.key, c.frame1, c.frame2, world, status, slots, basis)

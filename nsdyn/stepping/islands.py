@@ -23,6 +23,7 @@ from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
 from nsdyn.stepping.move import Trial, attempt, finish
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import Loads, Passage, through, undisturbed
+from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import approach
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -223,6 +224,10 @@ class Islands:
             geoms = np.concatenate(np.divmod(hit[hit >= 0], self._node.size))
             nodes = self._node[geoms]
             out += [nodes[nodes >= 0], d.joints.block[d.joints.limits[-1 - hit[hit < 0]]]]
+        if (ends := endings(a.met, a.problem, a.solution)) is not None:
+            out += self._nodes(c, ends[: c.gap.size] > 0)
+            if a.met.joints is not None:
+                out.append(d.joints.block[a.met.joints.slot[ends[c.gap.size :] > 0]])
         if a.otherwise:
             out += self._nodes(c, a.slides != foresee(a.met._replace(slides=None)))
         if not a.solution.accepted:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +20,10 @@ from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
-from nsdyn.stepping.impacts import Impact
 from nsdyn.stepping.instant import Impulses, Instant, System, account, take
 from nsdyn.stepping.projection import Placed, place, project
+from nsdyn.stepping.reversal import reversal
+from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -136,7 +136,9 @@ class Trial(NamedTuple):
         What the motion did not meet, where it ends; None where there is nothing or all was caught.
     touched : float
         Time just after a pair that is open where the move begins touches on its way, s; that of the move if none does,
-        or if nothing is so fast that it might go unseen.
+        if nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
+    turned : float
+        When the first slip turns round, s; that of the move if none does, or if all is caught.
     """
 
     half: Half
@@ -145,6 +147,7 @@ class Trial(NamedTuple):
     response: Response
     unmet: Unmet | None
     touched: float
+    turned: float
 
 
 def trial(
@@ -193,17 +196,19 @@ def trial(
         half, response = _respond(s, begin, half, real, joints, seen, barred, response, rough)
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return trial(s, begin, t, h, None, barred, again)
-    unmet, until = None, h
+    unmet, until, turned = None, h, h
     if barred is not None:
         moved = response.moved
         limits = moved.limits
         if limits.size and not barred.size and _few.least(limits) >= -s.closed:
             limits = NOTHING
         unmet = others(s, moved.contacts, response.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
-        if half.fast:
+        if half.fast and not barred.size:
             places = half.middle.placement, moved.placement
             until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
-    return Trial(half, joints, seen, response, unmet, until)
+        if not barred.size:
+            turned = h * reversal(response.met, s.solver, response.problem, response.solution)
+    return Trial(half, joints, seen, response, unmet, until, turned)
 
 
 def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, skip: Bools) -> Trial:
@@ -219,7 +224,7 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, skip: B
         return attempt(s, begin, again, None, skip)
     slots, moved = NO_SLOTS if joints is None else joints.slot, response.moved
     unmet = others(s, moved.contacts, contacts, moved.limits, slots)
-    return Trial(half, joints, seen, response, unmet, half.h)
+    return Trial(half, joints, seen, response, unmet, half.h, half.h)
 
 
 def _reachable(
@@ -262,7 +267,7 @@ def _respond(
         )
         met = Encounter(
             contacts, None, rows, frame, None, contacts.mu, contacts.restitution, place_of, begin.warm.status, local,
-            end_gap, NOTHING, NOTHING, slides, posed,
+            end_gap, slides=slides, posed=posed,
         )  # fmt: skip
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
@@ -338,7 +343,7 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
             impulses.joints[4, t.coordinates] = pin.difference(t.model, q, there)
     energies: Energies = ()
     if a.impulse is not None:
-        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints, own, left)
+        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses, own, left)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
     end = Instant(
@@ -351,29 +356,29 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
 
 def tree_works(
     s: System, begin: Instant, half: Half, v: Array, ends: tuple[TreeEnd, ...], impulse: Array, lifted: Position,
-    joints: Array, own: Works, left: Bools | None = None,
+    acted: Impulses, own: Works, left: Bools | None = None,
 ) -> tuple[Works, Energies]:  # fmt: skip
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
     Trees that are not among the nodes `left` are passed over.
 
     The forces leave v, with the impulses H r of contacts and joint rows; those of actuation, of external wrenches and
-    the most that actuators may give go into rows 0, 3 and 5 of joints (6, n).
+    the most that actuators may give go into rows 0, 3 and 5 of `acted.joints`, the wrenches into `acted.links`.
     """
     external, normal, friction, damping, constraint, integration, projection = own
-    energies = []
+    energies, joints, link = [], acted.joints, 0
     of_trees = zip(
         s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
     )
     for node, (t, before, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
+        k, first = t.coordinates, link
+        link += t.model.njoints - 1
         if left is not None and not left[node]:
             energies.append(energy)
             continue
-        k = t.coordinates
-        w = t.works(before, free, v[k], end, q, impulse[k], energy)
-        joints[0, k] += w.joints
-        joints[3, k] = half.h * free.loads.push
-        joints[5, k] = math.inf if free.loads.limit is None else half.h * free.loads.limit
+        w = t.works(before, free, v[k], end, q, impulse[k], energy, joints)
+        if free.loads.wrenches is not None:
+            acted.links[first:link] = half.h * free.loads.wrenches
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection

@@ -57,6 +57,9 @@ class Part:
         self._geom[self.geoms] = np.arange(self.geoms.size)
         spans = [np.arange(d.offset[k], d.offset[k + 1]) for k in nodes.tolist()]
         self.coordinates = np.concatenate([np.empty(0, np.int64), *spans])
+        first = np.cumsum([0, *(t.model.njoints - 1 for t in d.trees)])
+        spans = [np.arange(first[k], first[k + 1]) for k in self._trees.tolist()]
+        self._links, self._count = np.concatenate([np.empty(0, np.int64), *spans]), d.links
         block = d.joints.block
         self._slots = np.flatnonzero(np.isin(block, nodes))
         self._limits = np.flatnonzero(np.isin(block[d.joints.limits], nodes))
@@ -140,9 +143,9 @@ class Part:
 
     def impulses(self, a: Impulses, n: int) -> Impulses:
         """Impulses of the part as those of the whole, of n coordinates."""
-        joints = np.zeros((6, n))
-        joints[:, self.coordinates] = a.joints
-        return a._replace(contacts=self.contacts(a.contacts), joints=joints)
+        joints, links = np.zeros((6, n)), np.zeros((self._count, 6))
+        joints[:, self.coordinates], links[self._links] = a.joints, a.links
+        return a._replace(contacts=self.contacts(a.contacts), joints=joints, links=links)
 
     def fill(self, at: Instant, end: Instant) -> None:
         """Put what is of the nodes of the part where it is in arrays of the whole, but for contacts."""

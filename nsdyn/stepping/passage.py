@@ -29,6 +29,10 @@ HITS, LOCATED = 16, 50
 """Most contacts that may be hit in a step, and most contacts in all, so that the effort is bounded; beyond, impacts are
 caught within the step."""
 
+SOON, AGAIN = 1e-6, 0.1
+"""Fractions of a move in which slip that turns round is not located: before it is nothing but round-off, and where slip
+has just been cut, which is located to second order, what is left of it."""
+
 HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
 """Most times that a step is halved in which bodies gained energy, sank or were lifted far, most pieces tried in it, so
 that the effort is bounded, and by what fraction bodies may then run less far into each other: impulses and projections
@@ -165,8 +169,11 @@ def _moves(
             done.append(_later(impulses, h - left))
             solved.append(pair)
             works.append(more)
+        soon = left * (AGAIN if cut and struck is None else SOON)
         length, tried = (
-            _until_impact(s, loads, now, t, left, half) if cut < EVENTS else (left, _try(s, loads, now, t, left, None))
+            _until_event(s, loads, now, t, left, soon, half)
+            if cut < EVENTS
+            else (left, _try(s, loads, now, t, left, None))
         )
         half = None
         m = finish(s, now, tried)
@@ -194,12 +201,13 @@ def _later(acted: Impulses, begun: float) -> Impulses:
     return acted._replace(time=begun + acted.time) if begun > 0.0 else acted
 
 
-def _until_impact(
-    s: System, loads: Loads, begin: Instant, t: float, h: float, half: Half | None = None, looks: int = CLOSER
-) -> tuple[float, Trial]:
+def _until_event(
+    s: System, loads: Loads, begin: Instant, t: float, h: float, soon: float, half: Half | None = None,
+    looks: int = CLOSER,
+) -> tuple[float, Trial]:  # fmt: skip
     """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many.
 
-    The first half of a move of h seconds may be known.
+    Or to where a slip turns round, but not `soon`, s. The first half of a move of h seconds may be known.
     """
     if begin.contacts.gap.size > LOCATED:
         return h, _try(s, loads, begin, t, h, None)
@@ -207,7 +215,9 @@ def _until_impact(
     if _jammed(m.response.solution):
         return h, _try(s, loads, begin, t, h, None)
     if m.touched < h and looks:
-        return _until_impact(s, loads, begin, t, m.touched, None, looks - 1)
+        return _until_event(s, loads, begin, t, m.touched, soon, None, looks - 1)
+    if soon < m.turned < h:
+        return _until_event(s, loads, begin, t, m.turned, h, None, looks)
     if m.unmet is None:
         return h, m
     hit = m.unmet.gap < -m.unmet.limit

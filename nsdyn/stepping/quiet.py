@@ -11,6 +11,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
+from nsdyn._kernels.stepping import reversal as _reversal
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
@@ -21,10 +22,13 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
 from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, System, account
 from nsdyn.stepping.move import tree_works
+from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import approach
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Moves", "quiet", "quiet_trees"]
+
+NO_ROWS = np.empty(0, np.bool_)
 
 Moves = tuple[Instant, Array, bool, Array, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
 """End of some moves, the last free acceleration, whether the end is clear, works of external forces on the free bodies,
@@ -55,7 +59,8 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     )
     solution, mu, nc = s.solver(problem, local[4]), contacts.mu, contacts.mu.size
     r = solution.r
-    if _law.reconsider(r, solution.u, problem.q, mu, local, slides, False):
+    shown, was = (r, solution.u, problem.q, mu, local), (place, begin.warm.status)
+    if _law.reconsider(*shown, slides, False) or _reversal.ending(*shown, was, NO_ROWS, np.empty(nc, np.int8)):
         return None
     v_plus, x, quaternion, v_end, R, twists, same = free.end(
         s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
@@ -69,17 +74,17 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     )  # fmt: skip
     external, beyond, normal_work, friction_work, rest = _account.account(
         rows.full.arrays, (d.mass, d.gravity), (d.no_load, d.no_load), h, s.theta, (v, v, v_plus), r, mu, NOTHING,
-        (place, begin.warm.status), NOTHING, local, frame, s.solver.tol, out,
+        was, NOTHING, local, frame, s.solver.tol, out,
     )  # fmt: skip
     slots, on_joints = d.no_impulses
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
     impulses = Impulses(
-        contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, 0.0, time, h
-    )
-    warm = Warm(
-        contacts.key, contacts.frame1, contacts.frame2, world, status, slots, Basis(contacts, rows, frame, problem)
-    )
+        contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, d.no_push, 0.0,
+        time, h,
+    )  # fmt: skip
+    basis = Basis(contacts, rows, frame, problem)
+    warm = Warm(contacts.key, contacts.frame1, contacts.frame2, world, status, slots, basis)
     position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
     works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
@@ -111,7 +116,7 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     start = old, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     met = Encounter.of(d, contacts, None, middle.seen(looked), forces, start, reach, still, h, half.ahead, closing)
     problem, solution, otherwise = solve(met, s.solver, None, closing, foresee(met), False, 0)
-    if otherwise:
+    if otherwise or reversal(met, s.solver, problem, solution) < 1.0:
         return None
     r = solution.r
     impulse, v_plus = met.rows.response(r, forces.v)
@@ -127,7 +132,7 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
         return None
     found, memory, looked = seen
     impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem, d.mass)
-    works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses.joints, own)
+    works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses, own)
     twists = d.twists(place, v_end)
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)
     external = d.external_works(forces, begin.position, position, v, v_plus, h)

@@ -15,6 +15,7 @@ from nsdyn.scene import settings
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Solver
 from nsdyn.stepping import checkpoint
+from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.stepper import Callback, Stepper
 
 __all__ = ["Options", "RunOptions", "command", "simulate"]
@@ -33,7 +34,7 @@ class RunOptions(TypedDict, total=False):
     on_fail: str
     max_points: int
     dump_on_fail: str | Path | None
-    impact: str
+    impact: str | Law
     every: int
     contacts: bool
     overlap: float
@@ -59,7 +60,7 @@ def simulate(
     progress: bool = False,
     max_points: int = 8,
     dump_on_fail: str | Path | None = None,
-    impact: str = "newton",
+    impact: str | Law = "dissipative",
     every: int = 1,
     contacts: bool = True,
     resume: str | Path | None = None,
@@ -146,7 +147,7 @@ def _recorder(
     """What records a stepper, which is set to the last state of a recording to resume."""
     scene = stepper.scene
     meta = {
-        "dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver), "impact": stepper.system.impact,
+        "dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver), "impact": repr(stepper.system.impact),
         "controller": stepper.controller is not None, "external_force": stepper.external_force is not None,
         "checksums": json.dumps(checkpoint.checksums(scene)), **kept,
         "parameters": settings.as_json(scene.parameters), "command": command.get(),

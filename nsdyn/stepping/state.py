@@ -105,11 +105,14 @@ class Step(NamedTuple):
         On the coordinates of the articulations: impulses of actuation, of limits, of dry friction and of external
         wrenches, N m s or N s; displacement by position projections, rad or m; and the most that actuators may give,
         N m s or N s, infinite where they have no limit. None in scenes without any.
+    links : ndarray, shape (links, 6)
+        Impulses of external wrenches on the links of articulations, one by joint, in its order: force and moment about
+        the world's origin, N·s and N m s.
     pieces : Pieces or None
         What the step was cut into; None where it was made in one, and in scenes without articulations.
     created : float
-        Energy that impacts created, J, summed over islands of contacts: 0 but for Newton's law with friction or in
-        chains, and Poisson's with several restitutions (`impacts`).
+        Energy that impacts created, J, summed over islands of contacts: 0 but for `Newton`'s law with friction or in
+        chains, and `Poisson`'s with several restitutions (`nsdyn.stepping.impacts`).
     ledger : Ledger
         Energies at the end and works of the step, J.
     gauss : Certificate
@@ -135,6 +138,7 @@ class Step(NamedTuple):
     work_normal: Array
     work_friction: Array
     joints: Array | None
+    links: Array
     pieces: Pieces | None
     created: float
     ledger: Ledger

@@ -26,10 +26,10 @@ from nsdyn.scene import pairs
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Auto, Solver, as_solver
-from nsdyn.stepping import impacts
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
 from nsdyn.stepping.half import Callbacks
+from nsdyn.stepping.impacts import Law, as_law
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.instant import Impulses, System
 from nsdyn.stepping.islands import Islands
@@ -37,7 +37,6 @@ from nsdyn.stepping.prescribed import Prescribed
 from nsdyn.stepping.state import Pieces, Start, State, Step
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import choice
 
 __all__ = ["Callback", "Stepper"]
 
@@ -63,9 +62,10 @@ class Stepper:
 
     All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
-    impacts with restitution, which act in no time, until they are too many to tell apart. No shapes overlap at its end:
-    what a step leaves is removed by a projection of the positions. No island of free bodies gains energy but by the
-    works of external forces: what it gained is taken by rolling resistance, which keeps every momentum.
+    impacts with restitution, which act in no time, until they are too many to tell apart, and where slip turns round.
+    No shapes overlap at its end: what a step leaves is removed by a projection of the positions. No island of free
+    bodies gains energy but by the works of external forces: what it gained is taken by rolling resistance, which keeps
+    every momentum.
 
     Parameters
     ----------
@@ -98,8 +98,10 @@ class Stepper:
     dump_on_fail : path, optional
         Folder for the problems of failing steps, whatever else is done: FCLIB global files named by the step, the
         answer as a guess in them. "failed-steps" where `on_fail` is "dump".
-    impact : {"newton", "poisson", "fremond"}
-        Law of contacts with restitution: see `nsdyn.stepping.impacts`.
+    impact : {"dissipative", "newton", "poisson", "fremond"} or Law
+        Law of contacts with restitution, a name or an object of `nsdyn.stepping.impacts`, which is ``nd.impacts``.
+        "dissipative" is Newton's, with the restitution of an island lowered where it would create energy. A law that
+        does create some warns the first time; `Step.created` is how much.
     overlap : float
         Deepest initial overlap that is taken, as a fraction of the inscribed radius of the smaller body; at most 1.
     lift : bool
@@ -137,7 +139,7 @@ class Stepper:
         on_fail: str = "warn",
         max_points: int = 8,
         dump_on_fail: str | Path | None = None,
-        impact: str = "newton",
+        impact: str | Law = "dissipative",
         overlap: float = 0.01,
         lift: bool = False,
     ) -> None:
@@ -150,7 +152,7 @@ class Stepper:
         for what, given in (("controller", controller), ("external_force", external_force)):
             if given is not None and not callable(given):
                 raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
-        choice(impact, impacts.LAWS, "impact")
+        law = as_law(impact)
         if isinstance(overlap, bool) or not isinstance(overlap, (int, float)) or not 0.0 <= overlap <= 1.0:
             raise ValueError(f"overlap must be a fraction in [0, 1], got {overlap!r}")
         if not isinstance(lift, bool):
@@ -173,14 +175,8 @@ class Stepper:
         elastic = any(e > 0.0 for e in rebounds) or bool(self.dynamics.joints.restitution.any())
         self.system = System(
             self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
-            float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), impact, elastic,
+            float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), law, elastic,
         )  # fmt: skip
-        if impacts.LAWS[impact].one_restitution and len(several := pairs.restitutions(scene)) > 1:
-            warnings.warn(
-                f"{impact.title()}'s law keeps energy from growing only where all contacts have one restitution, "
-                f"got {several}",
-                stacklevel=2,
-            )
         if not (scene.free_bodies or scene.articulations or scene.driven_bodies):
             warnings.warn("the scene has nothing that moves: all its bodies are fixed, if any", stacklevel=2)
         self._prescribed = None
@@ -305,6 +301,9 @@ class Stepper:
         k = worst(solved)
         if not solved[k][1].accepted:
             self.failures.tell(*solved[k], done[k].contacts, s, self.solver.tol)
+        for acted in done:
+            if acted.created > 0.0:
+                self.failures.tell_created(repr(self.system.impact), acted, s)
         certificate, opening = self._certify(solved, s.opening)
         energies = self.dynamics.energies(now.position, now.v, now.energies)
         if not math.isfinite(sum(energies)):
@@ -361,8 +360,8 @@ class Stepper:
             pieces = _pieces(done, 6 * d.free) if len(done) > 1 else None
         return Step(
             self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
-            acted.time, acted.normal, acted.friction, joints, pieces, acted.created, ledger, certificate, problem,
-            solution,
+            acted.time, acted.normal, acted.friction, joints, acted.links, pieces, acted.created, ledger, certificate,
+            problem, solution,
         )  # fmt: skip
 
 
@@ -370,9 +369,10 @@ def _joined(done: list[Impulses]) -> Impulses:
     """All that acted in a step, one after the other."""
     contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
     frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
-    joints, time = np.sum([a.joints for a in done], axis=0), np.concatenate([a.time for a in done])
+    joints, links = (np.sum([getattr(a, name) for a in done], axis=0) for name in ("joints", "links"))
+    time = np.concatenate([a.time for a in done])
     created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
-    return Impulses(contacts, frame, u, r, status, normal, friction, joints, created, time, duration)
+    return Impulses(contacts, frame, u, r, status, normal, friction, joints, links, created, time, duration)
 
 
 def _pieces(done: list[Impulses], first: int) -> Pieces:

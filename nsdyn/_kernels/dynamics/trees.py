@@ -158,32 +158,32 @@ def strained(laws, limit, last, v0, v1, h, over):
 
 
 @kernel
-def loaded(M, laws, push, weight, v0, h, matrices, v):
-    """Velocity v (n,) after the forces of a step on a tree without constraints; whether its m is positive definite.
+def loaded(M, laws, push, weight, h, m, minv, v):
+    """Change the velocity v (n,) to that after the forces of a step on a tree without constraints.
 
-    F, m and minv of `implicit` into matrices (3, n, n).
+    False where m of `implicit` is not positive definite.
     """
-    if not implicit(M, laws, h, matrices[0], matrices[1], matrices[2]):
+    acting, start = np.empty((3, v.size)), v.copy()
+    if not implicit(M, laws, h, np.empty(M.shape), m, minv):
         return False
-    acting = np.empty((3, v0.size))
-    forces(laws, push, v0, v0, h, acting)
-    v[:] = v0
-    respond(v0, matrices[2], acting[0] + acting[1] + acting[2], weight, h, v)
+    forces(laws, push, start, start, h, acting)
+    respond(start, minv, acting[0] + acting[1] + acting[2], weight, h, v)
     return True
 
 
 @kernel
-def works(laws, push, velocities, mean, impulse, h, joints):
+def works(laws, push, limit, velocities, mean, impulse, h, start, joints):
     """Works of actuation, of damping and of an impulse on the velocity `mean` (n,), J.
 
-    Velocities before and after the forces. The impulses of actuation, without what wrenches `push` (n,), into joints
-    (n,).
+    Velocities before and after the forces. The impulses of actuation without what wrenches `push` (n,), of these, and
+    of the limits of actuators (n,) into rows 0, 3 and 5 of joints, from column `start` on.
     """
     acting = np.empty((3, mean.size))
     forces(laws, push, velocities[0], velocities[1], h, acting)
     actuation, dissipation, pushed = 0.0, 0.0, 0.0
     for j in range(mean.size):
-        joints[j] = h * (acting[0, j] - push[j])
+        joints[0, start + j] += h * (acting[0, j] - push[j])
+        joints[3, start + j], joints[5, start + j] = h * push[j], h * limit[j]
         actuation += h * mean[j] * acting[0, j]
         dissipation += h * mean[j] * acting[1, j]
         pushed += mean[j] * impulse[j]
@@ -260,35 +260,71 @@ def closing(G, N, phi, damping, step):
 
 
 @in_place
-def midpoint(v1, v2, a1, a2, h, tolerance, floor, out):
-    """Of a step by the midpoint rule: displacement and the velocity at its end, into out (4, n).
+def stage(k, v, a, h, x):
+    """Stage k = 2, 3, 4 of a Runge–Kutta step from v, where the one before accelerates with a, into x (7, n).
+
+    Its velocity into x[k - 2], and into x[3] the displacement to its place, of the last from that of the second stage.
+    """
+    for j in range(v.size):
+        if k == 4:
+            x[2, j], x[3, j] = v[j] + h * a[j], h * x[1, j] - 0.5 * h * v[j]
+        else:
+            x[3, j] = 0.5 * h * (v[j] if k == 2 else x[0, j])
+            x[k - 2, j] = v[j] + 0.5 * h * a[j]
+
+
+@in_place
+def outset(v, a, h, slow, x):
+    """Of a step under a constant acceleration, into rows of x (7, n): displacement 3, velocity at its end 5, mean 6.
+
+    Whether v and its change are `slow`. If not, the second stage of a Runge–Kutta step, as of `stage`.
+    """
+    size, rise = 0.0, 0.0
+    for j in range(v.size):
+        size, rise = max(size, abs(v[j])), max(rise, abs(a[j]))
+    if not (h * size <= slow and h * rise <= slow * size):
+        stage(2, v, a, h, x)
+        return False
+    for j in range(v.size):
+        x[5, j], x[6, j] = v[j] + h * a[j], v[j] + 0.5 * h * a[j]
+        x[3, j] = h * x[6, j]
+    return True
+
+
+@in_place
+def midpoint(v, a1, a2, h, tolerance, floor, x):
+    """Of a step by the midpoint rule, with x of `stage`: displacement into x[3], and the velocity at its end into x[5].
 
     Whether it goes on as it began, and its acceleration changes so little that even the first order would do.
     """
     change, size, rise = 0.0, 0.0, 0.0
-    for j in range(v1.size):
-        out[0, j], out[1, j] = h * v2[j], v1[j] + h * a2[j]
-        if not abs(a1[j]) + abs(a2[j]) + abs(v1[j]) < math.inf:
+    for j in range(v.size):
+        if not abs(a1[j]) + abs(a2[j]) + abs(v[j]) < math.inf:
             return False
-        change, rise, size = max(change, abs(a2[j] - a1[j])), max(rise, abs(a2[j])), max(size, abs(v1[j]))
-    return h * rise <= 0.5 * size and h * change <= tolerance * size + floor
+        change, rise, size = max(change, abs(a2[j] - a1[j])), max(rise, abs(a2[j])), max(size, abs(v[j]))
+    if h * rise > 0.5 * size or h * change > tolerance * size + floor:
+        return False
+    for j in range(v.size):
+        x[3, j], x[5, j] = h * x[0, j], v[j] + h * a2[j]
+    return True
 
 
 @in_place
-def combine(v1, v2, v3, v4, a1, a2, a3, a4, h, tolerance, floor, out):
-    """Of a Runge–Kutta step: two displacements, the velocity at its end, the mean velocity, into out (4, n).
+def combine(v, a1, a2, a3, a4, h, tolerance, floor, x):
+    """Of a Runge–Kutta step, with x of `stage`: two displacements, the velocity at its end and the mean into x[3:].
 
     Its error, of that allowed: see `nsdyn.dynamics.runge_kutta`.
     """
     error, size = 0.0, 0.0
-    for j in range(v1.size):
-        middle = 2.0 * (v2[j] + v3[j])
+    for j in range(v.size):
+        v2, v3, v4 = x[0, j], x[1, j], x[2, j]
+        middle = 2.0 * (v2 + v3)
         mean = (a1[j] + 2.0 * (a2[j] + a3[j]) + a4[j]) / 6.0
-        out[0, j] = h / 12.0 * (3.0 * v1[j] + middle - v4[j])
-        out[1, j] = h / 12.0 * (middle + 3.0 * v4[j] - v1[j])
-        out[2, j] = v1[j] + h * mean
-        out[3, j] = (v1[j] + middle + v4[j]) / 6.0
-        d, most = h * abs(mean - a2[j]), max(abs(v1[j]), abs(v2[j]), abs(v3[j]), abs(v4[j]))
+        x[3, j] = h / 12.0 * (3.0 * v[j] + middle - v4)
+        x[4, j] = h / 12.0 * (middle + 3.0 * v4 - v[j])
+        x[5, j] = v[j] + h * mean
+        x[6, j] = (v[j] + middle + v4) / 6.0
+        d, most = h * abs(mean - a2[j]), max(abs(v[j]), abs(v2), abs(v3), abs(v4))
         if not d + most < math.inf:
             return math.inf
         error, size = max(error, d), max(size, most)

@@ -40,7 +40,11 @@ class Inspector {
     const moving = body.frame >= 0;
     const rows = body.mass !== null ? ["mass", "speed", "kinetic energy", "−m g·x"] : [];
     if (recording.contacts) rows.push("contact force", "carried by");
+    const joint = recording.joint(body);
+    if (joint.length) rows.push("joint", ...joint.map(({label}) => label));
     this.open(body.name, rows);
+    this.joint = joint;
+    if (joint.length) this.set("joint", body.joint.name);
     this.picked = {body: number};
     if (!moving) this.place.append(element("p", "", "It is fixed."));
     else if (body.mass === null) this.place.append(element("p", "", "Its mass and speed are not recorded."));
@@ -81,6 +85,10 @@ class Inspector {
     if (last.t < recording.end) path.push({t: recording.end, x: last.x});
     this.plot("height", "m", path.map(point => point.t), path.map(point => point.x[2]));
     if (body.mass !== null) this.plot("speed", "m/s", recording.t, this.column("bodies/speed", body.frame));
+    for (const {label, unit, values} of this.joint.filter(({drawn}) => drawn)) {
+      const known = Array.from(values.keys()).filter(k => Number.isFinite(values[k]));
+      this.plot(label, unit, known.map(k => recording.t[k]), known.map(k => values[k]));
+    }
     if (!recording.contacts) return;
     const {times, normal, drag} = recording.loads(number);
     this.plot("Σ r_N", "N·s", times, normal);
@@ -134,6 +142,7 @@ class Inspector {
       this.set("−m g·x", withUnit(-mass * recording.gravity.reduce((sum, g, k) => sum + g * place[k], 0), "J"));
       this.set("mass", plain(mass, "kg"));
     }
+    for (const {label, unit, values} of this.joint) this.set(label, withUnit(values[recording.frame(t)], unit));
     const force = recording.force(number, t);
     if (!force) return;
     this.set("contact force", withUnit(Math.hypot(...force.sum), "N"));

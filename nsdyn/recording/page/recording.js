@@ -177,6 +177,22 @@ class Recording {
     return {sum, carrying};
   }
 
+  // Of the joint that carries a body, values at states, NaN where there is none, as of steps at the first; which are
+  // drawn over time.
+  joint({joint}) {
+    if (!joint) return [];
+    const [unit, load] = joint.units;
+    const count = this.arrays["joints/force"].length / this.t.length;
+    return [
+      [unit === "rad" ? "angle" : "position", "position", unit, true], ["velocity", "velocity", `${unit}/s`, false],
+      [load === "N" ? "force" : "torque", "torque", load, true],
+      ["reaction", "force", "N", true], ["its moment", "moment", "N·m", false],
+    ].map(([label, name, unit, drawn]) => {
+      const values = Float32Array.from(this.t, (_, k) => this.arrays[`joints/${name}`][k * count + joint.column]);
+      return {label, unit, drawn, values};
+    }).filter(({values}) => values.some(Number.isFinite));
+  }
+
   // Sums over the contacts of a body of r_N and |r_T|, N·s, in the steps that end at states; none ends at the first.
   loads(body) {
     const states = this.arrays["contacts/t"];

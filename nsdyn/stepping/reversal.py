@@ -1,0 +1,89 @@
+"""When the slip of a contact, or of a joint with dry friction, turns round within a move.
+
+Friction is against the slip until that is zero, and the other way afterwards, where it does not hold. A move knows but
+one direction, and its friction would be wrong by up to 2 μ r_N: it is to end where the slip is zero. What stops, and
+does not slide back, needs that not: the impulse by which it stands still at the end is right however early it stops.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels.stepping import reversal as _reversal
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.solvers import Solver
+from nsdyn.stepping.encounter import Encounter
+from nsdyn.tools.arrays import Array
+
+__all__ = ["endings", "reversal"]
+
+NONE = np.empty(0, np.bool_)
+
+SLIPS = 1.0 - 1e-9
+"""Fraction of the friction that it may have with which a dry joint slides."""
+
+
+def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) -> float:
+    """The fraction of a move after which the first slip turns round, 1 if none does.
+
+    With the slip u_k where the move begins and u_e where it would end if friction did not change its direction, the
+    forces of the move being constant: u_k/(u_k - u_e).
+
+    Parameters
+    ----------
+    met : Encounter
+    solver : Solver
+    problem : FC3D
+    solution : Solution
+    """
+    local = _begun(met)
+    if (end := endings(met, problem, solution)) is None:
+        return 1.0
+    begin, _, free, drift, _ = local.reshape(5, -1, 3)[..., 1:]
+    free, turned = free + drift, end == 2
+    b = problem.q.reshape(-1, 3).copy()
+    if (stops := end == 1).any():
+        # What stops would slide back from rest.
+        rest = b.copy()
+        rest[stops, 1:] = (free - begin)[stops]
+        again = solver(problem.with_velocity(rest.ravel()), solution.r)
+        back = -(again.u.reshape(-1, 3)[:, 1:] * begin).sum(axis=1)
+        turned |= stops & (back > _reversal.STANDS * (begin * begin).sum(axis=1))
+    if not turned.any():
+        return 1.0
+    begin, free = begin[turned], free[turned]
+    speed, now = np.linalg.norm(begin, axis=1), (solution.u - problem.q).reshape(-1, 3)[turned, 1:] + free
+    # So fast that the law sees it slide on whatever friction does.
+    fast = 2.0 * (2.0 * np.linalg.norm(free, axis=1) + np.linalg.norm(now, axis=1) + speed)
+    on = (fast / speed)[:, None] * begin
+    b[turned, 1:] = free + on
+    again = solver(problem.with_velocity(b.ravel()), solution.r)
+    if not again.converged:
+        return 1.0
+    change = again.u.reshape(-1, 3)[turned, 1:] - on - begin
+    at = -(begin * change).sum(axis=1) / np.maximum((change * change).sum(axis=1), np.finfo(float).tiny)
+    return float(np.clip(at, 0.0, 1.0).min())
+
+
+def endings(met: Encounter, problem: FC3D, solution: Solution) -> NDArray[np.int8] | None:
+    """How the slip of rows that slide ends, 0 for as it was, 1 in a stop, 2 turned round; None where all go on."""
+    local, slid = _begun(met), NONE
+    if met.joints is not None:
+        last = met.local[4].reshape(-1, 3)[met.frame.shape[0] :]
+        dry = (met.joints.mu > 0.0) & ~met.joints.actuated
+        slid = dry & (last[:, 0] > 0.0) & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
+    out = np.empty(met.mu.size, np.int8)
+    was = met.place, met.status
+    shown = solution.r, solution.u, problem.q
+    return out if _reversal.ending(*shown, met.mu, local, was, slid, out) else None
+
+
+def _begun(met: Encounter) -> Array:
+    """What `Encounter.local` is, with slip as it is where the move begins on surfaces that quicken."""
+    if not met.quickening.size:
+        return met.local
+    local = met.local.copy()
+    local[0] -= met.quickening
+    return local

@@ -1,0 +1,93 @@
+"""Rounds of impacts: one provokes the next, at one configuration and in no time, until nothing strikes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.stepping.impacts import Dissipative, Law, Round
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Impact", "strike"]
+
+ROUNDS = 60
+"""Most rounds. The last is of all closed contacts at once and by `Dissipative`, after which none approaches."""
+
+
+class Impact(NamedTuple):
+    """What a series of impacts did.
+
+    Attributes
+    ----------
+    r : ndarray, shape (3 rows,)
+        Sum of the impulses, N·s.
+    u : ndarray, shape (3 rows,)
+        Relative velocities after it, m/s.
+    normal, friction : ndarray, shape (rows,)
+        Works of the impulses, J.
+    created : float
+        Energy created, J: the sum over rounds and islands of contacts whose impulses together did positive work, by
+        more than their solution leaves.
+    problem, solution : FC3D and Solution, or None
+        Of those solved the worst.
+    """
+
+    r: Array
+    u: Array
+    normal: Array
+    friction: Array
+    created: float
+    problem: FC3D | None
+    solution: Solution | None
+
+
+def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
+    """Impacts at one configuration until nothing strikes.
+
+    Parameters
+    ----------
+    law : Law
+    at : Round
+        Of all contacts, with their restitutions e; `hit` are those that are closed and may carry impulses.
+    resting : ndarray, shape (rows,)
+        Speeds of approach [m/s] below which a contact rests: what strikes with less does not rebound.
+    slow : ndarray, shape (rows,)
+        Speeds of approach below which it does not strike at all.
+    """
+    blocks, u, _, restitution, closed, solver = at
+    label = np.full(closed.size, -1)
+    label[closed] = at.of(closed).islands()
+    total, normal, friction = np.zeros_like(u), np.zeros(closed.size), np.zeros(closed.size)
+    created, worst, where = 0.0, None, None
+    for k in range(ROUNDS):
+        hit = closed & (u[0::3] < -slow)
+        if not hit.any():
+            break
+        # An island without an impact is not concerned.
+        part = closed & np.isin(label, label[hit])
+        if k < ROUNDS - 1:
+            part &= law.takes_part(hit, restitution)
+        else:
+            law = Dissipative()
+        e = np.where(hit & (u[0::3] < -resting), restitution, 0.0)
+        impact = at._replace(before=u, e=e, hit=hit).of(part)
+        own, solved = law(impact)
+        r = np.zeros_like(u)
+        r[np.repeat(part, 3)] = own
+        after = u + blocks.relative_velocity(blocks.velocity_change(r))
+        work = 0.5 * (u + after) * r
+        normal += work[0::3]
+        friction += work[1::3] + work[2::3]
+        left = max(solver.tol, *(solution.residual for _, solution in solved))
+        created += float(impact.created(own, impact.islands(), left).sum())
+        total += r
+        u = after
+        for problem, solution in solved:
+            if worst is None or solution.error > worst.error:
+                worst, where = solution, problem
+        if not all(solution.accepted for _, solution in solved):  # what follows on no solution is none either
+            break
+    return Impact(total, u, normal, friction, created, where, worst)
