@@ -157,7 +157,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         assert offset.shape == (8,) and offset[0] == 0
         assert pieces.tolist() == [0, 1, 3, 3, 4, 6, 6, 7] and file["pieces/shift"].shape == (7, 1)
         assert {name: file["joints"][name].shape for name in file["joints"]} == dict.fromkeys(
-            ("actuation", "limit", "friction", "external", "shift", "strength"), (7, 1)
+            ("actuation", "limit", "friction", "external", "shift", "strength", "drive"), (7, 1)
         )
         columns = set(file["contacts"]) - {"offset"}
         assert columns == {

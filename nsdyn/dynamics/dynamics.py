@@ -121,7 +121,7 @@ class Dynamics:
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
         self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
         self.weight = float(np.linalg.norm(self.gravity))
-        self.no_impulses = NO_VECTORS, np.zeros((6, self.n))
+        self.no_impulses = NO_VECTORS, np.zeros((7, self.n))
         self.joints = JointLaws(grown, self.trees, self.free)
         self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]
         self.held = np.concatenate(

@@ -20,8 +20,8 @@ __all__ = ["joints"]
 
 UNITS = {
     "links": "m", "loops": "m", "limits": "rad", "pieces": "-", "stops": "rad", "joint_cone": "N·m·s",
-    "joint_slip": "J", "loads": "N·m·s", "strength": "N·m·s", "lift": "√J·s", "joint_momentum": "√J",
-    "joint_motion": "√J·s", "contact_works": "J", "joint_works": "J", "drives": "J",
+    "joint_slip": "J", "loads": "N·m·s", "wrenches": "N·m·s", "strength": "N·m·s", "lift": "√J·s",
+    "joint_momentum": "√J", "joint_motion": "√J·s", "contact_works": "J", "joint_works": "J", "drives": "J",
 }  # fmt: skip
 """Of the amounts; of coordinates that are lengths, m and N·s."""
 
@@ -45,7 +45,7 @@ def joints(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterat
         return
     yield _pieces(found.trees)
     yield from _rows(poses, found)
-    yield _loads(found)
+    yield from _loads(found)
     yield _strength(found)
     names = [m.name for m in built.mechanisms]
     for name, (amount, scale) in (
@@ -152,11 +152,13 @@ def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
         label = _labels(m)
         for k, way in enumerate(found.ways[i]):
             most = max((float(np.abs(kick.given).max(initial=0.0)) for kick in way.kicks), default=0.0)
-            (q, v), (q1, v1) = found.trees.state(i, k), found.trees.state(i, k + 1)
-            for kick in way.kicks:
-                angles = np.array([m.angle(x) for x in (q, kick.q, q1)])
-                travel = 2.0 * np.abs(np.diff(angles, axis=0)).sum(axis=0)
-                gaps = np.where(kick.given[1] > 0.0, angles - m.lower, m.upper - angles).min(axis=0)
+            begin = found.trees.state(i, k)[1]
+            for kick, last in zip(way.kicks, way.flows[1::2], strict=True):
+                along, begin = np.array([begin, kick.before, kick.after, last.v]), last.v
+                # A shallow gap closes by the next impulses, a step later at most; impacts in no time wait for none.
+                travel = 2.0 * found.trees.trajectory.dt * np.abs(along).max(axis=0) * (kick.h > 0.0)
+                angle = m.angle(kick.q)
+                gaps = np.where(kick.given[1] > 0.0, angle - m.lower, m.upper - angle)
                 width = np.where(np.isfinite(m.upper - m.lower), m.upper - m.lower, 1.0)
                 for j in np.flatnonzero(np.abs(kick.given[1]) > NOTHING * most):
                     away = gaps[j] - travel[j]
@@ -171,8 +173,8 @@ def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
                     j, pull = on[0], drag[on]
                     over = float(np.linalg.norm(pull)) - most_drag[j]
                     bounds.append((over / max(most_drag[j], NOTHING * most, 1e-300), over, k + 1, label[j]))
-                    speeds = np.array([v[on], kick.before[on], kick.after[on], v1[on]])
-                    # Within a step that begins and ends with other signs anything may be against the motion.
+                    speeds = along[:, on]
+                    # Within a piece that begins and ends with other signs anything may be against the motion.
                     wasted = (most_drag[j] * np.linalg.norm(speeds, axis=1) + speeds @ pull).min()
                     turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
                     slips.append((0.0 if turns else wasted / scale, wasted, k + 1, label[j]))
@@ -192,36 +194,38 @@ def _labels(m: Mechanism) -> list[str]:
     ]
 
 
+def _acted(found: Retraced, name: str) -> tuple[Array, Index]:
+    """What is recorded of all steps and of all pieces, (rows, nv), and the steps that the rows are of."""
+    t, c = found.trees.trajectory, found.trees.trajectory.columns
+    step = np.concatenate([np.arange(t.steps), np.repeat(np.arange(t.steps), np.diff(c["pieces/offset"]))])
+    return np.concatenate([c[f"joints/{name}"], c[f"pieces/{name}"]]), step + 1
+
+
 def _strength(found: Retraced) -> Found:
-    """Impulses of actuators, of which none is above its limit times the length of the step."""
-    c = found.trees.trajectory.columns
-    given, most = np.abs(c["joints/actuation"]), c["joints/strength"]
+    """Impulses of actuators, of which none is above its limit times the time in which they act."""
+    (given, step), (most, _) = _acted(found, "actuation"), _acted(found, "strength")
     labels = [label for m in found.trees.mechanisms for label in _labels(m)]
     k, j = np.nonzero(np.isfinite(most))
-    over = given[k, j] - most[k, j]
+    over = np.abs(given[k, j]) - most[k, j]
     figure = over / np.maximum(most[k, j], 1e-300)
-    return worst_of("strength", figure, over, UNITS["strength"], k + 1, _who(labels, j))
+    return worst_of("strength", figure, over, UNITS["strength"], step[k], _who(labels, j))
 
 
-def _loads(found: Retraced) -> Found:
-    """Joint forces and external wrenches where nothing gives any."""
-    t, c = found.trees.trajectory, found.trees.trajectory.columns
-    given = [
-        name for name, key in (("actuation", "controller"), ("external", "external_force")) if t.meta.get(key, True)
-    ]
-    if given:
-        what = " and ".join(
-            {"actuation": "the controller's law and limits", "external": "external forces"}[g] for g in given
-        )
-        return not_audited("loads", UNITS["loads"], f"{what} are not recorded")
-    amount = np.abs(np.concatenate([c["joints/actuation"], c["joints/external"]], axis=1))
-    k, j = np.indices(amount.shape)
-    largest = max(float(np.abs(c[f"joints/{name}"]).max(initial=0.0)) for name in ("actuation", "external"))
-    labels = [label for m in found.trees.mechanisms for label in _labels(m)] * 2
-    return worst_of(
-        "loads", amount.ravel() / max(largest, 1e-300), amount.ravel(), UNITS["loads"], k.ravel() + 1,
-        _who(labels, j.ravel()),
-    )  # fmt: skip
+def _loads(found: Retraced) -> Iterator[Found]:
+    """Joint forces where no controller gives any, and external wrenches where nothing gives them."""
+    labels = [label for m in found.trees.mechanisms for label in _labels(m)]
+    for name, column, given, what in (
+        ("loads", "actuation", "controller", "the controller's law and limits"),
+        ("wrenches", "external", "external_force", "external forces"),
+    ):
+        if found.trees.trajectory.meta.get(given, True):
+            yield not_audited(name, UNITS[name], f"{what} are not recorded")
+            continue
+        amount, step = _acted(found, column)
+        k, j = np.indices(amount.shape)
+        amount = np.abs(amount).ravel()
+        figure = amount / max(float(amount.max(initial=0.0)), 1e-300)
+        yield worst_of(name, figure, amount, UNITS[name], step[k.ravel()], _who(labels, j.ravel()))
 
 
 def _contact_works(poses: Poses, found: Retraced, flight: Flight | None) -> Found:

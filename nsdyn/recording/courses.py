@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from nsdyn.recording.mechanism import RANK, Mechanism
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import displacement
 
 __all__ = ["Course", "move", "respond"]
 
@@ -64,7 +65,7 @@ def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None, d
     for _ in range(DOUBLINGS):
         parts *= 2
         fine = _fly(m, q, v, h, tau, drive, parts)
-        change = np.abs([pin.difference(m.model, coarse[0], fine[0]), coarse[1] - fine[1]])
+        change = np.abs([displacement(m.model, coarse[0], fine[0]), coarse[1] - fine[1]])
         first = first if first.size else change
         coarse = fine
         if change[1].max() <= FINE * np.abs(fine[1]).max():
@@ -111,7 +112,7 @@ def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
     end, new, mean, work = _midpoint(m, q, v, h)
     there, half, _, _ = _midpoint(m, q, v, 0.5 * h)
     fine, last, _, _ = _midpoint(m, there, half, 0.5 * h)
-    doubted = np.abs([pin.difference(m.model, end, fine), new - last])
+    doubted = np.abs([displacement(m.model, end, fine), new - last])
     return Course(end, new, mean, doubted, work)
 
 

@@ -37,6 +37,7 @@ TOLERANCES = {
     "joint_cone": 1e-8,
     "joint_slip": 1e-6,
     "loads": 0.0,
+    "wrenches": 0.0,
     "strength": 1e-9,  # round-off of sums
     "lift": 1.0,
     "joint_momentum": 1e-8,  # beyond what flows of the order of the step's err, which is found by halving
@@ -69,8 +70,9 @@ MEANING = {
     "stops": "joint from the limit whose impulse acts, beyond what it moves in the step / range",
     "joint_cone": "dry friction of a joint - h times its largest / that",
     "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round in the step / energy at play",
-    "loads": "joint forces and external wrenches where nothing gives any / largest",
-    "strength": "impulse of an actuator - its limit times the length of the step / that",
+    "loads": "joint forces where no controller gives any / largest",
+    "wrenches": "external wrenches on links where nothing gives any / largest",
+    "strength": "impulse of an actuator in a step or a piece - its limit times that time / that",
     "lift": "displacement of an articulation by projections / what it moves in the step, in the kinetic norm",
     "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, kinetic norms",
     "joint_motion": "place of an articulation - where its velocities lead / what it moves in the step, likewise",

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
@@ -27,6 +26,7 @@ from nsdyn.stepping.instant import FAST, Impulses, Instant, Looked, System, acco
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.displacements import displacement
 
 __all__ = ["STILL_SURFACES", "Callbacks", "Half", "Move", "Trial", "finish", "first_half", "tree_works", "trial"]
 
@@ -371,7 +371,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         twists = d.twists(placed.placement, v_end)
         works.append(Works(projection=lifted))
         for t, q, there in zip(d.trees, a.moved.position.trees, placed.position.trees, strict=True):
-            impulses.joints[4, t.coordinates] = pin.difference(t.model, q, there)
+            impulses.joints[4, t.coordinates] = displacement(t.model, q, there)
     energies: Energies = ()
     if a.impulse is not None:
         own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses.joints, own)
@@ -395,7 +395,8 @@ def tree_works(
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
     The forces leave v, with the impulses H r of contacts and joint rows; those of actuation, of external wrenches and
-    the most that actuators may give go into rows 0, 3 and 5 of joints (6, n).
+    the most that actuators may give go into rows 0, 3 and 5 of joints (7, n), what driven joints speed up by into
+    row 6.
     """
     external, normal, friction, damping, constraint, integration, projection = own
     energies = []
@@ -407,6 +408,7 @@ def tree_works(
         joints[0, k] += w.joints
         joints[3, k] = half.h * free.loads.push
         joints[5, k] = math.inf if free.loads.limit is None else half.h * free.loads.limit
+        joints[6, k] = t.speeding(before.begin_v, free.loads.rates)
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection
