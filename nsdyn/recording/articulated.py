@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from nsdyn.recording import joint_rows
 from nsdyn.recording.file import ON_JOINTS
 from nsdyn.recording.findings import Found, at_play, not_audited, worst_of
 from nsdyn.recording.flight import Flight
-from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.poses import Poses, matrix
 from nsdyn.recording.retrace import Trees, trees
 from nsdyn.recording.retraced import Retraced
@@ -19,14 +19,10 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["joints"]
 
 UNITS = {
-    "links": "m", "loops": "m", "limits": "rad", "pieces": "-", "stops": "rad", "joint_cone": "N·m·s",
-    "joint_slip": "J", "loads": "N·m·s", "wrenches": "N·m·s", "strength": "N·m·s", "lift": "√J·s",
+    "links": "m", "loops": "m", "limits": "rad", "pieces": "-", **joint_rows.UNITS, "lift": "√J·s",
     "joint_momentum": "√J", "joint_motion": "√J·s", "contact_works": "J", "joint_works": "J", "drives": "J",
 }  # fmt: skip
 """Of the amounts; of coordinates that are lengths, m and N·s."""
-
-NOTHING = 1e-9
-"""Fraction of the largest impulse of a step below which one is nothing."""
 
 
 def joints(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterator[Found]:
@@ -44,9 +40,7 @@ def joints(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterat
         yield from (not_audited(name, unit, found) for name, unit in UNITS.items() if name not in places)
         return
     yield _pieces(found.trees)
-    yield from _rows(poses, found)
-    yield from _loads(found)
-    yield _strength(found)
+    yield from joint_rows.on_joints(found)
     names = [m.name for m in built.mechanisms]
     for name, (amount, scale) in (
         ("lift", found.lift), ("joint_momentum", found.momentum), ("joint_motion", found.motion)
@@ -140,92 +134,6 @@ def _pieces(found: Trees) -> Found:
     acts[own] = times
     np.maximum.at(worst, step, np.abs(c["contacts/time"] - acts) / t.dt)
     return worst_of("pieces", worst, worst, UNITS["pieces"], np.arange(t.steps) + 1, lambda _: ())
-
-
-def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
-    """Impulses of limits, where and which way they act; of dry friction, how large and which way."""
-    scale = at_play(poses)
-    stops: list[tuple[float, float, int, str]] = []
-    bounds: list[tuple[float, float, int, str]] = []
-    slips: list[tuple[float, float, int, str]] = []
-    for i, m in enumerate(found.trees.mechanisms):
-        label = _labels(m)
-        for k, way in enumerate(found.ways[i]):
-            most = max((float(np.abs(kick.given).max(initial=0.0)) for kick in way.kicks), default=0.0)
-            begin = found.trees.state(i, k)[1]
-            for kick, last in zip(way.kicks, way.flows[1::2], strict=True):
-                along, begin = np.array([begin, kick.before, kick.after, last.v]), last.v
-                # A shallow gap closes by the next impulses, a step later at most; impacts in no time wait for none.
-                travel = 2.0 * found.trees.trajectory.dt * np.abs(along).max(axis=0) * (kick.h > 0.0)
-                angle = m.angle(kick.q)
-                gaps = np.where(kick.given[1] > 0.0, angle - m.lower, m.upper - angle)
-                width = np.where(np.isfinite(m.upper - m.lower), m.upper - m.lower, 1.0)
-                for j in np.flatnonzero(np.abs(kick.given[1]) > NOTHING * most):
-                    away = gaps[j] - travel[j]
-                    stops.append((away / max(width[j], 1e-300), away, k + 1, label[j]))
-                drag, most_drag = kick.given[2], kick.h * m.friction
-                # What drives a joint takes its friction, which does nothing to the motion.
-                some = (m.friction > 0.0) | (drag != 0.0)
-                some[m.driven] = False
-                for on in m.rubbing:
-                    if not some[on].any():
-                        continue
-                    j, pull = on[0], drag[on]
-                    over = float(np.linalg.norm(pull)) - most_drag[j]
-                    bounds.append((over / max(most_drag[j], NOTHING * most, 1e-300), over, k + 1, label[j]))
-                    speeds = along[:, on]
-                    # Within a piece that begins and ends with other signs anything may be against the motion.
-                    wasted = (most_drag[j] * np.linalg.norm(speeds, axis=1) + speeds @ pull).min()
-                    turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
-                    slips.append((0.0 if turns else wasted / scale, wasted, k + 1, label[j]))
-    for name, rows in (("stops", stops), ("joint_cone", bounds), ("joint_slip", slips)):
-        figure, amount, step = np.array([row[:3] for row in rows]).reshape(-1, 3).T
-        yield worst_of(
-            name, figure, amount, UNITS[name], step.astype(int), _who([row[3] for row in rows], np.arange(step.size))
-        )
-
-
-def _labels(m: Mechanism) -> list[str]:
-    """Articulation and joint of every coordinate."""
-    return [
-        f"{m.name}/{name}"
-        for name, joint in zip(m.joints, list(m.model.joints)[1:], strict=True)
-        for _ in range(joint.nv)
-    ]
-
-
-def _acted(found: Retraced, name: str) -> tuple[Array, Index]:
-    """What is recorded of all steps and of all pieces, (rows, nv), and the steps that the rows are of."""
-    t, c = found.trees.trajectory, found.trees.trajectory.columns
-    step = np.concatenate([np.arange(t.steps), np.repeat(np.arange(t.steps), np.diff(c["pieces/offset"]))])
-    return np.concatenate([c[f"joints/{name}"], c[f"pieces/{name}"]]), step + 1
-
-
-def _strength(found: Retraced) -> Found:
-    """Impulses of actuators, of which none is above its limit times the time in which they act."""
-    (given, step), (most, _) = _acted(found, "actuation"), _acted(found, "strength")
-    labels = [label for m in found.trees.mechanisms for label in _labels(m)]
-    k, j = np.nonzero(np.isfinite(most))
-    over = np.abs(given[k, j]) - most[k, j]
-    figure = over / np.maximum(most[k, j], 1e-300)
-    return worst_of("strength", figure, over, UNITS["strength"], step[k], _who(labels, j))
-
-
-def _loads(found: Retraced) -> Iterator[Found]:
-    """Joint forces where no controller gives any, and external wrenches where nothing gives them."""
-    labels = [label for m in found.trees.mechanisms for label in _labels(m)]
-    for name, column, given, what in (
-        ("loads", "actuation", "controller", "the controller's law and limits"),
-        ("wrenches", "external", "external_force", "external forces"),
-    ):
-        if found.trees.trajectory.meta.get(given, True):
-            yield not_audited(name, UNITS[name], f"{what} are not recorded")
-            continue
-        amount, step = _acted(found, column)
-        k, j = np.indices(amount.shape)
-        amount = np.abs(amount).ravel()
-        figure = amount / max(float(amount.max(initial=0.0)), 1e-300)
-        yield worst_of(name, figure, amount, UNITS[name], step[k.ravel()], _who(labels, j.ravel()))
 
 
 def _contact_works(poses: Poses, found: Retraced, flight: Flight | None) -> Found:

@@ -58,6 +58,8 @@ class Kick(NamedTuple):
         Impulses of damping and springs.
     reaction : ndarray, shape (nv,)
         Bᵀ λ of loops and driven joints.
+    rate : ndarray, shape (nv,)
+        Acceleration that contacts, limits and dry friction leave out; 0 of impacts in no time.
     mean : ndarray, shape (nv,), or None
         Mean velocity where the forces act all the time.
     """
@@ -72,6 +74,7 @@ class Kick(NamedTuple):
     touches: list[tuple[int, int, int]]
     stiff: Array
     reaction: Array
+    rate: Array
     mean: Array | None = None
 
 
@@ -222,16 +225,20 @@ class Trees:
         end = theta * np.diag(m.damping) + h * theta**2 * np.diag(m.stiffness)
         known = given[:4].sum(axis=0) + pushed - h * m.weight(at.q)
         momentum = M @ v + known - h * (begin @ v + m.stiffness * bend)
-        reaction = np.zeros(m.nv)
-        if m.bound:
-            B = m.constraints(at.q)[1]
-            after = respond(m, M + h * end, momentum, B, B, speeds)
-            reaction = (M + h * end) @ after - momentum
-        else:
-            after = np.linalg.solve(M + h * end, momentum)
+        B = m.constraints(at.q)[1] if m.bound else np.empty((0, m.nv))
+
+        def left_by(momentum: Array) -> Array:
+            if m.bound:
+                return respond(m, M + h * end, momentum, B, B, speeds)
+            return np.asarray(np.linalg.solve(M + h * end, momentum), dtype=float)
+
+        after = left_by(momentum)
+        reaction = (M + h * end) @ after - momentum if m.bound else np.zeros(m.nv)
+        rate = (left_by(momentum - given[1] - given[2] - pushed) - v) / h if h else np.zeros(m.nv)
         damping = -h * m.damping * (theta * after + (1.0 - theta) * v)
         springs = -h * m.stiffness * (bend + h * (theta**2 * after - (1.0 - theta) ** 2 * v))
-        return Kick(h, at.q, v, after, given[:4], given[4], pushed, touches, np.array([damping, springs]), reaction)
+        stiff = np.array([damping, springs])
+        return Kick(h, at.q, v, after, given[:4], given[4], pushed, touches, stiff, reaction, rate)
 
 
 def _grown(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

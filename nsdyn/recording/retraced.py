@@ -135,8 +135,10 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
         if kick.mean is None:
             works["constraint"] += float(kick.reaction @ mean)
         change = np.abs(kick.after - kick.before)
-        # What rebounds in a piece, or several times in one instant, works in parts that are not recorded.
-        if m.restitution > 0.0 or _rebounds(out.trees, kick):
+        # What rebounds in a piece, or several times in one instant, works in parts that are not recorded; where only
+        # limits strike in no time these make up one work.
+        mixed = kick.h > 0.0 or kick.given[2].any() or kick.touches
+        if mixed and (m.restitution > 0.0 or _rebounds(out.trees, kick)):
             doubt += 0.5 * float((np.abs(kick.given[1]) + np.abs(kick.given[2])) @ change)
         doubt += float((np.abs(kick.given[:4]).sum(axis=0) + np.abs(kick.stiff[0]) + np.abs(kick.reaction)) @ doubted)
         late = late + last.doubted[1]
