@@ -36,6 +36,7 @@ TOLERANCES = {
     "pieces": 1e-12,
     "stops": 1e-6,  # of shallow gaps, which close by the next step
     "rebounds": 1e-6,  # beside what solvers leave of a velocity
+    "shared_rebounds": 1e-6,
     "joint_cone": 1e-8,
     "joint_slip": 1e-6,
     "loads": 0.0,
@@ -72,6 +73,7 @@ MEANING = {
     "pieces": "durations, contacts, their times and impulses of a step - those of what it was cut into / largest",
     "stops": "joint from the limit whose impulse acts, beyond what it moves in the step / range",
     "rebounds": "v+ + e v- of a limit that a joint strikes / largest velocity of the articulation",
+    "shared_rebounds": "the same of limits that strike with others, or in a move",
     "joint_cone": "dry friction of a joint - h times its largest / that",
     "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round / h tau_c by the largest |v|",
     "loads": "joint forces where no controller gives any / largest",

@@ -17,8 +17,8 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["on_joints"]
 
 UNITS = {
-    "stops": "rad", "rebounds": "rad/s", "joint_cone": "N·m·s", "joint_slip": "J", "loads": "N·m·s",
-    "wrenches": "N·m·s", "strength": "N·m·s",
+    "stops": "rad", "rebounds": "rad/s", "shared_rebounds": "rad/s", "joint_cone": "N·m·s", "joint_slip": "J",
+    "loads": "N·m·s", "wrenches": "N·m·s", "strength": "N·m·s",
 }  # fmt: skip
 
 NOTHING = 1e-9
@@ -67,7 +67,7 @@ def on_joints(found: Retraced) -> Iterator[Found]:
     """Findings of limits, dry friction, actuators and loads."""
     acted = list(_all(found))
     yield _worst("stops", [row for a in acted for row in _stops(a, found.trees.trajectory.dt)])
-    yield _rebounds(acted)
+    yield from _rebounds(acted, found.trees.trajectory.columns["contacts/restitution"])
     rubs = [pair for a in acted for pair in _rubs(a)]
     yield _worst("joint_cone", [bound for bound, _ in rubs])
     yield _worst("joint_slip", [slip for _, slip in rubs])
@@ -102,24 +102,33 @@ def _stops(a: Acted, dt: float) -> Iterator[Row]:
         yield away / max(width[j], 1e-300), away, a.step, a.label[j]
 
 
-def _rebounds(acted: list[Acted]) -> Found:
-    """v⁺ = -e v⁻ of limits that strike alone and in no time: others strike more than once, or with what is unknown."""
+def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
+    """v⁺ = -e v⁻ of limits that strike alone and in no time: others may strike several times, or with what is unknown.
+
+    Where nothing rebounds, no limit gives back more than what forces and turning rows do.
+    """
     rows: list[Row] = []
-    unknown = False
+    shared = 0
     for a in acted:
-        e, struck = a.m.restitution, np.flatnonzero(np.abs(a.kick.given[1]) > NOTHING * a.most)
-        if a.kick.h or struck.size != 1 or a.kick.pushed.any():
-            unknown = unknown or (e > 0.0 and struck.size > 0)
+        e, kick = a.m.restitution, a.kick
+        struck = np.flatnonzero(np.abs(kick.given[1]) > NOTHING * a.most)
+        plain = e == 0.0 and not any(restitution[row] > 0.0 for row, _, _ in kick.touches)
+        if not plain and (kick.h or struck.size != 1 or kick.pushed.any()):
+            shared += struck.size
             continue
-        j = struck[0]
-        before, after = a.kick.before[j], a.kick.after[j]
-        off = abs(after + e * before)
-        if abs(before) <= a.rest[j]:
-            off = min(off, abs(after))
-        rows.append((off / max(float(np.abs(a.along[:4]).max()), CREEP), off, a.step, a.label[j]))
-    if unknown and not rows:
-        return not_audited("rebounds", UNITS["rebounds"], "what rebounds together or in a move does so unseen")
-    return _worst("rebounds", rows)
+        for j in struck:
+            off = abs(kick.after[j] + e * kick.before[j])
+            if kick.h:
+                off = np.sign(kick.given[1, j]) * kick.after[j] - abs(kick.before[j] - a.along[0, j])
+            elif abs(kick.before[j]) <= a.rest[j]:
+                off = min(off, abs(kick.after[j]))
+            rows.append((off / max(float(np.abs(a.along[:4]).max()), CREEP), off, a.step, a.label[j]))
+    yield _worst("rebounds", rows)
+    if shared:
+        reason = f"{shared} limits rebound together, or in a move, as often as is not recorded"
+        yield not_audited("shared_rebounds", UNITS["shared_rebounds"], reason)
+    else:
+        yield _worst("shared_rebounds", [])
 
 
 def _rubs(a: Acted) -> Iterator[tuple[Row, Row]]:
