@@ -226,10 +226,11 @@ class Trees:
         known = given[:4].sum(axis=0) + pushed - h * m.weight(at.q)
         momentum = M @ v + known - h * (begin @ v + m.stiffness * bend)
         B = m.constraints(at.q)[1] if m.bound else np.empty((0, m.nv))
+        goal = np.concatenate((np.zeros(len(B) - speeds.size), speeds))
 
         def left_by(momentum: Array) -> Array:
             if m.bound:
-                return respond(m, M + h * end, momentum, B, B, speeds)
+                return respond(M + h * end, momentum, B, goal)
             return np.asarray(np.linalg.solve(M + h * end, momentum), dtype=float)
 
         after = left_by(momentum)

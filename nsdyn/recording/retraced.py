@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from nsdyn.recording.courses import close
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.poses import Poses
 from nsdyn.recording.retrace import Kick, Trees, Way, trees
@@ -106,7 +107,8 @@ def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     # The constants of two rules of one order differ by some times.
     doubt = 10.0 * doubt if m.loops else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
-    off = size(displacement(m.model, way.q, q))
+    # What is left of the gaps of loops is looked at by itself.
+    off = size(displacement(m.model, way.q, close(m, q)))
     for pair, amount, scale in (
         (out.momentum, size(way.v - v) - doubt[1], speed),
         (out.motion, off - doubt[0] - h * doubt[1], span),
