@@ -179,7 +179,7 @@ class Flight:
 def _pieces(poses: Poses, step: Index) -> tuple[Index, Array]:
     """The piece that each contact acts in, and its length, s; 0 where steps were not cut, or no pieces are recorded."""
     c, piece, length = poses.trajectory.columns, np.zeros(step.size, np.int64), np.zeros(step.size)
-    if "pieces/contacts" in c:
+    if {f"pieces/{name}" for name in ("offset", "contacts", "duration")} <= c.keys():
         own = np.flatnonzero((np.diff(c["pieces/offset"]) > 0)[step])
         each = np.repeat(np.arange(len(c["pieces/contacts"])), np.maximum(c["pieces/contacts"], 0))
         if each.size == own.size:
