@@ -123,7 +123,7 @@ class Dynamics:
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
         self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
         self.weight = float(np.linalg.norm(self.gravity))
-        self.no_impulses = NO_VECTORS, np.zeros((6, self.n))
+        self.no_impulses = NO_VECTORS, np.zeros((7, self.n))
         self.links, self.no_push = sum(t.model.njoints - 1 for t in self.trees), np.zeros((0, 6))
         self.joints = JointLaws(grown, self.trees, self.free)
         self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]

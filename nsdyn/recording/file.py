@@ -36,12 +36,14 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                                                    wrenches, and where not every step has its contacts here of all
                                                    contacts: force and moment about the world's origin, N s and N m s;
                                                    only where there are such; since version 7
+    /joints/drive                                  (n, nv)  change of velocity of driven joints, rad/s or m/s; since
+                                                   version 7
     /pieces/offset                                 (n+1,)  moves and impacts of step k are rows offset[k-1] to
                                                    offset[k] of the following, none of a step made in one move; only
                                                    in scenes with articulations; since version 7
     /pieces/duration, contacts                     (.,)  s, 0 of impacts in no time; how many of the step's contacts,
                                                    in their order, are of it
-    /pieces/actuation, limit, friction, external, shift, strength
+    /pieces/actuation, limit, friction, external, shift, strength, drive
                                                    (., nv)  as of /joints
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
                                                    rows offset[k-1] to offset[k] of
@@ -120,7 +122,7 @@ CONTACT = {
 # Datasets of a file by their number of rows: n + 1, n, and one per contact.
 STATES = ["t", "q", "v", *(f"energy/{name}" for name in ENERGIES), "contacts/offset"]
 LINKS = ["frames/x", "frames/quat"]
-ON_JOINTS = ("actuation", "limit", "friction", "external", "shift", "strength")
+ON_JOINTS = ("actuation", "limit", "friction", "external", "shift", "strength", "drive")
 JOINTS = [f"joints/{name}" for name in ON_JOINTS]
 ON_LINKS = "links/impulse"
 PIECES = {"duration": "f8", "contacts": "i8", **dict.fromkeys(ON_JOINTS, "f8")}

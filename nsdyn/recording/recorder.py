@@ -109,12 +109,12 @@ class Recorder:
     contact_status                (nc,), 0 open, 1 stick, 2 slip
     contact_time                  (nc,), s after the beginning of the step
     created                       float, J
-    joints                        (6, nv) impulses of actuation, limits, friction and external wrenches,
-                                  displacement by projections, most that actuators may give; None without
-                                  articulations
+    joints                        (7, nv) impulses of actuation, limits, friction and external wrenches,
+                                  displacement by projections, most that actuators may give, change of velocity
+                                  of driven joints; None without articulations
     links                         (links, 6) impulses of external wrenches on the links of articulations, force and
                                   moment about the origin; only read where they are recorded
-    pieces                        duration and contacts (m,), joints (6, m, nv) of what a step with articulations
+    pieces                        duration and contacts (m,), joints (7, m, nv) of what a step with articulations
                                   was cut into; None if it was not
     work_normal, work_friction    (nc,)
     ============================  =====================================================================

@@ -189,10 +189,10 @@ class Impulses(NamedTuple):
         0 open, 1 stick, 2 slip.
     normal, friction : ndarray, shape (nc,)
         Works, J.
-    joints : ndarray, shape (6, n)
+    joints : ndarray, shape (7, n)
         On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
-        wrenches, N m s or N s; displacement by the position projection, rad or m; and the most that
-        actuators may give, N m s or N s, infinite where they have no limit.
+        wrenches, N m s or N s; displacement by the position projection, rad or m; the most that actuators may give,
+        N m s or N s, infinite where they have no limit; and the change of velocity of driven joints, rad/s or m/s.
     links : ndarray, shape (links, 6)
         Of external wrenches on the links of trees, one by joint: force and moment about the world's origin, N·s, N m s.
     created : float
