@@ -3,12 +3,14 @@
 import copy
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
 from mechanisms import add, at, four_bars, limit, rod
 
 import nsdyn as nd
+from nsdyn.recording.retrace import trees
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import shapes
 
@@ -62,6 +64,42 @@ def _cart():
     return nd.simulate(scene, 0.1, 5e-3)
 
 
+def _machine():
+    """A geared arm under a saturated motor, with a forearm that is pushed and strikes its limits."""
+    model, parent = pin.Model(), 0
+    for k in range(3):
+        parent = model.addJoint(parent, pin.JointModelRY(), at((0, 0, -0.5 if k else 0)), f"j{k}")
+        model.appendBodyToJoint(parent, rod((0, 0, -0.5)), at((0, 0, 0)))
+    limit(model)
+    model.lowerPositionLimit[2], model.upperPositionLimit[2] = -0.3, 0.3
+    scene = nd.Scene(name="machine")
+    add(
+        scene, "machine", model, q=[0.4, -0.1, 0.2], v=[1.0, -0.5, 2.5], armature=0.02, friction=[0.0, 0.0, 0.05],
+        damping=0.02, stiffness=1.0, rest=0.1, restitution=0.3,
+    )  # fmt: skip
+    scene.add_gear("machine", "j0", "j1", -0.5)
+    motor = nd.PD(kp=[40.0, 0.0, 0.0], kd=[1.0, 0.0, 0.0], target=[0.8, 0.0, 0.0], limit=3.0)
+    return nd.simulate(
+        scene, 0.15, 5e-3, controller=lambda t, q, v: {"machine": motor},
+        external_force=lambda t, q, v: {"machine/j2": (1.0 + t, 0.0, 0.0)},
+    )  # fmt: skip
+
+
+def _crank():
+    """A rod on a crank that turns to and fro, between limits."""
+    model = pin.Model()
+    crank = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "crank")
+    model.appendBodyToJoint(crank, rod((0, 0, -0.5)), at((0, 0, 0)))
+    end = model.addJoint(crank, pin.JointModelRY(), at((0, 0, -0.5)), "rod")
+    model.appendBodyToJoint(end, rod((0, 0, -0.5)), at((0, 0, 0)))
+    limit(model)
+    model.lowerPositionLimit[1], model.upperPositionLimit[1] = -0.2, 0.2
+    scene = nd.Scene(name="crank")
+    add(scene, "crank", model, v=[0.0, 2.0], damping=0.02)
+    scene.set_motion("crank/crank", velocity=lambda t: 2.0 * np.sin(20.0 * t))
+    return nd.simulate(scene, 0.3, 5e-3)
+
+
 RUNS = {
     "arm": _arm,
     "bars": _bars,
@@ -69,6 +107,8 @@ RUNS = {
     "quadruped": lambda: _named("quadruped", 0.15, 5e-3, 0.3),
     "gripper": lambda: _named("gripper", 0.7, 1e-2),
     "woodpecker": lambda: _named("woodpecker", 0.02, 2e-4),
+    "machine": _machine,
+    "crank": _crank,
 }
 
 
@@ -308,6 +348,98 @@ def _base_turned(c, scene):
     c["q"][7, 3:7] *= 1.0 + 1e-8
 
 
+def _told(key, change):
+    """A law of the model, as a function of all its values."""
+
+    def out(c, scene):
+        told = scene["articulations"][0]["model"]
+        told[key] = change(told[key])
+
+    return out
+
+
+def _shifted(source, into, share, step, joint, pieces=False):
+    """Impulses of one kind said to be of another, which does the same to the motion."""
+
+    def change(c, scene):
+        moved = share * np.abs(c[f"joints/{source}"]).max()
+        parts = range(*c["pieces/offset"][step : step + 2])
+        assert len(parts) == 0 or pieces
+        for group, row in [("joints", step), *[("pieces", p) for p in parts if c["pieces/duration"][p] > 0.0][:1]]:
+            c[f"{group}/{source}"][row, joint] -= moved
+            c[f"{group}/{into}"][row, joint] += moved
+
+    return change
+
+
+def _between_pieces(name, share, joint):
+    """More in one piece of a step, and less in another."""
+
+    def change(c, scene):
+        for first, last in pairwise(c["pieces/offset"]):
+            moving = [p for p in range(first, last) if c["pieces/duration"][p] > 0.0]
+            if len(moving) > 1 and c[f"pieces/{name}"][moving[0], joint] != 0.0:
+                moved = share * np.abs(c[f"pieces/{name}"][moving, joint]).max()
+                c[f"pieces/{name}"][moving[:2], joint] += moved, -moved
+                return
+        raise AssertionError("no step was cut")
+
+    return change
+
+
+def _one_turned(name, step, joint):
+    def change(c, scene):
+        assert c[f"joints/{name}"][step, joint] != 0.0
+        c[f"joints/{name}"][step, joint] *= -1.0
+
+    return change
+
+
+def _turned_frames(c, scene):
+    """A link turned by 1e-9 rad, about its own axis."""
+    half = 5e-10
+    x, y, z, w = c["frames/quat"][:, -1].T
+    c["frames/quat"][:, -1] = np.array([x + half * y, y - half * x, z + half * w, w - half * z]).T
+
+
+def _turned_joint(c, scene):
+    """An axis turned by 1e-5 rad."""
+    told = scene["articulations"][0]["model"]["joints"][1]
+    pose = np.array(told["placement"])
+    pose[:3, :3] = pose[:3, :3] @ pin.exp3(np.array([0.0, 0.0, 1e-5]))
+    told["placement"] = pose.tolist()
+
+
+def _in_loop(c, scene):
+    """Joint forces that the loop takes up, without any motion."""
+    t = true("bars")
+    m = trees(t).mechanisms[0]
+    for k in range(5, 8):
+        c["joints/actuation"][k] += 1e-6 * m.constraints(trees(t).way(0, k).kicks[0].q)[1][0]
+
+
+def _along_normals(c, scene):
+    """Points of impulses off both bodies, where their moments cancel."""
+    c["contacts/point"] += 1e-3 * c["contacts/normal"]
+
+
+def _lengths(c, scene):
+    """The lengths of two pieces of a step, a millionth of one in the other."""
+    for first, last in pairwise(c["pieces/offset"]):
+        moving = [p for p in range(first, last) if c["pieces/duration"][p] > 0.0]
+        if len(moving) > 1:
+            c["pieces/duration"][moving[:2]] += np.array([1e-6, -1e-6]) * c["pieces/duration"][moving[0]]
+            return
+    raise AssertionError("no step was cut")
+
+
+def _gear(key, more):
+    def change(c, scene):
+        scene["articulations"][0]["model"]["gears"][0][key] += more
+
+    return change
+
+
 LAST = slice(None), -1
 KINDS = {
     "velocities times 3": ("arm", _times("v", 3.0)),
@@ -382,4 +514,32 @@ KINDS = {
     "times": ("bars", _later),
     "a step left out": ("bars", _skipped),
     "a displacement as of projections": ("arm", _projected),
+    "actuation scaled by a millionth everywhere": ("machine", lambda c, s: _each(c, "actuation", 1.0 + 1e-6)),
+    "actuation of one joint turned round in one step": ("quadruped", _one_turned("actuation", 5, 8)),
+    "actuation of two joints exchanged": ("quadruped", _swapped("joints/actuation", 6, 9)),
+    "a torque above its limit in one piece": ("machine", _between_pieces("actuation", 1e-6, 0)),
+    "a wrench more in one piece and less in another": ("machine", _between_pieces("external", 0.02, 0)),
+    "a driven joint faster within a cut step": ("crank", _between_pieces("drive", 1e-5, 0)),
+    "a limit in mid-range that an actuator works against": ("machine", _shifted("actuation", "limit", 1e-6, 2, 2)),
+    "limits later by a step": ("arm", lambda c, s: [_moved(f"{g}/limit")(c, s) for g in ("joints", "pieces")]),
+    "actuation as of external wrenches": ("quadruped", _shifted("actuation", "external", 1e-6, 5, 8)),
+    "external wrenches as of a controller": ("arm", _shifted("friction", "actuation", 1e-6, 4, 0)),
+    "dry friction that drives, wrenches against it": ("machine", _shifted("friction", "external", 0.1, 4, 2)),
+    "less dry friction, an actuator for it": ("machine", _shifted("friction", "actuation", 1e-4, 4, 2)),
+    "a larger bound of dry friction": ("machine", _model("friction", 1.0 + 1e-4)),
+    "a ratio of gears": ("machine", _gear("ratio", 1e-7)),
+    "an offset of gears": ("machine", _gear("offset", 1e-7)),
+    "forces in a loop, which takes them up": ("bars", _in_loop),
+    "a link turned by 1e-9 rad": ("arm", _turned_frames),
+    "an axis turned by 1e-5 rad": ("bars", _turned_joint),
+    "inertias off by a hundred thousandth": ("machine", _model("inertia", 1.0 + 1e-5)),
+    "masses off by a millionth": ("machine", _model("mass", 1.0 + 1e-6)),
+    "armature off by a hundred thousandth": ("machine", _model("armature", 1.0 + 1e-5)),
+    "springs at rest elsewhere": ("machine", _told("rest", lambda x: [angle + 1e-5 for angle in x])),
+    "a limit farther out than where it acts": ("machine", _told("upper", lambda x: [*x[:2], x[2] + 1e-5])),
+    "a limit closer than where it acts": ("machine", _told("upper", lambda x: [*x[:2], x[2] - 1e-5])),
+    "another restitution of limits": ("machine", _told("restitution", lambda e: e + 1e-4)),
+    "limits that are said not to rebound": ("arm", _told("restitution", lambda e: 0.0)),
+    "points of impulses off the bodies": ("gripper", _along_normals),
+    "lengths of pieces": ("machine", _lengths),
 }  # fmt: skip

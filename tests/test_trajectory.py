@@ -79,9 +79,10 @@ def rows(n: int, links: bool = False, seed: int = 0):
             contact_status=rng.integers(0, 3, nc).astype(np.int8), contact_time=rng.uniform(0.0, DT, nc),
             work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc), created=1e-3 * k,
             pieces=SimpleNamespace(
-                duration=np.full(k % 3, DT / 2), contacts=np.arange(k % 3), joints=rng.normal(size=(6, k % 3, 1))
+                begin=np.zeros(k % 3), duration=np.full(k % 3, DT / 2), contacts=np.arange(k % 3),
+                moves=np.ones((k % 3, 1), np.int8), joints=rng.normal(size=(7, k % 3, 1)),
             ) if links and k % 3 else None,
-            joints=rng.normal(size=(6, 1)) if links else None, links=rng.normal(size=(int(links), 6)),
+            joints=rng.normal(size=(7, 1)) if links else None, links=rng.normal(size=(int(links), 6)),
             gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k),
             solution=SimpleNamespace(
                 error=1e-10 * k, residual=1e-9 * k, iterations=k, status=nd.Status.CONVERGED, time=1e-4
@@ -159,7 +160,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         assert offset.shape == (8,) and offset[0] == 0
         assert pieces.tolist() == [0, 1, 3, 3, 4, 6, 6, 7] and file["pieces/shift"].shape == (7, 1)
         assert {name: file["joints"][name].shape for name in file["joints"]} == dict.fromkeys(
-            ("actuation", "limit", "friction", "external", "shift", "strength"), (7, 1)
+            ("actuation", "limit", "friction", "external", "shift", "strength", "drive"), (7, 1)
         )
         assert file["links/impulse"].shape == (7, 1, 6)
         columns = set(file["contacts"]) - {"offset"}

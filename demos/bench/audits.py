@@ -3,9 +3,9 @@
     python demos/bench/audits.py [--count N] [--begin K]
 
 Named scenes with articulations at several steps, then random robots: chains and trees of every kind of joint, fixed or
-floating, with limits, dry friction, springs, damping, armature, closed loops, driven joints, controllers, external
-forces, contacts with and without restitution. Each recording must pass `nsdyn.check`; what it says it did not look at
-is counted. The falsified ones, none of which may pass, are in `tests/test_audit_articulated.py`.
+floating, with limits, dry friction, springs, damping, armature, closed loops, gears, driven joints, controllers,
+external forces, contacts with and without restitution. Each recording must pass `nsdyn.check`; what it says it did not
+look at is counted. The falsified ones, none of which may pass, are in `tests/test_audit_articulated.py`.
 """
 
 import argparse
@@ -117,10 +117,11 @@ def random_run(seed: int) -> nd.Trajectory:
         control = lambda t, q, v: {"robot": scalar * np.sin(20.0 * t)}  # noqa: E731
     if rng.uniform() < 0.2:
         push = lambda t, q, v: {"robot/j1": (1.0, 2.0, 0.0)}  # noqa: E731
-    theta = float(rng.choice([0.5, 0.5, 0.5, 0.7, 1.0]))
-    return nd.simulate(
-        scene, 0.15, float(rng.choice([5e-3, 2e-3, 1e-3])), theta=theta, controller=control, external_force=push
-    )
+    theta, dt = float(rng.choice([0.5, 0.5, 0.5, 0.7, 1.0])), float(rng.choice([5e-3, 2e-3, 1e-3]))
+    wheels = [name for name in free if np.isinf(bound[model.joints[model.getJointId(name)].idx_q])]
+    if len(wheels) > 1 and rng.uniform() < 0.5:
+        scene.add_gear("robot", *map(str, rng.choice(wheels, 2, replace=False)), float(rng.choice([-1.0, 0.5, 2.0])))
+    return nd.simulate(scene, 0.15, dt, theta=theta, controller=control, external_force=push)
 
 
 def main() -> int:

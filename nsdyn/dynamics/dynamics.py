@@ -156,7 +156,7 @@ class Dynamics:
         self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
-        self.no_impulses = NO_VECTORS, np.zeros((6, self.n))
+        self.no_impulses = NO_VECTORS, np.zeros((7, self.n))
         self.links, self.no_push = sum(t.model.njoints - 1 for t in self.trees), np.zeros((0, 6))
         self.joints = JointLaws(self.trees, self.free)
         self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]

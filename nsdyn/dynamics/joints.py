@@ -155,8 +155,8 @@ class JointLaws:
         return out
 
     def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:
-        """Impulses r (nj, 3) by slot, (slots, 3); of actuators, limits and friction in rows 0, 1 and 2 of (6, n)."""
-        on_coordinates = np.zeros((6, n))
+        """Impulses r (nj, 3) by slot, (slots, 3); of actuators, limits and friction in rows 0, 1 and 2 of (7, n)."""
+        on_coordinates = np.zeros((7, n))
         if rows is None:
             return self._no_impulses, on_coordinates
         by_slot, j = np.zeros((self.size, 3)), self.coordinate[rows.slot]

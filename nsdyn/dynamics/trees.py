@@ -185,6 +185,10 @@ class Tree:
             v[row > 0.0] = motion.rate(0.0)
         return self.close(q), v
 
+    def speeding(self, v: Array, rates: Array) -> Array:
+        """Changes of v that bring the driven joints to their rates, shape (nv,), rad/s or m/s; 0 of others."""
+        return np.asarray(self._driven_rows.T @ (rates - self._driven_rows @ v), dtype=float)
+
     def links(self, q: Array) -> Links:
         """Poses and Jacobian of the links at q."""
         pin.computeJointJacobians(self.model, self.data, q)

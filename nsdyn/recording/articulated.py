@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from nsdyn.recording import joint_rows
 from nsdyn.recording.file import ON_JOINTS
 from nsdyn.recording.findings import Found, at_play, not_audited, worst_of
 from nsdyn.recording.flight import Flight
-from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.poses import Poses, matrix
 from nsdyn.recording.retrace import Trees, trees
 from nsdyn.recording.retraced import Retraced
@@ -19,14 +19,10 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["joints"]
 
 UNITS = {
-    "links": "m", "loops": "m", "limits": "rad", "pieces": "-", "stops": "rad", "joint_cone": "N·m·s",
-    "joint_slip": "J", "loads": "N·m·s", "strength": "N·m·s", "lift": "√J·s", "joint_momentum": "√J",
-    "joint_motion": "√J·s", "contact_works": "J", "joint_works": "J", "drives": "J",
+    "links": "m", "loops": "m", "limits": "rad", "pieces": "-", **joint_rows.UNITS, "lift": "√J·s",
+    "joint_momentum": "√J", "joint_motion": "√J·s", "contact_works": "J", "joint_works": "J", "drives": "J",
 }  # fmt: skip
 """Of the amounts; of coordinates that are lengths, m and N·s."""
-
-NOTHING = 1e-9
-"""Fraction of the largest impulse of a step below which one is nothing."""
 
 
 def joints(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterator[Found]:
@@ -44,9 +40,7 @@ def joints(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterat
         yield from (not_audited(name, unit, found) for name, unit in UNITS.items() if name not in places)
         return
     yield _pieces(found.trees)
-    yield from _rows(poses, found)
-    yield _loads(found)
-    yield _strength(found)
+    yield from joint_rows.on_joints(found)
     names = [m.name for m in built.mechanisms]
     for name, (amount, scale) in (
         ("lift", found.lift), ("joint_momentum", found.momentum), ("joint_motion", found.motion)
@@ -124,13 +118,18 @@ def _pieces(found: Trees) -> Found:
         out: Array = left / max(float(np.abs(of_step).max(initial=0.0)), 1e-300)
         return out
 
-    whole = {"duration": np.full(t.steps, t.dt), "contacts": np.diff(c["contacts/offset"])}
-    whole |= {name: c[f"joints/{name}"] for name in ON_JOINTS}
+    whole = {"contacts": np.diff(c["contacts/offset"])} | {name: c[f"joints/{name}"] for name in ON_JOINTS}
     worst = np.max([off(name, of_step) for name, of_step in whole.items()], axis=0) * (counts > 0)
+    # Of every coordinate the pieces follow each other, and last the step.
+    begun, duration, ahead = c["pieces/begin"], c["pieces/duration"], 1.0 - float(t.meta["theta"])
+    first, last = c["pieces/offset"][:-1], c["pieces/offset"][1:]
+    for moves in c["pieces/moves"].T:
+        so_far = np.concatenate([[0.0], np.cumsum(duration * moves)])
+        gaps = moves * np.abs(begun - (so_far[:-1] - so_far[first][each]))
+        np.maximum.at(worst, each, gaps / t.dt)
+        worst = np.maximum(worst, np.abs(so_far[last] - so_far[first] - t.dt) / t.dt * (counts > 0))
+    np.maximum.at(worst, each, (begun + duration - t.dt) / t.dt)
     # Impulses act (1 - θ) of a piece after its beginning, those of a step that was not cut of the step's.
-    duration, ahead = c["pieces/duration"], 1.0 - float(t.meta["theta"])
-    so_far = np.concatenate([[0.0], np.cumsum(duration)])
-    begun = so_far[:-1] - so_far[c["pieces/offset"][:-1]][each]
     step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
     acts = np.full(step.size, ahead * t.dt)
     own = counts[step] > 0
@@ -140,88 +139,6 @@ def _pieces(found: Trees) -> Found:
     acts[own] = times
     np.maximum.at(worst, step, np.abs(c["contacts/time"] - acts) / t.dt)
     return worst_of("pieces", worst, worst, UNITS["pieces"], np.arange(t.steps) + 1, lambda _: ())
-
-
-def _rows(poses: Poses, found: Retraced) -> Iterator[Found]:
-    """Impulses of limits, where and which way they act; of dry friction, how large and which way."""
-    scale = at_play(poses)
-    stops: list[tuple[float, float, int, str]] = []
-    bounds: list[tuple[float, float, int, str]] = []
-    slips: list[tuple[float, float, int, str]] = []
-    for i, m in enumerate(found.trees.mechanisms):
-        label = _labels(m)
-        for k, way in enumerate(found.ways[i]):
-            most = max((float(np.abs(kick.given).max(initial=0.0)) for kick in way.kicks), default=0.0)
-            (q, v), (q1, v1) = found.trees.state(i, k), found.trees.state(i, k + 1)
-            for kick in way.kicks:
-                angles = np.array([m.angle(x) for x in (q, kick.q, q1)])
-                travel = 2.0 * np.abs(np.diff(angles, axis=0)).sum(axis=0)
-                gaps = np.where(kick.given[1] > 0.0, angles - m.lower, m.upper - angles).min(axis=0)
-                width = np.where(np.isfinite(m.upper - m.lower), m.upper - m.lower, 1.0)
-                for j in np.flatnonzero(np.abs(kick.given[1]) > NOTHING * most):
-                    away = gaps[j] - travel[j]
-                    stops.append((away / max(width[j], 1e-300), away, k + 1, label[j]))
-                drag, most_drag = kick.given[2], kick.h * m.friction
-                # What drives a joint takes its friction, which does nothing to the motion.
-                some = (m.friction > 0.0) | (drag != 0.0)
-                some[m.driven] = False
-                for on in m.rubbing:
-                    if not some[on].any():
-                        continue
-                    j, pull = on[0], drag[on]
-                    over = float(np.linalg.norm(pull)) - most_drag[j]
-                    bounds.append((over / max(most_drag[j], NOTHING * most, 1e-300), over, k + 1, label[j]))
-                    speeds = np.array([v[on], kick.before[on], kick.after[on], v1[on]])
-                    # Within a step that begins and ends with other signs anything may be against the motion.
-                    wasted = (most_drag[j] * np.linalg.norm(speeds, axis=1) + speeds @ pull).min()
-                    turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
-                    slips.append((0.0 if turns else wasted / scale, wasted, k + 1, label[j]))
-    for name, rows in (("stops", stops), ("joint_cone", bounds), ("joint_slip", slips)):
-        figure, amount, step = np.array([row[:3] for row in rows]).reshape(-1, 3).T
-        yield worst_of(
-            name, figure, amount, UNITS[name], step.astype(int), _who([row[3] for row in rows], np.arange(step.size))
-        )
-
-
-def _labels(m: Mechanism) -> list[str]:
-    """Articulation and joint of every coordinate."""
-    return [
-        f"{m.name}/{name}"
-        for name, joint in zip(m.joints, list(m.model.joints)[1:], strict=True)
-        for _ in range(joint.nv)
-    ]
-
-
-def _strength(found: Retraced) -> Found:
-    """Impulses of actuators, of which none is above its limit times the length of the step."""
-    c = found.trees.trajectory.columns
-    given, most = np.abs(c["joints/actuation"]), c["joints/strength"]
-    labels = [label for m in found.trees.mechanisms for label in _labels(m)]
-    k, j = np.nonzero(np.isfinite(most))
-    over = given[k, j] - most[k, j]
-    figure = over / np.maximum(most[k, j], 1e-300)
-    return worst_of("strength", figure, over, UNITS["strength"], k + 1, _who(labels, j))
-
-
-def _loads(found: Retraced) -> Found:
-    """Joint forces and external wrenches where nothing gives any."""
-    t, c = found.trees.trajectory, found.trees.trajectory.columns
-    given = [
-        name for name, key in (("actuation", "controller"), ("external", "external_force")) if t.meta.get(key, True)
-    ]
-    if given:
-        what = " and ".join(
-            {"actuation": "the controller's law and limits", "external": "external forces"}[g] for g in given
-        )
-        return not_audited("loads", UNITS["loads"], f"{what} are not recorded")
-    amount = np.abs(np.concatenate([c["joints/actuation"], c["joints/external"]], axis=1))
-    k, j = np.indices(amount.shape)
-    largest = max(float(np.abs(c[f"joints/{name}"]).max(initial=0.0)) for name in ("actuation", "external"))
-    labels = [label for m in found.trees.mechanisms for label in _labels(m)] * 2
-    return worst_of(
-        "loads", amount.ravel() / max(largest, 1e-300), amount.ravel(), UNITS["loads"], k.ravel() + 1,
-        _who(labels, j.ravel()),
-    )  # fmt: skip
 
 
 def _contact_works(poses: Poses, found: Retraced, flight: Flight | None) -> Found:

@@ -110,13 +110,14 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     -----
     Articulations are followed through every step by equations of motion of their own (`nsdyn.recording.retrace`), from
     the model that the recording holds. Not audited: the momenta of free bodies where external forces act, what a
-    controller gives, the works of moving surfaces, and what contacts are said to be besides their impulses and works:
-    gaps, velocities, coefficients. Where only every N-th step is recorded there are no balances of momentum, nor of the
-    works of contacts one by one, nor is it known where those of the last step were in its middle; the ledger is
-    audited, being of all steps. Where contacts are not recorded, nothing is audited that they do. In recordings before
-    format 7 articulations have no model, and nothing is audited of them but overlaps and contacts; before format 6 it
-    is not known when impulses acted, and angular momenta are not audited; before format 3 not whether external forces
-    acted, nor which links may overlap, so links of one articulation are not compared.
+    controller gives, the works of moving surfaces, limits that rebound together or with contacts, and what contacts are
+    said to be besides their points, impulses and works: gaps, velocities, coefficients. Where only every N-th step is
+    recorded there are no balances of momentum, nor of the works of contacts one by one, nor is it known where those of
+    the last step were in its middle; the ledger is audited, being of all steps. Where contacts are not recorded,
+    nothing is audited that they do. In recordings before format 7 articulations have no model, and nothing is audited
+    of them but overlaps and contacts; before format 6 it is not known when impulses acted, and angular momenta are not
+    audited; before format 3 not whether external forces acted, nor which links may overlap, so links of one
+    articulation are not compared.
 
     Examples
     --------

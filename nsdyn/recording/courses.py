@@ -9,8 +9,9 @@ import pinocchio as pin
 
 from nsdyn.recording.mechanism import RANK, Mechanism
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import displacement
 
-__all__ = ["Course", "move", "respond"]
+__all__ = ["Course", "close", "move", "respond"]
 
 TURN, PARTS = 0.1, 64
 """Most that a part of a motion turns, rad, and most parts that it is begun with."""
@@ -23,6 +24,9 @@ SLOW = 1e-10
 
 PASSES = 50
 """Most passes of the fixed point of a motion on loops; it contracts by the angle of the step a pass."""
+
+RESOLVED = 1e-4
+"""Error, as a fraction of the velocity, up to which a motion on loops is surely made in one step."""
 
 ROUND_OFF = 1e-14
 """Change by a pass, as a fraction of the velocity, below which there is nothing left but roundings."""
@@ -64,7 +68,7 @@ def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None, d
     for _ in range(DOUBLINGS):
         parts *= 2
         fine = _fly(m, q, v, h, tau, drive, parts)
-        change = np.abs([pin.difference(m.model, coarse[0], fine[0]), coarse[1] - fine[1]])
+        change = np.abs([displacement(m.model, coarse[0], fine[0]), coarse[1] - fine[1]])
         first = first if first.size else change
         coarse = fine
         if change[1].max() <= FINE * np.abs(fine[1]).max():
@@ -107,43 +111,55 @@ def _fly(
 
 
 def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
-    """On loops and beside driven joints, which keep their speed: one midpoint step, doubted by two of half."""
+    """On loops and gears, driven joints keeping their speed: one midpoint step, by which that motion is defined.
+
+    Doubted by two of half where it might be made in parts, and where joints are winding.
+    """
     end, new, mean, work = _midpoint(m, q, v, h)
     there, half, _, _ = _midpoint(m, q, v, 0.5 * h)
     fine, last, _, _ = _midpoint(m, there, half, 0.5 * h)
-    doubted = np.abs([pin.difference(m.model, end, fine), new - last])
+    doubted = np.abs([displacement(m.model, end, fine), new - last])
+    if not m.winding and doubted[1].max() <= RESOLVED * np.abs(v).max():
+        doubted[:] = 0.0
     return Course(end, new, mean, doubted, work)
 
 
 def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array, Array, float]:
-    """The implicit midpoint rule: M (v' - v) + h c = Bᵀ λ at the middle, and B v' = b at the end."""
-    middle = _close(m, pin.integrate(m.model, q, 0.5 * h * v))
-    M, speeds = m.mass(middle), v[m.driven]
+    """The implicit midpoint rule: M (v' - v) + h c = Bᵀ λ in the middle, B v' = b - (B' - B) v₁ with B' at the end.
+
+    The end is where the same rule leads that is linear about v, whose velocity is v₁, and whose own end is that of v.
+    c is of second degree: c(v + d) - c(d) is linear in d.
+    """
+    middle = close(m, pin.integrate(m.model, q, 0.5 * h * v))
+    M, B = m.mass(middle), m.constraints(middle)[1]
+
+    def bias(v: Array) -> Array:
+        return np.array(pin.nonLinearEffects(m.light, m.data, middle, v))
+
     new: Array = v
-    B = m.constraints(middle)[1]
-    for _ in range(PASSES):
-        mean = 0.5 * (v + new)
-        bias = np.array(pin.nonLinearEffects(m.light, m.data, middle, mean))
-        at_end = m.constraints(pin.integrate(m.model, q, h * mean))[1]
-        new, last = respond(m, M, M @ v - h * bias, B, at_end, speeds), new
-        if np.abs(new - last).max() <= ROUND_OFF * np.abs(v).max():
-            break
+    for linear in (True, False):
+        at_end = m.constraints(pin.integrate(m.model, q, 0.5 * h * (v + new)))[1]
+        goal = (B - at_end) @ new
+        goal[len(B) - m.driven.size :] = v[m.driven]
+        for _ in range(PASSES):
+            change = 0.5 * (new - v)
+            c = bias(v + change) - (bias(change) if linear else 0.0)
+            new, last = respond(M, M @ v - h * c, B, goal), new
+            if np.abs(new - last).max() <= ROUND_OFF * np.abs(v).max():
+                break
     mean = 0.5 * (v + new)
-    bias = np.array(pin.nonLinearEffects(m.light, m.data, middle, mean))
-    react = np.linalg.lstsq(B.T, M @ (new - v) + h * bias, rcond=RANK)[0]
-    work = float(react[len(B) - speeds.size :] @ mean[m.driven])
-    return _close(m, pin.integrate(m.model, q, h * mean)), new, mean, work
+    react = np.linalg.lstsq(B.T, M @ (new - v) + h * bias(mean), rcond=RANK)[0]
+    work = float(react[len(B) - m.driven.size :] @ mean[m.driven])
+    return close(m, pin.integrate(m.model, q, h * mean)), new, mean, work
 
 
-def respond(m: Mechanism, M: Array, momentum: Array, B: Array, at_end: Array, speeds: Array) -> Array:
-    """v with M v = momentum + Bᵀ λ; the rows `at_end` of loops are at rest, those of driven joints at their speeds."""
+def respond(M: Array, momentum: Array, B: Array, goal: Array) -> Array:
+    """v with M v = momentum + Bᵀ λ and B v = goal."""
     free, react = np.linalg.solve(M, momentum), np.linalg.solve(M, B.T)
-    goal = np.zeros(len(B))
-    goal[len(B) - speeds.size :] = speeds
-    return np.asarray(free + react @ np.linalg.lstsq(at_end @ react, goal - at_end @ free, rcond=RANK)[0], dtype=float)
+    return np.asarray(free + react @ np.linalg.lstsq(B @ react, goal - B @ free, rcond=RANK)[0], dtype=float)
 
 
-def _close(m: Mechanism, q: Array) -> Array:
+def close(m: Mechanism, q: Array) -> Array:
     """A configuration next to q whose loops are closed: Newton's method, closest in the kinetic metric."""
     for _ in range(PASSES if m.loops else 0):
         gap, B = m.constraints(q)

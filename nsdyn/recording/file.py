@@ -36,12 +36,15 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                                                    wrenches, and where not every step has its contacts here of all
                                                    contacts: force and moment about the world's origin, N s and N m s;
                                                    only where there are such; since version 7
+    /joints/drive                                  (n, nv)  change of velocity of driven joints, rad/s or m/s; since
+                                                   version 7
     /pieces/offset                                 (n+1,)  moves and impacts of step k are rows offset[k-1] to
                                                    offset[k] of the following, none of a step made in one move; only
                                                    in scenes with articulations; since version 7
-    /pieces/duration, contacts                     (.,)  s, 0 of impacts in no time; how many of the step's contacts,
-                                                   in their order, are of it
-    /pieces/actuation, limit, friction, external, shift, strength
+    /pieces/begin, duration, contacts              (.,)  s after the beginning of the step; s, 0 of impacts in no time;
+                                                   how many of the step's contacts, in their order, are of it
+    /pieces/moves                                  (., nv)  1 for the coordinates of its island, 0 for others
+    /pieces/actuation, limit, friction, external, shift, strength, drive
                                                    (., nv)  as of /joints
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
                                                    rows offset[k-1] to offset[k] of
@@ -120,10 +123,10 @@ CONTACT = {
 # Datasets of a file by their number of rows: n + 1, n, and one per contact.
 STATES = ["t", "q", "v", *(f"energy/{name}" for name in ENERGIES), "contacts/offset"]
 LINKS = ["frames/x", "frames/quat"]
-ON_JOINTS = ("actuation", "limit", "friction", "external", "shift", "strength")
+ON_JOINTS = ("actuation", "limit", "friction", "external", "shift", "strength", "drive")
 JOINTS = [f"joints/{name}" for name in ON_JOINTS]
 ON_LINKS = "links/impulse"
-PIECES = {"duration": "f8", "contacts": "i8", **dict.fromkeys(ON_JOINTS, "f8")}
+PIECES = {"begin": "f8", "duration": "f8", "contacts": "i8", "moves": "i1", **dict.fromkeys(ON_JOINTS, "f8")}
 STEPS = [f"energy/{name}" for name in WORKS]
 STEPS += [f"gauss/{name}" for name in GAUSS] + [f"solver/{name}" for name in SOLVER] + ["energy/created", "wall_time"]
 # Columns that older files lack: (version, column, those that it is the sum of, its value without any).
@@ -307,7 +310,7 @@ def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
     if group == "solver":
         return SOLVER[inner], ()
     if group == "pieces" and inner != "offset":
-        return PIECES[inner], (None,) if inner in ON_JOINTS else ()
+        return PIECES[inner], (None,) if inner in (*ON_JOINTS, "moves") else ()
     row: tuple[str, tuple[int | None, ...]] = ("f8", (None,))
     return {
         "q": row, "v": row, **dict.fromkeys(JOINTS, row), ON_LINKS: ("f8", (None, 6)),

@@ -17,6 +17,7 @@ TOLERANCES = {
     "overlap": 1e-7,
     "distance": 1e-3,
     "normal": 1e-3,
+    "points": 1e-3,
     "cone": 1e-8,
     "friction": 1e-5,
     "slip": 1e-3,  # friction is against the mean slip of a step, whose direction differs from that at its end by O(h)
@@ -34,9 +35,12 @@ TOLERANCES = {
     "limits": 1e-7,
     "pieces": 1e-12,
     "stops": 1e-6,  # of shallow gaps, which close by the next step
+    "rebounds": 1e-6,  # beside what solvers leave of a velocity
+    "shared_rebounds": 1e-6,
     "joint_cone": 1e-8,
     "joint_slip": 1e-6,
     "loads": 0.0,
+    "wrenches": 0.0,
     "strength": 1e-9,  # round-off of sums
     "lift": 1.0,
     "joint_momentum": 1e-8,  # beyond what flows of the order of the step's err, which is found by halving
@@ -51,6 +55,7 @@ MEANING = {
     "overlap": "true overlap of two bodies, beyond one that the start has and keeps / smallest extent of the smaller",
     "distance": "distance over which an impulse acts, beyond what the bodies move in the step / smallest extent",
     "normal": "overlap along the normal of a contact with an impulse, beyond the true one / smallest extent",
+    "points": "an impulse's point from the surfaces of both bodies, beyond what they move / smallest extent",
     "cone": "how far an impulse is outside its cone, beyond round-off of momenta / largest impulse of the step",
     "friction": "work of friction at a contact at the velocity at the end of the step / energy at play",
     "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
@@ -67,10 +72,13 @@ MEANING = {
     "limits": "joint beyond a limit / range",
     "pieces": "durations, contacts, their times and impulses of a step - those of what it was cut into / largest",
     "stops": "joint from the limit whose impulse acts, beyond what it moves in the step / range",
+    "rebounds": "v+ + e v- of a limit that a joint strikes / largest velocity of the articulation",
+    "shared_rebounds": "the same of limits that strike with others, or in a move",
     "joint_cone": "dry friction of a joint - h times its largest / that",
-    "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round in the step / energy at play",
-    "loads": "joint forces and external wrenches where nothing gives any / largest",
-    "strength": "impulse of an actuator - its limit times the length of the step / that",
+    "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round / h tau_c by the largest |v|",
+    "loads": "joint forces where no controller gives any / largest",
+    "wrenches": "external wrenches on links where nothing gives any / largest",
+    "strength": "impulse of an actuator in a step or a piece - its limit times that time / that",
     "lift": "displacement of an articulation by projections / what it moves in the step, in the kinetic norm",
     "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, kinetic norms",
     "joint_motion": "place of an articulation - where its velocities lead / what it moves in the step, likewise",

@@ -31,6 +31,8 @@ class Pushes(NamedTuple):
     step, body : ndarray of int, shape (m,)
     time : ndarray, shape (m,)
         Within the step, s.
+    piece : ndarray of int, shape (m,)
+        What the step was cut into; 0 where that is not known.
     push : ndarray, shape (m, 3)
         World axes, N·s.
     """
@@ -40,16 +42,17 @@ class Pushes(NamedTuple):
     step: Index
     body: Index
     time: Array
+    piece: Index
     push: Array
 
     @classmethod
-    def of(cls, frames: Index, free: int, step: Index, time: Array, impulse: Array) -> Pushes:
+    def of(cls, frames: Index, free: int, step: Index, time: Array, piece: Index, impulse: Array) -> Pushes:
         """From the frames (contacts, 2) and the impulses (contacts, 3) on the second ones."""
         row, side = np.nonzero((frames >= 0) & (frames < free))
         body, push = frames[row, side], np.where(side, 1.0, -1.0)[:, None] * impulse[row]
         order = np.lexsort((time[row], body, step[row]))
         row, side = row[order], side[order]
-        return cls(row, side, step[row], body[order], time[row], push[order])
+        return cls(row, side, step[row], body[order], time[row], piece[row], push[order])
 
     def earlier(self, values: Array) -> Array:
         """Of each impulse the sum of values of those before it on its body in its step."""
@@ -59,7 +62,7 @@ class Pushes(NamedTuple):
 
     def halfway(self, values: Array) -> Array:
         """Of each impulse the mean of the sums before and after all that act on its body at its time."""
-        begin, group = together(self.step, self.body, self.time)
+        begin, group = together(self.step, self.body, self.time, self.piece)
         if not begin.size:
             return values
         so_far, sums = self.earlier(values), np.add.reduceat(values, begin)
@@ -132,8 +135,9 @@ class Flight:
         cut = np.zeros((t.steps, 1), np.bool_)
         np.logical_or.at(cut[:, 0], steps, np.abs(when - (1.0 - theta) * h) > 1e-9 * h)
         cut[:, 0] |= _cut_without_contacts(poses)
-        pushes = Pushes.of(frames, free, steps, when, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
-        row, side, step, body, time, push = pushes
+        piece, length = _pieces(poses, steps)
+        pushes = Pushes.of(frames, free, steps, when, piece, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
+        row, side, step, body, time, _, push = pushes
         mass = np.array(poses.scene["masses"])
 
         def summed(values: Array) -> Array:
@@ -157,7 +161,7 @@ class Flight:
         met_x, met_quaternion = np.full((len(n), 2, 3), np.nan), np.full((len(n), 2, 4), np.nan)
         met_x[row, side], met_quaternion[row, side] = at, then
         # Forces act together with the impulses of a step in one piece, else all the time.
-        gone = np.where(cut[step], (time / h)[:, None], 0.5)
+        gone = np.where(cut[step], ((time + (theta - 0.5) * length[row]) / h)[:, None], 0.5)
         linear = before[step, body] + gone * forced[step, body] + pushes.halfway(push) / mass[body, None]
         met_u = np.where(frames >= free, np.nan, 0.0)[:, :, None] * np.ones(3)
         if links is not None:
@@ -170,6 +174,17 @@ class Flight:
             np.diff(poses.x[:, :free], axis=0) - path, np.where(cut, unknown, 0.0), turned, met_x, met_quaternion,
             met_u, cut, timed,
         )  # fmt: skip
+
+
+def _pieces(poses: Poses, step: Index) -> tuple[Index, Array]:
+    """The piece that each contact acts in, and its length, s; 0 where steps were not cut, or no pieces are recorded."""
+    c, piece, length = poses.trajectory.columns, np.zeros(step.size, np.int64), np.zeros(step.size)
+    if {f"pieces/{name}" for name in ("offset", "contacts", "duration")} <= c.keys():
+        own = np.flatnonzero((np.diff(c["pieces/offset"]) > 0)[step])
+        each = np.repeat(np.arange(len(c["pieces/contacts"])), np.maximum(c["pieces/contacts"], 0))
+        if each.size == own.size:
+            piece[own], length[own] = each, c["pieces/duration"][each]
+    return piece, length
 
 
 def together(*keys: NDArray[Any]) -> tuple[Index, Index]:

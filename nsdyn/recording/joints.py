@@ -128,7 +128,7 @@ def coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:
         position = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))[:, None]
     nothing, duration = np.full((trajectory.steps, nv), np.nan), trajectory.dt * trajectory.every
     told = [trajectory.columns.get(column) for column in JOINTS]
-    actuation, limit, drag, external, shift, _ = (nothing if x is None else x[:, v : v + nv] for x in told)
+    actuation, limit, drag, external, shift, *_ = (nothing if x is None else x[:, v : v + nv] for x in told)
     return {
         "position": position, "velocity": velocity, "torque": actuation / duration, "limit_impulse": limit,
         "friction": drag / duration, "external": external / duration, "shift": shift,

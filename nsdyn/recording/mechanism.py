@@ -53,6 +53,9 @@ KINDS: dict[str, tuple[str, ...]] = {
 """Pinocchio's joints by name, and what each is made of."""
 
 
+WINDING = {f"JointModel{kind}" for kind in ("SphericalZYX", "Universal", "Ellipsoid", "Composite")}
+
+
 class Mechanism:
     """Equations of motion of a recorded articulation.
 
@@ -71,6 +74,9 @@ class Mechanism:
         Laws of the joints, infinite where there is no limit.
     driven : ndarray of int
         Coordinates that move as prescribed.
+    winding : bool
+        Whether axes of a joint move with its own coordinates, which Pinocchio's derivatives, and so the first pass of a
+        step on loops, leave out.
     rubbing : list of ndarray of int
         Coordinates that dry friction acts on together: one each, but the two in which a planar joint slides.
 
@@ -123,6 +129,7 @@ class Mechanism:
         self._linear_q = np.concatenate([np.arange(j.idx_q, j.idx_q + j.nq) for j in scalars] or [np.empty(0)]).astype(
             int
         )
+        self.winding = any(j.shortname() in WINDING for j in list(self.model.joints)[1:])
         planes = [j.idx_v for j in list(self.model.joints)[1:] if j.shortname() == "JointModelPlanar"]
         own = [j for j in range(self.nv) if j - 1 not in planes]
         self.rubbing = [np.array([j, j + 1] if j in planes else [j]) for j in own]

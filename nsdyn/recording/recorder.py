@@ -109,12 +109,12 @@ class Recorder:
     contact_status                (nc,), 0 open, 1 stick, 2 slip
     contact_time                  (nc,), s after the beginning of the step
     created                       float, J
-    joints                        (6, nv) impulses of actuation, limits, friction and external wrenches,
-                                  displacement by projections, most that actuators may give; None without
-                                  articulations
+    joints                        (7, nv) impulses of actuation, limits, friction and external wrenches,
+                                  displacement by projections, most that actuators may give, change of velocity
+                                  of driven joints; None without articulations
     links                         (links, 6) impulses of external wrenches on the links of articulations, force and
                                   moment about the origin; only read where they are recorded
-    pieces                        duration and contacts (m,), joints (6, m, nv) of what a step with articulations
+    pieces                        begin, duration and contacts (m,), moves (m, nv), joints (7, m, nv) of what a step with articulations
                                   was cut into; None if it was not
     work_normal, work_friction    (nc,)
     ============================  =====================================================================
@@ -366,7 +366,7 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
     if (on_links := next(columns, ())) and on_links[0] is not None:
         out[ON_LINKS] = np.stack(on_links)
     if cut := [piece for piece in next(columns, ()) if piece is not None]:
-        out |= {f"pieces/{name}": np.concatenate([getattr(p, name) for p in cut]) for name in ("duration", "contacts")}
+        out |= {f"pieces/{name}": np.concatenate([getattr(p, name) for p in cut]) for name in PIECES if name not in ON_JOINTS}
         parts = np.concatenate([p.joints for p in cut], axis=1)
         out |= {f"pieces/{name}": part for name, part in zip(ON_JOINTS, parts, strict=True)}
     for name, (_, kind, components) in CONTACT.items():
@@ -377,7 +377,9 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
 
 def _no_pieces(joints: Array) -> Columns:
     """Columns of no pieces, from those of no joints."""
-    return {f"pieces/{n}": joints if n in ON_JOINTS else np.empty(0, kind) for n, kind in PIECES.items()}
+    none = joints[:0]
+    rows = {"moves": none.astype(np.int8), **dict.fromkeys(ON_JOINTS, none)}
+    return {f"pieces/{n}": rows.get(n, np.empty(0, kind)) for n, kind in PIECES.items()}
 
 
 def _stack(rows: tuple[Array, ...]) -> Array:

@@ -25,6 +25,7 @@ from nsdyn.recording.file import ON_JOINTS, PIECES
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import displacement
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -57,6 +58,8 @@ class Kick(NamedTuple):
         Impulses of damping and springs.
     reaction : ndarray, shape (nv,)
         Bᵀ λ of loops and driven joints.
+    rate : ndarray, shape (nv,)
+        Acceleration that contacts, limits and dry friction leave out; 0 of impacts in no time.
     mean : ndarray, shape (nv,), or None
         Mean velocity where the forces act all the time.
     """
@@ -71,6 +74,7 @@ class Kick(NamedTuple):
     touches: list[tuple[int, int, int]]
     stiff: Array
     reaction: Array
+    rate: Array
     mean: Array | None = None
 
 
@@ -162,6 +166,9 @@ class Trees:
         first = int(c["contacts/offset"][k])
         for p in cut:
             last = first + int(c["pieces/contacts"][p])
+            if not c["pieces/moves"][p, rows].any():  # of another island
+                first = last
+                continue
             own = [touch for touch in touches if first <= touch[0] < last]
             yield float(c["pieces/duration"][p]), own, np.array([c[f"pieces/{name}"][p, rows] for name in ON_JOINTS])
             first = last
@@ -180,24 +187,21 @@ class Trees:
                 break
 
         def off(way: Way) -> float:
-            moved = np.array(pin.difference(m.model, way.q, q)) / self.trajectory.dt
+            moved = displacement(m.model, way.q, q) / self.trajectory.dt
             return float(np.abs([way.v - v, moved]).max(initial=0.0))
 
         return min(out, key=off)
 
     def _way(self, m: Mechanism, tree: int, k: int, pieces: list[Piece], all_along: bool) -> Way:
         """One of the two ways: whether forces that nothing else acts with do so all the time."""
-        t, theta, whole = self.trajectory, float(self.trajectory.meta["theta"]), 0.0
-        (q, v), (_, goal) = self.state(tree, k), self.state(tree, k + 1)
-        begin, kicks, flows = v[m.driven], list[Kick](), list[Course]()
+        theta, (q, v) = float(self.trajectory.meta["theta"]), self.state(tree, k)
+        kicks, flows, told = list[Kick](), list[Course](), [m.speeds[int(j)] for j in m.driven]
         for h, touches, given in pieces:
-            whole += h
             first = move(m, q, v, (1.0 - theta) * h)
-            speeds = begin + min(1.0, whole / t.dt) * (goal[m.driven] - begin) if h else first.v[m.driven]
-            told = [m.speeds[int(j)] for j in m.driven]
+            speeds = v[m.driven] + given[6, m.driven]
             speeds = np.array([x if rate is None else rate for x, rate in zip(speeds, told, strict=True)])
             kick = self._kick(m, first, h, theta, touches, given, speeds)
-            pushed = touches or given[1:3].any() or m.loops or m.damping.any() or m.stiffness.any()
+            pushed = kick.pushed.any() or given[1:3].any() or m.loops or m.damping.any() or m.stiffness.any()
             if all_along and h and not pushed:
                 last = move(m, q, v, h, (given[0] + given[3]) / h, (speeds - v[m.driven]) / h)
                 kick, first = kick._replace(mean=last.mean), last._replace(doubted=0.0 * last.doubted, work=0.0)
@@ -224,16 +228,21 @@ class Trees:
         end = theta * np.diag(m.damping) + h * theta**2 * np.diag(m.stiffness)
         known = given[:4].sum(axis=0) + pushed - h * m.weight(at.q)
         momentum = M @ v + known - h * (begin @ v + m.stiffness * bend)
-        reaction = np.zeros(m.nv)
-        if m.bound:
-            B = m.constraints(at.q)[1]
-            after = respond(m, M + h * end, momentum, B, B, speeds)
-            reaction = (M + h * end) @ after - momentum
-        else:
-            after = np.linalg.solve(M + h * end, momentum)
+        B = m.constraints(at.q)[1] if m.bound else np.empty((0, m.nv))
+        goal = np.concatenate((np.zeros(len(B) - speeds.size), speeds))
+
+        def left_by(momentum: Array) -> Array:
+            if m.bound:
+                return respond(M + h * end, momentum, B, goal)
+            return np.asarray(np.linalg.solve(M + h * end, momentum), dtype=float)
+
+        after = left_by(momentum)
+        reaction = (M + h * end) @ after - momentum if m.bound else np.zeros(m.nv)
+        rate = (left_by(momentum - given[1] - given[2] - pushed) - v) / h if h else np.zeros(m.nv)
         damping = -h * m.damping * (theta * after + (1.0 - theta) * v)
         springs = -h * m.stiffness * (bend + h * (theta**2 * after - (1.0 - theta) ** 2 * v))
-        return Kick(h, at.q, v, after, given[:4], given[4], pushed, touches, np.array([damping, springs]), reaction)
+        stiff = np.array([damping, springs])
+        return Kick(h, at.q, v, after, given[:4], given[4], pushed, touches, stiff, reaction, rate)
 
 
 def _grown(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

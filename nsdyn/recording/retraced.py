@@ -8,10 +8,12 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from nsdyn.recording.courses import close
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.poses import Poses
 from nsdyn.recording.retrace import Kick, Trees, Way, trees
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import displacement
 
 __all__ = ["Retraced", "retraced"]
 
@@ -83,20 +85,6 @@ def retraced(poses: Poses) -> Retraced | str:
     return out
 
 
-def _unseen(found: Trees, i: int, m: Mechanism, k: int) -> Array:
-    """How far driven joints of a law that is not recorded may be from even speeding up within step k, (nv,), rad/s.
-
-    A parabola through the states beside the step is from its chord by an eighth of the second difference at most.
-    """
-    out, told = np.zeros(m.nv), np.array([m.speeds[int(j)] is None for j in m.driven], dtype=bool)
-    free = m.driven[told]
-    states = range(max(0, k - 1), min(found.trajectory.steps, k + 2) + 1)
-    v = np.array([found.state(i, row)[1][free] for row in states])
-    if free.size and len(v) > 2:
-        out[free] = np.abs(np.diff(v, n=2, axis=0)).max(axis=0) / 8.0
-    return out
-
-
 def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     """How far a step ends from where it leads."""
     (_, v0), (q, v) = out.trees.state(i, k), out.trees.state(i, k + 1)
@@ -118,10 +106,9 @@ def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
     # The constants of two rules of one order differ by some times.
     doubt = 10.0 * doubt if m.loops else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
-    if len(way.kicks) > 1:
-        doubt[0] += h * size(_unseen(out.trees, i, m, k))
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
-    off = size(np.array(pin.difference(m.model, way.q, q)))
+    # What is left of the gaps of loops is looked at by itself.
+    off = size(displacement(m.model, way.q, close(m, q)))
     for pair, amount, scale in (
         (out.momentum, size(way.v - v) - doubt[1], speed),
         (out.motion, off - doubt[0] - h * doubt[1], span),
@@ -132,28 +119,34 @@ def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
 
 def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     """Works of a step by columns of the ledger, and what is in doubt of them."""
-    works = dict.fromkeys(out.works, 0.0)
-    doubt = 0.0
-    for number, kick in enumerate(way.kicks):
-        mean = 0.5 * (kick.before + kick.after)
-        along = mean if kick.mean is None else kick.mean
+    works, doubt, late = dict.fromkeys(out.works, 0.0), 0.0, np.zeros(m.nv)
+    end, alone = out.trees.state(i, k + 1)[0], len(way.kicks) == 1
+    for kick, first, last in zip(way.kicks, way.flows[::2], way.flows[1::2], strict=True):
+        mean = along = 0.5 * (kick.before + kick.after)
+        late = late + first.doubted[1]
+        doubted = late
+        if kick.mean is not None:
+            # Constant forces work along the displacement that is recorded, where that of their motion is.
+            along = kick.mean + (displacement(m.model, way.q, end) / kick.h if alone else 0.0)
+            doubted = late if alone else late + last.doubted[0] / kick.h
         works["external"] += float((kick.given[0] + kick.given[3]) @ along)
         works["normal"] += float(kick.given[1] @ mean)
         works["friction"] += float(kick.given[2] @ mean)
         works["damping"] += float(kick.stiff[0] @ along)
-        works["constraint"] += sum(c.work for c in way.flows[2 * number : 2 * number + 2])
+        works["constraint"] += first.work + last.work
         if kick.mean is None:
             works["constraint"] += float(kick.reaction @ mean)
         change = np.abs(kick.after - kick.before)
-        # What rebounds in a piece, or several times in one instant, works in parts that are not recorded.
-        if m.restitution > 0.0 or _rebounds(out.trees, kick):
+        # What rebounds in a piece, or several times in one instant, works in parts that are not recorded; where only
+        # limits strike in no time these make up one work.
+        mixed = kick.h > 0.0 or kick.given[2].any() or kick.touches
+        if mixed and (m.restitution > 0.0 or _rebounds(out.trees, kick)):
             doubt += 0.5 * float((np.abs(kick.given[1]) + np.abs(kick.given[2])) @ change)
-        late = way.flows[2 * number].doubted[1] + way.flows[2 * number + 1].doubted[1]
-        doubt += float((np.abs(kick.given).sum(axis=0) + np.abs(kick.stiff[0]) + np.abs(kick.reaction)) @ late)
+        doubt += float((np.abs(kick.given[:4]).sum(axis=0) + np.abs(kick.stiff[0]) + np.abs(kick.reaction)) @ doubted)
+        late = late + last.doubted[1]
         if kick.shift.any():
-            end = way.flows[2 * number + 1]
-            lifted = np.array(pin.integrate(m.model, end.q, kick.shift))
-            out.energy[k] += sum(m.energies(lifted, end.v)) - sum(m.energies(end.q, end.v))
+            lifted = np.array(pin.integrate(m.model, last.q, kick.shift))
+            out.energy[k] += sum(m.energies(lifted, last.v)) - sum(m.energies(last.q, last.v))
     for name, work in works.items():
         out.works[name][k, i] = work
     out.doubt[k, i] = doubt

@@ -23,6 +23,9 @@ __all__ = ["contacts", "overlaps", "separations"]
 STATES = 200_000
 """Most poses of shapes that are looked at together."""
 
+POINT = Solid.described({"shape": "sphere", "size": (0.0, 0.0, 0.0)})
+"""A ball of no size."""
+
 PARTING = 1e-4
 """m/s, above which what has restitution rebounds: the residual that a solve may have that is accepted."""
 
@@ -116,8 +119,8 @@ def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, 
 def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     """Where impulses act, in which cones they are, and what friction does; None where not all steps are recorded."""
     t = poses.trajectory
-    units = {"distance": "m", "normal": "m", "cone": "N·s", "friction": "J", "slip": "J"}
-    missing = list(units) if not t.has_contacts else ["distance", "normal"] if t.every > 1 else []
+    units = {"distance": "m", "normal": "m", "points": "m", "cone": "N·s", "friction": "J", "slip": "J"}
+    missing = list(units) if not t.has_contacts else ["distance", "normal", "points"] if t.every > 1 else []
     yield from (not_audited(name, units[name], left_out(t)) for name in missing)
     if not t.has_contacts:
         return
@@ -209,6 +212,28 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
 
     yield worst_of("distance", apart / size, apart, "m", k, pushing)
     yield worst_of("normal", skew / size, skew, "m", k, pushing)
+    off = np.zeros(push.size)
+    for geom, (R, x) in zip((i, j), moments[2], strict=True):
+        point = np.einsum("mji,mj->mi", R, c["point"][push] - x)
+        for kind in np.unique(poses.kind[geom]):
+            some = poses.kind[geom] == kind
+            off[some] = np.maximum(off[some], _from_surface(poses.solids[kind], point[some]))
+    yield worst_of("points", (off - travel) / size, off - travel, "m", k, pushing)
+
+
+def _from_surface(a: Solid, x: Array) -> Array:
+    """Distance of points x (m, 3) in the frame of a solid from its surface, (m,), m; of ellipsoids next to it."""
+    out: Array
+    if a.kind == "cylinder":
+        beyond = np.stack([np.hypot(x[:, 0], x[:, 1]) - a.size[0], np.abs(x[:, 2]) - a.size[1]], axis=1)
+        out = np.linalg.norm(beyond.clip(0.0), axis=1) + beyond.max(axis=1).clip(None, 0.0)
+    elif a.kind == "ellipsoid":
+        far = np.linalg.norm(x / a.size, axis=1)
+        out = (far - 1.0) * far / np.maximum(np.linalg.norm(x / a.size**2, axis=1), 1e-300)
+    else:
+        still = np.broadcast_to(np.eye(3), (len(x), 3, 3))
+        out = separation(POINT, still, x, a, still, np.zeros_like(x), exact=True)
+    return np.abs(out)
 
 
 def _pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index, side: int) -> tuple[Array, Array]:

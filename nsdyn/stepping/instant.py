@@ -222,10 +222,10 @@ class Impulses(NamedTuple):
         0 open, 1 stick, 2 slip.
     normal, friction : ndarray, shape (nc,)
         Works, J.
-    joints : ndarray, shape (6, n)
+    joints : ndarray, shape (7, n)
         On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
-        wrenches, N m s or N s; displacement by the position projection, rad or m; and the most that
-        actuators may give, N m s or N s, infinite where they have no limit.
+        wrenches, N m s or N s; displacement by the position projection, rad or m; the most that actuators may give,
+        N m s or N s, infinite where they have no limit; and the change of velocity of driven joints, rad/s or m/s.
     links : ndarray, shape (links, 6)
         Of external wrenches on the links of trees, one by joint: force and moment about the world's origin, N·s, N m s.
     created : float
@@ -234,6 +234,10 @@ class Impulses(NamedTuple):
         When it acted, s after the beginning of the move, or of the step.
     duration : float
         Of the move, s; 0 of impacts in no time.
+    begin : float
+        When the move begins, s after the beginning of the step.
+    moves : ndarray of bool, shape (n,), or None
+        Coordinates of the island that it is of; None for all.
     """
 
     contacts: ContactSet
@@ -248,6 +252,8 @@ class Impulses(NamedTuple):
     created: float
     time: Array
     duration: float
+    begin: float = 0.0
+    moves: Bools | None = None
 
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:

@@ -131,8 +131,8 @@ class Islands:
             base, clear, rate, acted, solved, works = begin, True, np.empty(d.n), [], [], []
         else:
             m = finish(s, begin, self._kept(tried, left), left)
-            base, clear, rate, acted, solved = m.end, m.clear, m.rate.copy(), [m.impulses], [(m.problem, m.solution)]
-            works = m.works
+            base, clear, rate, acted, solved = m.end, m.clear, m.rate.copy(), [], [(m.problem, m.solution)]
+            works, acted = m.works, [m.impulses._replace(moves=np.repeat(left, np.diff(d.offset)))]
         for part, p in made:
             rate[part.coordinates] = p.rate
             acted += [part.impulses(a, d.n) for a in p.done]

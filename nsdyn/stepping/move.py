@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
@@ -26,6 +25,7 @@ from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.displacements import displacement
 
 __all__ = ["Move", "Trial", "attempt", "finish", "tree_works", "trial"]
 
@@ -340,7 +340,7 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
         twists = d.twists(placed.placement, v_end)
         works.append(Works(projection=lifted))
         for t, q, there in zip(d.trees, a.moved.position.trees, placed.position.trees, strict=True):
-            impulses.joints[4, t.coordinates] = pin.difference(t.model, q, there)
+            impulses.joints[4, t.coordinates] = displacement(t.model, q, there)
     energies: Energies = ()
     if a.impulse is not None:
         own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses, own, left)
@@ -363,7 +363,8 @@ def tree_works(
     Trees that are not among the nodes `left` are passed over.
 
     The forces leave v, with the impulses H r of contacts and joint rows; those of actuation, of external wrenches and
-    the most that actuators may give go into rows 0, 3 and 5 of `acted.joints`, the wrenches into `acted.links`.
+    the most that actuators may give go into rows 0, 3 and 5 of `acted.joints`, the change of velocity of driven joints
+    into row 6, the wrenches into `acted.links`.
     """
     external, normal, friction, damping, constraint, integration, projection = own
     energies, joints, link = [], acted.joints, 0
@@ -379,6 +380,7 @@ def tree_works(
         w = t.works(before, free, v[k], end, q, impulse[k], energy, joints)
         if free.loads.wrenches is not None:
             acted.links[first:link] = half.h * free.loads.wrenches
+        joints[6, k] = t.speeding(before.begin_v, free.loads.rates)
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection

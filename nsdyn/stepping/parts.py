@@ -143,9 +143,9 @@ class Part:
 
     def impulses(self, a: Impulses, n: int) -> Impulses:
         """Impulses of the part as those of the whole, of n coordinates."""
-        joints, links = np.zeros((6, n)), np.zeros((self._count, 6))
-        joints[:, self.coordinates], links[self._links] = a.joints, a.links
-        return a._replace(contacts=self.contacts(a.contacts), joints=joints, links=links)
+        joints, links, moves = np.zeros((7, n)), np.zeros((self._count, 6)), np.zeros(n, np.bool_)
+        joints[:, self.coordinates], links[self._links], moves[self.coordinates] = a.joints, a.links, True
+        return a._replace(contacts=self.contacts(a.contacts), joints=joints, links=links, moves=moves)
 
     def fill(self, at: Instant, end: Instant) -> None:
         """Put what is of the nodes of the part where it is in arrays of the whole, but for contacts."""

@@ -61,20 +61,25 @@ class State(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """The moves and impacts of a step with articulations that was cut, one after the other.
+    """The moves and impacts of a step with articulations that was cut, of each island one after the other.
 
     Attributes
     ----------
-    duration : ndarray, shape (m,)
-        s; 0 of impacts in no time. The impulses of a move act (1 - theta) of it after its beginning.
+    begin, duration : ndarray, shape (m,)
+        s, after the beginning of the step; 0 of impacts in no time. The impulses of a move act (1 - theta) of it after
+        its beginning.
     contacts : ndarray of int, shape (m,)
         How many of the contacts of the step are of it.
-    joints : ndarray, shape (6, m, nv)
+    moves : ndarray of int8, shape (m, nv)
+        1 for the coordinates of articulations of its island, 0 for others.
+    joints : ndarray, shape (7, m, nv)
         As of `Step`.
     """
 
+    begin: Array
     duration: Array
     contacts: NDArray[np.int64]
+    moves: NDArray[np.int8]
     joints: Array
 
 
@@ -101,10 +106,11 @@ class Step(NamedTuple):
         When the impulse acted, s after the beginning of the step.
     work_normal, work_friction : ndarray, shape (nc,)
         J.
-    joints : ndarray, shape (6, nv), or None
+    joints : ndarray, shape (7, nv), or None
         On the coordinates of the articulations: impulses of actuation, of limits, of dry friction and of external
-        wrenches, N m s or N s; displacement by position projections, rad or m; and the most that actuators may give,
-        N m s or N s, infinite where they have no limit. None in scenes without any.
+        wrenches, N m s or N s; displacement by position projections, rad or m; the most that actuators may give,
+        N m s or N s, infinite where they have no limit; and the change of velocity of driven joints, rad/s or m/s.
+        None in scenes without any.
     links : ndarray, shape (links, 6)
         Impulses of external wrenches on the links of articulations, one by joint, in its order: force and moment about
         the world's origin, N·s and N m s.

@@ -377,8 +377,10 @@ def _joined(done: list[Impulses]) -> Impulses:
 
 def _pieces(done: list[Impulses], first: int) -> Pieces:
     """The parts of a step with trees, whose coordinates begin at `first`."""
-    duration, contacts = np.array([a.duration for a in done]), np.array([a.contacts.gap.size for a in done])
-    return Pieces(duration, contacts, np.stack([a.joints[:, first:] for a in done], axis=1))
+    begin, duration = np.array([(a.begin, a.duration) for a in done]).T
+    contacts, every = np.array([a.contacts.gap.size for a in done]), np.ones(done[0].joints.shape[1], np.bool_)
+    moves = np.stack([(every if a.moves is None else a.moves)[first:] for a in done]).astype(np.int8)
+    return Pieces(begin, duration, contacts, moves, np.stack([a.joints[:, first:] for a in done], axis=1))
 
 
 def _arms(geoms: list[Geom], frames: int) -> Array:

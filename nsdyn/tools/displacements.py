@@ -1,0 +1,36 @@
+"""How far apart two configurations are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn.tools.arrays import Array
+
+__all__ = ["displacement"]
+
+
+def displacement(model: pin.Model, q0: Array, q1: Array) -> Array:
+    """Displacement that leads from q0 to q1, shape (nv,): `pinocchio.integrate(model, q0, it)` is q1.
+
+    Pinocchio's own, but for angles that are given by cosine and sine, of unbounded and planar joints: it takes those
+    below 1e-8 rad, whose cosine is 1, for nothing. Here they come from the sine, as exact as others.
+    """
+    out = np.array(pin.difference(model, q0, q1))
+    for joint in list(model.joints)[1:]:
+        for k, j in _angles(joint.extract()):
+            (c0, s0), (c1, s1) = q0[k : k + 2], q1[k : k + 2]
+            out[j] = np.arctan2(c0 * s1 - s0 * c1, c0 * c1 + s0 * s1)
+    return out
+
+
+def _angles(joint: Any) -> list[tuple[int, int]]:
+    """(place of the cosine in q, coordinate) of the angles of a joint that are given so."""
+    kind = joint.shortname()
+    if kind == "JointModelComposite":
+        return [pair for part in joint.joints for pair in _angles(part.extract())]
+    if kind == "JointModelPlanar":
+        return [(joint.idx_q + 2, joint.idx_v + 2)]
+    return [(joint.idx_q, joint.idx_v)] if (joint.nq, joint.nv) == (2, 1) else []
