@@ -114,8 +114,8 @@ class Recorder:
                                   of driven joints; None without articulations
     links                         (links, 6) impulses of external wrenches on the links of articulations, force and
                                   moment about the origin; only read where they are recorded
-    pieces                        begin, duration and contacts (m,), moves (m, nv), joints (7, m, nv) of what a step with articulations
-                                  was cut into; None if it was not
+    pieces                        begin, duration and contacts (m,), moves (m, nv) and joints (7, m, nv) of what a
+                                  step with articulations was cut into; None if it was not
     work_normal, work_friction    (nc,)
     ============================  =====================================================================
 
@@ -366,7 +366,8 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
     if (on_links := next(columns, ())) and on_links[0] is not None:
         out[ON_LINKS] = np.stack(on_links)
     if cut := [piece for piece in next(columns, ()) if piece is not None]:
-        out |= {f"pieces/{name}": np.concatenate([getattr(p, name) for p in cut]) for name in PIECES if name not in ON_JOINTS}
+        own = [name for name in PIECES if name not in ON_JOINTS]
+        out |= {f"pieces/{name}": np.concatenate([getattr(p, name) for p in cut]) for name in own}
         parts = np.concatenate([p.joints for p in cut], axis=1)
         out |= {f"pieces/{name}": part for name, part in zip(ON_JOINTS, parts, strict=True)}
     for name, (_, kind, components) in CONTACT.items():
@@ -377,9 +378,8 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
 
 def _no_pieces(joints: Array) -> Columns:
     """Columns of no pieces, from those of no joints."""
-    none = joints[:0]
-    rows = {"moves": none.astype(np.int8), **dict.fromkeys(ON_JOINTS, none)}
-    return {f"pieces/{n}": rows.get(n, np.empty(0, kind)) for n, kind in PIECES.items()}
+    rows = (*ON_JOINTS, "moves")
+    return {f"pieces/{n}": np.empty((0, joints.shape[1]) if n in rows else 0, kind) for n, kind in PIECES.items()}
 
 
 def _stack(rows: tuple[Array, ...]) -> Array:

@@ -20,7 +20,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.encounter import foresee
 from nsdyn.stepping.half import Half, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
-from nsdyn.stepping.move import Trial, attempt, finish
+from nsdyn.stepping.move import Move, Trial, attempt, finish
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import Loads, Passage, through, undisturbed
 from nsdyn.stepping.reversal import endings
@@ -92,8 +92,7 @@ class Islands:
             half = tried.half
             self._open(begin, tried, label, opened)
             if not opened.any():
-                m = finish(s, begin, tried)
-                return Passage(m.end, m.rate, state.owed, m.clear, [m.impulses], [(m.problem, m.solution)], m.works, [])
+                return _done(finish(s, begin, tried))
         return self._together(state, half, label, opened, tried)
 
     def _together(self, state: State, half: Half, label: Index, opened: Bools, tried: Trial | None) -> Passage:
@@ -127,18 +126,17 @@ class Islands:
             opened = again
         made = [done[tuple(np.flatnonzero(label == k).tolist())] for k in np.flatnonzero(opened).tolist()]
         left = ~opened[label]
-        if tried is None or not left.any():
-            base, clear, rate, acted, solved, works = begin, True, np.empty(d.n), [], [], []
-        else:
-            m = finish(s, begin, self._kept(tried, left), left)
-            base, clear, rate, acted, solved = m.end, m.clear, m.rate.copy(), [], [(m.problem, m.solution)]
-            works, acted = m.works, [m.impulses._replace(moves=np.repeat(left, np.diff(d.offset)))]
+        out = Passage(begin, half.rate.copy(), state.owed, True, [], [], [], [])
+        if tried is not None and left.any():
+            out = _done(finish(s, begin, self._kept(tried, left), left))
+            out.done[0] = out.done[0]._replace(moves=np.repeat(left, np.diff(d.offset)))
         for part, p in made:
-            rate[part.coordinates] = p.rate
-            acted += [part.impulses(a, d.n) for a in p.done]
-            solved, works, clear = solved + p.solved, works + p.works, clear and p.clear
-        end = merged(s, base, left, [(part, p.end) for part, p in made])
-        return Passage(end, rate, state.owed, clear, acted, solved, works, [])
+            out.rate[part.coordinates] = p.rate
+            out.done.extend(part.impulses(a, d.n) for a in p.done)
+            out.solved.extend(p.solved)
+            out.works.extend(p.works)
+        end = merged(s, out.end, left, [(part, p.end) for part, p in made])
+        return out._replace(end=end, clear=out.clear and all(p.clear for _, p in made))
 
     def _part(self, name: tuple[int, ...], nodes: Index) -> Part:
         """The system of some nodes."""
@@ -269,3 +267,9 @@ class Islands:
             moved=a.moved._replace(contacts=contacts, limits=limits),
         )  # fmt: skip
         return tried._replace(response=response)
+
+
+def _done(m: Move) -> Passage:
+    """A step in one move."""
+    owed = np.zeros(m.external.size)
+    return Passage(m.end, m.rate, owed, m.clear, [m.impulses], [(m.problem, m.solution)], m.works, [])

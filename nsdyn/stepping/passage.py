@@ -127,12 +127,14 @@ def _pass(
         found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
     if found is None:
         found, sunk = _moves(s, loads, begin, end, h, rate, half, path)
-    now, rate, clear, external, done, solved, works = found
+    now, rate, clear, _, done, solved, works = found
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
     return Passage(now, rate, owed, clear, done, solved, works, [*path, now.placement]), coarse
 
 
-def undisturbed(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> tuple[Passage | None, Half | None]:
+def undisturbed(
+    s: System, begin: Instant, t: float, h: float, callbacks: Callbacks
+) -> tuple[Passage | None, Half | None]:
     """A move of h s from the time t in which nothing new is met, None where anything is; its first half, if known."""
     found, half = _quietly(s, begin, t, h, callbacks)
     if found is None:
@@ -259,7 +261,7 @@ def _until_event(
 
 
 def _first_touch(s: System, m: Trial, barred: Index) -> float:
-    """When a move touches first what is barred, by the parabolas of gaps that end as it does under its free forces, s."""
+    """When a move first touches what is barred, s: by parabolas of the gaps that end as it does, under its free forces."""
     d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
     c = take(c, np.isin(s.detector.codes(c), barred) & ~np.isin(c.key, a.met.contacts.key))
     there, joints = a.moved.placement, d.joints
