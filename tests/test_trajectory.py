@@ -75,7 +75,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
         )  # fmt: skip
         return SimpleNamespace(
             **state(k), contacts=contacts, gap=rng.normal(size=nc), tangent=frame[:, 1],
-            u=rng.normal(size=(nc, 3)), r=rng.normal(size=(nc, 3)),
+            u=rng.normal(size=(nc, 3)), r=rng.normal(size=(nc, 3)), couple=rng.normal(size=(nc, 3)),
             contact_status=rng.integers(0, 3, nc).astype(np.int8), contact_time=rng.uniform(0.0, DT, nc),
             work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc), created=1e-3 * k,
             pieces=SimpleNamespace(

@@ -69,7 +69,7 @@ class Dynamics:
         self.gravity: Array = np.array(scene.gravity)
         self.free = len(bodies)
         self.frames = self.free + len(frames) + len(driven)
-        self.nowhere, self.no_works = np.zeros(self.frames), np.zeros(self.free)
+        self.nowhere = np.zeros(self.frames)
         self.mass = np.array([b.mass for b in bodies])
         self._inverse_mass, self.no_load = 1.0 / self.mass, np.zeros((self.free, 3))
         self.J = np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
@@ -304,17 +304,6 @@ class Dynamics:
             motions.append(tree.within_limits(half, free, v[tree.coordinates]))
             same = same and motions[-1] is free
         return forces if same else self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
-
-    def external_works(self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float) -> Array:
-        """Works of external forces and torques on the free bodies in a move of h s, shape (nf,), J.
-
-        Forces go with the centres of mass from `begin` to `end`, torques with the mean of the spins before and after.
-        """
-        if forces.force is self.no_load:
-            return self.no_works
-        turn = 0.5 * h * (v0 + v1)[: 6 * self.free].reshape(-1, 6)[:, 3:]
-        out: Array = ((end.x - begin.x) * forces.force).sum(axis=1) + (turn * forces.torque).sum(axis=1)
-        return out
 
     def free_forces(self, v: Array) -> Forces:
         """What acts in a step on free bodies alone, which gravity gives the velocity v."""

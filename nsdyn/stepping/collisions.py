@@ -72,10 +72,10 @@ def collide(
     resting = s.resting(contacts, joints, met.restitution, at.placement, rate)
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)
     depth[:nc] = s.deep(contacts)
-    if s.depth == DEEP:
+    if s.depth >= DEEP:
         # What was pressed before turns with its bodies: it closes a little without striking. But what has just closed
         # its gap still approaches, and where that gains energy it is stopped first.
-        depth[:nc][np.isin(contacts.key, at.warm.key[at.warm.status > 0])] = np.inf
+        depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
     slow = np.where(met.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
     if impact.problem is None or impact.solution is None:

@@ -43,7 +43,15 @@ def begin(s: System, geoms: list[Geom], overlap: float, lift: bool) -> Instant:
         if not placed.clear:
             raise ValueError(f"{where}, and nothing moves them apart: they are squeezed")
     none = np.empty((0, 3))
-    warm = Warm(np.empty(0, np.int64), none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), s.dt, None)
+    warm = Warm(
+        np.empty(0, np.int64),
+        np.empty(0, np.int64),
+        none,
+        np.empty(0, np.int8),
+        np.zeros((d.joints.size, 3)),
+        s.dt,
+        None,
+    )
     at = placed.placement
     looked = Looked(at.x, at.R, np.zeros(d.frames))
     return Instant(

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
@@ -20,10 +20,11 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free as _free
 from nsdyn.stepping.collisions import caught_impacts
-from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
+from nsdyn.stepping.encounter import SOLVES, Encounter, foresee
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Impact
 from nsdyn.stepping.instant import FAST, Impulses, Instant, Looked, System, account
+from nsdyn.stepping.persistence import NO_COUPLE, Couple, solve_workless
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -32,6 +33,9 @@ __all__ = ["STILL_SURFACES", "Callbacks", "Half", "Move", "Trial", "finish", "fi
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
+
+GAPS = 3
+"""Most times that the gaps which persistent contacts are found to end with are closed."""
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
@@ -55,8 +59,6 @@ class Move(NamedTuple):
         Whether the end is without overlap.
     rate : ndarray, shape (n,)
         Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
-    external : ndarray, shape (nf,)
-        Works of external forces on the free bodies, J.
     """
 
     end: Instant
@@ -66,7 +68,6 @@ class Move(NamedTuple):
     solution: Solution
     clear: bool
     rate: Array
-    external: Array
 
 
 class Seen(NamedTuple):
@@ -133,6 +134,7 @@ class Response(NamedTuple):
     solution : Solution
     otherwise : bool
         Whether contacts slide otherwise than foreseen.
+    couple : Couple
     v : ndarray, shape (n,)
         v⁺.
     impulse : ndarray, shape (n,), or None
@@ -152,6 +154,7 @@ class Response(NamedTuple):
     problem: FC3D
     solution: Solution
     otherwise: bool
+    couple: Couple
     v: Array
     impulse: Array | None
     v_end: Array
@@ -301,13 +304,14 @@ def _respond(
         )
         met = Encounter(
             contacts, None, rows, frame, None, contacts.mu, contacts.restitution, place_of, begin.warm.status, local,
-            end_gap, NOTHING, NOTHING, slides, posed,
+            end_gap, slides=slides, posed=posed,
         )  # fmt: skip
     else:
         start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
         every, moving = d.with_actuators(joints, forces), half.surfaces[1:]
         met = Encounter.of(d, contacts, every, middle, forces, start, half.reach, moving, half.h, half.ahead, closing)
     met, impact, kick = caught_impacts(s, met, middle.placement, half.rate, half.h)
+    met = met.lasting(s.last_status(contacts, begin.warm), begin.contacts, s.closed, half.h, impact is not None)
     slides = foresee(met)
     if last is not None:
         met = met.otherwise()
@@ -315,32 +319,43 @@ def _respond(
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES, last is not None)
     before = None if last is None else last.solution
-    problem, solution, otherwise = solve(met, s.solver, before, closing, slides, back, most, rough)
-    v, near = forces.v if impact is None else forces.v + kick, d.nowhere
-    if barred is not None and barred.size:
-        near = 2.0 * half.reach
+    near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     impulse: Array | None = None
     trees: tuple[TreeEnd, ...] = ()
-    if d.alone:
-        at = middle.position
-        v, x, quaternion, v_end, R, twists, same = _free.end(
-            s, at.x, at.quaternion, met.rows, solution.r, v, half.ahead, seen.looked, near
+    alone, couple = met, NO_COUPLE
+    for left in reversed(range(GAPS + 1 if barred is not None else 1)):
+        met, problem, solution, otherwise, couple = solve_workless(
+            s, alone, middle, forces, half.h, before, closing, slides, back, most, rough, couple
         )
-        end, there = at.moved(x, quaternion), Placement(x, R, ())
-    else:
-        impulse, v = met.rows.response(solution.r, v)
-        if (limited := d.within_limits(middle, forces, v)) is not forces:
-            return _respond(s, begin, half._replace(forces=limited), contacts, joints, seen, barred, last, rough)
-        if impact is not None:
-            impulse = met.rows.full.momentum(solution.r + impact.r)
-        end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
-        twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
-    if same:
-        moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, True)
-    else:
-        moved = place(d, s.detector, end, there, seen.memory, near)
+        v = forces.v + couple.dv if couple.dv.size else forces.v
+        v = v if impact is None else v + kick
+        if d.alone:
+            at = middle.position
+            v, x, quaternion, v_end, R, twists, same = _free.end(
+                s, at.x, at.quaternion, met.rows, solution.r, v, half.ahead, seen.looked, near
+            )
+            end, there = at.moved(x, quaternion), Placement(x, R, ())
+        else:
+            impulse, v = met.rows.response(solution.r, v)
+            if (limited := d.within_limits(middle, forces, v)) is not forces:
+                return _respond(s, begin, half._replace(forces=limited), contacts, joints, seen, barred, last, rough)
+            if impact is not None:
+                impulse = met.rows.full.momentum(solution.r + impact.r)
+            end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
+            twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
+        if same:
+            moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, True)
+        else:
+            moved = place(d, s.detector, end, there, seen.memory, near)
+        if not left or not met.stays.any():
+            break
+        gap = s.detector.gaps(contacts, moved.contacts, Poses(there.x, there.R))
+        corrected = alone.corrected(gap, solution.r, s.near(contacts), s.closed)
+        if corrected is None:
+            break
+        alone, before = corrected, solution
     return half, Response(
-        met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, twists, moved
+        met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved
     )
 
 
@@ -363,7 +378,9 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
     placed = project(d, s.detector, a.moved, half.forces, s.closed)
     v = half.middle.v
     velocities = v, v if a.impact is None else v + a.kick, a.v
-    impulses, own, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem)
+    impulses, own, warm = account(
+        s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem, a.couple
+    )
     works = []
     v_end, twists = a.v_end, a.twists
     if placed is not a.moved:
@@ -384,8 +401,7 @@ def finish(s: System, begin: Instant, tried: Trial) -> Move:
         placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, looked, warm,
         twists, energies,
     )  # fmt: skip
-    external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)
-    return Move(end, impulses, [own, *works], a.problem, a.solution, placed.clear, half.rate, external)
+    return Move(end, impulses, [own, *works], a.problem, a.solution, placed.clear, half.rate)
 
 
 def tree_works(

@@ -1,4 +1,4 @@
-"""The way through a step: moves and impacts one after the other, in pieces where bodies would gain energy, or sink."""
+"""The way through a step: moves and impacts one after the other, in pieces where bodies would sink."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from scipy.optimize import brentq
 
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.balance import balance
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.instant import DEEP, EVENTS, Impulses, Instant, System, take
+from nsdyn.stepping.instant import DEEP, EVENTS, SHALLOW, Impulses, Instant, System, take
 from nsdyn.stepping.move import Callbacks, Half, Trial, finish, first_half, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
 from nsdyn.stepping.sight import Unmet, others
@@ -47,8 +46,6 @@ class Passage(NamedTuple):
     end : Instant
     rate : ndarray, shape (n,)
         Last free acceleration, m/s² and rad/s².
-    owed : ndarray, shape (nf,)
-        As of `State`, J.
     clear : bool
         Whether the end is without overlap.
     done : list of Impulses
@@ -59,7 +56,6 @@ class Passage(NamedTuple):
 
     end: Instant
     rate: Array
-    owed: Array
     clear: bool
     done: list[Impulses]
     solved: list[tuple[FC3D, Solution]]
@@ -78,13 +74,13 @@ def through(system: System, state: State, loads: Loads) -> Passage:
         What the user has to say at a time [s], as `nsdyn.stepping.move.trial` takes it.
     """
     begin = state.instant
-    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, state.owed)
+    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate)
     return _in_pieces(system, state, loads) if coarse and begin.contacts.gap.size <= LOCATED else whole
 
 
 def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
     """The way through a step that is too coarse in one piece."""
-    now, rate, owed, clear = state.instant, state.rate, state.owed, True
+    now, rate, clear = state.instant, state.rate, True
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
@@ -94,26 +90,25 @@ def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
         h = system.dt * 0.5**halvings
         # Here bodies run less far into each other before they are stopped.
         s = system._replace(depth=DEEP * SHALLOWER**halvings)
-        p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate, owed)
+        p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate)
         if coarse and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
             pieces += [halvings + 1, halvings + 1]
             continue
         begun = system.dt - left
-        now, rate, owed, clear, left = p.end, p.rate, p.owed, p.clear, left - h
+        now, rate, clear, left = p.end, p.rate, p.clear, left - h
         done, solved, works = done + [_later(a, begun) for a in p.done], solved + p.solved, works + p.works
-    return Passage(now, rate, owed, clear, done, solved, works)
+    return Passage(now, rate, clear, done, solved, works)
 
 
-def _pass(
-    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, owed: Array
-) -> tuple[Passage, bool]:
+def _pass(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
-    They would where islands gain energy, though all is solved, and where bodies sink into each other so far, or in such
-    wedges, that the projection would move them visibly.
+    They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly.
     """
     found, half, sunk = None, None, False
-    if begin.contacts.gap.size <= LOCATED:
+    if begin.contacts.gap.size > LOCATED:
+        s = s._replace(depth=SHALLOW)
+    else:
         if s.dynamics.trees:
             half = first_half(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
             found = quiet_trees(s, begin, half)
@@ -121,13 +116,8 @@ def _pass(
             found = quiet(s, begin, h)
     if found is None:
         found, sunk = _moves(s, loads, begin, end, h, rate, half)
-    now, rate, clear, external, done, solved, works = found
-    now, gained, owed, gains = balance(s, begin, now, done, external, owed)
-    if gained:
-        works.append(Works(projection=gained))
-    gains = gains and all(solution.converged for _, solution in solved)
-    coarse = (gains or sunk) and not any(_jammed(solution) for _, solution in solved)
-    return Passage(now, rate, owed, clear, done, solved, works), coarse
+    now, rate, clear, done, solved, works = found
+    return Passage(now, rate, clear, done, solved, works), sunk and not any(_jammed(x) for _, x in solved)
 
 
 def _moves(
@@ -137,7 +127,7 @@ def _moves(
 
     The first half of a move all the way without impacts before it may be known.
     """
-    now, left, clear, external, sunk = begin, h, True, s.dynamics.no_works, False
+    now, left, clear, sunk = begin, h, True, False
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
@@ -160,11 +150,9 @@ def _moves(
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
         solved.append((m.problem, m.solution))
         works += m.works
-        if m.external is not s.dynamics.no_works:
-            external = external + m.external
         if left <= 1e-12 * h:
             break
-    return (now, rate, clear, external, done, solved, works), sunk
+    return (now, rate, clear, done, solved, works), sunk
 
 
 def _jammed(solution: Solution) -> bool:

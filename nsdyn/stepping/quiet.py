@@ -11,7 +11,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -20,13 +20,14 @@ from nsdyn.stepping.encounter import Basis, Encounter, Warm, foresee, solve
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, Looked, System, account
 from nsdyn.stepping.move import STILL_SURFACES, Half, tree_works
-from nsdyn.tools.arrays import Array
+from nsdyn.stepping.persistence import couple_of
+from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["Moves", "quiet", "quiet_trees"]
 
-Moves = tuple[Instant, Array, bool, Array, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
-"""End of some moves, the last free acceleration, whether the end is clear, works of external forces on the free bodies,
-and what acted, what was solved and the works of all parts: as of `nsdyn.stepping.move.Move`."""
+Moves = tuple[Instant, Array, bool, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
+"""End of some moves, the last free acceleration, whether the end is clear, what acted, what was solved and the works of
+all parts: as of `nsdyn.stepping.move.Move`."""
 
 
 def quiet(s: System, begin: Instant, h: float) -> Moves | None:
@@ -48,38 +49,56 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     if seen is None:
         return None
     contacts, memory, looked = seen
-    rows, frame, local, _, place, slides, problem = free.meet(
+    rows, frame, local, end_gap, place, slides, problem = free.meet(
         s, contacts, x, R, v, v_free, begin, reach, s.closing(h, False), h
     )
     solution, mu, nc = s.solver(problem, local[4]), contacts.mu, contacts.mu.size
     r = solution.r
     if _law.reconsider(r, solution.u, problem.q, mu, local, slides, False):
         return None
-    v_plus, x, quaternion, v_end, R, twists, same = free.end(
+    v_plus, x, quaternion, v_end, R_end, twists, same = free.end(
         s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
     )
-    seen = (contacts, memory, looked) if same else _looked(s, x, R, d.nowhere, contacts, memory, np.inf)
+    seen = (contacts, memory, looked) if same else _looked(s, x, R_end, d.nowhere, contacts, memory, np.inf)
     if seen is None or _few.least(seen[0].gap) < -s.closed:
         return None
     found, memory, looked = seen
+    met = Encounter(
+        contacts, None, rows, frame, None, mu, contacts.restitution, place, begin.warm.status, local, end_gap
+    ).lasting(s.last_status(contacts, begin.warm), old, s.closed, h, False)
+    if not same and _corrects(s, met, found, Poses(x, R_end), R, h, 0.5 * (v + v_plus), r, slides):
+        return None
     out = status, normal, friction, u, world = (
         np.empty(nc, np.int8), np.empty(nc), np.empty(nc), np.empty(3 * nc), np.empty((nc, 3))
     )  # fmt: skip
     external, beyond, normal_work, friction_work, rest = _account.account(
         rows.full.arrays, (d.mass, d.gravity), (d.no_load, d.no_load), h, s.theta, (v, v, v_plus), r, mu, NOTHING,
-        (place, begin.warm.status), NOTHING, local, frame, s.solver.tol, out,
+        (met.stays, met.sticks, NOTHING), NOTHING, local, frame, s.solver.tol, out,
     )  # fmt: skip
     slots, on_joints = d.no_impulses
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
     impulses = Impulses(
-        contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, 0.0, time, h
+        contacts,
+        frame,
+        u.reshape(-1, 3),
+        r.reshape(-1, 3),
+        status,
+        np.zeros((nc, 3)),
+        normal,
+        friction,
+        on_joints,
+        0.0,
+        time,
+        h,
     )
-    warm = Warm(contacts.key, world, status, slots, h, Basis(contacts, rows, frame, problem))
-    position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
+    warm = Warm(
+        contacts.key, s.detector.codes(contacts), world, status, slots, h, Basis(contacts, rows, frame, problem)
+    )
+    position, there = begin.position.moved(x, quaternion), Placement(x, R_end, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
     works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
-    return end, rate, True, d.no_works, [impulses], [(problem, solution)], [works]
+    return end, rate, True, [impulses], [(problem, solution)], [works]
 
 
 def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
@@ -104,7 +123,8 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     closing = s.closing(h, False)
     start = old, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     met = Encounter.of(d, contacts, None, middle, forces, start, reach, still, h, half.ahead, closing)
-    problem, solution, otherwise = solve(met, s.solver, None, closing, foresee(met), False, 0)
+    met, slides = met.lasting(s.last_status(contacts, begin.warm), old, s.closed, h, False), foresee(met)
+    problem, solution, otherwise = solve(met, s.solver, None, closing, slides, False, 0)
     if otherwise:
         return None
     r = solution.r
@@ -117,12 +137,25 @@ def quiet_trees(s: System, begin: Instant, half: Half) -> Moves | None:
     if seen is None or _few.least(seen[0].gap) < -s.closed or _few.least(limits) < -s.closed:
         return None
     found, memory, looked = seen
+    if not same and _corrects(s, met, found, Poses(place.x, place.R), there.R, h, 0.5 * (v + v_plus), r, slides):
+        return None
     impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem)
     works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses.joints, own)
     twists = d.twists(place, v_end)
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)
-    external = d.external_works(forces, begin.position, position, v, v_plus, h)
-    return end, half.rate, True, external, [impulses], [(problem, solution)], [works]
+    return end, half.rate, True, [impulses], [(problem, solution)], [works]
+
+
+def _corrects(
+    s: System, met: Encounter, found: ContactSet, end: Poses, R: Array, h: float, mean: Array, r: Array, slides: Bools
+) -> bool:
+    """Whether contacts that persist have gaps, or do work, so that they need another look; as of `couple_of`."""
+    if (met.stays & (met.end_gap != 0.0)).any():
+        return True
+    gap = s.detector.gaps(met.contacts, found, end)
+    if met.corrected(gap, r, s.near(met.contacts), s.closed) is not None:
+        return True
+    return couple_of(s, met, R, h, mean, r, slides, np.zeros((gap.size, 3))) is not None
 
 
 def _looked(
