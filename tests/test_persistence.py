@@ -1,4 +1,4 @@
-"""Contacts that persist do no work, and end without gaps; what strikes is located, however shallow; what bounces rests."""
+"""Contacts that persist do no work and end without gaps; shallow impacts are located; what hardly bounces rests."""
 
 import math
 

@@ -20,8 +20,8 @@ errors of second. Where nothing turns there are none, and what approaches is sto
 ARM = 1.0
 """Most that a couple moves a contact force, in lengths h ω R: as far as points of the body go in the move."""
 
-NO_ARM = 1e-14
-"""Arms, as fractions of R, and works, of r_N R ω, that are none: round-off of the forces."""
+NO_ARM, NO_WORK = 1e-10, 1e-14
+"""Arms, as fractions of R, of what may be at rest, which have no couples; and works, of r_N R ω, that are round-off."""
 
 
 @kernel
@@ -130,7 +130,7 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
                 now = 0.0
                 for c in range(first, last):
                     now += dot(row(couple, c), turning)
-                some = some or abs(amount * speed - now) > NO_ARM * press * size * speed
+                some = some or abs(amount * speed - now) > NO_WORK * press * size * speed
                 for c in range(first, last):
                     i = 3 * c
                     share = r[i] / press if stays[c] and r[i] > 0.0 else 0.0
