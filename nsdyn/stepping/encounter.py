@@ -5,7 +5,7 @@ u_k to u⁻ though nothing acted, for rows turn with their bodies; the second ha
 to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is remembered of earlier steps:
 
     K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K,   y = W r + b,
-    b_N = u_f + c_N + [G > closed] G / τ        u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
+    b_N = u_f + c_N + [G > closed or stays] G / τ     u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
     b_T = u_f + c_T       of a contact that sticks, or stops: slip of the end
         = u⁻ + u_f        of one that slides through: twice the mean slip, exactly
 

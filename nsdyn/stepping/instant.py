@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
+from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -132,7 +133,7 @@ class System(NamedTuple):
     def last_status(self, contacts: ContactSet, warm: Warm) -> NDArray[np.int8]:
         """What the contacts were in the last move, shape (nc,): 0 open, 1 stick, 2 slip."""
         out = np.empty(contacts.gap.size, np.int8)
-        _law.last_status(contacts.key, self.detector.codes(contacts), warm.key, warm.pair, warm.status, out)
+        _persistence.last_status(contacts.key, self.detector.codes(contacts), warm.key, warm.pair, warm.status, out)
         return out
 
     def rests(

@@ -28,8 +28,8 @@ HITS, LOCATED = 16, 50
 caught within the step."""
 
 HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
-"""Most times that a step is halved in which bodies gained energy, sank or were lifted far, most pieces tried in it, so
-that the effort is bounded, and by what fraction bodies may then run less far into each other: impulses and projections
+"""Most times that a step is halved in which bodies sank or were lifted far, most pieces tried in it, so that the effort
+is bounded, and by what fraction bodies may then run less far into each other: impulses and projections
 at more configurations err less."""
 
 CLOSER = 50

@@ -35,23 +35,6 @@ def places(old_key, new_key, out):
 
 
 @kernel
-def last_status(key, pair, warm_key, warm_pair, warm_status, out):
-    """What each contact was in the last move, 0 open, 1 stick, 2 slip, into out (nc,).
-
-    One without a name there goes on from those of its pair of shapes whose names are lost: it has rolled far.
-    """
-    place, kept = np.empty(key.size, np.int64), np.empty(warm_key.size, np.int64)
-    places(warm_key, key, place)
-    places(key, warm_key, kept)
-    for c in range(key.size):
-        out[c] = warm_status[place[c]] if place[c] >= 0 else 0
-        if place[c] < 0:
-            for k in range(warm_key.size):
-                if warm_pair[k] == pair[c] and kept[k] < 0:
-                    out[c] = max(out[c], warm_status[k])
-
-
-@kernel
 def sorted_places(old_key, new_key, begin, out):
     """`places` from the index `begin` on."""
     old = order(old_key)

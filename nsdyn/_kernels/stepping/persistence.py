@@ -25,10 +25,27 @@ NO_ARM, NO_WORK = 1e-10, 1e-14
 
 
 @kernel
+def last_status(key, pair, warm_key, warm_pair, warm_status, out):
+    """What each contact was in the last move, 0 open, 1 stick, 2 slip, into out (nc,).
+
+    One without a name there goes on from those of its pair of shapes whose names are lost: it has rolled far.
+    """
+    place, kept = np.empty(key.size, np.int64), np.empty(warm_key.size, np.int64)
+    places(warm_key, key, place)
+    places(key, warm_key, kept)
+    for c in range(key.size):
+        out[c] = warm_status[place[c]] if place[c] >= 0 else 0
+        if place[c] < 0:
+            for k in range(warm_key.size):
+                if warm_pair[k] == pair[c] and kept[k] < 0:
+                    out[c] = max(out[c], warm_status[k])
+
+
+@kernel
 def persists(key, begin, old_status, local, end_gap, h, struck, stays, sticks):
     """Which contacts persist, into stays and sticks (nc,): those that then do no work along and across their normals.
 
-    What pressed in the last move (old_status as `law.last_status` has it), or was closed where this one begins, by
+    What pressed in the last move (old_status as `last_status` has it), or was closed where this one begins, by
     begin = (keys, gaps, what counts as closed), and did not approach, stays; what stuck, or did not slip there, sticks.
     Not what is squeezed, so that it overlaps, strikes or parts: an approach in h s faster than `JOLT` drifts of the
     rows is one of the bodies, and no error. Gaps that count as closed, of rows that do not turn, are set to 0. Returns
