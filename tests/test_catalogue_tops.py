@@ -214,7 +214,7 @@ def test_rattleback_mirrored():
 
 @pytest.mark.case(27)
 def test_rattleback_converges_to_rolling():
-    """Spin and energy against the equations of rolling without sliding: second order."""
+    """Spin against the equations of rolling without sliding: second order; its energy stays."""
     errors, losses = [], []
     for dt in (5e-4, 2.5e-4):
         scene, _, spin, energy = rattle(dt, 0.4)
@@ -222,7 +222,7 @@ def test_rattleback_converges_to_rolling():
         errors.append(abs(spin[-1] - up @ reference[:9].reshape(3, 3) @ reference[9:]))
         losses.append(1 - energy[-1] / energy[0])
     assert errors[1] <= 0.26 * errors[0] and errors[1] <= 1.2e-3
-    assert losses[1] <= 0.26 * losses[0] and losses[1] <= 3.3e-5
+    assert np.abs(losses).max() <= 1e-9
 
 
 # -- cases 28 and 29: torque-free body, heavy top ----------------------------------------------------------------------

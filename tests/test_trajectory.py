@@ -75,7 +75,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
         )  # fmt: skip
         return SimpleNamespace(
             **state(k), contacts=contacts, gap=rng.normal(size=nc), tangent=frame[:, 1],
-            u=rng.normal(size=(nc, 3)), r=rng.normal(size=(nc, 3)),
+            u=rng.normal(size=(nc, 3)), r=rng.normal(size=(nc, 3)), couple=rng.normal(size=(nc, 3)),
             contact_status=rng.integers(0, 3, nc).astype(np.int8), contact_time=rng.uniform(0.0, DT, nc),
             work_normal=rng.normal(size=nc), work_friction=rng.normal(size=nc), created=1e-3 * k,
             pieces=SimpleNamespace(
@@ -147,7 +147,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 7 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 8 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
@@ -165,7 +165,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         assert file["links/impulse"].shape == (7, 1, 6)
         columns = set(file["contacts"]) - {"offset"}
         assert columns == {
-            "geom1", "geom2", "point", "normal", "gap", "u", "impulse", "mu", "restitution", "key", "status",
+            "geom1", "geom2", "point", "normal", "gap", "u", "impulse", "couple", "mu", "restitution", "key", "status",
             "tangent", "time", "work_normal", "work_friction",
         }  # fmt: skip
         assert {len(file[f"contacts/{name}"]) for name in columns} == {offset[-1]}
@@ -294,7 +294,7 @@ def test_failed_save_leaves_the_old_file(tmp_path):
     [
         (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
         (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
-        (lambda f: f["meta"].attrs.__setitem__("format_version", 8), "format_version 8"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", 9), "format_version 9"),
         (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
         (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
         (lambda f: f["t"].resize(0, axis=0), "is damaged"),

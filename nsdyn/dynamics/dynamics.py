@@ -333,17 +333,6 @@ class Dynamics:
             return forces
         return self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
 
-    def external_works(self, forces: Forces, begin: Position, end: Position, v0: Array, v1: Array, h: float) -> Array:
-        """Works of external forces and torques on the free bodies in a move of h s, shape (nf,), J.
-
-        Forces go with the centres of mass from `begin` to `end`, torques with the mean of the spins before and after.
-        """
-        if forces.force is self.no_load:
-            return self.no_works
-        turn = 0.5 * h * (v0 + v1)[: 6 * self.free].reshape(-1, 6)[:, 3:]
-        out: Array = ((end.x - begin.x) * forces.force).sum(axis=1) + (turn * forces.torque).sum(axis=1)
-        return out
-
     def free_forces(self, v: Array) -> Forces:
         """What acts in a step on free bodies alone, which gravity gives the velocity v."""
         return Forces(v, v, self.no_load, self.no_load, self._m, self._minv, ())

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from nsdyn.recording.findings import Found, at_play, not_audited, of_bodies, worst_of
-from nsdyn.recording.flight import CONJUGATE, Flight, spins, velocities
+from nsdyn.recording.flight import Flight, spins, velocities
 from nsdyn.recording.poses import Poses, turned
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
@@ -16,9 +16,6 @@ from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array
 
 __all__ = ["energies", "momenta", "plain"]
-
-ROUND_OFF = 1e-13
-"""Work that is nothing, as a fraction of the energy at play: some hundred roundings."""
 
 
 def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
@@ -43,21 +40,14 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     if not flight.timed:
         yield not_audited("spin", "N·m·s", "when impulses acted is not recorded")
         return
-    inertia = np.array(poses.scene["inertias"]).reshape(-1, 3, 3)
+    if np.isnan(t.columns["contacts/couple"]).any():
+        yield not_audited("spin", "N·m·s", "couples of contacts are not recorded")
+        return
     spin = spins(poses)
     rest = np.diff(spin, axis=0) - flight.torque
     # Where on its way the projection lifts a body is not recorded.
     left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown)
-    # Nor is how rolling resistance turns bodies, but what it takes: the ledger's projection without what was lifted,
-    # and turned with angular momenta that stay. From one body it takes up to twice that, as where another rolls on it
-    # and is turned on.
-    q, before = poses.quaternion[1:, :free], spin[:-1] + flight.torque
-    turned = (_rotational(q, before, inertia) - _rotational(flight.quaternion, before, inertia)).sum(axis=1)
-    taken = np.abs((flight.lift @ weight) @ mass / t.dt + t.energy.projection - turned)
-    change = np.linalg.solve(inertia, rotate(q * CONJUGATE, rest)[..., None])[..., 0]
-    work = _resisted(poses, rest, rotate(q, poses.v[1:, :, 3:] - 0.5 * change))
-    resisted = (taken > ROUND_OFF * at_play(poses))[:, None] & (work <= 2.0 * taken[:, None])
-    left = np.where(resisted, 0.0, np.maximum(left, 0.0))
+    left = np.maximum(left, 0.0)
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:], "N·m·s")
 
@@ -74,39 +64,13 @@ def plain(poses: Poses) -> Iterator[Found]:
     yield worst_of("turns", off.ravel(), off.ravel(), "-", state.ravel(), lambda k: [frames[which.ravel()[k]]])
 
 
-def _rotational(quaternion: Array, spin: Array, inertia: Array) -> Array:
-    """Energies of rotation of bodies with angular momenta (n, free, 3), world axes, turned so, (n, free), J."""
-    own = rotate(quaternion * CONJUGATE, spin)
-    out: Array = 0.5 * (own * np.linalg.solve(inertia, own[..., None])[..., 0]).sum(axis=2)
-    return out
-
-
-def _resisted(poses: Poses, couple: Array, spin: Array) -> Array:
-    """Work that couples (n, free, 3) take from the mean spins of free bodies, of either sign, shape (n, free), J.
-
-    Rolling resistance acts between two bodies that touch and opposes how one turns on the other: what it takes is
-    measured against the spin of the one touched with which it is least, of what stands still too.
-    """
-    t, free = poses.trajectory, poses.free
-    c = t.columns
-    out: Array = np.abs((couple * spin).sum(axis=2))
-    step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
-    frames = poses.frame[c["contacts/geom1"]], poses.frame[c["contacts/geom2"]]
-    both = np.flatnonzero((np.minimum(*frames) >= 0) & (np.maximum(*frames) < free))
-    for own, other in (frames, frames[::-1]):
-        k, body = step[both], own[both]
-        turning = spin[k, body] - spin[k, other[both]]
-        np.minimum.at(out, (k, body), np.abs((couple[k, body] * turning).sum(axis=1)))
-    return out
-
-
 def _motion(poses: Poses, flight: Flight | None) -> Found:
     """How free bodies move with their velocities: of points of them, m."""
     t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
     q = poses.quaternion[:, :free]
     if flight is not None and flight.timed:
         left, there, back = np.linalg.norm(flight.lift, axis=2) - flight.unknown, flight.quaternion, q[1:]
-        # When rolling resistance turned bodies in a step in pieces, and how far they were lifted, is not recorded.
+        # How far bodies were lifted in a step in pieces is not recorded.
         rest = np.linalg.norm(np.diff(spins(poses), axis=0) - flight.torque, axis=2)
         rest += flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown)
         least = np.linalg.eigvalsh(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))[:, 0]
@@ -161,8 +125,7 @@ def energies(poses: Poses) -> Iterator[Found]:
         sums[name] = np.diff(so_far[ends])
     gain = sums["normal"] + sums["friction"]
     if t.has_contacts:
-        # Rolling resistance, by which contacts lose what their impulses gave, is booked with the projection.
-        work = gain + np.minimum(e.projection, 0.0) - _falls(t)
+        work = gain - _falls(t)
         yield worst_of("dissipation", work / scale, work, "J", steps[1:], nobody)
     else:
         yield not_audited("dissipation", "J", left_out(t))

@@ -53,6 +53,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /contacts/gap, mu, restitution                 m, -, -
     /contacts/u, impulse                           (., 3)  (N, T1, T2) of 2 relative to 1, m/s; on 2, N·s, as the solver
                                                    found it: `impulse_raw` of `nsdyn.recording.series.ContactTable`
+    /contacts/couple                               (., 3)  on 2, world, N·m·s, with which contacts that persist do no
+                                                   work; since version 8
     /contacts/status                               0 open, 1 stick, 2 slip
     /contacts/work_normal, work_friction           J
     /contacts/time                                 s after the beginning of the step; since version 6
@@ -93,7 +95,7 @@ __all__ = ["create", "extend", "read", "read_state", "until"]
 Columns = dict[str, NDArray[Any]]
 Saved = tuple[int, Columns]
 
-FORMAT_VERSION = 7
+FORMAT_VERSION = 8
 CONTACT_STATES = ("open", "stick", "slip")
 
 ENERGIES = ("kinetic", "potential")
@@ -114,6 +116,7 @@ CONTACT = {
     "u": ("u", "f8", 3),
     "impulse": ("r", "f8", 3),
     "status": ("contact_status", "i1", 1),
+    "couple": ("couple", "f8", 3),
     "time": ("contact_time", "f8", 1),
     "tangent": ("tangent", "f8", 3),
     "work_normal": ("work_normal", "f8", 1),
@@ -138,6 +141,7 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
     (3, "solver/error", (), math.nan),
     (4, "wall_time", (), math.nan),
     (6, "contacts/time", (), math.nan),
+    (8, "contacts/couple", (), math.nan),
 ]
 # Attributes of /meta that older files lack.
 ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": ""}
@@ -294,9 +298,10 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     rows = _rows(names, states, ends)
     columns = {name: schema.column(file, name, size, *_layout(name)) for name, size in rows.items()}
     for name, size in _rows(absent, states, ends).items():
-        columns[name] = np.empty(size)
+        width = CONTACT.get(name.rpartition("/")[2], ("", "", 1))[2]
+        columns[name] = np.empty((size, width) if width > 1 else size)
     for _, column, summed, value in added:
-        columns[column] = sum((columns.pop(part) for part in summed), np.full(len(columns[column]), value))
+        columns[column] = sum((columns.pop(part) for part in summed), np.full(columns[column].shape, value))
     text = dataset(file, "meta/scene")
     return meta, schema.scene(text[()], columns), columns
 

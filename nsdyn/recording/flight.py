@@ -84,7 +84,7 @@ class Flight:
     Attributes
     ----------
     impulse, torque : ndarray, shape (n, free, 3)
-        Σ r, N·s, and Σ (p - x(t_j)) × r about where the bodies are then, N·m·s.
+        Σ r, N·s, and Σ (p - x(t_j)) × r and couples, about where the bodies are then, N·m·s.
     size, levers : ndarray, shape (n, free)
         Σ ‖r‖, and Σ ‖p - x‖ ‖r‖.
     lift : ndarray, shape (n, free, 3)
@@ -156,7 +156,8 @@ class Flight:
         at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
         arm, size = c["contacts/point"][row] - at, np.linalg.norm(push, axis=1)
         unknown = ((theta - 0.5) + 0.5 * (1.0 - theta) ** 2) * h * np.linalg.norm(forced, axis=2)
-        moment = np.cross(arm, push)
+        # Of older recordings, which have none of it, the angular momentum is not audited.
+        moment = np.cross(arm, push) + np.where(side, 1.0, -1.0)[:, None] * np.nan_to_num(c["contacts/couple"][row])
         turned, then, turning = _turned(poses, step * free + body, time, moment)
         met_x, met_quaternion = np.full((len(n), 2, 3), np.nan), np.full((len(n), 2, 4), np.nan)
         met_x[row, side], met_quaternion[row, side] = at, then
@@ -212,7 +213,7 @@ def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array
 
     Then the mean angular velocity before and after each, world axes, (moments, 3), rad/s. The moments, on body
     row % free in step row // free, are sorted by row and time. What else changes angular momenta in a step, as external
-    forces do, acts where those of a step in one piece do; rolling resistance acts at the end.
+    forces do, acts where those of a step in one piece do.
     """
     t, free = poses.trajectory, poses.free
     q, w = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), poses.v[:-1, :, 3:].reshape(-1, 3).copy()

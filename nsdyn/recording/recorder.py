@@ -105,7 +105,7 @@ class Recorder:
     solution                      attributes error, residual, iterations, status, time
     contacts                      ContactSet: geom1, geom2, point, normal, mu, restitution, key
     gap                           (nc,), at the end of the step
-    u, r, tangent                 (nc, 3) each
+    u, r, couple, tangent         (nc, 3) each
     contact_status                (nc,), 0 open, 1 stick, 2 slip
     contact_time                  (nc,), s after the beginning of the step
     created                       float, J

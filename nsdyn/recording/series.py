@@ -189,6 +189,9 @@ class ContactTable:
         that obey the law of contact with the same force and torque: see `nsdyn.recording.shares`.
     impulse_raw : ndarray, shape (nc, 3)
         The same as the solver found them, not unique when contacts are redundant.
+    couple : ndarray, shape (nc, 3)
+        On body 2, world axes, its opposite on body 1, N·m·s, with which contacts that persist do no work; NaN in
+        recordings before format 8.
     mu, restitution : ndarray, shape (nc,)
     key : ndarray of int64, shape (nc,)
         The same for the same features of the same pair of shapes in the next step.
@@ -210,6 +213,7 @@ class ContactTable:
     gap: Array
     u: Array
     impulse_raw: Array
+    couple: Array
     mu: Array
     restitution: Array
     key: NDArray[np.int64]

@@ -144,6 +144,10 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
     u = np.where(_rebounding(poses, c, step)[:, None], 0.0, c["u"][:, 1:])
     power = (r[:, 1:] * u).sum(axis=1)
+    if flight is not None and flight.timed:
+        # Of what strikes and rests then, by a law that has friction against the mean slip, it is that.
+        mean = (r[:, 1:] * flight.met_u[:, 1:]).sum(axis=1)
+        power = np.where(c["restitution"] > 0.0, np.fmin(power, mean), power)
     yield worst_of("friction", power / at_play(poses), power, "J", step, names)
     most = _rubbed(r, mu, u)
     if flight is not None and flight.timed:

@@ -13,6 +13,7 @@ from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Round
 from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Impulses, Instant, System, account, take
+from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.tools.arrays import Array, Bools
 
@@ -73,16 +74,16 @@ def collide(
     resting = s.resting(contacts, joints, met.restitution, at.placement, rate)
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)
     depth[:nc] = s.deep(contacts)
-    if s.depth == DEEP:
+    if s.depth >= DEEP:
         # What was pressed before turns with its bodies: it closes a little without striking. But what has just closed
         # its gap still approaches, and where that gains energy it is stopped first.
-        depth[:nc][np.isin(contacts.key, at.warm.key[at.warm.status > 0])] = np.inf
+        depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
     slow = np.where(met.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
     if impact.problem is None or impact.solution is None:
         return None
     v = at.v + met.rows.velocity_change(impact.r)
-    impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact, None, d.mass)
+    impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact, None, NO_COUPLE, d.mass)
     if any(free.constraints is not None for free in forces.trees):
         push = met.rows.full.momentum(impact.r)
         for tree, free in zip(d.trees, forces.trees, strict=True):

@@ -5,7 +5,7 @@ u_k to u⁻ though nothing acted, for rows turn with their bodies; the second ha
 to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is remembered of earlier steps:
 
     K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K,   y = W r + b,
-    b_N = u_f + c_N + [G > closed] G / τ        u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
+    b_N = u_f + c_N + [G > closed or stays] G / τ     u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
     b_T = u_f + c_T       of a contact that sticks, or stops: slip of the end
         = u⁻ + u_f        of one that slides through: twice the mean slip, exactly
 
@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import law as _law
+from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
@@ -39,7 +40,7 @@ SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
 that stop, whose slip would else be turned round."""
 
-NOTHING = np.empty(0)
+NOTHING, NEVER = np.empty(0), np.empty(0, np.bool_)
 
 
 class Basis(NamedTuple):
@@ -65,10 +66,8 @@ class Warm(NamedTuple):
 
     Attributes
     ----------
-    key : ndarray of int, shape (nc,)
-        Names of the contacts.
-    frame1, frame2 : ndarray of int, shape (nc,)
-        Frames they hang on.
+    key, pair : ndarray of int, shape (nc,)
+        Names of the contacts, and codes of their pairs of shapes.
     force : ndarray, shape (nc, 3)
         World axes, N: impulses over the length of their move.
     status : ndarray of int8, shape (nc,)
@@ -79,8 +78,7 @@ class Warm(NamedTuple):
     """
 
     key: Index
-    frame1: Index
-    frame2: Index
+    pair: Index
     force: Array
     status: NDArray[np.int8]
     joints: Array
@@ -137,6 +135,8 @@ class Encounter(NamedTuple):
         u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
         Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
         after it would be one too many, and an elastic ball would lose m g h v.
+    stays, sticks : ndarray of bool, shape (nc,)
+        Contacts that persist, and across their normals too: `nsdyn._kernels.stepping.persistence.persists`.
     slides : ndarray of bool, shape (nc,), optional
         Which contacts slide through the step, where that is foreseen already.
     posed : FC3D, optional
@@ -157,6 +157,8 @@ class Encounter(NamedTuple):
     transport: Array = NOTHING
     quickening: Array = NOTHING
     rebound: Array = NOTHING
+    stays: Bools = NEVER
+    sticks: Bools = NEVER
     slides: Bools | None = None
     posed: FC3D | None = None
 
@@ -265,7 +267,7 @@ class Encounter(NamedTuple):
     def offsets(self, slides: Bools, closing: Closing) -> Array:
         """b, shape (3 rows,), m/s, where the contacts `slides` (nc,) slide through."""
         b = np.empty(self.local.shape[1])
-        _law.offsets(self.local, self.end_gap, self.restitution, self.rebound, slides, tuple(closing), b)
+        _law.offsets(self.local, self.end_gap, self.restitution, self.rebound, self.stays, slides, tuple(closing), b)
         return b
 
     def take(self, kept: Bools) -> Encounter:
@@ -278,7 +280,45 @@ class Encounter(NamedTuple):
             frame=self.frame[kept[:nc]], mu=self.mu[kept], restitution=self.restitution[kept],
             place=self.place[kept[:nc]], local=self.local[:, rows], end_gap=self.end_gap[kept], slides=None, posed=None,
             transport=self.transport[rows] if self.transport.size else NOTHING,
+            stays=self.stays[kept[:nc]], sticks=self.sticks[kept[:nc]],
         )  # fmt: skip
+
+    def lasting(self, old: NDArray[np.int8], before: ContactSet, closed: float, h: float, struck: bool) -> Encounter:
+        """The same with what persists of contacts found `before` the move; nothing where others are `struck`.
+
+        What they were in the last move is `old` (nc,); this one takes h s.
+        """
+        nc = self.contacts.gap.size
+        stays, sticks = np.empty(nc, np.bool_), np.empty(nc, np.bool_)
+        begin = before.key, before.gap, closed
+        some = _persistence.persists(self.contacts.key, begin, old, self.local, self.end_gap, h, struck, stays, sticks)
+        out = self._replace(stays=stays, sticks=sticks)
+        return out.otherwise() if some else out
+
+    def turned(self, dv: Array, r: Array) -> Encounter:
+        """The same with couples that change v by dv (n,), and impulses to start from."""
+        local = self.local.copy()
+        local[2] += self.rows.full.relative_velocity(dv)
+        local[4] = r
+        return self.otherwise()._replace(local=local)
+
+    def corrected(self, gap: Array, r: Array, most: Array, closed: float) -> Encounter | None:
+        """The same with the gaps (nc,) that contacts, which stay and are pressed by r, end with; None if closed.
+
+        Of gaps beyond `most` (nc,) nothing is foreseen.
+        """
+        off = self.off(gap, r, most, closed)
+        if not off.any():
+            return None
+        end_gap = self.end_gap.copy()
+        end_gap[: gap.size] += np.where(off, gap, 0.0)
+        return self.otherwise()._replace(end_gap=end_gap)
+
+    def off(self, gap: Array, r: Array, most: Array, closed: float) -> Bools:
+        """Which contacts stay and are pressed by r, but end with a gap, of no more than `most` (nc,)."""
+        away, pressed = np.abs(gap), r[0 : 3 * gap.size : 3] > 0.0
+        out: Bools = self.stays & pressed & (away > closed) & (away <= most)
+        return out
 
     def otherwise(self) -> Encounter:
         """The same where the problem is not as it was posed."""

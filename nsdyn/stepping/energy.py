@@ -6,8 +6,7 @@ accuracy of the solve, and the flows between keep it:
     ΔT + ΔV = external + normal + friction + damping + constraint + integration + projection + defect.
 
 The first five are physics. Numerics are what would be nothing in the limit of small steps (`integration`), what the
-projection of positions lifts less what is taken back where bodies gained by these (`nsdyn.stepping.balance`), and the
-defect, which is round-off: a ledger that does not close is a bug.
+projection of positions lifts, and the defect, which is round-off: a ledger that does not close is a bug.
 """
 
 from __future__ import annotations
@@ -31,9 +30,10 @@ class Works(NamedTuple):
     constraint: float = 0.0
     """Of bilateral constraints: of what drives bodies, surfaces and joints, and of closed loops, O(h²) of a motion."""
     integration: float = 0.0
-    """Numerics: of contacts that stay closed and stick, of the flow of trees, and of θ > ½; O(h²) of a motion."""
+    """Numerics: of contacts that stay closed and stick, as far as couples leave any (`nsdyn.stepping.persistence`), of
+    the flow of trees, and of θ > ½; O(h²) of a motion."""
     projection: float = 0.0
-    """Of the position projection, and of the rolling resistance that takes what islands gained (`balance`)."""
+    """Numerics: of the position projection."""
 
     @staticmethod
     def total(parts: list[Works]) -> Works:

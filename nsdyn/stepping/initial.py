@@ -45,7 +45,7 @@ def begin(s: System, geoms: list[Geom], overlap: float, lift: bool) -> Instant:
             raise ValueError(f"{where}, and nothing moves them apart: they are squeezed")
     none = np.empty((0, 3))
     nobody = np.empty(0, np.int64)
-    warm = Warm(nobody, nobody, nobody, none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), None)
+    warm = Warm(nobody, nobody, none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), None)
     at = placed.placement
     return Instant(
         placed.position, v, at, placed.contacts, placed.limits, placed.memory, placed.looked, warm, d.twists(at, v),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
+from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -20,10 +21,11 @@ from nsdyn.solvers import Solver
 from nsdyn.stepping.encounter import Basis, Closing, Encounter, Warm
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Law
+from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.rounds import Impact
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "Impulses", "Instant", "System", "account", "take"]
+__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Impulses", "Instant", "System", "account", "take"]
 
 NOTHING = np.empty(0)
 
@@ -31,9 +33,10 @@ FAST = 0.1
 """Fraction of the inscribed radius of the smallest shape beyond which bodies may get so far into each other in half a
 move that only the way there tells which sides met."""
 
-DEEP = 1e-3
-"""Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a step. What
-falls so far is lifted again at the end, and the energy of that is numerical: where it gains some, less is allowed."""
+DEEP, SHALLOW = 1e-5, 1e-3
+"""Fractions of the inscribed radius of the smaller shape up to which bodies may run into each other within a step, in
+scenes whose impacts are located, and in those that catch them. What falls so far is lifted again at the end, and the
+energy of that is numerical; what else carries the body when it lands is struck too late."""
 
 JOINT = 0.1
 """What counts for joint limits as the inscribed radius of a shape does, rad or m."""
@@ -100,7 +103,7 @@ class System(NamedTuple):
 
         The move after it is no longer than the step.
         """
-        shallow = min(self.depth * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if caught else 0.0
+        shallow = min(SHALLOW * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if caught else 0.0
         return Closing(self.closed, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt)
 
     def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:
@@ -130,6 +133,12 @@ class System(NamedTuple):
         out: Index = np.where(first >= 0, first, node[contacts.frame2])
         return out
 
+    def last_status(self, contacts: ContactSet, warm: Warm) -> NDArray[np.int8]:
+        """What the contacts were in the last move, shape (nc,): 0 open, 1 stick, 2 slip."""
+        out = np.empty(contacts.gap.size, np.int8)
+        _persistence.last_status(contacts.key, self.detector.codes(contacts), warm.key, warm.pair, warm.status, out)
+        return out
+
     def rests(
         self, contacts: ContactSet, joints: JointRows | None, restitution: Array, there: Placement, rate: Array
     ) -> Array:
@@ -155,6 +164,11 @@ class System(NamedTuple):
         """
         parting = self.rests(contacts, joints, restitution, there, rate)
         out: Array = self.solver.tol + parting / np.where(restitution > 0.0, restitution, 1.0)
+        return out
+
+    def near(self, contacts: ContactSet) -> Array:
+        """Gaps, m, up to which contacts that were pressed all through a move are held to be closed but for numerics."""
+        out: Array = FAST * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:
@@ -220,8 +234,10 @@ class Impulses(NamedTuple):
         Relative velocities afterwards [m/s], and impulses on body 2 [N·s], normal first.
     status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip.
+    couple : ndarray, shape (nc, 3)
+        On body 2, world axes, N·m·s: `nsdyn.stepping.persistence`.
     normal, friction : ndarray, shape (nc,)
-        Works, J.
+        Works, J; that of the couple with the normal one.
     joints : ndarray, shape (7, n)
         On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
         wrenches, N m s or N s; displacement by the position projection, rad or m; the most that actuators may give,
@@ -245,6 +261,7 @@ class Impulses(NamedTuple):
     u: Array
     r: Array
     status: NDArray[np.int8]
+    couple: Array
     normal: Array
     friction: Array
     joints: Array
@@ -263,7 +280,7 @@ def take(contacts: ContactSet, kept: Bools) -> ContactSet:
 
 def account(
     s: System, met: Encounter, forces: Forces, velocities: tuple[Array, Array, Array], r: Array, h: float,
-    impact: Impact | None, problem: FC3D | None, mass: Array,
+    impact: Impact | None, problem: FC3D | None, couple: Couple, mass: Array,
 ) -> tuple[Impulses, Works, Warm]:  # fmt: skip
     """What the impulses r of a move, empty for none, and its impacts did, their works, and what they leave.
 
@@ -277,9 +294,10 @@ def account(
         out = status, normal, friction, u_end, world = (
             np.empty(nc, np.int8), np.empty(nr), np.empty(nr), np.empty(3 * nr), np.empty((nc, 3))
         )  # fmt: skip
-        bodies, loads, was = (mass, d.gravity), (forces.force, forces.torque), (met.place, met.status)
+        bodies, loads = (mass, d.gravity), (forces.force, forces.torque)
         external, beyond, normal_work, friction_work, rest = _account.account(
-            met.rows.full.arrays, bodies, loads, h, s.theta, velocities, r, met.mu, met.transport, was, struck,
+            met.rows.full.arrays, bodies, loads, h, s.theta, velocities, r, met.mu, met.transport,
+            (met.stays, met.sticks, couple.work), struck,
             met.local, met.frame, s.solver.tol, out,
         )  # fmt: skip
         total = r
@@ -306,8 +324,6 @@ def account(
     basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
-    links = np.zeros((d.links, 6))
-    impulses = Impulses(
-        met.contacts, met.frame, u, impulse, status, normal, friction, on_joints, links, created, time, h
-    )
-    return impulses, works, Warm(c.key, c.frame1, c.frame2, world, status, slots, basis)
+    links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))
+    impulses = Impulses(c, met.frame, u, impulse, status, turned, normal, friction, on_joints, links, created, time, h)
+    return impulses, works, Warm(c.key, s.detector.codes(c), world, status, slots, basis)

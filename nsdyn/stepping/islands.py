@@ -23,6 +23,7 @@ from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
 from nsdyn.stepping.move import Move, Trial, attempt, finish
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import Loads, Passage, through, undisturbed
+from nsdyn.stepping.persistence import unfinished
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import approach
 from nsdyn.stepping.state import State
@@ -126,7 +127,7 @@ class Islands:
             opened = again
         made = [done[tuple(np.flatnonzero(label == k).tolist())] for k in np.flatnonzero(opened).tolist()]
         left = ~opened[label]
-        out = Passage(begin, half.rate.copy(), state.owed, True, [], [], [], [])
+        out = Passage(begin, half.rate.copy(), True, [], [], [], [])
         if tried is not None and left.any():
             out = _done(finish(s, begin, self._kept(tried, left), left))
             out.done[0] = out.done[0]._replace(moves=np.repeat(left, np.diff(d.offset)))
@@ -230,8 +231,10 @@ class Islands:
             out += self._nodes(c, a.slides != foresee(a.met._replace(slides=None)))
         if not a.solution.accepted:
             out += self._nodes(c, np.ones(c.gap.size, np.bool_))
-        if a.impact is not None:
-            out += self._nodes(c, a.impact.r[0 : 3 * c.gap.size : 3] > 0.0)
+        half, begun, ended = tried.half, tried.seen.looked, a.moved.looked
+        at = half.middle.placement.R, half.h, 0.5 * (half.middle.v + a.v), a.solution.r, a.slides
+        if (off := unfinished(s, a.met, begun, ended, found, *at)) is not None:
+            out += self._nodes(c, off)
         limited = d.within_limits(tried.half.middle, tried.half.forces, a.v)
         changed = [x is not y for x, y in zip(limited.trees, tried.half.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
@@ -271,5 +274,4 @@ class Islands:
 
 def _done(m: Move) -> Passage:
     """A step in one move."""
-    owed = np.zeros(m.external.size)
-    return Passage(m.end, m.rate, owed, m.clear, [m.impulses], [(m.problem, m.solution)], m.works, [])
+    return Passage(m.end, m.rate, m.clear, [m.impulses], [(m.problem, m.solution)], m.works, [])

@@ -8,7 +8,7 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.dynamics.values import Energies, Placement, Position
@@ -20,6 +20,7 @@ from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Impulses, Instant, System, account, take
+from nsdyn.stepping.persistence import NO_COUPLE, Couple, solve_workless
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
@@ -30,6 +31,9 @@ from nsdyn.tools.displacements import displacement
 __all__ = ["Move", "Trial", "attempt", "finish", "tree_works", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
+
+GAPS = 3
+"""Most times that the gaps which persistent contacts are found to end with are closed."""
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
@@ -51,8 +55,6 @@ class Move(NamedTuple):
         Whether the end is without overlap.
     rate : ndarray, shape (n,)
         Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
-    external : ndarray, shape (nf,)
-        Works of external forces on the free bodies, J.
     """
 
     end: Instant
@@ -62,7 +64,6 @@ class Move(NamedTuple):
     solution: Solution
     clear: bool
     rate: Array
-    external: Array
 
 
 class Seen(NamedTuple):
@@ -96,6 +97,7 @@ class Response(NamedTuple):
     solution : Solution
     otherwise : bool
         Whether contacts slide otherwise than foreseen.
+    couple : Couple
     v : ndarray, shape (n,)
         v⁺.
     impulse : ndarray, shape (n,), or None
@@ -115,6 +117,7 @@ class Response(NamedTuple):
     problem: FC3D
     solution: Solution
     otherwise: bool
+    couple: Couple
     v: Array
     impulse: Array | None
     v_end: Array
@@ -275,7 +278,11 @@ def _respond(
         met = Encounter.of(
             d, contacts, every, middle.seen(seen.looked), forces, start, half.reach, moving, half.h, half.ahead, closing
         )
-    met, impact, kick = caught_impacts(s, met, middle.placement, half.rate, half.h)
+    impact: Impact | None = None
+    kick: Array | float = 0.0
+    if not once:
+        met, impact, kick = caught_impacts(s, met, middle.placement, half.rate, half.h)
+    met = met.lasting(s.last_status(contacts, begin.warm), begin.contacts, s.closed, half.h, impact is not None)
     slides = foresee(met)
     if last is not None:
         met = met.otherwise()
@@ -283,32 +290,46 @@ def _respond(
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (0 if once else SOLVES, last is not None)
     before = None if last is None else last.solution
-    problem, solution, otherwise = solve(met, s.solver, before, closing, slides, back, most, rough)
-    v, near = forces.v if impact is None else forces.v + kick, d.nowhere
-    if barred is not None and barred.size:
-        near = 2.0 * half.reach
+    near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     impulse: Array | None = None
     trees: tuple[TreeEnd, ...] = ()
-    if d.alone:
-        at = middle.position
-        v, x, quaternion, v_end, R, twists, same = _free.end(
-            s, at.x, at.quaternion, met.rows, solution.r, v, half.ahead, seen.looked, near
-        )
-        end, there = at.moved(x, quaternion), Placement(x, R, ())
-    else:
-        impulse, v = met.rows.response(solution.r, v)
-        if not once and (limited := d.within_limits(middle, forces, v)) is not forces:
-            return _respond(s, begin, half._replace(forces=limited), contacts, joints, seen, barred, last, rough)
-        if impact is not None:
-            impulse = met.rows.full.momentum(solution.r + impact.r)
-        end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
-        twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
-    if same:
-        moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, seen.looked, True)
-    else:
-        moved = place(d, s.detector, end, there, seen.memory, s.look(seen.looked, there.x, there.R, near))
+    alone, couple = met, NO_COUPLE
+    for left in reversed(range(GAPS + 1 if barred is not None and not once else 1)):
+        if once:
+            problem, solution, otherwise = solve(met, s.solver, before, closing, slides, back, most, rough)
+        else:
+            met, problem, solution, otherwise, couple = solve_workless(
+                s, alone, middle, forces, half.h, before, closing, slides, back, most, rough, couple
+            )
+        v = forces.v + couple.dv if couple.dv.size else forces.v
+        v = v if impact is None else v + kick
+        if d.alone:
+            at = middle.position
+            v, x, quaternion, v_end, R, twists, same = _free.end(
+                s, at.x, at.quaternion, met.rows, solution.r, v, half.ahead, seen.looked, near
+            )
+            end, there = at.moved(x, quaternion), Placement(x, R, ())
+        else:
+            impulse, v = met.rows.response(solution.r, v)
+            if not once and (limited := d.within_limits(middle, forces, v)) is not forces:
+                return _respond(s, begin, half._replace(forces=limited), contacts, joints, seen, barred, last, rough)
+            if impact is not None:
+                impulse = met.rows.full.momentum(solution.r + impact.r)
+            end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
+            twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
+        if same:
+            moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, seen.looked, True)
+        else:
+            moved = place(d, s.detector, end, there, seen.memory, s.look(seen.looked, there.x, there.R, near))
+        if not left or not met.stays.any():
+            break
+        gap = s.detector.gaps(contacts, moved.contacts, Poses(there.x, there.R))
+        closer = alone.corrected(gap, solution.r, s.near(contacts), s.closed)
+        if closer is None:
+            break
+        alone, before = closer, solution
     return half, Response(
-        met, impact, kick, slides, problem, solution, otherwise, v, impulse, v_end, trees, twists, moved
+        met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved
     )
 
 
@@ -332,7 +353,8 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
     v = half.middle.v
     velocities = v, v if a.impact is None else v + a.kick, a.v
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
-    impulses, own, warm = account(s, a.met, half.forces, velocities, a.solution.r, half.h, a.impact, a.problem, mass)
+    r, h = a.solution.r, half.h
+    impulses, own, warm = account(s, a.met, half.forces, velocities, r, h, a.impact, a.problem, a.couple, mass)
     works = []
     v_end, twists = a.v_end, a.twists
     if placed is not a.moved:
@@ -350,8 +372,7 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
         placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, placed.looked, warm,
         twists, energies,
     )  # fmt: skip
-    external = d.external_works(half.forces, begin.position, placed.position, half.middle.v, a.v, half.h)
-    return Move(end, impulses, [own, *works], a.problem, a.solution, placed.clear, half.rate, external)
+    return Move(end, impulses, [own, *works], a.problem, a.solution, placed.clear, half.rate)
 
 
 def tree_works(

@@ -53,7 +53,7 @@ class Part:
         self._frame = np.full(d.frames + 1, -1)
         self._frame[frames] = np.arange(frames.size)
         self.geoms = np.flatnonzero((frame_of_geom < 0) | (self._frame[frame_of_geom] >= 0))
-        self._geom = np.full(frame_of_geom.size, -1)
+        self._geom, self._frame_of_geom = np.full(frame_of_geom.size, -1), frame_of_geom
         self._geom[self.geoms] = np.arange(self.geoms.size)
         spans = [np.arange(d.offset[k], d.offset[k + 1]) for k in nodes.tolist()]
         self.coordinates = np.concatenate([np.empty(0, np.int64), *spans])
@@ -92,11 +92,12 @@ class Part:
         names = at.memory.names[:, kept]
         names[:2], names[2:4] = self._geom[names[:2]], self._frame[names[2:4]]
         memory = ContactMemory(names, at.memory.points[:, kept], next_key)
-        kept = self._has(w.frame1, w.frame2)
+        geoms = np.divmod(w.pair, self._geom.size)
+        kept = self._has(*(self._frame_of_geom[g] for g in geoms))
+        first, second = (self._geom[g[kept]] for g in geoms)
         warm = Warm(
-            w.key[kept], self._frame[w.frame1[kept]], self._frame[w.frame2[kept]], w.force[kept], w.status[kept],
-            w.joints[self._slots], None,
-        )  # fmt: skip
+            w.key[kept], first * self.geoms.size + second, w.force[kept], w.status[kept], w.joints[self._slots], None
+        )
         there = Placement(place.x[frames], place.R[frames], tuple([place.links[k] for k in trees]))
         return Instant(
             position, at.v[self.coordinates], there, c, at.limits[self._limits], memory,
@@ -123,8 +124,7 @@ class Part:
 
     def state(self, whole: State, next_key: int) -> State:
         """The state of the part, whose new contacts get names from a number on."""
-        rate, owed = whole.rate[self.coordinates], whole.owed[self._bodies]
-        return whole._replace(instant=self.cut(whole.instant, next_key), rate=rate, owed=owed)
+        return whole._replace(instant=self.cut(whole.instant, next_key), rate=whole.rate[self.coordinates])
 
     def contacts(self, c: ContactSet) -> ContactSet:
         """Contacts of the part as those of the whole."""
@@ -139,7 +139,8 @@ class Part:
 
     def warm(self, w: Warm) -> Warm:
         """The warm start of the part as that of the whole, but for the joints."""
-        return w._replace(frame1=self._frames[w.frame1], frame2=self._frames[w.frame2])
+        first, second = np.divmod(w.pair, self.geoms.size)
+        return w._replace(pair=self.geoms[first] * self._geom.size + self.geoms[second])
 
     def impulses(self, a: Impulses, n: int) -> Impulses:
         """Impulses of the part as those of the whole, of n coordinates."""
@@ -176,7 +177,8 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
         return left[np.where(first >= 0, first, node[frame2])]
 
     c, m, w = base.contacts, base.memory, base.warm
-    kept = stays(c.frame1, c.frame2), stays(m.names[2], m.names[3]), stays(w.frame1, w.frame2)
+    pressed = [detector.frame[g] for g in np.divmod(w.pair, whole.inscribed.size)]
+    kept = stays(c.frame1, c.frame2), stays(m.names[2], m.names[3]), stays(*pressed)
     contacts, warm = [ContactSet._make([x[kept[0]] for x in c])], [[x[kept[2]] for x in _columns(w)]]
     names, points = [m.names[:, kept[1]]], [m.points[:, kept[1]]]
     for part, end in parts:
@@ -192,12 +194,12 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
     all_names, all_points = np.concatenate(names, axis=1), np.concatenate(points, axis=1)
     ranks = np.argsort(all_names[0] * whole.inscribed.size + all_names[1], kind="stable")
     next_key = max(base.memory.next_key, *(end.memory.next_key for _, end in parts))
-    key, frame1, frame2, force, status = [np.concatenate(columns) for columns in zip(*warm, strict=True)]
+    key, pair, force, status = [np.concatenate(columns) for columns in zip(*warm, strict=True)]
     return out._replace(
         position=out.position._replace(trees=p), placement=out.placement._replace(links=links), energies=energies,
         contacts=ContactSet._make([column[order] for column in c]),
         memory=ContactMemory(all_names[:, ranks].copy(), all_points[:, ranks].copy(), next_key),
-        warm=Warm(key, frame1, frame2, force, status, out.warm.joints, None),
+        warm=Warm(key, pair, force, status, out.warm.joints, None),
     )  # fmt: skip
 
 
@@ -212,7 +214,7 @@ def driven(d: Dynamics, at: Instant, x: Array, quaternion: Array) -> Instant:
 
 def _columns(w: Warm) -> list[Any]:
     """What a warm start has of every contact."""
-    return [w.key, w.frame1, w.frame2, w.force, w.status]
+    return [w.key, w.pair, w.force, w.status]
 
 
 def _copied(at: Instant) -> Instant:

@@ -1,4 +1,4 @@
-"""The way through a step: moves and impacts one after the other, in pieces where bodies would gain energy, or sink."""
+"""The way through a step: moves and impacts one after the other, in pieces where bodies would sink."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, first_half
-from nsdyn.stepping.instant import DEEP, EVENTS, Impulses, Instant, System, take
+from nsdyn.stepping.instant import DEEP, EVENTS, SHALLOW, Impulses, Instant, System, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
 from nsdyn.stepping.sight import Unmet, approach, others
@@ -34,8 +34,8 @@ SOON, AGAIN = 1e-6, 0.1
 has just been cut, which is located to second order, what is left of it."""
 
 HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
-"""Most times that a step is halved in which bodies gained energy, sank or were lifted far, most pieces tried in it, so
-that the effort is bounded, and by what fraction bodies may then run less far into each other: impulses and projections
+"""Most times that a step is halved in which bodies sank or were lifted far, most pieces tried in it, so that the effort
+is bounded, and by what fraction bodies may then run less far into each other: impulses and projections
 at more configurations err less."""
 
 CLOSER = 50
@@ -52,8 +52,6 @@ class Passage(NamedTuple):
     end : Instant
     rate : ndarray, shape (n,)
         Last free acceleration, m/s² and rad/s².
-    owed : ndarray, shape (nf,)
-        As of `State`, J.
     clear : bool
         Whether the end is without overlap.
     done : list of Impulses
@@ -66,7 +64,6 @@ class Passage(NamedTuple):
 
     end: Instant
     rate: Array
-    owed: Array
     clear: bool
     done: list[Impulses]
     solved: list[tuple[FC3D, Solution]]
@@ -86,13 +83,13 @@ def through(system: System, state: State, loads: Loads) -> Passage:
         What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
     """
     begin, system = state.instant, system.during(state.next_t - state.dt, state.dt)
-    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, state.owed)
+    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate)
     return _in_pieces(system, state, loads) if coarse and begin.contacts.gap.size <= LOCATED else whole
 
 
 def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
     """The way through a step that is too coarse in one piece."""
-    now, rate, owed, clear = state.instant, state.rate, state.owed, True
+    now, rate, clear = state.instant, state.rate, True
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
@@ -103,33 +100,32 @@ def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
         h = system.dt * 0.5**halvings
         # Here bodies run less far into each other before they are stopped.
         s = system._replace(depth=DEEP * SHALLOWER**halvings)
-        p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate, owed)
+        p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate)
         if coarse and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
             pieces += [halvings + 1, halvings + 1]
             continue
         begun = system.dt - left
-        now, rate, owed, clear, left = p.end, p.rate, p.owed, p.clear, left - h
+        now, rate, clear, left = p.end, p.rate, p.clear, left - h
         done, solved, works = done + [_later(a, begun) for a in p.done], solved + p.solved, works + p.works
         path += p.path
-    return Passage(now, rate, owed, clear, done, solved, works, path)
+    return Passage(now, rate, clear, done, solved, works, path)
 
 
-def _pass(
-    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, owed: Array
-) -> tuple[Passage, bool]:
+def _pass(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
-    They would where islands gain energy, though all is solved, and where bodies sink into each other so far, or in such
-    wedges, that the projection would move them visibly.
+    They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly.
     """
     found, half, sunk, path = None, None, False, [begin.placement]
-    if begin.contacts.gap.size <= LOCATED:
+    if begin.contacts.gap.size > LOCATED:
+        s = s._replace(depth=SHALLOW)
+    else:
         found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
     if found is None:
         found, sunk = _moves(s, loads, begin, end, h, rate, half, path)
-    now, rate, clear, _, done, solved, works = found
+    now, rate, clear, done, solved, works = found
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
-    return Passage(now, rate, owed, clear, done, solved, works, [*path, now.placement]), coarse
+    return Passage(now, rate, clear, done, solved, works, [*path, now.placement]), coarse
 
 
 def undisturbed(
@@ -139,8 +135,8 @@ def undisturbed(
     found, half = _quietly(s, begin, t, h, callbacks)
     if found is None:
         return None, half
-    now, rate, clear, _, done, solved, works = found
-    return Passage(now, rate, np.zeros(s.dynamics.free), clear, done, solved, works, []), half
+    now, rate, clear, done, solved, works = found
+    return Passage(now, rate, clear, done, solved, works, []), half
 
 
 def _quietly(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> tuple[Moves | None, Half | None]:
@@ -159,7 +155,7 @@ def _moves(
     Where they were goes into the path.
     The first half of a move all the way without impacts before it may be known.
     """
-    now, left, clear, external, sunk = begin, h, True, s.dynamics.no_works, False
+    now, left, clear, sunk = begin, h, True, False
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
@@ -186,11 +182,9 @@ def _moves(
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
         solved.append((m.problem, m.solution))
         works += m.works
-        if m.external is not s.dynamics.no_works:
-            external = external + m.external
         if left <= 1e-12 * h:
             break
-    return (now, rate, clear, external, done, solved, works), sunk
+    return (now, rate, clear, done, solved, works), sunk
 
 
 def _jammed(solution: Solution) -> bool:
@@ -261,7 +255,7 @@ def _until_event(
 
 
 def _first_touch(s: System, m: Trial, barred: Index) -> float:
-    """When a move first touches what is barred, s: by parabolas of the gaps that end as it does, under its free forces."""
+    """When a move first touches what is barred, s: by parabolas of gaps that end as it does, under its free forces."""
     d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
     c = take(c, np.isin(s.detector.codes(c), barred) & ~np.isin(c.key, a.met.contacts.key))
     there, joints = a.moved.placement, d.joints

@@ -22,6 +22,7 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
 from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, System, account
 from nsdyn.stepping.move import tree_works
+from nsdyn.stepping.persistence import NO_COUPLE, unfinished
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import approach
 from nsdyn.tools.arrays import Array
@@ -30,9 +31,9 @@ __all__ = ["Moves", "quiet", "quiet_trees"]
 
 NO_ROWS = np.empty(0, np.bool_)
 
-Moves = tuple[Instant, Array, bool, Array, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
-"""End of some moves, the last free acceleration, whether the end is clear, works of external forces on the free bodies,
-and what acted, what was solved and the works of all parts: as of `nsdyn.stepping.move.Move`."""
+Moves = tuple[Instant, Array, bool, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
+"""End of some moves, the last free acceleration, whether the end is clear, what acted, what was solved and the works of
+all parts: as of `nsdyn.stepping.move.Move`."""
 
 
 def quiet(s: System, begin: Instant, h: float) -> Moves | None:
@@ -53,8 +54,9 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     seen = (old, memory, looked) if same else _looked(s, looked, (x, R, reach), old, memory, s.closed)
     if seen is None:
         return None
-    contacts, memory, looked = seen
-    rows, frame, local, _, place, slides, problem = free.meet(
+    contacts, memory, begun = seen
+    looked = begun
+    rows, frame, local, end_gap, place, slides, problem = free.meet(
         s, contacts, looked, v, v_free, begin, reach, s.closing(h, False), h
     )
     solution, mu, nc = s.solver(problem, local[4]), contacts.mu, contacts.mu.size
@@ -62,33 +64,41 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     shown, was = (r, solution.u, problem.q, mu, local), (place, begin.warm.status)
     if _law.reconsider(*shown, slides, False) or _reversal.ending(*shown, was, NO_ROWS, np.empty(nc, np.int8)):
         return None
-    v_plus, x, quaternion, v_end, R, twists, same = free.end(
+    v_plus, x, quaternion, v_end, R_end, twists, same = free.end(
         s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
     )
-    seen = (contacts, memory, looked) if same else _looked(s, looked, (x, R, d.nowhere), contacts, memory, np.inf)
+    seen = (contacts, memory, looked) if same else _looked(s, looked, (x, R_end, d.nowhere), contacts, memory, np.inf)
     if seen is None or _few.least(seen[0].gap) < -s.closed:
         return None
     found, memory, looked = seen
+    met = Encounter(
+        contacts, None, rows, frame, None, mu, contacts.restitution, place, begin.warm.status, local, end_gap
+    ).lasting(s.last_status(contacts, begin.warm), old, s.closed, h, False)
+    if (met.stays & (met.end_gap != 0.0)).any():  # of which the problem knew nothing
+        return None
+    mean = 0.5 * (v + v_plus)
+    if unfinished(s, met, begun, looked, found, R, h, mean, r, slides) is not None:
+        return None
     out = status, normal, friction, u, world = (
         np.empty(nc, np.int8), np.empty(nc), np.empty(nc), np.empty(3 * nc), np.empty((nc, 3))
     )  # fmt: skip
     external, beyond, normal_work, friction_work, rest = _account.account(
         rows.full.arrays, (d.mass, d.gravity), (d.no_load, d.no_load), h, s.theta, (v, v, v_plus), r, mu, NOTHING,
-        was, NOTHING, local, frame, s.solver.tol, out,
+        (met.stays, met.sticks, NOTHING), NOTHING, local, frame, s.solver.tol, out,
     )  # fmt: skip
     slots, on_joints = d.no_impulses
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
     impulses = Impulses(
-        contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, normal, friction, on_joints, d.no_push, 0.0,
-        time, h,
+        contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, np.zeros((nc, 3)), normal, friction, on_joints,
+        d.no_push, 0.0, time, h,
     )  # fmt: skip
     basis = Basis(contacts, rows, frame, problem)
-    warm = Warm(contacts.key, contacts.frame1, contacts.frame2, world, status, slots, basis)
-    position, there = begin.position.moved(x, quaternion), Placement(x, R, ())
+    warm = Warm(contacts.key, s.detector.codes(contacts), world, status, slots, basis)
+    position, there = begin.position.moved(x, quaternion), Placement(x, R_end, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
     works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
-    return end, rate, True, d.no_works, [impulses], [(problem, solution)], [works]
+    return end, rate, True, [impulses], [(problem, solution)], [works]
 
 
 def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> Moves | None:
@@ -111,11 +121,13 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     seen = (old, memory, looked) if half.same else _looked(s, looked, (there.x, there.R, reach), old, memory, s.closed)
     if seen is None:
         return None
-    contacts, memory, looked = seen
+    contacts, memory, begun = seen
+    looked = begun
     closing = s.closing(h, False)
     start = old, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     met = Encounter.of(d, contacts, None, middle.seen(looked), forces, start, reach, still, h, half.ahead, closing)
-    problem, solution, otherwise = solve(met, s.solver, None, closing, foresee(met), False, 0)
+    met, slides = met.lasting(s.last_status(contacts, begin.warm), old, s.closed, h, False), foresee(met)
+    problem, solution, otherwise = solve(met, s.solver, None, closing, slides, False, 0)
     if otherwise or reversal(met, s.solver, problem, solution) < 1.0:
         return None
     r = solution.r
@@ -131,12 +143,13 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     if seen is None or _few.least(seen[0].gap) < -s.closed or _few.least(limits) < -s.closed:
         return None
     found, memory, looked = seen
-    impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem, d.mass)
+    if unfinished(s, met, begun, looked, found, there.R, h, 0.5 * (v + v_plus), r, slides) is not None:
+        return None
+    impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem, NO_COUPLE, d.mass)
     works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses, own)
     twists = d.twists(place, v_end)
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)
-    external = d.external_works(forces, begin.position, position, v, v_plus, h)
-    return end, half.rate, True, external, [impulses], [(problem, solution)], [works]
+    return end, half.rate, True, [impulses], [(problem, solution)], [works]
 
 
 def _bounces(s: System, begin: Instant, rate: Array) -> bool:

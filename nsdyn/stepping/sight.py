@@ -64,8 +64,7 @@ def caught(
     held = np.empty(contacts.gap.size, np.bool_)
     _law.known(contacts.key, before.key, before.gap, s.closed, held)
     held &= ~np.isin(contacts.key, parted)
-    warm = begin.warm
-    pressed = np.isin(contacts.key, warm.key[warm.status > 0])
+    pressed = s.last_status(contacts, begin.warm) > 0
     loaded, free = (approach(s.dynamics, contacts, placement, w) for w in (begin.v, v))
     u, e = np.where(pressed, loaded, free), contacts.restitution
     shallow = contacts.gap + ahead * u > -s.deep(contacts)

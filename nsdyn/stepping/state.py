@@ -31,8 +31,6 @@ class State(NamedTuple):
         Last free acceleration, m/s² and rad/s².
     energies : (float, float)
         Kinetic and potential, J.
-    owed : ndarray, shape (nf,)
-        Energy that free bodies gained by numerics, which was taken and not given back, J: see `nsdyn.stepping.balance`.
     opening : gauss.Opening, optional
         Direction that the last certificate rests on.
     """
@@ -43,7 +41,6 @@ class State(NamedTuple):
     instant: Instant
     rate: Array
     energies: tuple[float, float]
-    owed: Array
     opening: gauss.Opening | None = None
 
     @property
@@ -100,12 +97,15 @@ class Step(NamedTuple):
         Contact frames, rows (n, t1, t2), world axes.
     u, r : ndarray, shape (nc, 3)
         Relative velocity at the end of the step [m/s], or after the impact, and impulse on body 2 [N·s], normal first.
+    couple : ndarray, shape (nc, 3)
+        Couple on body 2, world axes, N·m·s, with which a contact that persists does no work, 0 of others: its force
+        acts a little off its point (`nsdyn.stepping.persistence`).
     contact_status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip, faster than the solver's tolerance.
     contact_time : ndarray, shape (nc,)
         When the impulse acted, s after the beginning of the step.
     work_normal, work_friction : ndarray, shape (nc,)
-        J.
+        J; that of the couple with the normal one.
     joints : ndarray, shape (7, nv), or None
         On the coordinates of the articulations: impulses of actuation, of limits, of dry friction and of external
         wrenches, N m s or N s; displacement by position projections, rad or m; the most that actuators may give,
@@ -139,6 +139,7 @@ class Step(NamedTuple):
     frame: Array
     u: Array
     r: Array
+    couple: Array
     contact_status: NDArray[np.int8]
     contact_time: Array
     work_normal: Array

@@ -63,9 +63,10 @@ class Stepper:
     All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
     impacts with restitution, which act in no time, until they are too many to tell apart, and where slip turns round.
-    No shapes overlap at its end: what a step leaves is removed by a projection of the positions. No island of free
-    bodies gains energy but by the works of external forces: what it gained is taken by rolling resistance, which keeps
-    every momentum.
+    Each island of what may touch is cut by itself: what it does depends on nothing else, to the last bit. No shapes
+    overlap at the end: what a step leaves is removed by a projection of the positions. Contacts of free bodies that
+    stay closed, and stick, do no work: a couple per pair sees to that, which keeps every momentum. What numerics do
+    besides is in the ledger.
 
     Parameters
     ----------
@@ -185,7 +186,7 @@ class Stepper:
         self._islands = Islands(self.system)
         instant, d = begin(self.system, geoms, float(overlap), lift), self.dynamics
         energies = d.energies(instant.position, instant.v, instant.energies)
-        self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies, np.zeros(d.free))
+        self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies)
 
     # -- state -------------------------------------------------------------------------------------------------
 
@@ -294,7 +295,7 @@ class Stepper:
 
     def _advance(self) -> Step:
         s = self._state
-        now, rate, owed, clear, done, solved, works, _ = self._islands.step(s, self._loads)
+        now, rate, clear, done, solved, works, _ = self._islands.step(s, self._loads)
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.placement, now.placement, s.t + s.dt)
             clear = clear and depth <= self.closed
@@ -308,7 +309,7 @@ class Stepper:
         energies = self.dynamics.energies(now.position, now.v, now.energies)
         if not math.isfinite(sum(energies)):
             raise ArithmeticError("positions or velocities are no longer finite")
-        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, owed, opening)
+        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
         ledger = Ledger.of(s.energies, energies, Works.total(works))
         problem, solution = solved[k]
         if solution.accepted and not clear:
@@ -359,7 +360,7 @@ class Stepper:
             joints = acted.joints[:, 6 * d.free :]
             pieces = _pieces(done, 6 * d.free) if len(done) > 1 else None
         return Step(
-            self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.status,
+            self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.couple, acted.status,
             acted.time, acted.normal, acted.friction, joints, acted.links, pieces, acted.created, ledger, certificate,
             problem, solution,
         )  # fmt: skip
@@ -368,11 +369,12 @@ class Stepper:
 def _joined(done: list[Impulses]) -> Impulses:
     """All that acted in a step, one after the other."""
     contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
-    frame, u, r, status, normal, friction = (np.concatenate(parts) for parts in list(zip(*done, strict=True))[1:7])
+    columns = list(zip(*done, strict=True))[1:8]
+    frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns)
     joints, links = (np.sum([getattr(a, name) for a in done], axis=0) for name in ("joints", "links"))
     time = np.concatenate([a.time for a in done])
     created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
-    return Impulses(contacts, frame, u, r, status, normal, friction, joints, links, created, time, duration)
+    return Impulses(contacts, frame, u, r, status, couple, normal, friction, joints, links, created, time, duration)
 
 
 def _pieces(done: list[Impulses], first: int) -> Pieces:

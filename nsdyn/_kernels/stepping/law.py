@@ -284,22 +284,23 @@ def foresee(blocks, mu, place, old_status, local, slides):
 
 
 @in_place
-def offsets(local, end_gap, restitution, rebound, slides, closing, b):
+def offsets(local, end_gap, restitution, rebound, stays, slides, closing, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
-    Normal: u_free + drift, plus the speed at which a gap closes where it is open, minus what is kept of an impact
-    (`rebound`, empty for none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean
-    slip without impulses, where a contact slides through. `local` is what `local_velocities` gives, `closing` =
-    (closed, shallow, ahead, until) as of `Closing`: gaps up to `closed` count as none, those up to `shallow` close just
-    when the next impulses act, `until` seconds later, and others, and those that may rebound, within the step.
+    Normal: u_free + drift, plus the speed at which a gap closes where it is open, or of either sign where a contact
+    `stays` (nc,), empty for none, minus what is kept of an impact (`rebound`, empty for none). Tangential: u_free +
+    drift for slip at the end of the step, u + u_free, twice the mean slip without impulses, where a contact slides
+    through. `local` is what `local_velocities` gives, `closing` = (closed, shallow, ahead, until) as of `Closing`: gaps
+    up to `closed` count as none, those up to `shallow` close just when the next impulses act, `until` seconds later,
+    and others, and those that may rebound, within the step.
     """
     u, u_free, drift = local[1], local[2], local[3]
     closed, shallow, ahead, until = closing
     for c in range(end_gap.size):
         i = 3 * c
         b[i] = u_free[i] + drift[i]
-        if end_gap[c] > closed:
-            b[i] += end_gap[c] / (until if end_gap[c] <= shallow and restitution[c] == 0.0 else ahead)
+        if end_gap[c] > closed or (stays.size > c and stays[c]):
+            b[i] += end_gap[c] / (until if abs(end_gap[c]) <= shallow and restitution[c] == 0.0 else ahead)
         if rebound.size > 0:
             b[i] -= rebound[c]
         if slides.size > c and slides[c]:
@@ -326,7 +327,7 @@ def pose(blocks, here, begin, velocities, warm, reach, materials, h, closing, sc
         local, end_gap, place,
     )  # fmt: skip
     foresee(blocks, mu, place, warm[2], local, slides)
-    offsets(local, end_gap, restitution, none, slides, closing, b)
+    offsets(local, end_gap, restitution, none, slides[:0], slides, closing, b)
     norm, good = size_of(b, mu)
     return norm, good and in_range(scales)
 
@@ -373,19 +374,19 @@ def states(r, mu, out):
 
 
 @in_place
-def outcome(blocks, v_plus, transport, r, mu, was, struck, local, frame, slow, out):
+def outcome(blocks, v_plus, transport, r, mu, lasting, struck, local, frame, slow, out):
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
-    Into out = (status, normal, friction, u_end, world), from what they were, (place, status) as in `local_velocities`,
-    `struck`, the normal impulses of impacts (empty for none), and what `local_velocities` gives. The states are those
-    of `states`, but what ends no faster than `slow` sticks: impulses that redundant contacts share may lie anywhere in
-    their cones. The works (rows,) are those of the impulses at the one configuration where they act, ½ (u + u⁺)·r.
-    Returns the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a
-    contact that stays closed, or was struck, normal, and sticks, tangential, but for the rest of an impact whose first
-    step only closed the gap; joint rows always do work.
+    Into out = (status, normal, friction, u_end, world), from what is `lasting`, (stays, sticks, works of couples) as of
+    `persistence`, `struck`, the normal impulses of impacts (empty for none), and what `local_velocities` gives. The
+    states are those of `states`, but what ends no faster than `slow` sticks: impulses that redundant contacts share may
+    lie anywhere in their cones. The works (rows,) are those of the impulses at the one configuration where they act,
+    ½ (u + u⁺)·r. Returns the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is
+    the work of a contact that stays closed, with its couple, or was struck, normal, and sticks, tangential; joint rows
+    always do work.
     """
-    place, old_status = was
-    u, u_free, drift = local[1], local[2], local[3]
+    stays, sticks, turned = lasting
+    u, drift = local[1], local[3]
     status, normal, friction, u_end, world = out
     nc = status.size
     relative_velocity(blocks, v_plus, u_end)
@@ -399,24 +400,22 @@ def outcome(blocks, v_plus, transport, r, mu, was, struck, local, frame, slow, o
         friction[c] = 0.5 * ((u[i + 1] + u_end[i + 1]) * r[i + 1] + (u[i + 2] + u_end[i + 2]) * r[i + 2])
         for j in range(3):
             u_end[i + j] += drift[i + j]
-        stays, sticks = False, False
+        nothing = held = False
         if c < nc:
             status[c] = state(r, mu[c], i)
             if status[c] == 2 and mu[c] > 0.0 and u_end[i + 1] ** 2 + u_end[i + 2] ** 2 <= slow * slow:
                 status[c] = 1
-            if struck.size > c and struck[c] > 0.0:
-                stays = True
-            elif place[c] >= 0:
-                old = old_status[place[c]]
-                rests = u[i] - drift[i] >= -2.0 * (abs(u_free[i] - u[i]) + abs(drift[i]))
-                stays, sticks = old > 0 and rests, old == 1 and status[c] == 1
+            if turned.size > c:
+                normal[c] += turned[c]
+            nothing = stays[c] or (struck.size > c and struck[c] > 0.0)
+            held = sticks[c] and status[c] == 1
             for j in range(3):
                 world[c, j] = frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]
-        if stays:
+        if nothing:
             rest += normal[c]
         else:
             impact += normal[c]
-        if sticks:
+        if held:
             rest += friction[c]
         else:
             slip += friction[c]

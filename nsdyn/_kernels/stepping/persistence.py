@@ -1,0 +1,183 @@
+"""Contacts that persist through a move, and the couples that make them do no work."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.problem.blocks import relative_velocity
+from nsdyn._kernels.stepping.law import places
+from nsdyn._kernels.vectors import along, dot, put, row, times
+
+STILL = 1e-3
+"""Fraction of what forces change a velocity by in a move below which a closed contact neither approaches nor slips; and
+of what counts as closed, by which the rows of a contact at rest may drift in one."""
+
+JOLT = 1.0
+"""Speeds of approach that are errors of a motion, in drifts of the rows over half a move: these are of first order,
+errors of second. Where nothing turns there are none, and what approaches is stopped."""
+
+ARM = 1.0
+"""Most that a couple moves a contact force, in lengths h ω R: as far as points of the body go in the move."""
+
+NO_ARM, NO_WORK = 1e-10, 1e-14
+"""Arms, as fractions of R, of what may be at rest, which have no couples; and works, of r_N R ω, that are round-off."""
+
+
+@kernel
+def last_status(key, pair, warm_key, warm_pair, warm_status, out):
+    """What each contact was in the last move, 0 open, 1 stick, 2 slip, into out (nc,).
+
+    One without a name there goes on from those of its pair of shapes whose names are lost: it has rolled far.
+    """
+    place, kept = np.empty(key.size, np.int64), np.empty(warm_key.size, np.int64)
+    places(warm_key, key, place)
+    places(key, warm_key, kept)
+    for c in range(key.size):
+        out[c] = warm_status[place[c]] if place[c] >= 0 else 0
+        if place[c] < 0:
+            for k in range(warm_key.size):
+                if warm_pair[k] == pair[c] and kept[k] < 0:
+                    out[c] = max(out[c], warm_status[k])
+
+
+@kernel
+def persists(key, begin, old_status, local, end_gap, h, struck, stays, sticks):
+    """Which contacts persist, into stays and sticks (nc,): those that then do no work along and across their normals.
+
+    What pressed in the last move (old_status as `last_status` has it), or was closed where this one begins, by
+    begin = (keys, gaps, what counts as closed), and did not approach, stays; what stuck, or did not slip there, sticks.
+    Not what is squeezed, so that it overlaps, strikes or parts: an approach in h s faster than `JOLT` drifts of the
+    rows is one of the bodies, and no error. Gaps that count as closed, of rows that do not turn, are set to 0. Returns
+    whether others are left of what stays.
+    """
+    begin_key, begin_gap, closed = begin
+    some = False
+    u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
+    before = np.empty(key.size, np.int64)
+    places(begin_key, key, before)
+    for c in range(key.size):
+        i = 3 * c
+        stays[c] = sticks[c] = False
+        if struck:
+            continue
+        gap = begin_gap[before[c]] if before[c] >= 0 else 0.0
+        fall, old = abs(u_free[i] - u[i]), old_status[c]
+        if gap < -2.0 * closed or (old == 0 and (before[c] < 0 or gap > closed or abs(u_begin[i]) > STILL * fall)):
+            continue
+        bent = math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)
+        stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
+        slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
+        sticks[c] = stays[c] and (old == 1 or (old == 0 and slip <= STILL * fall))
+        if stays[c] and abs(end_gap[c]) <= closed and abs(drift[i]) * h <= STILL * closed:
+            end_gap[c] = 0.0
+        some = some or (stays[c] and end_gap[c] != 0.0)
+    return some
+
+
+@in_place
+def spin_of(f, free, R, v):
+    """Angular velocity of frame f, that of a free body or of one that stands still, world axes."""
+    if f < 0 or f >= free:
+        return 0.0, 0.0, 0.0
+    i = 6 * f + 3
+    w = v[i], v[i + 1], v[i + 2]
+    return dot(row(R[f], 0), w), dot(row(R[f], 1), w), dot(row(R[f], 2), w)
+
+
+@kernel
+def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, dv, other):
+    """Couples that make contacts of free bodies that persist do no work, and the change of v by them.
+
+    With w = Σ r·ū of the contacts of a pair of shapes, normal and, of those that stick, tangential, and ω̄ how body 2
+    turns on body 1, the pair turns by -w ω̄/‖ω̄‖² and back: as if its forces pressed a little elsewhere, at most by `ARM`
+    h ‖ω̄‖ R. Contacts carry it in the ratio of their pressures.
+
+    Parameters
+    ----------
+    blocks : tuple
+        Factors of W.
+    contacts : (geom1, geom2, frame1, frame2)
+    mean : ndarray, shape (n,)
+        Mean v̄ of the velocities before and after the impulses r (3 rows,).
+    R, inverse_J : ndarray, shapes (frames, 3, 3), (nf, 3, 3)
+    arm : ndarray, shape (frames,)
+        How far bodies reach from their centres of mass, m.
+    h : float
+    mu : ndarray, shape (rows,)
+    flags : three ndarrays of bool, shape (nc,)
+        Contacts that stay, stick, and slide through.
+    couple : ndarray, shape (nc, 3)
+        On body 2, world axes, N·m·s: those that act, changed to those that would have done no work.
+    dv : ndarray, shape (n,)
+        Change of v by them.
+    other : ndarray of bool, shape (nc,)
+        Whether they differ from those that act by more than round-off.
+
+    Returns
+    -------
+    bool
+        Whether any does.
+    """
+    geom1, geom2, frame1, frame2 = contacts
+    stays, sticks, slides = flags
+    free, nc, some = inverse_J.shape[0], geom1.size, False
+    u = np.empty(r.size)
+    relative_velocity(blocks, mean, u)
+    dv[:] = 0.0
+    other[:] = False
+    first = 0
+    while first < nc:
+        last, work, press = first, 0.0, 0.0
+        while last < nc and geom1[last] == geom1[first] and geom2[last] == geom2[first]:
+            i = 3 * last
+            if stays[last] and r[i] > 0.0:
+                press += r[i]
+                work += r[i] * u[i]
+                inside = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu[last] * r[i] * (1.0 - 1e-9)
+                if sticks[last] and inside and not slides[last]:
+                    work += r[i + 1] * u[i + 1] + r[i + 2] * u[i + 2]
+            last += 1
+        a, b = frame1[first], frame2[first]
+        if press > 0.0 and a < free and b < free:
+            size = max(arm[a] if a >= 0 else 0.0, arm[b] if b >= 0 else 0.0)
+            turning = along(spin_of(b, free, R, mean), -1.0, spin_of(a, free, R, mean))
+            speed = math.sqrt(dot(turning, turning))
+            most = ARM * press * h * speed * size
+            if most > NO_ARM * press * size:
+                amount = -work / speed
+                amount = min(max(amount, -most), most)
+                now = 0.0
+                for c in range(first, last):
+                    now += dot(row(couple, c), turning)
+                differ = abs(amount * speed - now) > NO_WORK * press * size * speed
+                some = some or differ
+                for c in range(first, last):
+                    i = 3 * c
+                    share = r[i] / press if stays[c] and r[i] > 0.0 else 0.0
+                    put(couple, c, times(share * amount / speed, turning))
+                    other[c] = differ
+                for side in range(2):
+                    f, sign = (a, -amount / speed) if side == 0 else (b, amount / speed)
+                    if f < 0:
+                        continue
+                    for i in range(3):
+                        for j in range(3):
+                            own = R[f, 0, j] * turning[0] + R[f, 1, j] * turning[1] + R[f, 2, j] * turning[2]
+                            dv[6 * f + 3 + i] += sign * inverse_J[f, i, j] * own
+            else:
+                for c in range(first, last):
+                    put(couple, c, (0.0, 0.0, 0.0))
+        else:
+            for c in range(first, last):
+                put(couple, c, (0.0, 0.0, 0.0))
+        first = last
+    return some
+
+
+@kernel
+def works(frame1, frame2, free, R, mean, couple, out):
+    """Works of couples at the mean velocity, into out (nc,), J."""
+    for c in range(out.size):
+        turning = along(spin_of(frame2[c], free, R, mean), -1.0, spin_of(frame1[c], free, R, mean))
+        out[c] = dot(row(couple, c), turning)

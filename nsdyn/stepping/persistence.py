@@ -1,0 +1,124 @@
+"""Persistent contacts do no work: where the impulses of a move act, a couple per pair of free bodies sees to that.
+
+Impulses at one configuration do a little work on contacts that stay closed, and stick: w = r·ū with ū the mean of the
+relative velocities before and after, an error of second order of either sign. A couple along ω̄, the mean spin of one
+body on the other, takes it: τ = -w ω̄/‖ω̄‖² on body 2, -τ on body 1. It is as if the contact force acted at a point moved
+by O(h²), and keeps both momenta exactly. With the gaps closed where the move ends, for which `Encounter.corrected`
+sees, it is a discrete gradient (O. Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Science 6,
+1996; P. Betsch, Energy-consistent numerical integration of mechanical systems with mixed holonomic and nonholonomic
+constraints, CMAME 195, 2006) that leaves W and the solver as they are.
+
+Contacts with links of articulations and with bodies that move as prescribed have no couples: their work, O(h²) of a
+motion, is in the ledger as `integration`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from nsdyn._kernels.stepping import persistence as _persistence
+from nsdyn.collision.contacts import ContactSet, Looked, Poses
+from nsdyn.dynamics.values import Forces, Middle
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.stepping.encounter import Closing, Encounter, solve
+from nsdyn.tools.arrays import Array, Bools
+
+if TYPE_CHECKING:
+    from nsdyn.stepping.instant import System
+
+__all__ = ["NO_COUPLE", "Couple", "couple_of", "solve_workless", "unfinished"]
+
+PASSES = 8
+"""Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω."""
+
+
+class Couple(NamedTuple):
+    """Couples of the contacts of a move; all empty for none.
+
+    Attributes
+    ----------
+    impulse : ndarray, shape (nc, 3)
+        On body 2, world axes, N·m·s.
+    work : ndarray, shape (nc,)
+        J.
+    dv : ndarray, shape (n,)
+        Change of v by them.
+    """
+
+    impulse: Array
+    work: Array
+    dv: Array
+
+
+NO_COUPLE = Couple(np.empty((0, 3)), np.empty(0), np.empty(0))
+
+
+def couple_of(
+    s: System, met: Encounter, R: Array, h: float, mean: Array, r: Array, slides: Bools, acting: Array
+) -> tuple[Array, Array, Bools] | None:
+    """Couples (nc, 3) with which contacts would have done no work, the change of v, and which are not those `acting`.
+
+    None if all are. `mean` (n,) is the mean of the velocities before and after the impulses r, R (frames, 3, 3) turns
+    frames to the world.
+    """
+    d, c = s.dynamics, met.contacts
+    couple, dv, other = acting.copy(), np.empty(d.n), np.empty(c.gap.size, np.bool_)
+    some = _persistence.couples(
+        met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2), mean, R, d.inverse_J, s.arm, h, r, met.mu,
+        (met.stays, met.sticks, slides), couple, dv, other,
+    )  # fmt: skip
+    return (couple, dv, other) if some else None
+
+
+def unfinished(
+    s: System, met: Encounter, begun: Looked, ended: Looked, moved: ContactSet, R: Array, h: float, mean: Array,
+    r: Array, slides: Bools,
+) -> Bools | None:  # fmt: skip
+    """Which contacts that persist do work, or have gaps where a move without couples ends; None if none does.
+
+    Contacts were looked for where it `begun` and `ended`, and `moved` were found there: what has not moved since rests.
+    The others are as of `couple_of`.
+    """
+    if ended is begun or not met.stays.any():
+        return None
+    c = met.contacts
+    went = np.append((begun.x != ended.x).any(axis=1) | (begun.R != ended.R).any(axis=(1, 2)), False)
+    gap = s.detector.gaps(c, moved, Poses(ended.x, ended.R))
+    out = met.off(gap, r, s.near(c), s.closed)
+    if (found := couple_of(s, met, R, h, mean, r, slides, np.zeros((gap.size, 3)))) is not None:
+        out |= found[2]
+    out &= went[c.frame1] | went[c.frame2]
+    return out if out.any() else None
+
+
+def solve_workless(
+    s: System, met: Encounter, middle: Middle, forces: Forces, h: float, last: Solution | None, closing: Closing,
+    slides: Bools, back: bool, most: int, rough: bool, start: Couple,
+) -> tuple[Encounter, FC3D, Solution, bool, Couple]:  # fmt: skip
+    """`solve`, and couples with which contacts that persist do no work, from `start`; what is met with these."""
+    alone, R, couple = met, middle.placement.R, start
+    if start.dv.size:
+        met = alone.turned(start.dv, met.local[4] if last is None else last.r)
+    problem, solution, otherwise = solve(met, s.solver, last, closing, slides, back, most, rough)
+    if not s.dynamics.free or not met.stays.any():
+        return met, problem, solution, otherwise, couple
+    nc = met.contacts.gap.size
+    for _ in range(PASSES):
+        v = forces.v + couple.dv if couple.dv.size else forces.v
+        mean = 0.5 * (middle.v + v + met.rows.velocity_change(solution.r))
+        acting = couple.impulse if couple.dv.size else np.zeros((nc, 3))
+        other = couple_of(s, met, R, h, mean, solution.r, slides, acting)
+        if other is None or not solution.accepted:
+            break
+        couple = Couple(other[0], NO_COUPLE.work, other[1])
+        met = alone.turned(couple.dv, solution.r)
+        problem, solution, otherwise = solve(met, s.solver, solution, closing, slides, True, most, rough)
+    if couple.dv.size:
+        c, work = met.contacts, np.empty(nc)
+        mean = 0.5 * (middle.v + forces.v + couple.dv + met.rows.velocity_change(solution.r))
+        _persistence.works(c.frame1, c.frame2, s.dynamics.free, R, mean, couple.impulse, work)
+        couple = couple._replace(work=work)
+    return met, problem, solution, otherwise, couple
