@@ -20,7 +20,7 @@ from nsdyn.stepping import free as _free
 from nsdyn.stepping.instant import FAST, Instant, System
 from nsdyn.tools.arrays import Array
 
-__all__ = ["SILENT", "STILL_SURFACES", "Callbacks", "Given", "Half", "corrected", "first_half"]
+__all__ = ["STILL_SURFACES", "Callbacks", "Given", "Half", "Loads", "corrected", "first_half"]
 
 STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
 
@@ -31,6 +31,9 @@ SILENT: Given = None, {}
 
 Callbacks = Callable[[Position, Array], Given] | None
 """What the user's functions say at a position and a velocity; None where there are none, or where they are done."""
+
+Loads = Callable[[float], Callbacks]
+"""What they say at a time, s."""
 
 
 class Half(NamedTuple):

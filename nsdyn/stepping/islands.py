@@ -18,11 +18,11 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.encounter import foresee
-from nsdyn.stepping.half import Half, first_half
+from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
 from nsdyn.stepping.move import Move, Trial, attempt, finish
 from nsdyn.stepping.parts import Part, driven, merged
-from nsdyn.stepping.passage import Loads, Passage, through, undisturbed
+from nsdyn.stepping.passage import Passage, through, undisturbed
 from nsdyn.stepping.persistence import unfinished
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import approach
@@ -60,8 +60,8 @@ class Islands:
         ----------
         state : State
         loads : callable
-            What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it: where forces act in a step
-            that meets no event, which islands that do are under, too.
+            What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it. An island that is made by
+            itself asks in each of its moves; all others are then where the step begins.
         """
         out, begin = self._step(state, loads), state.instant.position
         d = self.whole.dynamics.during(state.next_t - state.dt, state.dt)
@@ -75,28 +75,27 @@ class Islands:
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
         s = self.whole.during(t, h)
         callbacks = loads(t + (1.0 - s.theta) * h)
-        if self.count < 2 and callbacks is None:
+        if self.count < 2:
             return through(self.whole, state, loads)
         found, half = undisturbed(s, begin, t, h, callbacks)
         if found is not None:
             return found
         half = half or first_half(s, begin, t, h, callbacks)
         label, count = self._foreseen(begin, half)
-        if count < 2 and callbacks is None:
+        if count < 2:
             return through(self.whole, state, loads)
         opened, tried = np.zeros(count, np.bool_), None
         opened[label[self._struck(begin, half)]] = True
-        if callbacks is not None or not opened.all():
-            # What the user says at the mean velocity is asked of the motion of all.
-            skipped = np.zeros(self.count, np.bool_) if callbacks else opened[label]
-            tried = attempt(s, begin, half, callbacks, skipped)
-            half = tried.half
+        if not opened.all():
+            tried = attempt(s, begin, half, callbacks, opened[label])
             self._open(begin, tried, label, opened)
             if not opened.any():
                 return _done(finish(s, begin, tried))
-        return self._together(state, half, label, opened, tried)
+        return self._together(state, loads, half, label, opened, tried)
 
-    def _together(self, state: State, half: Half, label: Index, opened: Bools, tried: Trial | None) -> Passage:
+    def _together(
+        self, state: State, loads: Loads, half: Half, label: Index, opened: Bools, tried: Trial | None
+    ) -> Passage:
         """The step from an attempt at it, of which the islands `opened` are made by themselves."""
         s, begin, d = self.whole, state.instant, self.whole.dynamics
         boxes = self._swept(s, [begin.placement])
@@ -110,7 +109,7 @@ class Islands:
                 if (name := tuple(nodes.tolist())) in done:
                     continue
                 part = self._part(name, nodes)
-                passage = through(part.system, part.state(state, key), part.loads(half.given))
+                passage = through(part.system, part.state(state, key), part.loads(loads, begin))
                 done[name], key = (part, passage), passage.end.memory.next_key
                 own = self._swept(part.system, passage.path)
                 moves = part.system.detector.frame >= 0

@@ -6,7 +6,7 @@ as prescribed is in every part.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,7 +16,7 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.dynamics import Controls, Dynamics, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.encounter import Warm
-from nsdyn.stepping.half import SILENT, Callbacks, Given
+from nsdyn.stepping.half import Callbacks, Given, Loads
 from nsdyn.stepping.instant import Impulses, Instant, System
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -115,12 +115,24 @@ class Part:
         pushed = {j: applied[k] for j, k in enumerate(trees) if k in applied}
         return (force[self._bodies], torque[self._bodies], pushed), own
 
-    def loads(self, given: Given) -> Callable[[float], Callbacks]:
-        """What the user's functions gave, of the part, as what they say at any time."""
-        if given is SILENT:
-            return lambda t: None
-        own = self.given(*given)
-        return lambda t: lambda position, v: own
+    def loads(self, loads: Loads, at: Instant) -> Loads:
+        """What the user has to say of the part: of the whole, whose other nodes are where they are at an instant."""
+
+        def of_part(t: float) -> Callbacks:
+            if (said := loads(t)) is None:
+                return None
+
+            def at_position(position: Position, v: Array) -> Given:
+                p = at.position
+                x, quaternion, all_v = p.x.copy(), p.quaternion.copy(), at.v.copy()
+                x[self._bodies], quaternion[self._bodies] = position.x, position.quaternion
+                all_v[self.coordinates] = v
+                trees = self.among(p.trees, position.trees)
+                return self.given(*said(Position(x, quaternion, trees, *position[3:]), all_v))
+
+            return at_position
+
+        return of_part
 
     def state(self, whole: State, next_key: int) -> State:
         """The state of the part, whose new contacts get names from a number on."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.half import Callbacks, Half, first_half
+from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
 from nsdyn.stepping.instant import DEEP, EVENTS, SHALLOW, Impulses, Instant, System, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
@@ -22,8 +21,6 @@ from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["Passage", "through"]
-
-Loads = Callable[[float], Callbacks]
 
 HITS, LOCATED = 16, 50
 """Most contacts that may be hit in a step, and most contacts in all, so that the effort is bounded; beyond, impacts are
