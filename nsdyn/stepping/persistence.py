@@ -66,8 +66,8 @@ def couple_of(
     d, c = s.dynamics, met.contacts
     couple, dv = acting.copy(), np.empty(d.n)
     other = _persistence.couples(
-        met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2), mean, R, d.inverse_J, s.arm, h, r, met.mu,
-        (met.stays, met.sticks, slides), couple, dv,
+        met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
+        met.mu, (met.stays, met.sticks, slides), couple, dv,
     )  # fmt: skip
     return (couple, dv) if other else None
 
