@@ -61,7 +61,7 @@ def block_in_its_guide(scene, q):
 
 @pytest.mark.case(32)
 def test_slider_crank_converges_and_stays_in_its_guide():
-    """Through knocks and slides at both walls, three quarters of a turn; no penetration."""
+    """First order in the step through knocks and slides at both walls, three quarters of a turn; no penetration."""
     path, walls, depth = {}, set(), {}
     for dt in (4e-5, 1e-5, 1.25e-6):
         scene, steps = run("slider_crank", 0.03, dt)
@@ -77,8 +77,8 @@ def test_slider_crank_converges_and_stays_in_its_guide():
     # Impacts are up to a step late: 225 rad/s while one is missing, some 10 rad/s of change on the mean.
     errors = [np.abs(path[dt] - path[1.25e-6]).max(axis=1) for dt in (4e-5, 1e-5)]
     assert errors[0].max() <= 225 * 4e-5 and errors[1].max() <= 225 * 1e-5
-    # On the mean what the finest run itself errs by, for most knocks are located: 6e-5.
-    assert errors[0].mean() <= 8e-5 and errors[1].mean() <= 8e-5
+    assert errors[0].mean() <= 12 * 4e-5 and errors[1].mean() <= 12 * 1e-5
+    assert errors[1].mean() <= 0.4 * errors[0].mean()
 
 
 # -- woodpecker ------------------------------------------------------------------------------------------------
