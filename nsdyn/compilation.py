@@ -56,6 +56,14 @@ def _step() -> None:
     _steps("stack", 1)
 
 
+def _lift() -> None:
+    """A turning ball that begins a little in the ground."""
+    scene = Scene()
+    scene.add_halfspace("ground")
+    scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.0995), angular_velocity=(1, 2, 3))
+    Stepper(scene, on_fail="ignore").step()
+
+
 def _shapes() -> None:
     """Contacts of every kind of shapes, upright and tilted, at rest and on their way."""
     scene, random = Scene(), np.random.default_rng(0)
@@ -131,6 +139,7 @@ def _all() -> None:
     belt.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))
     belt.set_motion("belt", surface_velocity=(1.0, 0.0, 0.0))
     Stepper(belt, 5e-3).step()
+    _lift()
     _shapes()
     _problems()
 

@@ -24,6 +24,7 @@ class Pair:
         self.J = np.array([np.diag(rng.uniform(1.0, 1.5, 3)) for _ in range(2)])
         self.R = Rotation.random(2, random_state=3).as_matrix()
         self.mean, self.r = rng.normal(size=12), np.array([1.0, 0.1, -0.2])
+        self.normal = np.array([[0.6, 0.0, 0.8]])
         H = rng.normal(size=36)
         offset, m_start = np.array([0, 6, 12]), np.array([0, 36])
         empty = np.empty(0)
@@ -37,8 +38,9 @@ class Pair:
         couple, dv = np.zeros((1, 3)), np.empty(12)
         zero = np.array([0])
         other = kernels.couples(
-            self.blocks, (zero, zero + 1, zero, zero + 1), self.mean, self.R, np.linalg.inv(self.J), np.ones(2), h,
-            self.r, np.array([0.5]), (yes, yes & sticks, ~yes), couple, dv,
+            self.blocks, (zero, zero + 1, zero, zero + 1, self.normal), self.mean, self.R, np.linalg.inv(self.J),
+            np.ones(2), h,
+            self.r, np.array([0.5]), (yes, yes & sticks, ~yes), couple, dv, np.empty(1, np.bool_),
         )  # fmt: skip
         return couple[0], dv.reshape(2, 6), other
 
@@ -59,13 +61,14 @@ def test_a_couple_takes_the_work_of_its_contact_and_keeps_the_momenta(rng):
     np.testing.assert_array_equal(dv[:, :3], 0.0)
 
 
-def test_what_slips_across_its_normal_does_that_work(rng):
-    pair = Pair(rng)
-    slips = Pair(np.random.default_rng(0))
-    slips.__dict__ |= pair.__dict__
-    slips.r = pair.r * [1.0, 0.0, 0.0]
-    normal, along = slips.couple(10.0)[0], pair.couple(10.0, sticks=False)[0]
-    np.testing.assert_allclose(along, normal, rtol=1e-12)
+def test_what_slips_does_the_work_of_its_friction(rng):
+    """Only that of its normal force is taken, which has no moment about the normal."""
+    pair, smooth = Pair(rng), Pair(np.random.default_rng(0))
+    smooth.__dict__ |= pair.__dict__
+    smooth.r = pair.r * [1.0, 0.0, 0.0]
+    couple = pair.couple(10.0, sticks=False)[0]
+    np.testing.assert_array_equal(couple, smooth.couple(10.0, sticks=False)[0])
+    assert abs(couple @ pair.normal[0]) <= 1e-14 and np.linalg.norm(couple) > 0.01
 
 
 def test_a_couple_is_no_longer_an_arm_than_the_way_of_the_bodies(rng):

@@ -66,7 +66,8 @@ def find(trajectory: Trajectory) -> Impacts:
     # Round-off of velocities is no impact where there is no gravity.
     least = np.linalg.norm(trajectory.scene["gravity"]) * trajectory.dt + 1e-9 * speed.max(initial=0.0)
     held = _before(identities(c), step, np.where(push & (u <= HELD), impulse, 0.0)) >= 0.5 * impulse
-    hit = np.flatnonzero((speed > least) & ~held)
+    rolls = np.nan_to_num(c["couple"]).any(axis=1)
+    hit = np.flatnonzero((speed > least) & ~held & ~rolls)
     there, shown = np.flatnonzero(np.isin(step, step[hit])), np.zeros(step.size)
     shown[there] = impulses(trajectory, there)[:, 0]
     hit = hit[np.lexsort((-shown[hit], step[hit]))]

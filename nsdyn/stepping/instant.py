@@ -139,6 +139,13 @@ class System(NamedTuple):
         _persistence.last_status(contacts.key, self.detector.codes(contacts), warm.key, warm.pair, warm.status, out)
         return out
 
+    def weights(self, contacts: ContactSet, there: Placement, rate: Array) -> Array:
+        """Free accelerations of both bodies of contacts along their normals, added up, shape (nc,), m/s²."""
+        out = np.empty(contacts.gap.size)
+        where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, there.x
+        _law.weights(*where, *self.dynamics.twists(there, rate), out)
+        return out
+
     def rests(
         self, contacts: ContactSet, joints: JointRows | None, restitution: Array, there: Placement, rate: Array
     ) -> Array:
@@ -147,9 +154,7 @@ class System(NamedTuple):
         After an impact that leaves u the flight takes 2 u/a_n, and those that follow e, e², ... times as long: they are
         over within a step, or the `EVENTS` of it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS).
         """
-        weight = np.empty(contacts.gap.size)
-        where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, there.x
-        _law.weights(*where, *self.dynamics.twists(there, rate), weight)
+        weight = self.weights(contacts, there, rate)
         if joints is not None:
             weight = np.concatenate((weight, np.abs(self.dynamics.joints.rates(joints.slot, rate))))
         out: Array = 0.5 * self.dt * weight * np.maximum(1.0 - restitution, 1.0 / EVENTS)

@@ -67,8 +67,8 @@ def couple_of(
     d, c = s.dynamics, met.contacts
     couple, dv, other = acting.copy(), np.empty(d.n), np.empty(c.gap.size, np.bool_)
     some = _persistence.couples(
-        met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2), mean, R, d.inverse_J, s.arm, h, r, met.mu,
-        (met.stays, met.sticks, slides), couple, dv, other,
+        met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
+        met.mu, (met.stays, met.sticks, slides), couple, dv, other,
     )  # fmt: skip
     return (couple, dv, other) if some else None
 

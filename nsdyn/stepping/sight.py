@@ -66,7 +66,9 @@ def caught(
     held &= ~np.isin(contacts.key, parted)
     pressed = s.last_status(contacts, begin.warm) > 0
     loaded, free = (approach(s.dynamics, contacts, placement, w) for w in (begin.v, v))
-    u, e = np.where(pressed, loaded, free), contacts.restitution
+    # What bears one of two bodies that fall together is not known here: it might be as if the other fell alone.
+    borne = loaded - ahead / s.theta * s.weights(contacts, placement, rate)
+    u, e = np.where(pressed, loaded, np.minimum(free, borne)), contacts.restitution
     shallow = contacts.gap + ahead * u > -s.deep(contacts)
     shallow &= ~np.isin(s.detector.codes(contacts), barred)
     if s.elastic:

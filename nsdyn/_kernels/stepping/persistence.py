@@ -90,14 +90,15 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
     """Couples that make contacts of free bodies that persist do no work, and the change of v by them.
 
     With w = Σ r·ū of the contacts of a pair of shapes, normal and, of those that stick, tangential, and ω̄ how body 2
-    turns on body 1, the pair turns by -w ω̄/‖ω̄‖² and back: as if its forces pressed a little elsewhere, at most by `ARM`
-    h ‖ω̄‖ R. Contacts carry it in the ratio of their pressures.
+    turns on body 1, the pair turns by -w ω̄/‖ω̄‖² and back: as if its forces pressed a little elsewhere, at most by
+    `ARM` h ‖ω̄‖ R. Where nothing sticks only across the normal, about which a normal force has no moment. Contacts carry
+    it in the ratio of their pressures.
 
     Parameters
     ----------
     blocks : tuple
         Factors of W.
-    contacts : (geom1, geom2, frame1, frame2)
+    contacts : (geom1, geom2, frame1, frame2, normal)
     mean : ndarray, shape (n,)
         Mean v̄ of the velocities before and after the impulses r (3 rows,).
     R, inverse_J : ndarray, shapes (frames, 3, 3), (nf, 3, 3)
@@ -119,7 +120,7 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
     bool
         Whether any does.
     """
-    geom1, geom2, frame1, frame2 = contacts
+    geom1, geom2, frame1, frame2, normal = contacts
     stays, sticks, slides = flags
     free, nc, some = inverse_J.shape[0], geom1.size, False
     u = np.empty(r.size)
@@ -128,7 +129,7 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
     other[:] = False
     first = 0
     while first < nc:
-        last, work, press = first, 0.0, 0.0
+        last, work, press, held = first, 0.0, 0.0, False
         while last < nc and geom1[last] == geom1[first] and geom2[last] == geom2[first]:
             i = 3 * last
             if stays[last] and r[i] > 0.0:
@@ -137,11 +138,14 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
                 inside = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu[last] * r[i] * (1.0 - 1e-9)
                 if sticks[last] and inside and not slides[last]:
                     work += r[i + 1] * u[i + 1] + r[i + 2] * u[i + 2]
+                    held = True
             last += 1
         a, b = frame1[first], frame2[first]
         if press > 0.0 and a < free and b < free:
             size = max(arm[a] if a >= 0 else 0.0, arm[b] if b >= 0 else 0.0)
             turning = along(spin_of(b, free, R, mean), -1.0, spin_of(a, free, R, mean))
+            if not held:
+                turning = along(turning, -dot(row(normal, first), turning), row(normal, first))
             speed = math.sqrt(dot(turning, turning))
             most = ARM * press * h * speed * size
             if most > NO_ARM * press * size:
