@@ -22,21 +22,17 @@ from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["Passage", "through"]
 
-HITS, LOCATED = 16, 50
-"""Most contacts that may be hit in a step, and most contacts in all, so that the effort is bounded; beyond, impacts are
-caught within the step."""
+WORK, EVENT = 400, 8
+"""Most contacts in all moves that an island tries in a step to locate its events, so that the effort is bounded, and
+the moves that one takes, about; what it cannot afford it catches within the rest of the step."""
 
 SOON, AGAIN = 1e-6, 0.1
 """Fractions of a move in which slip that turns round is not located: before it is nothing but round-off, and where slip
 has just been cut, which is located to second order, what is left of it."""
 
-HALVINGS, TRIES, SHALLOWER = 10, 64, 0.125
-"""Most times that a step is halved in which bodies sank or were lifted far, most pieces tried in it, so that the effort
-is bounded, and by what fraction bodies may then run less far into each other: impulses and projections
-at more configurations err less."""
-
-CLOSER = 50
-"""Most times that a move is shortened so as not to go much farther than to what it touches; two or three are usual."""
+HALVINGS, SHALLOWER = 10, 0.125
+"""Most times that a step is halved in which bodies sank or were lifted far, and by what fraction they may then run less
+far into each other: impulses and projections at more configurations err less."""
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
@@ -68,6 +64,21 @@ class Passage(NamedTuple):
     path: list[Placement]
 
 
+class Effort:
+    """What an island may still spend in a step, in contacts of moves."""
+
+    def __init__(self) -> None:
+        self.left = WORK
+
+    def affords(self, begin: Instant, moves: int) -> bool:
+        """Whether it may try so many moves from an instant."""
+        return moves * max(1, begin.contacts.gap.size) <= self.left
+
+    def spend(self, begin: Instant) -> None:
+        """Try a move from an instant."""
+        self.left -= max(1, begin.contacts.gap.size)
+
+
 def through(system: System, state: State, loads: Loads) -> Passage:
     """Moves and impacts of a step, in one piece, or in several where that is too coarse (`_pass`).
 
@@ -80,25 +91,26 @@ def through(system: System, state: State, loads: Loads) -> Passage:
         What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
     """
     begin, system = state.instant, system.during(state.next_t - state.dt, state.dt)
-    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate)
-    return _in_pieces(system, state, loads) if coarse and begin.contacts.gap.size <= LOCATED else whole
+    effort = Effort()
+    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort)
+    return _in_pieces(system, state, loads, effort) if coarse and effort.affords(begin, EVENT) else whole
 
 
-def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
+def _in_pieces(system: System, state: State, loads: Loads, effort: Effort) -> Passage:
     """The way through a step that is too coarse in one piece."""
     now, rate, clear = state.instant, state.rate, True
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
     path: list[Placement] = []
-    left, pieces, tries = system.dt, [1, 1], 1
+    left, pieces = system.dt, [1, 1]
     while pieces:
-        halvings, tries = pieces.pop(), tries + 1
+        halvings = pieces.pop()
         h = system.dt * 0.5**halvings
         # Here bodies run less far into each other before they are stopped.
         s = system._replace(depth=DEEP * SHALLOWER**halvings)
-        p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate)
-        if coarse and halvings < HALVINGS and tries < TRIES and now.contacts.gap.size <= LOCATED:
+        p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate, effort)
+        if coarse and halvings < HALVINGS and effort.affords(now, EVENT):
             pieces += [halvings + 1, halvings + 1]
             continue
         begun = system.dt - left
@@ -108,18 +120,17 @@ def _in_pieces(system: System, state: State, loads: Loads) -> Passage:
     return Passage(now, rate, clear, done, solved, works, path)
 
 
-def _pass(s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array) -> tuple[Passage, bool]:
+def _pass(
+    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, effort: Effort
+) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
     They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly.
     """
-    found, half, sunk, path = None, None, False, [begin.placement]
-    if begin.contacts.gap.size > LOCATED:
-        s = s._replace(depth=SHALLOW)
-    else:
-        found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
+    sunk, path = False, [begin.placement]
+    found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
     if found is None:
-        found, sunk = _moves(s, loads, begin, end, h, rate, half, path)
+        found, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
     now, rate, clear, done, solved, works = found
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
     return Passage(now, rate, clear, done, solved, works, [*path, now.placement]), coarse
@@ -145,7 +156,7 @@ def _quietly(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks
 
 def _moves(
     s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, half: Half | None,
-    path: list[Placement],
+    path: list[Placement], effort: Effort,
 ) -> tuple[Moves, bool]:  # fmt: skip
     """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
 
@@ -165,11 +176,8 @@ def _moves(
             solved.append(pair)
             works.append(more)
         soon = left * (AGAIN if cut and struck is None else SOON)
-        length, tried = (
-            _until_event(s, loads, now, t, left, soon, half)
-            if cut < EVENTS
-            else (left, _try(s, loads, now, t, left, None))
-        )
+        most = EVENT if cut < EVENTS else WORK + 1
+        length, tried = _until_event(s, loads, now, t, left, soon, effort, half, most)
         half = None
         m = finish(s, now, tried)
         path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
@@ -195,29 +203,33 @@ def _later(acted: Impulses, begun: float) -> Impulses:
 
 
 def _until_event(
-    s: System, loads: Loads, begin: Instant, t: float, h: float, soon: float, half: Half | None = None,
-    looks: int = CLOSER,
+    s: System, loads: Loads, begin: Instant, t: float, h: float, soon: float, effort: Effort,
+    half: Half | None = None, most: int = EVENT,
 ) -> tuple[float, Trial]:  # fmt: skip
-    """A move of at most h seconds to the first impact on its way, and its length; all the way if they are many.
+    """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
-    Or to where a slip turns round, but not `soon`, s. The first half of a move of h seconds may be known.
+    Or to where a slip turns round, but not `soon`, s. The first half of a move of h seconds may be known. Too long take
+    so many moves as would be too much to try.
     """
-    if begin.contacts.gap.size > LOCATED:
-        return h, _try(s, loads, begin, t, h, None)
+
+    def capture() -> tuple[float, Trial]:
+        return h, _try(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None)
+
+    if not effort.affords(begin, most):
+        return capture()
+    effort.spend(begin)
     m = _try(s, loads, begin, t, h, NONE, half)
     if _jammed(m.response.solution):
-        return h, _try(s, loads, begin, t, h, None)
-    if m.touched < h and looks:
-        return _until_event(s, loads, begin, t, m.touched, soon, None, looks - 1)
+        return capture()
+    if m.touched < h:
+        return _until_event(s, loads, begin, t, m.touched, soon, effort)
     if soon < m.turned < h:
-        return _until_event(s, loads, begin, t, m.turned, h, None, looks)
+        return _until_event(s, loads, begin, t, m.turned, h, effort)
     if m.unmet is None:
         return h, m
     hit = m.unmet.gap < -m.unmet.limit
     if not hit.any():
         return h, m
-    if hit.sum() > HITS:
-        return h, _try(s, loads, begin, t, h, None)
     barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
     far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))
     wide, moves = float(far.max(initial=s.closed)), {h: m}
@@ -235,6 +247,7 @@ def _until_event(
             before = others(s, found, take(begin.contacts, begin.contacts.gap <= s.closed), begin.limits, held)
             return max(least(before), s.closed)
         if time not in moves:
+            effort.spend(begin)
             moves[time] = _try(s, loads, begin, t, time, barred)
         return least(moves[time].unmet)
 
@@ -248,7 +261,7 @@ def _until_event(
     best, located = moves[length], abs(gap(length)) <= limit
     # What `gap` holds lives until garbage is collected: SciPy wraps it in a function that refers to itself.
     moves.clear()
-    return (length, best) if located else (h, _try(s, loads, begin, t, h, None))
+    return (length, best) if located else capture()
 
 
 def _first_touch(s: System, m: Trial, barred: Index) -> float:
