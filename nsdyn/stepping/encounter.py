@@ -283,15 +283,16 @@ class Encounter(NamedTuple):
             stays=self.stays[kept[:nc]], sticks=self.sticks[kept[:nc]],
         )  # fmt: skip
 
-    def lasting(self, old: NDArray[np.int8], before: ContactSet, closed: float, h: float, struck: bool) -> Encounter:
+    def lasting(self, pair: Index, warm: Warm, before: ContactSet, closed: float, h: float, struck: bool) -> Encounter:
         """The same with what persists of contacts found `before` the move; nothing where others are `struck`.
 
-        What they were in the last move is `old` (nc,); this one takes h s.
+        The codes of their pairs are `pair` (nc,), what they were in the last move `warm` tells; this one takes h s.
         """
         nc = self.contacts.gap.size
         stays, sticks = np.empty(nc, np.bool_), np.empty(nc, np.bool_)
-        begin = before.key, before.gap, closed
-        some = _persistence.persists(self.contacts.key, begin, old, self.local, self.end_gap, h, struck, stays, sticks)
+        last, begin = (warm.key, warm.pair, warm.status), (before.key, before.gap, closed)
+        given = self.local, self.end_gap, h, struck
+        some = _persistence.persists(self.contacts.key, pair, last, begin, *given, stays, sticks)
         out = self._replace(stays=stays, sticks=sticks)
         return out.otherwise() if some else out
 

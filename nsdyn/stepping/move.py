@@ -282,7 +282,8 @@ def _respond(
     kick: Array | float = 0.0
     if not once:
         met, impact, kick = caught_impacts(s, met, middle.placement, half.rate, half.h)
-    met = met.lasting(s.last_status(contacts, begin.warm), begin.contacts, s.closed, half.h, impact is not None)
+    pair = s.detector.codes(contacts)
+    met = met.lasting(pair, begin.warm, begin.contacts, s.closed, half.h, impact is not None)
     slides = foresee(met)
     if last is not None:
         met = met.otherwise()

@@ -11,6 +11,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
+from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn._kernels.stepping import reversal as _reversal
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.values import Placement
@@ -71,20 +72,25 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     if seen is None or _few.least(seen[0].gap) < -s.closed:
         return None
     found, memory, looked = seen
-    met = Encounter(
-        contacts, None, rows, frame, None, mu, contacts.restitution, place, begin.warm.status, local, end_gap
-    ).lasting(s.last_status(contacts, begin.warm), old, s.closed, h, False)
-    if (met.stays & (met.end_gap != 0.0)).any():  # of which the problem knew nothing
-        return None
-    mean = 0.5 * (v + v_plus)
-    if unfinished(s, met, begun, looked, found, R, h, mean, r, slides) is not None:
-        return None
+    last, basis = begin.warm, begin.warm.basis
+    pair = last.pair if basis is not None and basis.contacts is contacts else s.detector.codes(contacts)
+    stays, sticks = np.empty(nc, np.bool_), np.empty(nc, np.bool_)
+    known = (last.key, last.pair, last.status), (old.key, old.gap, s.closed)
+    if _persistence.persists(contacts.key, pair, *known, local, end_gap, h, False, stays, sticks):
+        return None  # gaps of which the problem knew nothing
+    if looked is not begun:
+        met = Encounter(
+            contacts, None, rows, frame, None, mu, contacts.restitution, place, last.status, local, end_gap,
+            stays=stays, sticks=sticks,
+        )  # fmt: skip
+        if unfinished(s, met, begun, looked, found, R, h, 0.5 * (v + v_plus), r, slides) is not None:
+            return None
     out = status, normal, friction, u, world = (
         np.empty(nc, np.int8), np.empty(nc), np.empty(nc), np.empty(3 * nc), np.empty((nc, 3))
     )  # fmt: skip
     external, beyond, normal_work, friction_work, rest = _account.account(
         rows.full.arrays, (d.mass, d.gravity), (d.no_load, d.no_load), h, s.theta, (v, v, v_plus), r, mu, NOTHING,
-        (met.stays, met.sticks, NOTHING), NOTHING, local, frame, s.solver.tol, out,
+        (stays, sticks, NOTHING), NOTHING, local, frame, s.solver.tol, out,
     )  # fmt: skip
     slots, on_joints = d.no_impulses
     time = np.empty(nc)
@@ -93,8 +99,7 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
         contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, np.zeros((nc, 3)), normal, friction, on_joints,
         d.no_push, 0.0, time, h,
     )  # fmt: skip
-    basis = Basis(contacts, rows, frame, problem)
-    warm = Warm(contacts.key, s.detector.codes(contacts), world, status, slots, basis)
+    warm = Warm(contacts.key, pair, world, status, slots, Basis(contacts, rows, frame, problem))
     position, there = begin.position.moved(x, quaternion), Placement(x, R_end, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
     works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
@@ -126,7 +131,8 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     closing = s.closing(h, False)
     start = old, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     met = Encounter.of(d, contacts, None, middle.seen(looked), forces, start, reach, still, h, half.ahead, closing)
-    met, slides = met.lasting(s.last_status(contacts, begin.warm), old, s.closed, h, False), foresee(met)
+    met = met.lasting(s.detector.codes(contacts), begin.warm, old, s.closed, h, False)
+    slides = foresee(met)
     problem, solution, otherwise = solve(met, s.solver, None, closing, slides, False, 0)
     if otherwise or reversal(met, s.solver, problem, solution) < 1.0:
         return None

@@ -20,7 +20,7 @@ errors of second. Where nothing turns there are none, and what approaches is sto
 ARM = 1.0
 """Most that a couple moves a contact force, in lengths h ω R: as far as points of the body go in the move."""
 
-NO_ARM, NO_WORK = 1e-10, 1e-14
+NO_ARM, NO_WORK = 1e-10, 1e-12
 """Arms, as fractions of R, of what may be at rest, which have no couples; and works, of r_N R ω, that are round-off."""
 
 
@@ -42,10 +42,10 @@ def last_status(key, pair, warm_key, warm_pair, warm_status, out):
 
 
 @kernel
-def persists(key, begin, old_status, local, end_gap, h, struck, stays, sticks):
+def persists(key, pair, warm, begin, local, end_gap, h, struck, stays, sticks):
     """Which contacts persist, into stays and sticks (nc,): those that then do no work along and across their normals.
 
-    What pressed in the last move (old_status as `last_status` has it), or was closed where this one begins, by
+    What pressed in the last move, by warm = (keys, pairs, status), or was closed where this one begins, by
     begin = (keys, gaps, what counts as closed), and did not approach, stays; what stuck, or did not slip there, sticks.
     Not what is squeezed, so that it overlaps, strikes or parts: an approach in h s faster than `JOLT` drifts of the
     rows is one of the bodies, and no error. Gaps that count as closed, of rows that do not turn, are set to 0. Returns
@@ -54,8 +54,9 @@ def persists(key, begin, old_status, local, end_gap, h, struck, stays, sticks):
     begin_key, begin_gap, closed = begin
     some = False
     u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
-    before = np.empty(key.size, np.int64)
+    before, old_status = np.empty(key.size, np.int64), np.empty(key.size, np.int8)
     places(begin_key, key, before)
+    last_status(key, pair, warm[0], warm[1], warm[2], old_status)
     for c in range(key.size):
         i = 3 * c
         stays[c] = sticks[c] = False
