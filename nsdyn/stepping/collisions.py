@@ -17,7 +17,7 @@ from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["caught_impacts", "collide"]
+__all__ = ["caught_impacts", "collide", "striking"]
 
 
 def caught_impacts(
@@ -28,20 +28,27 @@ def caught_impacts(
     What the others meet then, the impacts, and the change of v by them, 0 where there are none. `rate` (n,) is the free
     acceleration.
     """
-    if not s.elastic or not met.mu.size:
-        return met, None, 0.0
-    u_begin, u, u_free, drift = met.local[:4, 0::3]
-    resting = s.resting(met.contacts, met.joints, met.restitution, there, rate)
-    closes = met.end_gap + s.theta * h * (u_free + drift) <= 0.0
-    struck = (met.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & closes
-    if not struck.any():
+    struck = striking(s, met, there, rate, h)
+    if struck is None:
         return met, None, 0.0
     # Rows that turn with their bodies are no approach.
-    resting = np.where(struck, resting, resting + 2.0 * np.abs(drift))
+    resting = s.resting(met.contacts, met.joints, met.restitution, there, rate)
+    resting = np.where(struck, resting, resting + 2.0 * np.abs(met.local[3, 0::3]))
     closed = struck | (met.end_gap <= s.closed)
     impact = _strike(s, met, closed, resting, resting)
     kick = met.rows.velocity_change(impact.r)
     return met.changed(kick, struck), impact, kick
+
+
+def striking(s: System, met: Encounter, there: Placement, rate: Array, h: float) -> Bools | None:
+    """Which rows strike within a move of h s, as of `caught_impacts`; None if none does."""
+    if not s.elastic or not met.mu.size:
+        return None
+    u_begin, u, u_free, drift = met.local[:4, 0::3]
+    resting = s.resting(met.contacts, met.joints, met.restitution, there, rate)
+    closes = met.end_gap + s.theta * h * (u_free + drift) <= 0.0
+    struck: Bools = (met.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & closes
+    return struck if struck.any() else None
 
 
 def collide(

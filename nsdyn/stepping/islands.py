@@ -17,6 +17,7 @@ from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
+from nsdyn.stepping.collisions import striking
 from nsdyn.stepping.encounter import foresee
 from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
@@ -231,6 +232,10 @@ class Islands:
         if not a.solution.accepted:
             out += self._nodes(c, np.ones(c.gap.size, np.bool_))
         half, begun, ended = tried.half, tried.seen.looked, a.moved.looked
+        if (struck := striking(s, a.met, half.middle.placement, half.rate, half.h)) is not None:
+            out += self._nodes(c, struck[: c.gap.size])
+            if a.met.joints is not None:
+                out.append(d.joints.block[a.met.joints.slot[struck[c.gap.size :]]])
         at = half.middle.placement.R, half.h, 0.5 * (half.middle.v + a.v), a.solution.r, a.slides
         if (off := unfinished(s, a.met, begun, ended, found, *at)) is not None:
             out += self._nodes(c, off)
