@@ -1,4 +1,4 @@
-"""The way through a step: moves and impacts one after the other, in pieces where bodies would sink."""
+"""The way of an island through a step: moves and impacts one after the other, in pieces where bodies would sink."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Which contacts a move meets: all that its motion shows, and no other.
 
-In small scenes impacts are located: contacts that are open where a move begins, and would strike or become deep, are
-left alone and found where they are hit. In large ones all are caught within the move, and looked at again after it: a
-pair that was deep in each other has the features with which it touched, contacts that the motion does not reach are
-dropped, pairs that it would pass through and contacts that end deep are added.
+Impacts are located as long as that is affordable: contacts that are open where a move begins, and would strike or
+become deep, are left alone and found where they are hit. Else all are caught within the move, and looked at again after
+it: a pair that was deep in each other has the features with which it touched, contacts that the motion does not reach
+are dropped, pairs that it would pass through and contacts that end deep are added.
 """
 
 from __future__ import annotations
