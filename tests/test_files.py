@@ -91,6 +91,7 @@ def test_what_cannot_be_written(tmp_path, name, words):
 COMMANDS = {
     "run": ["slide"], "sweep": ["slide"], "study": ["slide", "--dt", "1e-2,5e-3"], "solve": ["in.hdf5"],
     "profile": ["."], "bench": [], "energy": ["in.h5"], "contacts": ["in.h5"], "view": ["in.h5"], "plot": ["in.h5"],
+    "joints": ["in.h5"],
 }  # fmt: skip
 """What each command that writes needs besides."""
 

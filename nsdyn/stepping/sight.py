@@ -63,7 +63,7 @@ def caught(
         return contacts
     held = np.empty(contacts.gap.size, np.bool_)
     _law.known(contacts.key, before.key, before.gap, s.closed, held)
-    held &= ~np.isin(contacts.key, parted)
+    left = np.isin(contacts.key, parted)
     pressed = s.last_status(contacts, begin.warm) > 0
     loaded, free = (approach(s.dynamics, contacts, placement, w) for w in (begin.v, v))
     # What bears one of two bodies that fall together is not known here: it might be as if the other fell alone.
@@ -73,7 +73,7 @@ def caught(
     shallow &= ~np.isin(s.detector.codes(contacts), barred)
     if s.elastic:
         shallow &= (e == 0.0) | (u > -s.resting(contacts, None, e, placement, rate))
-    return take(contacts, held | shallow)
+    return take(contacts, (held | shallow) & ~left)
 
 
 def _parted(s: System, begin: Instant, rate: Array) -> Index:
