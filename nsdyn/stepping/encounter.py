@@ -299,24 +299,20 @@ class Encounter(NamedTuple):
     def turned(self, dv: Array, r: Array) -> Encounter:
         """The same with couples that change v by dv (n,), and impulses to start from."""
         local = self.local.copy()
-        local[2] += self.rows.full.relative_velocity(dv)
+        if dv.size:
+            local[2] += self.rows.full.relative_velocity(dv)
         local[4] = r
         return self.otherwise()._replace(local=local)
 
-    def corrected(self, gap: Array, r: Array, most: Array, closed: float) -> Encounter | None:
-        """The same with the gaps (nc,) that contacts, which stay and are pressed by r, end with; None if closed.
-
-        Of gaps beyond `most` (nc,) nothing is foreseen.
-        """
-        off = self.off(gap, r, most, closed)
-        if not off.any():
-            return None
-        end_gap = self.end_gap.copy()
+    def corrected(self, gap: Array, off: Bools, r: Array) -> Encounter:
+        """The same with the gaps (nc,) that the contacts that are `off` end with, and impulses to start from."""
+        end_gap, local = self.end_gap.copy(), self.local.copy()
         end_gap[: gap.size] += np.where(off, gap, 0.0)
-        return self.otherwise()._replace(end_gap=end_gap)
+        local[4] = r
+        return self.otherwise()._replace(end_gap=end_gap, local=local)
 
     def off(self, gap: Array, r: Array, most: Array, closed: float) -> Bools:
-        """Which contacts stay and are pressed by r, but end with a gap, of no more than `most` (nc,)."""
+        """Which contacts stay and are pressed by r, but end with a gap (nc,), of no more than `most`."""
         away, pressed = np.abs(gap), r[0 : 3 * gap.size : 3] > 0.0
         out: Bools = self.stays & pressed & (away > closed) & (away <= most)
         return out

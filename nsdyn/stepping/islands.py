@@ -18,13 +18,11 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.collisions import striking
-from nsdyn.stepping.encounter import foresee
 from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
 from nsdyn.stepping.move import Move, Trial, attempt, finish
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import Passage, through, undisturbed
-from nsdyn.stepping.persistence import unfinished
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import approach
 from nsdyn.stepping.state import State
@@ -88,7 +86,7 @@ class Islands:
         opened, tried = np.zeros(count, np.bool_), None
         opened[label[self._struck(begin, half)]] = True
         if not opened.all():
-            tried = attempt(s, begin, half, callbacks, opened[label])
+            tried = attempt(s, begin, half, callbacks, label, opened[label])
             self._open(begin, tried, label, opened)
             if not opened.any():
                 return _done(finish(s, begin, tried))
@@ -227,18 +225,14 @@ class Islands:
             out += self._nodes(c, ends[: c.gap.size] > 0)
             if a.met.joints is not None:
                 out.append(d.joints.block[a.met.joints.slot[ends[c.gap.size :] > 0]])
-        if a.otherwise:
-            out += self._nodes(c, a.slides != foresee(a.met._replace(slides=None)))
-        if not a.solution.accepted:
+        out += self._nodes(c, a.slides)
+        if not a.solution.converged:
             out += self._nodes(c, np.ones(c.gap.size, np.bool_))
-        half, begun, ended = tried.half, tried.seen.looked, a.moved.looked
+        half = tried.half
         if (struck := striking(s, a.met, half.middle.placement, half.rate, half.h)) is not None:
             out += self._nodes(c, struck[: c.gap.size])
             if a.met.joints is not None:
                 out.append(d.joints.block[a.met.joints.slot[struck[c.gap.size :]]])
-        at = half.middle.placement.R, half.h, 0.5 * (half.middle.v + a.v), a.solution.r, a.slides
-        if (off := unfinished(s, a.met, begun, ended, found, *at)) is not None:
-            out += self._nodes(c, off)
         limited = d.within_limits(tried.half.middle, tried.half.forces, a.v)
         changed = [x is not y for x, y in zip(limited.trees, tried.half.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
@@ -269,8 +263,12 @@ class Islands:
         )  # fmt: skip
         r, *_, count, time = a.solution
         solution = Solution.judge(problem, r[rows], s.solver.tol, count, time, Status.LOOSE)
+        turned = a.couple
+        if turned.dv.size:
+            of_contacts = kept[: a.met.contacts.gap.size]
+            turned = turned._replace(impulse=turned.impulse[of_contacts], work=turned.work[of_contacts])
         response = a._replace(
-            met=a.met.take(kept), impact=None, kick=0.0, problem=problem, solution=solution,
+            couple=turned, met=a.met.take(kept), impact=None, kick=0.0, problem=problem, solution=solution,
             moved=a.moved._replace(contacts=contacts, limits=limits),
         )  # fmt: skip
         return tried._replace(response=response)

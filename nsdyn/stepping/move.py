@@ -16,11 +16,11 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free as _free
 from nsdyn.stepping.collisions import caught_impacts
-from nsdyn.stepping.encounter import SOLVES, Encounter, foresee, solve
+from nsdyn.stepping.encounter import SOLVES, Encounter, foresee
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Impulses, Instant, System, account, take
-from nsdyn.stepping.persistence import NO_COUPLE, Couple, solve_workless
+from nsdyn.stepping.persistence import NO_COUPLE, Apart, Couple, solve_workless
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
@@ -214,17 +214,18 @@ def trial(
     return Trial(half, joints, seen, response, unmet, until, turned)
 
 
-def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, skip: Bools) -> Trial:
-    """A move that leaves alone what may strike, as a `trial` with nothing barred; its impulses are sought only once.
+def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: Index, skip: Bools) -> Trial:
+    """A move of all islands that leaves alone what may strike, as a `trial` with nothing barred.
 
-    Contacts of the nodes `skip` (nodes,) are passed over, whose motion is none.
+    Nodes have the label of their island (nodes,), none of which changes because of another: the `Response.slides` are
+    those contacts that slide otherwise than foreseen. Contacts of the nodes `skip` are passed over; it is no motion.
     """
     contacts, joints, seen = _reachable(s, begin, half, NO_SLOTS)
     if skip.any():
         contacts = take(contacts, ~skip[s.nodes(contacts)])
-    half, response = _respond(s, begin, half, contacts, joints, seen, NO_SLOTS, None, False, once=True)
+    half, response = _respond(s, begin, half, contacts, joints, seen, NO_SLOTS, None, False, label)
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
-        return attempt(s, begin, again, None, skip)
+        return attempt(s, begin, again, None, label, skip)
     slots, moved = NO_SLOTS if joints is None else joints.slot, response.moved
     unmet = others(s, moved.contacts, contacts, moved.limits, slots)
     return Trial(half, joints, seen, response, unmet, half.h, half.h)
@@ -255,12 +256,13 @@ def _reachable(
 
 def _respond(
     s: System, begin: Instant, half: Half, contacts: ContactSet, joints: JointRows | None, seen: Seen,
-    barred: Index | None, last: Response | None, rough: bool, once: bool = False,
+    barred: Index | None, last: Response | None, rough: bool, label: Index | None = None,
 ) -> tuple[Half, Response]:  # fmt: skip
     """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
 
     The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve,
-    as do contacts that slide otherwise than foreseen, unless it is to be solved `once`.
+    as do contacts that slide otherwise than foreseen: not where nodes have a label (nodes,), that of their island. Then
+    nothing is done to an island because of another, and that is left to see who asks.
     """
     d, middle, forces, closing = s.dynamics, half.middle, half.forces, s.closing(half.h, barred is None)
     if d.alone:
@@ -280,7 +282,7 @@ def _respond(
         )
     impact: Impact | None = None
     kick: Array | float = 0.0
-    if not once:
+    if label is None:
         met, impact, kick = caught_impacts(s, met, middle.placement, half.rate, half.h)
     pair = s.detector.codes(contacts)
     met = met.lasting(pair, begin.warm, begin.contacts, s.closed, half.h, impact is not None)
@@ -289,19 +291,17 @@ def _respond(
         met = met.otherwise()
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
-    most, back = (0, True) if barred is None else (0 if once else SOLVES, last is not None)
+    most, back = (0, True) if barred is None else (SOLVES if label is None else 0, last is not None)
     before = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     impulse: Array | None = None
     trees: tuple[TreeEnd, ...] = ()
-    alone, couple = met, NO_COUPLE
-    for left in reversed(range(GAPS + 1 if barred is not None and not once else 1)):
-        if once:
-            problem, solution, otherwise = solve(met, s.solver, before, closing, slides, back, most, rough)
-        else:
-            met, problem, solution, otherwise, couple = solve_workless(
-                s, alone, middle, forces, half.h, before, closing, slides, back, most, rough, couple
-            )
+    alone, couple, off = met, NO_COUPLE, None
+    apart = None if label is None else Apart(_of_rows(s, met, label), slides.copy(), np.zeros(slides.size, np.bool_))
+    for left in reversed(range(GAPS + 1 if barred is not None else 1)):
+        met, problem, solution, otherwise, couple = solve_workless(
+            s, alone, middle, forces, half.h, before, closing, slides, back, most, rough, couple, apart, off
+        )
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if impact is None else v + kick
         if d.alone:
@@ -312,7 +312,7 @@ def _respond(
             end, there = at.moved(x, quaternion), Placement(x, R, ())
         else:
             impulse, v = met.rows.response(solution.r, v)
-            if not once and (limited := d.within_limits(middle, forces, v)) is not forces:
+            if label is None and (limited := d.within_limits(middle, forces, v)) is not forces:
                 return _respond(s, begin, half._replace(forces=limited), contacts, joints, seen, barred, last, rough)
             if impact is not None:
                 impulse = met.rows.full.momentum(solution.r + impact.r)
@@ -325,13 +325,22 @@ def _respond(
         if not left or not met.stays.any():
             break
         gap = s.detector.gaps(contacts, moved.contacts, Poses(there.x, there.R))
-        closer = alone.corrected(gap, solution.r, s.near(contacts), s.closed)
-        if closer is None:
+        off = alone.off(gap, solution.r, s.near(contacts), s.closed)
+        if not off.any():
             break
-        alone, before = closer, solution
+        alone, before = alone.corrected(gap, off, solution.r), solution
+    slides = slides if apart is None else apart.switched
     return half, Response(
         met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved
     )
+
+
+def _of_rows(s: System, met: Encounter, label: Index) -> Index:
+    """The islands of contacts and joint rows."""
+    nodes = s.nodes(met.contacts)
+    if met.joints is not None:
+        nodes = np.concatenate((nodes, s.dynamics.joints.block[met.joints.slot]))
+    return label[nodes]
 
 
 def _resume(met: Encounter, slides: Bools, last: Response) -> None:

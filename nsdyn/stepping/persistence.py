@@ -24,12 +24,12 @@ from nsdyn.dynamics.values import Forces, Middle
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Closing, Encounter, solve
-from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
     from nsdyn.stepping.instant import System
 
-__all__ = ["NO_COUPLE", "Couple", "couple_of", "solve_workless", "unfinished"]
+__all__ = ["NO_COUPLE", "Apart", "Couple", "couple_of", "solve_workless", "unfinished"]
 
 PASSES = 8
 """Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω."""
@@ -54,6 +54,34 @@ class Couple(NamedTuple):
 
 
 NO_COUPLE = Couple(np.empty((0, 3)), np.empty(0), np.empty(0))
+
+
+class Apart(NamedTuple):
+    """Islands that are solved together, of which none changes because of another.
+
+    Attributes
+    ----------
+    label : ndarray of int, shape (rows,)
+        Island of each contact and joint row.
+    slides : ndarray of bool, shape (nc,)
+        Which contacts slide through, as foreseen.
+    switched : ndarray of bool, shape (nc,)
+        Which have been found to do otherwise, and wait for a solve of their island.
+    """
+
+    label: Index
+    slides: Bools
+    switched: Bools
+
+    def keep(self, slides: Bools) -> None:
+        """Let contacts slide as foreseen, and note which would not."""
+        np.logical_or(self.switched, slides != self.slides, out=self.switched)
+        slides[:] = self.slides
+
+    def thawed(self, last: Solution, solution: Solution, which: Bools) -> Solution:
+        """The solution in the islands of some contacts (nc,), the last one in all others, to the last bit."""
+        rows = np.repeat(np.isin(self.label, self.label[: which.size][which]), 3)
+        return solution._replace(r=np.where(rows, solution.r, last.r), u=np.where(rows, solution.u, last.u))
 
 
 def couple_of(
@@ -96,13 +124,20 @@ def unfinished(
 
 def solve_workless(
     s: System, met: Encounter, middle: Middle, forces: Forces, h: float, last: Solution | None, closing: Closing,
-    slides: Bools, back: bool, most: int, rough: bool, start: Couple,
+    slides: Bools, back: bool, most: int, rough: bool, start: Couple, apart: Apart | None = None,
+    off: Bools | None = None,
 ) -> tuple[Encounter, FC3D, Solution, bool, Couple]:  # fmt: skip
-    """`solve`, and couples with which contacts that persist do no work, from `start`; what is met with these."""
+    """`solve`, and couples with which contacts that persist do no work, from `start`; what is met with these.
+
+    Of islands `apart` only those of which a contact is `off`, or has another couple, change.
+    """
     alone, R, couple = met, middle.placement.R, start
     if start.dv.size:
-        met = alone.turned(start.dv, met.local[4] if last is None else last.r)
+        met = alone.turned(start.dv, alone.local[4])
     problem, solution, otherwise = solve(met, s.solver, last, closing, slides, back, most, rough)
+    if apart is not None:
+        apart.keep(slides)
+        solution = solution if last is None or off is None else apart.thawed(last, solution, off)
     if not s.dynamics.free or not met.stays.any():
         return met, problem, solution, otherwise, couple
     nc = met.contacts.gap.size
@@ -115,7 +150,13 @@ def solve_workless(
             break
         couple = Couple(other[0], NO_COUPLE.work, other[1])
         met = alone.turned(couple.dv, solution.r)
-        problem, solution, otherwise = solve(met, s.solver, solution, closing, slides, True, most, rough)
+        problem, again, changed = solve(met, s.solver, solution, closing, slides, True, most, rough)
+        otherwise = otherwise or changed
+        if apart is None:
+            solution = again
+            continue
+        apart.keep(slides)
+        solution = apart.thawed(solution, again, other[2])
     if couple.dv.size:
         c, work = met.contacts, np.empty(nc)
         mean = 0.5 * (middle.v + forces.v + couple.dv + met.rows.velocity_change(solution.r))

@@ -110,7 +110,7 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
     flags : three ndarrays of bool, shape (nc,)
         Contacts that stay, stick, and slide through.
     couple : ndarray, shape (nc, 3)
-        On body 2, world axes, N·m·s: those that act, changed to those that would have done no work.
+        On body 2, world axes, N·m·s: those that act, changed where others would have done no work.
     dv : ndarray, shape (n,)
         Change of v by them.
     other : ndarray of bool, shape (nc,)
@@ -158,17 +158,20 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
                 differ = abs(amount * speed - now) > NO_WORK * press * size * speed
                 some = some or differ
                 for c in range(first, last):
-                    i = 3 * c
-                    share = r[i] / press if stays[c] and r[i] > 0.0 else 0.0
-                    put(couple, c, times(share * amount / speed, turning))
+                    if differ:
+                        share = r[3 * c] / press if stays[c] and r[3 * c] > 0.0 else 0.0
+                        put(couple, c, times(share * amount / speed, turning))
                     other[c] = differ
+                total = (0.0, 0.0, 0.0)
+                for c in range(first, last):
+                    total = along(total, 1.0, row(couple, c))
                 for side in range(2):
-                    f, sign = (a, -amount / speed) if side == 0 else (b, amount / speed)
+                    f, sign = (a, -1.0) if side == 0 else (b, 1.0)
                     if f < 0:
                         continue
                     for i in range(3):
                         for j in range(3):
-                            own = R[f, 0, j] * turning[0] + R[f, 1, j] * turning[1] + R[f, 2, j] * turning[2]
+                            own = R[f, 0, j] * total[0] + R[f, 1, j] * total[1] + R[f, 2, j] * total[2]
                             dv[6 * f + 3 + i] += sign * inverse_J[f, i, j] * own
             else:
                 for c in range(first, last):
