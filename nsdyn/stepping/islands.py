@@ -271,7 +271,9 @@ class Islands:
             couple=turned, met=a.met.take(kept), impact=None, kick=0.0, problem=problem, solution=solution,
             moved=a.moved._replace(contacts=contacts, limits=limits),
         )  # fmt: skip
-        return tried._replace(response=response)
+        forces, free = tried.half.forces, left[: d.free, None]
+        forces = forces._replace(force=free * forces.force, torque=free * forces.torque)
+        return tried._replace(half=tried.half._replace(forces=forces), response=response)
 
 
 def _done(m: Move) -> Passage:
