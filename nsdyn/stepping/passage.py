@@ -244,7 +244,8 @@ def _until_event(
         if time == 0.0:
             found, _ = s.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
             held = s.dynamics.joints.limits[begin.limits <= s.closed]
-            before = others(s, found, take(begin.contacts, begin.contacts.gap <= s.closed), begin.limits, held)
+            closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+            before = others(s, found, closed, np.ones(closed.gap.size), begin.limits, held)
             return max(least(before), s.closed)
         if time not in moves:
             effort.spend(begin)
@@ -267,7 +268,8 @@ def _until_event(
 def _first_touch(s: System, m: Trial, barred: Index) -> float:
     """When a move first touches what is barred, s: by parabolas of gaps that end as it does, under its free forces."""
     d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
-    c = take(c, np.isin(s.detector.codes(c), barred) & ~np.isin(c.key, a.met.contacts.key))
+    pressed = a.met.contacts.key[a.normal > 0.0]
+    c = take(c, np.isin(s.detector.codes(c), barred) & ~np.isin(c.key, pressed))
     there, joints = a.moved.placement, d.joints
     slots = joints.limits[-1 - barred[barred < 0]]
     gap = np.concatenate((c.gap, joints.gaps(slots, d.angles(there)) if slots.size else NOTHING))
