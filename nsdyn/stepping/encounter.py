@@ -40,7 +40,7 @@ SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
 that stop, whose slip would else be turned round."""
 
-NOTHING, NEVER = np.empty(0), np.empty(0, np.bool_)
+NOTHING, NEVER, UNKNOWN = np.empty(0), np.empty(0, np.bool_), np.empty(0, np.int8)
 
 
 class Basis(NamedTuple):
@@ -135,8 +135,8 @@ class Encounter(NamedTuple):
         u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
         Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
         after it would be one too many, and an elastic ball would lose m g h v.
-    stays, sticks : ndarray of bool, shape (nc,)
-        Contacts that persist, and across their normals too: `nsdyn._kernels.stepping.persistence.persists`.
+    stays, sticks, was : ndarrays of bool, bool and int8, shape (nc,)
+        What persists, and across its normal too; what contacts were: `nsdyn._kernels.stepping.persistence.persists`.
     slides : ndarray of bool, shape (nc,), optional
         Which contacts slide through the step, where that is foreseen already.
     posed : FC3D, optional
@@ -159,6 +159,7 @@ class Encounter(NamedTuple):
     rebound: Array = NOTHING
     stays: Bools = NEVER
     sticks: Bools = NEVER
+    was: NDArray[np.int8] = UNKNOWN
     slides: Bools | None = None
     posed: FC3D | None = None
 
@@ -280,7 +281,7 @@ class Encounter(NamedTuple):
             frame=self.frame[kept[:nc]], mu=self.mu[kept], restitution=self.restitution[kept],
             place=self.place[kept[:nc]], local=self.local[:, rows], end_gap=self.end_gap[kept], slides=None, posed=None,
             transport=self.transport[rows] if self.transport.size else NOTHING,
-            stays=self.stays[kept[:nc]], sticks=self.sticks[kept[:nc]],
+            stays=self.stays[kept[:nc]], sticks=self.sticks[kept[:nc]], was=self.was[kept[:nc]],
         )  # fmt: skip
 
     def lasting(self, pair: Index, warm: Warm, before: ContactSet, closed: float, h: float, struck: bool) -> Encounter:
@@ -289,11 +290,11 @@ class Encounter(NamedTuple):
         The codes of their pairs are `pair` (nc,), what they were in the last move `warm` tells; this one takes h s.
         """
         nc = self.contacts.gap.size
-        stays, sticks = np.empty(nc, np.bool_), np.empty(nc, np.bool_)
+        stays, sticks, was = np.empty(nc, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
         last, begin = (warm.key, warm.pair, warm.status), (before.key, before.gap, closed)
         given = self.local, self.end_gap, h, struck
-        some = _persistence.persists(self.contacts.key, pair, last, begin, *given, stays, sticks)
-        out = self._replace(stays=stays, sticks=sticks)
+        some = _persistence.persists(self.contacts.key, pair, last, begin, *given, stays, sticks, was)
+        out = self._replace(stays=stays, sticks=sticks, was=was)
         return out.otherwise() if some else out
 
     def turned(self, dv: Array, r: Array) -> Encounter:

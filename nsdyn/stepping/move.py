@@ -125,6 +125,12 @@ class Response(NamedTuple):
     twists: tuple[Array, Array]
     moved: Placed
 
+    @property
+    def normal(self) -> Array:
+        """Normal impulses of the contacts met, shape (nc,), N·s."""
+        out: Array = self.solution.r[0 : 3 * self.met.contacts.gap.size : 3]
+        return out
+
 
 class Trial(NamedTuple):
     """A move whose end may still overlap, and what it ran into.
@@ -205,7 +211,8 @@ def trial(
         limits = moved.limits
         if limits.size and not barred.size and _few.least(limits) >= -s.closed:
             limits = NOTHING
-        unmet = others(s, moved.contacts, response.met.contacts, limits, NO_SLOTS if joints is None else joints.slot)
+        r, slots = response.normal, NO_SLOTS if joints is None else joints.slot
+        unmet = others(s, moved.contacts, response.met.contacts, r, limits, slots)
         if half.fast and not barred.size:
             places = half.middle.placement, moved.placement
             until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
@@ -227,7 +234,7 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: 
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return attempt(s, begin, again, None, label, skip)
     slots, moved = NO_SLOTS if joints is None else joints.slot, response.moved
-    unmet = others(s, moved.contacts, contacts, moved.limits, slots)
+    unmet = others(s, moved.contacts, contacts, response.normal, moved.limits, slots)
     return Trial(half, joints, seen, response, unmet, half.h, half.h)
 
 

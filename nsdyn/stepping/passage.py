@@ -30,9 +30,10 @@ SOON, AGAIN = 1e-6, 0.1
 """Fractions of a move in which slip that turns round is not located: before it is nothing but round-off, and where slip
 has just been cut, which is located to second order, what is left of it."""
 
-HALVINGS, SHALLOWER = 10, 0.125
-"""Most times that a step is halved in which bodies sank or were lifted far, and by what fraction they may then run less
-far into each other: impulses and projections at more configurations err less."""
+SHALLOWER = 0.125
+"""By what fraction bodies may run less far into each other in halves of a step in which they sank or were lifted far:
+impulses and projections at more configurations err less. It is halved as long as that is affordable: if all pieces as
+short have no more than `WORK` contacts."""
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
@@ -72,11 +73,16 @@ class Effort:
 
     def affords(self, begin: Instant, moves: int) -> bool:
         """Whether it may try so many moves from an instant."""
-        return moves * max(1, begin.contacts.gap.size) <= self.left
+        return moves * _contacts(begin) <= self.left
 
     def spend(self, begin: Instant) -> None:
         """Try a move from an instant."""
-        self.left -= max(1, begin.contacts.gap.size)
+        self.left -= _contacts(begin)
+
+
+def _contacts(begin: Instant) -> int:
+    """What a move from an instant costs."""
+    return max(1, begin.contacts.gap.size)
 
 
 def through(system: System, state: State, loads: Loads) -> Passage:
@@ -93,7 +99,7 @@ def through(system: System, state: State, loads: Loads) -> Passage:
     begin, system = state.instant, system.during(state.next_t - state.dt, state.dt)
     effort = Effort()
     whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort)
-    return _in_pieces(system, state, loads, effort) if coarse and effort.affords(begin, EVENT) else whole
+    return _in_pieces(system, state, loads, effort) if coarse and _contacts(begin) <= WORK else whole
 
 
 def _in_pieces(system: System, state: State, loads: Loads, effort: Effort) -> Passage:
@@ -110,7 +116,7 @@ def _in_pieces(system: System, state: State, loads: Loads, effort: Effort) -> Pa
         # Here bodies run less far into each other before they are stopped.
         s = system._replace(depth=DEEP * SHALLOWER**halvings)
         p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate, effort)
-        if coarse and halvings < HALVINGS and effort.affords(now, EVENT):
+        if coarse and _contacts(now) << halvings <= WORK:
             pieces += [halvings + 1, halvings + 1]
             continue
         begun = system.dt - left
@@ -213,7 +219,7 @@ def _until_event(
     """
 
     def capture() -> tuple[float, Trial]:
-        return h, _try(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None)
+        return h, _try(s._replace(depth=SHALLOW / DEEP * s.depth), loads, begin, t, h, None)
 
     if not effort.affords(begin, most):
         return capture()
@@ -244,7 +250,8 @@ def _until_event(
         if time == 0.0:
             found, _ = s.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
             held = s.dynamics.joints.limits[begin.limits <= s.closed]
-            before = others(s, found, take(begin.contacts, begin.contacts.gap <= s.closed), begin.limits, held)
+            closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+            before = others(s, found, closed, np.ones(closed.gap.size), begin.limits, held)
             return max(least(before), s.closed)
         if time not in moves:
             effort.spend(begin)
@@ -267,7 +274,8 @@ def _until_event(
 def _first_touch(s: System, m: Trial, barred: Index) -> float:
     """When a move first touches what is barred, s: by parabolas of gaps that end as it does, under its free forces."""
     d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
-    c = take(c, np.isin(s.detector.codes(c), barred) & ~np.isin(c.key, a.met.contacts.key))
+    pressed = a.met.contacts.key[a.normal > 0.0]
+    c = take(c, np.isin(s.detector.codes(c), barred) & ~np.isin(c.key, pressed))
     there, joints = a.moved.placement, d.joints
     slots = joints.limits[-1 - barred[barred < 0]]
     gap = np.concatenate((c.gap, joints.gaps(slots, d.angles(there)) if slots.size else NOTHING))

@@ -62,7 +62,13 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     )
     solution, mu, nc = s.solver(problem, local[4]), contacts.mu, contacts.mu.size
     r = solution.r
-    shown, was = (r, solution.u, problem.q, mu, local), (place, begin.warm.status)
+    last, basis = begin.warm, begin.warm.basis
+    pair = last.pair if basis is not None and basis.contacts is contacts else s.detector.codes(contacts)
+    stays, sticks, was = np.empty(nc, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
+    known = (last.key, last.pair, last.status), (old.key, old.gap, s.closed)
+    if _persistence.persists(contacts.key, pair, *known, local, end_gap, h, False, stays, sticks, was):
+        return None  # gaps of which the problem knew nothing
+    shown = r, solution.u, problem.q, mu, local
     if _law.reconsider(*shown, slides, False) or _reversal.ending(*shown, was, NO_ROWS, np.empty(nc, np.int8)):
         return None
     v_plus, x, quaternion, v_end, R_end, twists, same = free.end(
@@ -72,12 +78,6 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     if seen is None or _few.least(seen[0].gap) < -s.closed:
         return None
     found, memory, looked = seen
-    last, basis = begin.warm, begin.warm.basis
-    pair = last.pair if basis is not None and basis.contacts is contacts else s.detector.codes(contacts)
-    stays, sticks = np.empty(nc, np.bool_), np.empty(nc, np.bool_)
-    known = (last.key, last.pair, last.status), (old.key, old.gap, s.closed)
-    if _persistence.persists(contacts.key, pair, *known, local, end_gap, h, False, stays, sticks):
-        return None  # gaps of which the problem knew nothing
     if looked is not begun:
         met = Encounter(
             contacts, None, rows, frame, None, mu, contacts.restitution, place, last.status, local, end_gap,

@@ -3,6 +3,8 @@
 Friction is against the slip until that is zero, and the other way afterwards, where it does not hold. A move knows but
 one direction, and its friction would be wrong by up to 2 μ r_N: it is to end where the slip is zero. What stops, and
 does not slide back, needs that not: the impulse by which it stands still at the end is right however early it stops.
+But where bodies turn, it may stop by itself, and the friction that then holds it be along the slip it had: on the mean
+slip of the move it would create energy.
 """
 
 from __future__ import annotations
@@ -68,16 +70,18 @@ def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) 
 
 
 def endings(met: Encounter, problem: FC3D, solution: Solution) -> NDArray[np.int8] | None:
-    """How the slip of rows that slide ends, 0 for as it was, 1 in a stop, 2 turned round; None where all go on."""
+    """How the slip of rows that slide ends; None where all go on.
+
+    0 for as it was, 1 in a stop, 2 turned round, or held by friction along the slip.
+    """
     local, slid = _begun(met), NONE
     if met.joints is not None:
         last = met.local[4].reshape(-1, 3)[met.frame.shape[0] :]
         dry = (met.joints.mu > 0.0) & ~met.joints.actuated
         slid = dry & (last[:, 0] > 0.0) & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
     out = np.empty(met.mu.size, np.int8)
-    was = met.place, met.status
     shown = solution.r, solution.u, problem.q
-    return out if _reversal.ending(*shown, met.mu, local, was, slid, out) else None
+    return out if _reversal.ending(*shown, met.mu, local, met.was, slid, out) else None
 
 
 def _begun(met: Encounter) -> Array:

@@ -32,6 +32,10 @@ PAST = 0.05
 """Fraction of the smaller inscribed radius by which bodies may get into each other where a fast move is cut short."""
 
 
+LEAST = 5e-324
+"""The least impulse there is, N·s."""
+
+
 class Unmet(NamedTuple):
     """Contacts and joint limits that a move leaves alone, at one instant.
 
@@ -101,23 +105,30 @@ def caught_limits(
     return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
 
 
-def others(s: System, found: ContactSet, met: ContactSet, limits: Array, slot: Index) -> Unmet | None:
+def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Array, slot: Index) -> Unmet | None:
     """Of the contacts found and the gaps of all joint limits those not met; None where all are.
+
+    A contact that is met but not pressed is left alone, too: where bodies turn it may open, and strike again when it
+    closes.
 
     Parameters
     ----------
     s : System
     found, met : ContactSet
+    r : ndarray, shape (nc,)
+        Normal impulses of those met, N·s.
     limits : ndarray
     slot : ndarray of int
         Joint rows that are met.
     """
-    if not limits.size and (found is met or _law.all_known(found.key, met.key, met.gap, np.inf)):
+    if not limits.size and (found is met or _law.all_known(found.key, met.key, -r, -LEAST)):
         return None
-    same = np.empty(found.gap.size, np.bool_)
-    _law.known(found.key, met.key, met.gap, np.inf, same)
-    left = take(found, ~same)
-    code, gap, limit = s.detector.codes(left), left.gap, np.where(left.restitution > 0.0, s.closed, s.deep(left))
+    pressed, known = np.empty(found.gap.size, np.bool_), np.empty(found.gap.size, np.bool_)
+    _law.known(found.key, met.key, -r, -LEAST, pressed)
+    _law.known(found.key, met.key, -r, np.inf, known)
+    left, rests = take(found, ~pressed), known[~pressed]
+    code, gap = s.detector.codes(left), left.gap
+    limit = np.where((left.restitution > 0.0) & ~rests, s.closed, s.deep(left))
     if limits.size:
         # Strikes on these are few: they are located sharply, with restitution or without.
         k = np.flatnonzero(~np.isin(s.dynamics.joints.limits, slot))

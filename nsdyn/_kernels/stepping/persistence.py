@@ -42,28 +42,28 @@ def last_status(key, pair, warm_key, warm_pair, warm_status, out):
 
 
 @kernel
-def persists(key, pair, warm, begin, local, end_gap, h, struck, stays, sticks):
+def persists(key, pair, warm, begin, local, end_gap, h, struck, stays, sticks, was):
     """Which contacts persist, into stays and sticks (nc,): those that then do no work along and across their normals.
 
     What pressed in the last move, by warm = (keys, pairs, status), or was closed where this one begins, by
     begin = (keys, gaps, what counts as closed), and did not approach, stays; what stuck, or did not slip there, sticks.
     Not what is squeezed, so that it overlaps, strikes or parts: an approach in h s faster than `JOLT` drifts of the
     rows is one of the bodies, and no error. Gaps that count as closed, of rows that do not turn, are set to 0. Returns
-    whether others are left of what stays.
+    whether others are left of what stays. What they were in the last move goes into was (nc,).
     """
     begin_key, begin_gap, closed = begin
     some = False
     u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
-    before, old_status = np.empty(key.size, np.int64), np.empty(key.size, np.int8)
+    before = np.empty(key.size, np.int64)
     places(begin_key, key, before)
-    last_status(key, pair, warm[0], warm[1], warm[2], old_status)
+    last_status(key, pair, warm[0], warm[1], warm[2], was)
     for c in range(key.size):
         i = 3 * c
         stays[c] = sticks[c] = False
         if struck:
             continue
         gap = begin_gap[before[c]] if before[c] >= 0 else 0.0
-        fall, old = abs(u_free[i] - u[i]), old_status[c]
+        fall, old = abs(u_free[i] - u[i]), was[c]
         if gap < -2.0 * closed or (old == 0 and (before[c] < 0 or gap > closed or abs(u_begin[i]) > STILL * fall)):
             continue
         bent = math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)

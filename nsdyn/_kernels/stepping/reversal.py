@@ -16,29 +16,29 @@ STANDS = 1e-6
 def ending(r, y, b, mu, local, was, slid, out):
     """Contacts and joint rows that slide where a move begins, and no longer that way at its end, into out (rows,).
 
-    1 where it sticks, 2 where it has turned round, 0 else; returns the most of those that are pressed. The solution is
-    y = W r + b, was = (place, status) as in `nsdyn._kernels.stepping.law.local_velocities`, slid (joint rows,) which of
-    those are dry friction that slid.
+    1 where it sticks, 2 where it has turned round, or sticks by friction along the slip it had, 0 else; returns the
+    most of those that are pressed. The solution is y = W r + b, was (nc,) what the contacts were in the last move, slid
+    (joint rows,) which of those are dry friction that slid.
     """
-    place, old_status = was
     u_begin, u_free, drift = local[0], local[2], local[3]
-    nc, most = place.size, 0
+    nc, most = was.size, 0
     for c in range(mu.size):
         out[c] = 0
         if c < nc:
-            sliding = place[c] >= 0 and old_status[place[c]] == 2 and mu[c] > 0.0
+            sliding = was[c] == 2 and mu[c] > 0.0
         else:
             sliding = slid[c - nc]
         if not sliding:
             continue
         found = state(r, mu[c], 3 * c)
-        onward, before, after = 0.0, 0.0, 0.0
+        onward, before, after, gain = 0.0, 0.0, 0.0, 0.0
         for j in range(3 * c + 1, 3 * c + 3):
             end = y[j] - b[j] + u_free[j] + drift[j]
             onward, before, after = onward + u_begin[j] * end, before + u_begin[j] ** 2, after + end**2
+            gain += r[j] * (u_begin[j] + end)
         # Of what redundant contacts share some may be at its limit though the body sticks.
         if found == 1 or after <= STANDS * STANDS * before:
-            out[c] = 1
+            out[c] = 2 if gain > 0.0 else 1
         elif onward < ROUND * math.sqrt(before * after):
             out[c] = 2
         if found > 0:
