@@ -15,11 +15,9 @@ def pack(floats, integers):
     head = len(floats) + len(integers) + 2
     begins = np.cumsum([0, *(a.size for a in floats)]), head + np.cumsum([0, *(a.size for a in integers)])
     for arrays, ends, dtype in ((floats, begins[0], np.float64), (integers, begins[1], np.int64)):
-        out = np.empty(ends[-1], dtype)
-        views = [out[a:b].reshape(given.shape) for a, b, given in zip(ends[:-1], ends[1:], arrays, strict=True)]
-        for view, given in zip(views, arrays, strict=True):
-            view[...] = given
-        both.append((out, views))
+        out, at = np.empty(ends[-1], dtype), ends.tolist()
+        np.concatenate([np.empty(0, dtype), *(a.ravel() for a in arrays)], out=out[at[0] :])
+        both.append((out, [out[a:b].reshape(given.shape) for a, b, given in zip(at, at[1:], arrays, strict=False)]))
     both[1][0][:head] = np.concatenate(begins)
     return both[0][0], both[1][0], both[0][1], both[1][1]
 

@@ -27,6 +27,15 @@ def order(keys):
     return now
 
 
+@kernel
+def among(x, some, out):
+    """Which of x (n,) are among some, into out (n,)."""
+    codes = some[order(some)]
+    for k in range(x.size):
+        at = place_of(codes, x[k])
+        out[k] = at < codes.size and codes[at] == x[k]
+
+
 @in_place
 def place_of(codes, code):
     """Number of entries of a sorted array that are less."""

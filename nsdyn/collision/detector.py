@@ -86,7 +86,7 @@ class Detector:
         self._pair_material = pair_material
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
         self._geometry = _flatten(geoms)
-        self._fields = tuple(self._geometry)
+        self.fields = self._fields = tuple(self._geometry)
         cores: dict[int, Any] = {id(g.shape): core(g.shape) for g in geoms}
         self._solids = [g.shape.geometry for g in geoms]
         for solid in (*cores.values(), *self._solids):

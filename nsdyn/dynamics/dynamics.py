@@ -98,7 +98,12 @@ class Dynamics:
             self._forests[name] = planted, Actuators(name, scalar, a.effort, [part.v for part in forest])
         mass, J = np.array([b.mass for b in bodies]), np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
         radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
-        self._compose(mass, J, radius, trees)
+        m, minv = np.zeros((2, mass.size, 6, 6))
+        of_mass, eye = mass[:, None, None], np.eye(3)
+        inverse = np.linalg.inv(J)
+        m[:, :3, :3], m[:, 3:, 3:] = of_mass * eye, J
+        minv[:, :3, :3], minv[:, 3:, 3:] = eye / of_mass, 0.5 * (inverse + inverse.swapaxes(1, 2))
+        self._compose((mass, J, radius, *principal(J), m, minv), trees)
         self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
         starts = [t.start(t.articulation.q, t.articulation.v) for t in self.trees]
         self._start = (
@@ -115,7 +120,7 @@ class Dynamics:
     def only(self, bodies: Index, trees: Index) -> Dynamics:
         """Those of some free bodies and trees, and of what moves as prescribed, which nothing else moves."""
         out = copy(self)
-        out._compose(self.mass[bodies], self.J[bodies], self.radius[bodies], [self.trees[k] for k in trees.tolist()])
+        out._compose(tuple([a[bodies] for a in self._own]), [self.trees[k] for k in trees.tolist()])
         return out
 
     def during(self, t: float, h: float) -> Dynamics:
@@ -126,9 +131,13 @@ class Dynamics:
         out.surfaces = self.surfaces.during(t, h)
         return out
 
-    def _compose(self, mass: Array, J: Array, radius: Array, trees: list[Tree]) -> None:
-        """The layout of coordinates and frames, and all that follows from it."""
-        self.mass, self.J, self.radius, self.free, self.trees = mass, J, radius, mass.size, []
+    def _compose(self, own: tuple[Array, ...], trees: list[Tree]) -> None:
+        """The layout of coordinates and frames, and all that follows from it and what free bodies have of their `own`.
+
+        That is their masses, inertias, radii, principal moments and axes, M and its inverse.
+        """
+        self._own, (self.mass, self.J, self.radius, *self._principal, m, minv) = own, own
+        mass, self.free, self.trees = self.mass, self.mass.size, []
         start, first = 6 * self.free, self.free
         for t in trees:
             self.trees.append(t.at(start, first))
@@ -136,7 +145,6 @@ class Dynamics:
         self.frames = first + self._driven
         self.nowhere, self.no_works = np.zeros(self.frames), np.zeros(self.free)
         self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((self.free, 3))
-        self._principal = principal(J)
         # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
         self._lone = len(trees) == 1 and not self.free and not self._driven
         self._constrained = any(t.constrained for t in trees)
@@ -147,11 +155,6 @@ class Dynamics:
         self.block_of_frame = np.array([*range(self.free), *owner, *([-1] * self._driven)], dtype=np.int64)
         self.node = np.append(self.block_of_frame, -1)
         self.n = int(self.offset[-1])
-        m, minv = np.zeros((self.free, 6, 6)), np.zeros((self.free, 6, 6))
-        for k in range(self.free):
-            m[k, :3, :3], m[k, 3:, 3:] = mass[k] * np.eye(3), J[k]
-            inverse = np.linalg.inv(J[k])
-            minv[k, :3, :3], minv[k, 3:, 3:] = np.eye(3) / mass[k], 0.5 * (inverse + inverse.T)
         self._m, self._minv = m.ravel(), minv.ravel()
         self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])

@@ -12,7 +12,7 @@ from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Round
-from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Impulses, Instant, System, account, take
+from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Impulses, Instant, System, account, among, take
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.tools.arrays import Array, Bools
@@ -98,7 +98,7 @@ def collide(
             reaction = free.m @ (v[k] - at.v[k]) - push[k]
             works = works._replace(constraint=works.constraint + 0.5 * float(reaction @ (v[k] + at.v[k])))
     # What was struck is not pressed as it was: from its last impulses a solver may find what is not symmetric.
-    struck = np.isin(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
+    struck = among(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
     warm = at.warm._replace(force=np.where(struck[:, None], 0.0, at.warm.force))
     after = at._replace(v=v, twists=d.twists(at.placement, v), warm=warm, energies=d.tree_energies(at.position, v))
     return after, impulses, works, (impact.problem, impact.solution)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels import reductions as _few
+from nsdyn._kernels import sorting as _sorting
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import persistence as _persistence
@@ -25,7 +26,7 @@ from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.rounds import Impact
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Impulses", "Instant", "System", "account", "take"]
+__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Impulses", "Instant", "System", "account", "among", "take"]
 
 NOTHING = np.empty(0)
 
@@ -146,6 +147,11 @@ class System(NamedTuple):
         _law.weights(*where, *self.dynamics.twists(there, rate), out)
         return out
 
+    @property
+    def bounces(self) -> tuple[float, float]:
+        """Half a step, s, and the least 1 - e that counts in it, as of `rests`."""
+        return 0.5 * self.dt, 1.0 / EVENTS
+
     def rests(
         self, contacts: ContactSet, joints: JointRows | None, restitution: Array, there: Placement, rate: Array
     ) -> Array:
@@ -157,7 +163,8 @@ class System(NamedTuple):
         weight = self.weights(contacts, there, rate)
         if joints is not None:
             weight = np.concatenate((weight, np.abs(self.dynamics.joints.rates(joints.slot, rate))))
-        out: Array = 0.5 * self.dt * weight * np.maximum(1.0 - restitution, 1.0 / EVENTS)
+        half, least = self.bounces
+        out: Array = half * weight * np.maximum(1.0 - restitution, least)
         return out
 
     def resting(
@@ -281,6 +288,13 @@ class Impulses(NamedTuple):
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:
     """Some of the contacts."""
     return contacts if kept.all() else ContactSet._make(column[kept] for column in contacts)
+
+
+def among(x: Index, some: Index) -> Bools:
+    """Which of x (n,) are among some: in small arrays ten times as fast as NumPy."""
+    out = np.empty(x.size, np.bool_)
+    _sorting.among(x, some, out)
+    return out
 
 
 def account(

@@ -169,18 +169,11 @@ class Islands:
 
     def _swept(self, s: System, path: list[Placement]) -> tuple[Array, Array]:
         """Boxes about the geoms on their way, (geoms, 3) each, m."""
-        link = np.arange(s.dynamics.frames) >= s.dynamics.free
-        frame = s.detector.frame
+        frame, free = s.detector.frame, s.dynamics.free
         lower, upper = s.detector.boxes(*path[0][:2])
         wide = np.zeros(s.dynamics.frames)
         for one, other in pairwise(path):
-            low, high = s.detector.boxes(*other[:2])
-            np.minimum(lower, low, out=lower)
-            np.maximum(upper, high, out=upper)
-            turn = np.abs(other.R - one.R).max(axis=(1, 2), initial=0.0)  # at least 0.4 of the angle, or of a radian
-            far = s.arm * np.minimum(1.0, turn * turn)
-            far[link] += BENT * np.linalg.norm(other.x - one.x, axis=1)[link]
-            np.maximum(wide, far, out=wide)
+            _islands.sweep(s.detector.fields, one[:2], other[:2], s.arm, free, BENT, lower, upper, wide)
         more = np.where(frame >= 0, wide[frame], 0.0)[:, None]
         return lower - more, upper + more
 

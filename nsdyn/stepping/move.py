@@ -19,7 +19,7 @@ from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Encounter, foresee
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
-from nsdyn.stepping.instant import Impulses, Instant, System, account, take
+from nsdyn.stepping.instant import Impulses, Instant, System, account, among, take
 from nsdyn.stepping.persistence import NO_COUPLE, Apart, Couple, solve_workless
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.reversal import reversal
@@ -360,7 +360,7 @@ def _resume(met: Encounter, slides: Bools, last: Response) -> None:
     guess[:nc][known] = r[where[known]]
     slides[known] = last.slides[where[known]]
     if met.joints is not None and rows is not None:  # of which some may be new, those of actuators
-        guess[nc:][np.isin(met.joints.slot, rows.slot)] = r[key.size :]
+        guess[nc:][among(met.joints.slot, rows.slot)] = r[key.size :]
 
 
 def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -> Move:

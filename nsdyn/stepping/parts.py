@@ -17,7 +17,7 @@ from nsdyn.dynamics.dynamics import Controls, Dynamics, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.encounter import Warm
 from nsdyn.stepping.half import Callbacks, Given, Loads
-from nsdyn.stepping.instant import Impulses, Instant, System
+from nsdyn.stepping.instant import Impulses, Instant, System, among
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -47,7 +47,7 @@ class Part:
         d, frame_of_geom = whole.dynamics, whole.detector.frame
         self.nodes, self._bodies, self._trees = nodes, nodes[nodes < d.free], nodes[nodes >= d.free] - d.free
         self._node = np.append(d.block_of_frame, -1)  # the last is the world's
-        mine = np.isin(d.block_of_frame, nodes)
+        mine = among(d.block_of_frame, nodes)
         self._frames = np.append(np.flatnonzero(mine | (d.block_of_frame < 0)), -1)
         self._moved, frames = np.flatnonzero(mine), self._frames[:-1]
         self._frame = np.full(d.frames + 1, -1)
@@ -61,8 +61,8 @@ class Part:
         spans = [np.arange(first[k], first[k + 1]) for k in self._trees.tolist()]
         self._links, self._count = np.concatenate([np.empty(0, np.int64), *spans]), d.links
         block = d.joints.block
-        self._slots = np.flatnonzero(np.isin(block, nodes))
-        self._limits = np.flatnonzero(np.isin(block[d.joints.limits], nodes))
+        self._slots = np.flatnonzero(among(block, nodes))
+        self._limits = np.flatnonzero(among(block[d.joints.limits], nodes))
         self.system = whole._replace(
             dynamics=d.only(self._bodies, self._trees),
             detector=whole.detector.only(self.geoms, self._frame[frame_of_geom[self.geoms]]),
@@ -72,7 +72,7 @@ class Part:
     def _has(self, frame1: Index, frame2: Index) -> Bools:
         """Which contacts of such frames are of the part."""
         first = self._node[frame1]
-        out: Bools = np.isin(np.where(first >= 0, first, self._node[frame2]), self.nodes)
+        out: Bools = among(np.where(first >= 0, first, self._node[frame2]), self.nodes)
         return out
 
     def cut(self, at: Instant, next_key: int) -> Instant:

@@ -13,7 +13,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
-from nsdyn.stepping.instant import DEEP, EVENTS, SHALLOW, Impulses, Instant, System, take
+from nsdyn.stepping.instant import DEEP, EVENTS, SHALLOW, Impulses, Instant, System, among, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
 from nsdyn.stepping.sight import Unmet, approach, others
@@ -242,7 +242,7 @@ def _until_event(
 
     def least(left: Unmet | None) -> float:
         """Least gap of what is hit; 0 where the difference does not matter."""
-        gaps = NOTHING if left is None else left.gap[np.isin(left.code, barred)]
+        gaps = NOTHING if left is None else left.gap[among(left.code, barred)]
         gap = float(gaps.min()) if gaps.size else wide
         return 0.0 if abs(gap) <= 1e-3 * s.closed else gap
 
@@ -275,7 +275,7 @@ def _first_touch(s: System, m: Trial, barred: Index) -> float:
     """When a move first touches what is barred, s: by parabolas of gaps that end as it does, under its free forces."""
     d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
     pressed = a.met.contacts.key[a.normal > 0.0]
-    c = take(c, np.isin(s.detector.codes(c), barred) & ~np.isin(c.key, pressed))
+    c = take(c, among(s.detector.codes(c), barred) & ~among(c.key, pressed))
     there, joints = a.moved.placement, d.joints
     slots = joints.limits[-1 - barred[barred < 0]]
     gap = np.concatenate((c.gap, joints.gaps(slots, d.angles(there)) if slots.size else NOTHING))

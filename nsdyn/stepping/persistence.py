@@ -29,7 +29,7 @@ from nsdyn.tools.arrays import Array, Bools, Index
 if TYPE_CHECKING:
     from nsdyn.stepping.instant import System
 
-__all__ = ["NO_COUPLE", "Apart", "Couple", "couple_of", "solve_workless", "unfinished"]
+__all__ = ["NO_COUPLE", "Apart", "Couple", "solve_workless", "unfinished"]
 
 PASSES = 8
 """Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω."""
@@ -84,23 +84,6 @@ class Apart(NamedTuple):
         return solution._replace(r=np.where(rows, solution.r, last.r), u=np.where(rows, solution.u, last.u))
 
 
-def couple_of(
-    s: System, met: Encounter, R: Array, h: float, mean: Array, r: Array, slides: Bools, acting: Array
-) -> tuple[Array, Array, Bools] | None:
-    """Couples (nc, 3) with which contacts would have done no work, the change of v, and which are not those `acting`.
-
-    None if all are. `mean` (n,) is the mean of the velocities before and after the impulses r, R (frames, 3, 3) turns
-    frames to the world.
-    """
-    d, c = s.dynamics, met.contacts
-    couple, dv, other = acting.copy(), np.empty(d.n), np.empty(c.gap.size, np.bool_)
-    some = _persistence.couples(
-        met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
-        met.mu, (met.stays, met.sticks, slides), couple, dv, other,
-    )  # fmt: skip
-    return (couple, dv, other) if some else None
-
-
 def unfinished(
     s: System, met: Encounter, begun: Looked, ended: Looked, moved: ContactSet, R: Array, h: float, mean: Array,
     r: Array, slides: Bools,
@@ -108,16 +91,21 @@ def unfinished(
     """Which contacts that persist do work, or have gaps where a move without couples ends; None if none does.
 
     Contacts were looked for where it `begun` and `ended`, and `moved` were found there: what has not moved since rests.
-    The others are as of `couple_of`.
+    `mean` (n,) is the mean of the velocities before and after the impulses r, R (frames, 3, 3) turns frames to the
+    world.
     """
     if ended is begun or not met.stays.any():
         return None
-    c = met.contacts
+    d, c = s.dynamics, met.contacts
     went = np.append((begun.x != ended.x).any(axis=1) | (begun.R != ended.R).any(axis=(1, 2)), False)
     gap = s.detector.gaps(c, moved, Poses(ended.x, ended.R))
     out = met.off(gap, r, s.near(c), s.closed)
-    if (found := couple_of(s, met, R, h, mean, r, slides, np.zeros((gap.size, 3)))) is not None:
-        out |= found[2]
+    other = np.empty(c.gap.size, np.bool_)
+    _persistence.couples(
+        met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
+        met.mu, (met.stays, met.sticks, slides), np.zeros((gap.size, 3)), np.empty(d.n), other,
+    )  # fmt: skip
+    out |= other
     out &= went[c.frame1] | went[c.frame2]
     return out if out.any() else None
 
@@ -141,24 +129,42 @@ def solve_workless(
     if not s.dynamics.free or not met.stays.any():
         return met, problem, solution, otherwise, couple
     nc = met.contacts.gap.size
+    d, c, full = s.dynamics, met.contacts, met.rows.full.arrays
+    pairs, where = (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), (R, d.inverse_J, s.arm, h)
+    flags, gaps = (met.stays, met.sticks, slides), (met.end_gap, met.restitution, met.rebound)
     for _ in range(PASSES):
-        v = forces.v + couple.dv if couple.dv.size else forces.v
-        mean = 0.5 * (middle.v + v + met.rows.velocity_change(solution.r))
-        acting = couple.impulse if couple.dv.size else np.zeros((nc, 3))
-        other = couple_of(s, met, R, h, mean, solution.r, slides, acting)
-        if other is None or not solution.accepted:
+        if not solution.accepted:
             break
-        couple = Couple(other[0], NO_COUPLE.work, other[1])
-        met = alone.turned(couple.dv, solution.r)
+        velocities = middle.v, forces.v, couple.dv, met.rows.velocity_change(solution.r)
+        turned, other = couple.impulse.copy() if couple.dv.size else np.zeros((nc, 3)), np.empty(nc, np.bool_)
+        dv, local, b = np.empty(d.n), alone.local.copy(), np.empty(solution.r.size)
+        if not _persistence.turn(
+            full,
+            pairs,
+            velocities,
+            *where,
+            solution.r,
+            met.mu,
+            flags,
+            gaps,
+            tuple(closing),
+            turned,
+            dv,
+            local,
+            b,
+            other,
+        ):
+            break
+        couple, met = Couple(turned, NO_COUPLE.work, dv), alone._replace(local=local, posed=problem.with_velocity(b))
         problem, again, changed = solve(met, s.solver, solution, closing, slides, True, most, rough)
         otherwise = otherwise or changed
         if apart is None:
             solution = again
             continue
         apart.keep(slides)
-        solution = apart.thawed(solution, again, other[2])
+        solution = apart.thawed(solution, again, other)
     if couple.dv.size:
-        c, work = met.contacts, np.empty(nc)
+        work = np.empty(nc)
         mean = 0.5 * (middle.v + forces.v + couple.dv + met.rows.velocity_change(solution.r))
         _persistence.works(c.frame1, c.frame2, s.dynamics.free, R, mean, couple.impulse, work)
         couple = couple._replace(work=work)

@@ -14,19 +14,17 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
+from nsdyn._kernels.stepping import sight as _sight
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
+from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among, take
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "reached", "shown", "touched"]
-
-
-NONE = np.empty(0, np.int64)
 
 PAST = 0.05
 """Fraction of the smaller inscribed radius by which bodies may get into each other where a fast move is cut short."""
@@ -61,33 +59,23 @@ def caught(
     pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
     that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
     """
-    before, rate = begin.contacts, s.theta / ahead * (v - begin.v)
-    parted = _parted(s, begin, rate) if s.elastic else NONE
-    if not parted.size and _law.all_known(contacts.key, before.key, before.gap, s.closed):
+    c, before, rate = contacts, begin.contacts, s.theta / ahead * (v - begin.v)
+    gap = before.gap
+    if s.elastic and _few.any_below(gap, s.closed) and _few.most(before.restitution) > 0.0:
+        gap, where = np.empty(gap.size), (before.frame1, before.frame2, before.point, before.normal)
+        motion = [s.dynamics.twists(begin.placement, w) for w in (begin.v, rate)]
+        own = *where, before.gap, before.restitution
+        _sight.parting(own, begin.placement.x, *motion, s.closed, s.solver.tol, s.bounces, gap)
+    if _law.all_known(c.key, before.key, gap, s.closed):
         return contacts
-    held = np.empty(contacts.gap.size, np.bool_)
-    _law.known(contacts.key, before.key, before.gap, s.closed, held)
-    left = np.isin(contacts.key, parted)
-    pressed = s.last_status(contacts, begin.warm) > 0
-    loaded, free = (approach(s.dynamics, contacts, placement, w) for w in (begin.v, v))
-    # What bears one of two bodies that fall together is not known here: it might be as if the other fell alone.
-    borne = loaded - ahead / s.theta * s.weights(contacts, placement, rate)
-    u, e = np.where(pressed, loaded, np.minimum(free, borne)), contacts.restitution
-    shallow = contacts.gap + ahead * u > -s.deep(contacts)
-    shallow &= ~np.isin(s.detector.codes(contacts), barred)
-    if s.elastic:
-        shallow &= (e == 0.0) | (u > -s.resting(contacts, None, e, placement, rate))
-    return take(contacts, (held | shallow) & ~left)
-
-
-def _parted(s: System, begin: Instant, rate: Array) -> Index:
-    """Keys of elastic contacts that are closed where a move begins, but part faster than what rests."""
-    c = begin.contacts
-    if not c.gap.size:
-        return NONE
-    parts = approach(s.dynamics, c, begin.placement, begin.v)
-    rests = s.rests(c, None, c.restitution, begin.placement, rate)
-    return c.key[(c.restitution > 0.0) & (c.gap <= s.closed) & (parts > s.solver.tol + rests)]
+    out, warm = np.empty(c.gap.size, np.bool_), begin.warm
+    _sight.caught(
+        (c.key, c.frame1, c.frame2, c.geom1, c.geom2, c.point, c.normal, c.gap, c.restitution), s.detector.codes(c),
+        placement.x, tuple([s.dynamics.twists(placement, w) for w in (begin.v, v, rate)]), (before.key, gap), s.closed,
+        (warm.key, warm.pair, warm.status), s.inscribed, (ahead, ahead / s.theta, s.depth, s.solver.tol), barred,
+        s.bounces, out,
+    )  # fmt: skip
+    return take(contacts, out)
 
 
 def caught_limits(
@@ -101,7 +89,7 @@ def caught_limits(
     pressed = begin.warm.joints[joints.slot, 0] > 0.0
     rate = np.where(pressed, laws.rates(joints.slot, begin.v), laws.rates(joints.slot, v))
     shallow = joints.gap + ahead * rate > -s.depth * JOINT
-    shallow &= ~np.isin(-1 - place, barred)
+    shallow &= ~among(-1 - place, barred)
     return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
 
 
@@ -131,7 +119,7 @@ def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Arra
     limit = np.where((left.restitution > 0.0) & ~rests, s.closed, s.deep(left))
     if limits.size:
         # Strikes on these are few: they are located sharply, with restitution or without.
-        k = np.flatnonzero(~np.isin(s.dynamics.joints.limits, slot))
+        k = np.flatnonzero(~among(s.dynamics.joints.limits, slot))
         code, gap = np.concatenate((code, -1 - k)), np.concatenate((gap, limits[k]))
         limit = np.concatenate((limit, np.full(k.size, s.closed)))
     return Unmet(code, gap, limit)
@@ -157,7 +145,7 @@ def reached(
         return contacts, memory
     first = take(c, deep)
     codes = s.detector.codes
-    others = take(contacts, ~np.isin(codes(contacts), codes(first)))
+    others = take(contacts, ~among(codes(contacts), codes(first)))
     return _merged(others, first, s.detector), touches.memory
 
 
@@ -207,18 +195,18 @@ def shown(
     kept : ndarray of int
         Keys of contacts that were missed before: they stay.
     """
-    real = ~_ghosts(s, met, r, found) | np.isin(met.contacts.key, kept)
+    real = ~_ghosts(s, met, r, found) | among(met.contacts.key, kept)
     contacts = take(met.contacts, real)
     if not fast and _few.least(found.gap) >= -s.slow:
         return contacts, memory, kept
     middle, end = (Poses(*place[:2]) for place in places)
-    late = take(found, (found.gap < -s.deep(found)) & ~np.isin(found.key, met.contacts.key))
+    late = take(found, (found.gap < -s.deep(found)) & ~among(found.key, met.contacts.key))
     if late.gap.size:
         late = _parting(s, late, met.contacts, end, middle)
     if fast:
         (passed, _, memory), codes = s.touches(middle, end, memory, met.contacts), s.detector.codes
         passed = carry(passed, end, middle)
-        late = _merged(take(late, ~np.isin(codes(late), codes(passed))), passed, s.detector)
+        late = _merged(take(late, ~among(codes(late), codes(passed))), passed, s.detector)
     if not late.gap.size:
         return contacts, memory, kept
     return _merged(contacts, late, s.detector), memory, np.concatenate((kept, late.key))
@@ -242,7 +230,7 @@ def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
     out: Bools = (r[0 : 3 * nc : 3] > 0.0) & (met.end_gap[:nc] > s.deep(met.contacts))
     if out.any():
         real = found.key[found.gap <= s.deep(found)]
-        out &= ~np.isin(met.contacts.key, real)
+        out &= ~among(met.contacts.key, real)
     return out
 
 

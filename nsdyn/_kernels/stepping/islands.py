@@ -1,7 +1,10 @@
 """Islands of bodies: what may touch within a step."""
 
+import math
+
 import numpy as np
 
+from nsdyn._kernels.collision.broadphase import bounds
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import unite
 from nsdyn._kernels.sorting import order as order_of
@@ -43,3 +46,25 @@ def islands(lower, upper, node, first, second, label):
         else:
             label[k] = label[root]
     return found
+
+
+@kernel
+def sweep(fields, one, other, arm, free, bent, lower, upper, wide):
+    """Boxes about geoms at poses one = (x, R) and others, lower and upper (geoms, 3), with those about others too.
+
+    Into wide (frames,) how far off the straight way geoms may be in between, by `arm` (frames,), and `bent` of their
+    way in frames that are not `free`. `fields` are those of `Geometry`.
+    """
+    low, high = lower.copy(), upper.copy()
+    bounds(fields, *other, low, high)
+    for g in range(lower.shape[0]):
+        for i in range(3):
+            lower[g, i], upper[g, i] = min(lower[g, i], low[g, i]), max(upper[g, i], high[g, i])
+    for f in range(wide.size):
+        turn, way = 0.0, 0.0  # the turn is at least 0.4 of the angle, or of a radian
+        for i in range(3):
+            way += (other[0][f, i] - one[0][f, i]) ** 2
+            for j in range(3):
+                turn = max(turn, abs(other[1][f, i, j] - one[1][f, i, j]))
+        far = arm[f] * min(1.0, turn * turn)
+        wide[f] = max(wide[f], far if f < free else far + bent * math.sqrt(way))

@@ -144,6 +144,16 @@ def approach(frame1, frame2, point, normal, x, linear, angular, out):
 
 
 @in_place
+def weight_of(c, frame1, frame2, point, normal, x, linear, angular):
+    """`weights` of contact c."""
+    p, n, total = row(point, c), row(normal, c), 0.0
+    for f in (frame1[c], frame2[c]):
+        if f >= 0:
+            total += abs(dot(n, along(row(linear, f), 1.0, cross(row(angular, f), minus(p, row(x, f))))))
+    return total
+
+
+@in_place
 def weights(frame1, frame2, point, normal, x, linear, angular, out):
     """How much faster free accelerations would make each contact approach, |a1·n| + |a2·n|, into out (nc,), m/s².
 
@@ -151,11 +161,7 @@ def weights(frame1, frame2, point, normal, x, linear, angular, out):
     nothing, but one of them is borne.
     """
     for c in range(out.size):
-        p, n, total = row(point, c), row(normal, c), 0.0
-        for f in (frame1[c], frame2[c]):
-            if f >= 0:
-                total += abs(dot(n, along(row(linear, f), 1.0, cross(row(angular, f), minus(p, row(x, f))))))
-        out[c] = total
+        out[c] = weight_of(c, frame1, frame2, point, normal, x, linear, angular)
 
 
 @in_place

@@ -6,7 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import relative_velocity
-from nsdyn._kernels.stepping.law import places
+from nsdyn._kernels.stepping.law import offsets, places
 from nsdyn._kernels.vectors import along, dot, put, row, times
 
 STILL = 1e-3
@@ -181,6 +181,28 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
                 put(couple, c, (0.0, 0.0, 0.0))
         first = last
     return some
+
+
+@kernel
+def turn(blocks, contacts, velocities, R, inverse_J, arm, h, r, mu, flags, gaps, closing, couple, dv, local, b, other):
+    """`couples` at the mean of v⁻ and v_f + dv + change, velocities = (v⁻, v_f, dv, change), and what they then meet.
+
+    velocities has the change of v by the couples that act and that by the impulses r. Where other couples do, `local`
+    and the offsets b are those with these: gaps = (end_gap, restitution, rebound) and closing are as of `offsets`.
+    """
+    before, free, acting, change = velocities
+    mean = np.empty(before.size)
+    for i in range(mean.size):
+        after = free[i] + acting[i] if acting.size else free[i]
+        mean[i] = 0.5 * (before[i] + after + change[i])
+    if not couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, dv, other):
+        return False
+    relative_velocity(blocks, dv, b)
+    for i in range(b.size):
+        local[2, i] += b[i]
+        local[4, i] = r[i]
+    offsets(local, *gaps, flags[0], flags[2], closing, b)
+    return True
 
 
 @kernel

@@ -1,0 +1,61 @@
+"""What a move need not leave alone. Names are those of `nsdyn.stepping.sight`."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.stepping.law import approach_of, known, places, weight_of
+from nsdyn._kernels.stepping.persistence import last_status
+
+
+@in_place
+def rests_of(weight, e, bounces):
+    """Speed of parting up to which a contact of restitution e rests, bounces = (½ dt, least 1 - e that counts)."""
+    return bounces[0] * weight * max(1.0 - e, bounces[1])
+
+
+@in_place
+def parting(contacts, x, velocity, rate, closed, tol, bounces, out):
+    """Gaps of contacts = (frame1, frame2, point, normal, gap, restitution), into out (nc,).
+
+    Infinite of elastic ones that are closed, but part faster than what rests. velocity and rate are twists.
+    """
+    frame1, frame2, point, normal, gap, restitution = contacts
+    where = frame1, frame2, point, normal, x
+    for c in range(out.size):
+        out[c] = gap[c]
+        if restitution[c] > 0.0 and gap[c] <= closed:
+            rests = rests_of(weight_of(c, *where, *rate), restitution[c], bounces)
+            if approach_of(c, *where, *velocity) > tol + rests:
+                out[c] = math.inf
+
+
+@kernel
+def caught(contacts, pair, x, twists, before, closed, warm, inscribed, sizes, barred, bounces, out):
+    """Which contacts a move need not leave alone, into out (nc,): those `known` of before = (keys, gaps), and others.
+
+    Those are shallow, neither of a pair barred nor elastic and striking. contacts = (keys, frame1, frame2, geom1,
+    geom2, point, normal, gap, restitution); twists are those of the velocity where the move begins, of the free one and
+    of the free acceleration, warm = (keys, pairs, status), sizes = (second half, move, depth, tolerance).
+    """
+    key, frame1, frame2, geom1, geom2, point, normal, gap, restitution = contacts
+    ahead, h, depth, tol = sizes
+    begin, free, rate = twists
+    where = frame1, frame2, point, normal, x
+    status, place = np.empty(out.size, np.int8), np.empty(out.size, np.int64)
+    known(key, *before, closed, out)
+    places(before[0], key, place)
+    last_status(key, pair, *warm, status)
+    for c in range(out.size):
+        if out[c] or (place[c] >= 0 and before[1][place[c]] == math.inf):  # the latter part
+            continue
+        weight, e = weight_of(c, *where, *rate), restitution[c]
+        u = approach_of(c, *where, *begin)
+        if not status[c] > 0:
+            # What bears one of two bodies that fall together is not known here: it might be as if the other fell alone.
+            u = min(approach_of(c, *where, *free), u - h * weight)
+        shallow = gap[c] + ahead * u > -(depth * min(inscribed[geom1[c]], inscribed[geom2[c]]))
+        for b in barred:
+            shallow = shallow and b != pair[c]
+        out[c] = shallow and (e == 0.0 or u > -(tol + rests_of(weight, e, bounces) / e))
