@@ -147,6 +147,16 @@ def test_rolling_keeps_its_energy(make, duration, dt, bar):
     assert nd.check(trajectory).passed
 
 
+def test_forces_of_a_contact_that_stays_do_not_alternate():
+    """A sliding bead that lands: gaps of 0 at all ends kept what was left of its speed, and forces of 0 and 2 m g."""
+    scene, material = nd.Scene(), nd.Material(mu=0.1, restitution=0.4)
+    scene.add_halfspace("ground", material=material)
+    scene.add_box("box", (0.2, 0.2, 0.1), 1.0, position=(0, 0, 0.0501), linear_velocity=(1, 0, 0), material=material)
+    trajectory = nd.simulate(scene, 0.05, 1e-4)
+    force = np.array([trajectory.contacts(k).impulse[:, 0].sum() for k in range(400, 500)]) / 1e-4
+    np.testing.assert_allclose(force, G, rtol=1e-6)
+
+
 @pytest.mark.parametrize("dt", [0.024, 0.016, 0.008])
 def test_an_unbalanced_roller_loses_nothing_and_never_strikes(dt):
     """13, 20 and 39 steps a turn, against its equation of motion: second order."""

@@ -24,7 +24,7 @@ from nsdyn.stepping.persistence import NO_COUPLE, Couple, solve_workless
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
-from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
+from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, parting, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.displacements import displacement
 
@@ -325,7 +325,8 @@ def _respond(
         if not left or not met.stays.any():
             break
         gap = s.detector.gaps(contacts, moved.contacts, Poses(there.x, there.R))
-        closer = alone.corrected(gap, solution.r, s.near(contacts), s.closed)
+        ended = moved.contacts.key, parting(d, moved.contacts, there, v_end, end.driven_x, half.surfaces[2])
+        closer = alone.corrected(gap, solution.r, s.near(contacts), s.closed, half.ahead, ended)
         if closer is None:
             break
         alone, before = closer, solution
