@@ -11,7 +11,7 @@ to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is re
 
 where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there; L, less
 than what counts as closed, keeps speeds of contacts that stay from alternating (`left_open`). A gap closes at the
-constant speed G / τ. With τ = h₂ bodies would touch where the step ends, with that speed, and be in each
+constant speed (G - L) / τ. With τ = h₂ bodies would touch where the step ends, with that speed, and be in each
 other when the next impulses stop them, by as much as the gap was: lifted again, each opens the gaps around it as far,
 and a pile never comes to rest. So τ is the time until these impulses where the gap is shallow and nothing may rebound,
 but in moves that are cut where bodies touch.
