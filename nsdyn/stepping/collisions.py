@@ -35,19 +35,31 @@ def caught_impacts(
     resting = s.resting(met.contacts, met.joints, met.restitution, there, rate)
     resting = np.where(struck, resting, resting + 2.0 * np.abs(met.local[3, 0::3]))
     closed = struck | (met.end_gap <= s.closed)
-    impact = _strike(s, met, closed, resting, resting)
-    kick = met.rows.velocity_change(impact.r)
-    return met.changed(kick, struck), impact, kick
+    while True:
+        impact = _strike(s, met, closed, resting, resting)
+        kick = met.rows.velocity_change(impact.r)
+        after = met.changed(kick, struck)
+        # What is so driven against others strikes them too.
+        driven = ~closed & (met.restitution > 0.0) & (after.local[1, 0::3] < -resting) & _closes(s, after, h)
+        if not driven.any():
+            return after, impact, kick
+        closed, struck = closed | driven, struck | driven
+
+
+def _closes(s: System, met: Encounter, h: float) -> Bools:
+    """Which gaps close within a move of h s if nothing else acts."""
+    u_free, drift = met.local[2:4, 0::3]
+    out: Bools = met.end_gap + s.theta * h * (u_free + drift) <= 0.0
+    return out
 
 
 def striking(s: System, met: Encounter, there: Placement, rate: Array, h: float) -> Bools | None:
     """Which rows strike within a move of h s, as of `caught_impacts`; None if none does."""
     if not s.elastic or not met.mu.size:
         return None
-    u_begin, u, u_free, drift = met.local[:4, 0::3]
+    u_begin, u = met.local[:2, 0::3]
     resting = s.resting(met.contacts, met.joints, met.restitution, there, rate)
-    closes = met.end_gap + s.theta * h * (u_free + drift) <= 0.0
-    struck: Bools = (met.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & closes
+    struck: Bools = (met.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, met, h)
     return struck if struck.any() else None
 
 

@@ -5,12 +5,13 @@ u_k to u⁻ though nothing acted, for rows turn with their bodies; the second ha
 to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is remembered of earlier steps:
 
     K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K,   y = W r + b,
-    b_N = u_f + c_N + [G > closed or stays] G / τ     u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
+    b_N = u_f + c_N + [G > closed or stays] (G - L) / τ     u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
     b_T = u_f + c_T       of a contact that sticks, or stops: slip of the end
         = u⁻ + u_f        of one that slides through: twice the mean slip, exactly
 
-where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there. A gap
-closes at the constant speed G / τ. With τ = h₂ bodies would touch where the step ends, with that speed, and be in each
+where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there; L, less
+than what counts as closed, keeps speeds of contacts that stay from alternating (`left_open`). A gap closes at the
+constant speed (G - L) / τ. With τ = h₂ bodies would touch where the step ends, with that speed, and be in each
 other when the next impulses stop them, by as much as the gap was: lifted again, each opens the gaps around it as far,
 and a pile never comes to rest. So τ is the time until these impulses where the gap is shallow and nothing may rebound,
 but in moves that are cut where bodies touch.
@@ -137,6 +138,8 @@ class Encounter(NamedTuple):
         after it would be one too many, and an elastic ball would lose m g h v.
     stays, sticks, was : ndarrays of bool, bool and int8, shape (nc,)
         What persists, and across its normal too; what contacts were: `nsdyn._kernels.stepping.persistence.persists`.
+    late : ndarray, shape (nc,)
+        How much faster than foreseen they part where the move ends, m/s, as far as that is known.
     slides : ndarray of bool, shape (nc,), optional
         Which contacts slide through the step, where that is foreseen already.
     posed : FC3D, optional
@@ -160,6 +163,7 @@ class Encounter(NamedTuple):
     stays: Bools = NEVER
     sticks: Bools = NEVER
     was: NDArray[np.int8] = UNKNOWN
+    late: Array = NOTHING
     slides: Bools | None = None
     posed: FC3D | None = None
 
@@ -268,7 +272,9 @@ class Encounter(NamedTuple):
     def offsets(self, slides: Bools, closing: Closing) -> Array:
         """b, shape (3 rows,), m/s, where the contacts `slides` (nc,) slide through."""
         b = np.empty(self.local.shape[1])
-        _law.offsets(self.local, self.end_gap, self.restitution, self.rebound, self.stays, slides, tuple(closing), b)
+        _law.offsets(
+            self.local, self.end_gap, self.restitution, self.rebound, self.stays, self.late, slides, tuple(closing), b
+        )
         return b
 
     def take(self, kept: Bools) -> Encounter:
@@ -282,6 +288,7 @@ class Encounter(NamedTuple):
             place=self.place[kept[:nc]], local=self.local[:, rows], end_gap=self.end_gap[kept], slides=None, posed=None,
             transport=self.transport[rows] if self.transport.size else NOTHING,
             stays=self.stays[kept[:nc]], sticks=self.sticks[kept[:nc]], was=self.was[kept[:nc]],
+            late=self.late[kept[:nc]],
         )  # fmt: skip
 
     def lasting(self, pair: Index, warm: Warm, before: ContactSet, closed: float, h: float, struck: bool) -> Encounter:
@@ -294,7 +301,7 @@ class Encounter(NamedTuple):
         last, begin = (warm.key, warm.pair, warm.status), (before.key, before.gap, closed)
         given = self.local, self.end_gap, h, struck
         some = _persistence.persists(self.contacts.key, pair, last, begin, *given, stays, sticks, was)
-        out = self._replace(stays=stays, sticks=sticks, was=was)
+        out = self._replace(stays=stays, sticks=sticks, was=was, late=np.zeros(nc))
         return out.otherwise() if some else out
 
     def turned(self, dv: Array, r: Array) -> Encounter:
@@ -305,12 +312,17 @@ class Encounter(NamedTuple):
         local[4] = r
         return self.otherwise()._replace(local=local)
 
-    def corrected(self, gap: Array, off: Bools, r: Array) -> Encounter:
-        """The same with the gaps (nc,) that the contacts that are `off` end with, and impulses to start from."""
-        end_gap, local = self.end_gap.copy(), self.local.copy()
-        end_gap[: gap.size] += np.where(off, gap, 0.0)
+    def corrected(
+        self, gap: Array, off: Bools, r: Array, closed: float, ahead: float, ended: tuple[Index, Array]
+    ) -> Encounter:
+        """The same with the gaps (nc,) that the contacts that are `off` end with, and impulses to start from.
+
+        The move takes `ahead` s after the impulses, and has `ended` with contacts of such names and normal speeds, m/s.
+        """
+        end_gap, late, local = self.end_gap.copy(), self.late.copy(), self.local.copy()
+        _law.end_otherwise(off, gap, self.contacts.key, ended, self.local, ahead, closed, end_gap, late)
         local[4] = r
-        return self.otherwise()._replace(end_gap=end_gap, local=local)
+        return self.otherwise()._replace(end_gap=end_gap, late=late, local=local)
 
     def off(self, gap: Array, r: Array, most: Array, closed: float) -> Bools:
         """Which contacts stay and are pressed by r, but end with a gap (nc,), of no more than `most`."""

@@ -24,7 +24,7 @@ from nsdyn.stepping.move import Move, Trial, attempt, finish
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import Passage, through, undisturbed
 from nsdyn.stepping.reversal import endings
-from nsdyn.stepping.sight import approach
+from nsdyn.stepping.sight import parting
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -184,10 +184,7 @@ class Islands:
         s, d, c = self.whole, self.whole.dynamics, begin.contacts
         out = [np.empty(0, np.int64)]
         if c.gap.size:
-            u = approach(d, c, begin.placement, begin.v)
-            if d.surfaces.count:
-                carried = d.surfaces.velocities(c, begin.position.driven_x, half.surfaces[0])
-                u += (c.normal * carried).sum(axis=1)
+            u = parting(d, c, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
             limit = np.where(c.restitution > 0.0, s.solver.tol, s.slow / half.h)
             out += self._nodes(c, (c.gap <= s.closed) & (u < -limit))
         if _few.any_below(begin.limits, s.closed):

@@ -24,7 +24,7 @@ from nsdyn.stepping.persistence import NO_COUPLE, Apart, Couple, solve_workless
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
-from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, reached, shown, touched
+from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, parting, reached, shown, touched
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.displacements import displacement
 
@@ -335,7 +335,9 @@ def _respond(
         off = alone.off(gap, solution.r, s.near(contacts), s.closed)
         if not off.any():
             break
-        alone, before = alone.corrected(gap, off, solution.r), solution
+        ended = moved.contacts.key, parting(d, moved.contacts, there, v_end, end.driven_x, half.surfaces[2])
+        closer = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended)
+        alone, before = closer, solution
     slides = slides if apart is None else apart.switched
     return half, Response(
         met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved

@@ -131,7 +131,7 @@ def solve_workless(
     nc = met.contacts.gap.size
     d, c, full = s.dynamics, met.contacts, met.rows.full.arrays
     pairs, where = (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), (R, d.inverse_J, s.arm, h)
-    flags, gaps = (met.stays, met.sticks, slides), (met.end_gap, met.restitution, met.rebound)
+    flags, gaps = (met.stays, met.sticks, slides), (met.end_gap, met.restitution, met.rebound, met.late)
     for _ in range(PASSES):
         if not solution.accepted:
             break

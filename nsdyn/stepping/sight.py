@@ -24,7 +24,7 @@ from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among, take
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "reached", "shown", "touched"]
+__all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "parting", "reached", "shown", "touched"]
 
 PAST = 0.05
 """Fraction of the smaller inscribed radius by which bodies may get into each other where a fast move is cut short."""
@@ -130,6 +130,14 @@ def approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) 
     out = np.empty(contacts.gap.size)
     where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, placement.x
     _law.approach(*where, *d.twists(placement, v), out)
+    return out
+
+
+def parting(d: Dynamics, contacts: ContactSet, there: Placement, v: Array, driven_x: Array, surfaces: Array) -> Array:
+    """The same where driven bodies at such positions (nd, 3) and surfaces have such twists (surfaces, 2, 3)."""
+    out = approach(d, contacts, there, v)
+    if d.surfaces.count:
+        out += (contacts.normal * d.surfaces.velocities(contacts, driven_x, surfaces)).sum(axis=1)
     return out
 
 

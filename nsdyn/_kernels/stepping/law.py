@@ -22,6 +22,9 @@ TURNS = 0.5
 """Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
 the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
 
+LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
+"""Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""
+
 
 @in_place
 def places(old_key, new_key, out):
@@ -290,23 +293,58 @@ def foresee(blocks, mu, place, old_status, local, slides):
 
 
 @in_place
-def offsets(local, end_gap, restitution, rebound, stays, slides, closing, b):
+def left_open(gap, u, ahead, closed):
+    """Gap with which a contact that stays is to end a move, G without speed there, that it begins with the speed u, m.
+
+    Gaps of 0 at the ends of all moves are reached with normal speeds that alternate: what a motion once had of them, at
+    a landing say, its contact forces would keep for good. In smooth motion G + h₂ u is 0. Of what it is otherwise the
+    move leaves 1/9 open, and it falls to a third each time.
+    """
+    return min(max(LEFT * (gap + ahead * u), -MOST_LEFT * closed), MOST_LEFT * closed)
+
+
+@kernel
+def end_otherwise(off, gap, key, ended, local, ahead, closed, end_gap, late):
+    """Correct G (rows,) and `late` (nc,) of contacts that are `off` (nc,): they end with other gaps (nc,) and speeds.
+
+    Contacts with the names `key` (nc,) have the speeds of ended = (names, speeds) there; `late` is by how much these
+    are more than foreseen, m/s.
+    """
+    place = np.empty(key.size, np.int64)
+    places(ended[0], key, place)
+    for c in range(key.size):
+        if off[c]:
+            left = left_open(end_gap[c], local[0, 3 * c] - late[c], ahead, closed)
+            foreseen = (left - end_gap[c]) / ahead
+            end_gap[c] += gap[c] - left
+            if place[c] >= 0:
+                late[c] = ended[1][place[c]] - foreseen
+            else:  # it rolls away: nothing is left open
+                late[c] = local[0, 3 * c] + end_gap[c] / ahead
+
+
+@in_place
+def offsets(local, end_gap, restitution, rebound, stays, late, slides, closing, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
-    Normal: u_free + drift, plus the speed at which a gap closes where it is open, or of either sign where a contact
-    `stays` (nc,), empty for none, minus what is kept of an impact (`rebound`, empty for none). Tangential: u_free +
-    drift for slip at the end of the step, u + u_free, twice the mean slip without impulses, where a contact slides
-    through. `local` is what `local_velocities` gives, `closing` = (closed, shallow, ahead, until) as of `Closing`: gaps
-    up to `closed` count as none, those up to `shallow` close just when the next impulses act, `until` seconds later,
-    and others, and those that may rebound, within the step.
+    Normal: u_free + drift, plus the speed at which a gap closes where it is open, or of either sign but for what is
+    `left_open` where a contact `stays` (nc,), empty for none, minus what is kept of an impact (`rebound`, empty for
+    none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip without impulses,
+    where a contact slides through. `local` is what `local_velocities` gives, `closing` = (closed, shallow, ahead,
+    until) as of `Closing`: gaps up to `closed` count as none, those up to `shallow` close just when the next impulses
+    act, `until` seconds later, and others, and those that may rebound, within the step; `late` is that of `Encounter`.
     """
     u, u_free, drift = local[1], local[2], local[3]
     closed, shallow, ahead, until = closing
     for c in range(end_gap.size):
         i = 3 * c
         b[i] = u_free[i] + drift[i]
-        if end_gap[c] > closed or (stays.size > c and stays[c]):
-            b[i] += end_gap[c] / (until if abs(end_gap[c]) <= shallow and restitution[c] == 0.0 else ahead)
+        soon = abs(end_gap[c]) > shallow or restitution[c] > 0.0
+        if stays.size > c and stays[c]:
+            gap = end_gap[c] - (left_open(end_gap[c], local[0, i] - late[c], ahead, closed) if soon else 0.0)
+        else:
+            gap = end_gap[c] if end_gap[c] > closed else 0.0
+        b[i] += gap / (ahead if soon else until)
         if rebound.size > 0:
             b[i] -= rebound[c]
         if slides.size > c and slides[c]:
@@ -333,7 +371,7 @@ def pose(blocks, here, begin, velocities, warm, reach, materials, h, closing, sc
         local, end_gap, place,
     )  # fmt: skip
     foresee(blocks, mu, place, warm[2], local, slides)
-    offsets(local, end_gap, restitution, none, slides[:0], slides, closing, b)
+    offsets(local, end_gap, restitution, none, slides[:0], none, slides, closing, b)
     norm, good = size_of(b, mu)
     return norm, good and in_range(scales)
 

@@ -188,7 +188,7 @@ def turn(blocks, contacts, velocities, R, inverse_J, arm, h, r, mu, flags, gaps,
     """`couples` at the mean of v⁻ and v_f + dv + change, velocities = (v⁻, v_f, dv, change), and what they then meet.
 
     velocities has the change of v by the couples that act and that by the impulses r. Where other couples do, `local`
-    and the offsets b are those with these: gaps = (end_gap, restitution, rebound) and closing are as of `offsets`.
+    and the offsets b are those with these: gaps = (end_gap, restitution, rebound, late) and closing are as of `offsets`.
     """
     before, free, acting, change = velocities
     mean = np.empty(before.size)
@@ -201,7 +201,8 @@ def turn(blocks, contacts, velocities, R, inverse_J, arm, h, r, mu, flags, gaps,
     for i in range(b.size):
         local[2, i] += b[i]
         local[4, i] = r[i]
-    offsets(local, *gaps, flags[0], flags[2], closing, b)
+    end_gap, restitution, rebound, late = gaps
+    offsets(local, end_gap, restitution, rebound, flags[0], late, flags[2], closing, b)
     return True
 
 
