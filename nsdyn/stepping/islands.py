@@ -122,8 +122,8 @@ class Islands:
                 break
             again = np.zeros(int(label.max()) + 1, np.bool_)
             again[label[opened[before]]] = True
-            pairs = np.unique(np.stack((label, before)), axis=1)[0]
-            again |= np.bincount(pairs, minlength=again.size) > 1
+            _, least = np.unique(before, return_index=True)
+            again |= np.bincount(label[least], minlength=again.size) > 1
             opened = again
         made = [done[tuple(np.flatnonzero(label == k).tolist())] for k in np.flatnonzero(opened).tolist()]
         left = ~opened[label]

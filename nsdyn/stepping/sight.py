@@ -104,8 +104,8 @@ def others(s: System, found: ContactSet, met: ContactSet, limits: Array, slot: I
         return None
     same = np.empty(found.gap.size, np.bool_)
     _law.known(found.key, met.key, met.gap, np.inf, same)
-    left = take(found, ~same)
-    code, gap, limit = s.detector.codes(left), left.gap, np.where(left.restitution > 0.0, s.closed, s.deep(left))
+    left, limit = ~same, np.where(found.restitution > 0.0, s.closed, s.deep(found))
+    code, gap, limit = s.detector.codes(found)[left], found.gap[left], limit[left]
     if limits.size:
         # Strikes on these are few: they are located sharply, with restitution or without.
         k = np.flatnonzero(~among(s.dynamics.joints.limits, slot))
