@@ -15,6 +15,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from nsdyn._kernels import sorting
 from nsdyn._kernels.collision import advancement, broadphase, keys, manifold, search
 from nsdyn._kernels.collision.geometry import Geometry
 from nsdyn._kernels.packing import pack
@@ -344,7 +345,9 @@ class Detector:
             points[3],
         )  # fmt: skip
         n = len(self._R)
-        others = ~np.isin(memory.names[0] * n + memory.names[1], names[0] * n + names[1])
+        known = np.empty(memory.names.shape[1], np.bool_)
+        sorting.among(memory.names[0] * n + memory.names[1], names[0] * n + names[1], known)
+        others = ~known
         names = np.concatenate((memory.names[:, others], names), axis=1)
         points = np.concatenate((memory.points[:, others], points), axis=1)
         order = np.argsort(names[0] * n + names[1], kind="stable")

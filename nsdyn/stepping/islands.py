@@ -63,19 +63,19 @@ class Islands:
             itself asks in each of its moves; all others are then where the step begins.
         """
         out, begin = self._step(state, loads), state.instant.position
-        d = self.whole.dynamics.during(state.next_t - state.dt, state.dt)
         if not begin.driven_x.size:
             return out
+        d = self.whole.dynamics.during(state.next_t - state.dt, state.dt)
         # Islands may come to them in pieces: what is prescribed is a function of the time alone.
         x, quaternion = d.surfaces.ahead(begin.driven_x, begin.driven_quaternion, self.whole.theta)
         return out._replace(end=driven(d, out.end, x, quaternion))
 
     def _step(self, state: State, loads: Loads) -> Passage:
+        if self.count < 2:
+            return through(self.whole, state, loads)
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
         s = self.whole.during(t, h)
         callbacks = loads(t + (1.0 - s.theta) * h)
-        if self.count < 2:
-            return through(self.whole, state, loads)
         found, half = undisturbed(s, begin, t, h, callbacks)
         if found is not None:
             return found
@@ -120,8 +120,8 @@ class Islands:
                 break
             again = np.zeros(int(label.max()) + 1, np.bool_)
             again[label[opened[before]]] = True
-            pairs = np.unique(np.stack((label, before)), axis=1)[0]
-            again |= np.bincount(pairs, minlength=again.size) > 1
+            _, least = np.unique(before, return_index=True)
+            again |= np.bincount(label[least], minlength=again.size) > 1
             opened = again
         made = [done[tuple(np.flatnonzero(label == k).tolist())] for k in np.flatnonzero(opened).tolist()]
         left = ~opened[label]

@@ -11,7 +11,6 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
-from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn._kernels.stepping import reversal as _reversal
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.values import Placement
@@ -29,8 +28,6 @@ from nsdyn.stepping.sight import approach
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Moves", "quiet", "quiet_trees"]
-
-NO_ROWS = np.empty(0, np.bool_)
 
 Moves = tuple[Instant, Array, bool, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
 """End of some moves, the last free acceleration, whether the end is clear, what acted, what was solved and the works of
@@ -50,7 +47,7 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     if not all_closed or approach < -s.slow / h:
         return None
     x, quaternion, v, R, v_free, rate, reach, far, same = free.half(s, begin, h)
-    if far > FAST * s.smallest or _bounces(s, begin, (v_free - begin.v) / h):
+    if far > FAST * s.smallest or (s.elastic and _bounces(s, begin, (v_free - begin.v) / h)):
         return None
     seen = (old, memory, looked) if same else _looked(s, looked, (x, R, reach), old, memory, s.closed)
     if seen is None:
@@ -64,12 +61,11 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     r = solution.r
     last, basis = begin.warm, begin.warm.basis
     pair = last.pair if basis is not None and basis.contacts is contacts else s.detector.codes(contacts)
-    stays, sticks, was = np.empty(nc, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
-    known = (last.key, last.pair, last.status), (old.key, old.gap, s.closed)
-    if _persistence.persists(contacts.key, pair, *known, local, end_gap, h, False, stays, sticks, was):
-        return None  # gaps of which the problem knew nothing
-    shown = r, solution.u, problem.q, mu, local
-    if _law.reconsider(*shown, slides, False) or _reversal.ending(*shown, was, NO_ROWS, np.empty(nc, np.int8)):
+    stays, sticks = np.empty(nc, np.bool_), np.empty(nc, np.bool_)
+    if not _reversal.goes_on(
+        (r, solution.u, problem.q), mu, local, slides, contacts.key, pair, (last.key, last.pair, last.status),
+        (old.key, old.gap, s.closed), end_gap, h, stays, sticks,
+    ):  # fmt: skip
         return None
     v_plus, x, quaternion, v_end, R_end, twists, same = free.end(
         s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
@@ -116,12 +112,13 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     there, v = middle.placement, middle.v
     if d.surfaces.count or half.fast or _few.any_below(begin.limits, s.closed):
         return None
-    if _bounces(s, begin, (forces.foreseen - begin.v) / h):
+    if s.elastic and _bounces(s, begin, (forces.foreseen - begin.v) / h):
         return None
     where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
     approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
-    joints = d.with_actuators(d.joint_rows(there, v, forces.v, h), forces)
-    if not all_closed or approach < -s.slow / h or joints is not None:
+    if not all_closed or approach < -s.slow / h:
+        return None
+    if d.with_actuators(d.joint_rows(there, v, forces.v, h), forces) is not None:
         return None
     seen = (old, memory, looked) if half.same else _looked(s, looked, (there.x, there.R, reach), old, memory, s.closed)
     if seen is None:
@@ -161,7 +158,7 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
 def _bounces(s: System, begin: Instant, rate: Array) -> bool:
     """Whether anything that may rebound strikes or parts faster than what rests at a free acceleration `rate` (n,)."""
     c = begin.contacts
-    if not s.elastic or _few.most(c.restitution) == 0.0:
+    if _few.most(c.restitution) == 0.0:
         return False
     u, e = approach(s.dynamics, c, begin.placement, begin.v), c.restitution
     rests, resting = (of(c, None, e, begin.placement, rate) for of in (s.rests, s.resting))

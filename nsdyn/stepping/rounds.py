@@ -67,7 +67,9 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
         if not hit.any():
             break
         # An island without an impact is not concerned.
-        part = closed & np.isin(label, label[hit])
+        struck = np.zeros(label.size + 1, np.bool_)
+        struck[label[hit]] = True
+        part = closed & struck[label]
         if k < ROUNDS - 1:
             part &= law.takes_part(hit, restitution)
         else:

@@ -2,8 +2,11 @@
 
 import math
 
-from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.stepping.law import state
+import numpy as np
+
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.stepping.law import reconsider, state
+from nsdyn._kernels.stepping.persistence import persists
 
 ROUND = 0.5
 """Cosine of the angle from which on slip has turned round in a move: by less than 60° its mean tells its direction."""
@@ -44,3 +47,17 @@ def ending(r, y, b, mu, local, was, slid, out):
         if found > 0:
             most = max(most, out[c])
     return most
+
+
+@kernel
+def goes_on(shown, mu, local, slides, key, pair, warm, begin, end_gap, h, stays, sticks):
+    """Whether contacts slide on, or rest, as was foreseen, and none that persists leaves a gap of which b knew nothing.
+
+    shown = (r, y, b); what persists, by warm = (keys, pairs, status), is found as in `persists`.
+    """
+    if reconsider(*shown, mu, local, slides, False):
+        return False
+    was, ends = np.empty(mu.size, np.int8), np.empty(mu.size, np.int8)
+    if persists(key, pair, warm, begin, local, end_gap, h, False, stays, sticks, was):
+        return False
+    return not ending(*shown, mu, local, was, stays[:0], ends)
