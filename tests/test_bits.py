@@ -79,10 +79,11 @@ def drop(order):
     return scene
 
 
-def test_the_order_of_bodies_changes_nothing_but_round_off():
+@pytest.mark.parametrize("order", [[5, 3, 0, 4, 2, 1], [4, 5, 1, 2, 0, 3]])
+def test_the_order_of_bodies_changes_nothing_but_round_off(order):
     """Through the first impacts, which double round-off a few times each."""
     one = nd.simulate(drop(range(6)), 0.3, dt=5e-3)
-    other = nd.simulate(drop([5, 3, 0, 4, 2, 1]), 0.3, dt=5e-3)
+    other = nd.simulate(drop(order), 0.3, dt=5e-3)
     assert one.energy.normal.min() < -0.1, "bodies collide"
     for name in ("box", "sphere", "cylinder", "capsule", "ellipsoid"):
         np.testing.assert_allclose(one.body(name).position, other.body(name).position, rtol=0.0, atol=1e-9)

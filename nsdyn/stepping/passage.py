@@ -219,7 +219,7 @@ def _until_event(
     """
 
     def capture() -> tuple[float, Trial]:
-        return h, _try(s._replace(depth=SHALLOW / DEEP * s.depth), loads, begin, t, h, None)
+        return h, _try(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None)
 
     if not effort.affords(begin, most):
         return capture()

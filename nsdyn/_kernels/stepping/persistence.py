@@ -13,6 +13,10 @@ STILL = 1e-3
 """Fraction of what forces change a velocity by in a move below which a closed contact neither approaches nor slips; and
 of what counts as closed, by which the rows of a contact at rest may drift in one."""
 
+LEFT = 1e-8
+"""What the solver's tolerance leaves of a relative velocity: bodies that fall together, on which forces change no more,
+do not press."""
+
 JOLT = 1.0
 """Speeds of approach that are errors of a motion, in drifts of the rows over half a move: these are of first order,
 errors of second. Where nothing turns there are none, and what approaches is stopped."""
@@ -63,13 +67,14 @@ def persists(key, pair, warm, begin, local, end_gap, h, struck, stays, sticks, w
         if struck:
             continue
         gap = begin_gap[before[c]] if before[c] >= 0 else 0.0
-        fall, old = abs(u_free[i] - u[i]), was[c]
-        if gap < -2.0 * closed or (old == 0 and (before[c] < 0 or gap > closed or abs(u_begin[i]) > STILL * fall)):
+        speed = math.sqrt(u_begin[i] ** 2 + u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
+        still, old = STILL * abs(u_free[i] - u[i]) - LEFT * speed, was[c]
+        if gap < -2.0 * closed or (old == 0 and (before[c] < 0 or gap > closed or abs(u_begin[i]) >= still)):
             continue
         bent = math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
         slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
-        sticks[c] = stays[c] and (old == 1 or (old == 0 and slip <= STILL * fall))
+        sticks[c] = stays[c] and (old == 1 or (old == 0 and slip <= still))
         if stays[c] and abs(end_gap[c]) <= closed and abs(drift[i]) * h <= STILL * closed:
             end_gap[c] = 0.0
         some = some or (stays[c] and end_gap[c] != 0.0)
