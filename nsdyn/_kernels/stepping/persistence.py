@@ -189,7 +189,9 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
 
 
 @kernel
-def turn(blocks, contacts, velocities, R, inverse_J, arm, h, r, mu, flags, gaps, closing, couple, dv, local, b, other):
+def turn(
+    blocks, contacts, velocities, R, inverse_J, arm, h, r, mu, flags, gaps, closing, couple, dv, local, b, other
+):  # fmt: skip
     """`couples` at the mean of v⁻ and v_f + dv + change, velocities = (v⁻, v_f, dv, change), and what they then meet.
 
     velocities has the change of v by the couples that act and that by the impulses r. Where other couples do, `local`
