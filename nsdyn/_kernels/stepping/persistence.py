@@ -195,7 +195,7 @@ def turn(
     """`couples` at the mean of v⁻ and v_f + dv + change, velocities = (v⁻, v_f, dv, change), and what they then meet.
 
     velocities has the change of v by the couples that act and that by the impulses r. Where other couples do, `local`
-    and the offsets b are those with these: gaps = (end_gap, restitution, rebound, late) and closing are as of `offsets`.
+    and the offsets b are those with these: gaps = (end_gap, restitution, rebound, late) and closing as of `offsets`.
     """
     before, free, acting, change = velocities
     mean = np.empty(before.size)
