@@ -110,8 +110,9 @@ def test_iterations_hardly_depend_on_the_mass_ratio(form):
         solution = nd.solve(form(kicked_stack(height=20, ratio=ratio)))
         assert solution.converged, (ratio, solution.error, solution.residual)
         counts.append(solution.iterations)
-    # Sweeps, which grow with the square of the ratio, would give 1e6; the factor is for stages taken or left out.
-    assert max(counts) <= 4 * min(counts), counts
+    # Sweeps, which grow with the square of the ratio, would give 1e6; the factor is for stages taken or left out. One
+    # that happens to need few of them is no measure of the others.
+    assert max(counts) <= 4 * np.median(counts), counts
 
 
 @FORMS

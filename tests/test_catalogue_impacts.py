@@ -307,10 +307,12 @@ def test_painleve_impulse_has_a_limit():
     """Case 20: tan(angle) = 2, mu = 2: P tends to 0.3 m v N·s as h goes to 0, an impact without a collision."""
     errors = []
     for h in (1e-2, 1e-3, 1e-4, 1e-5):
-        step = nd.Stepper(nd.scenes.load("rod")(angle=math.degrees(math.atan(2.0)), mu=2.0), dt=h).step()
+        stepper = nd.Stepper(nd.scenes.load("rod")(angle=math.degrees(math.atan(2.0)), mu=2.0), dt=h)
+        step = stepper.step()
         assert step.solution.converged and (np.abs(step.u[:, 1:]) <= 1e-14).all()
-        # At the end the gap is closed, for which the normal velocity errs with h: by 0.20 h.
-        assert abs(step.u[0, 0]) <= 0.25 * h and abs(step.gap[0]) <= 1e-12
+        # At the end the gap is closed, but for half of what counts as that at most, which contacts that stay may leave
+        # open; for that the normal velocity errs with h: by 0.20 h.
+        assert abs(step.u[0, 0]) <= 0.25 * h and abs(step.gap[0]) <= 0.5 * stepper.closed
         assert step.energy["normal"] + step.energy["friction"] < 0
         errors.append(abs(step.r[0, 0] - 0.3))
     assert errors[0] <= 0.1

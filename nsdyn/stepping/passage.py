@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
-from nsdyn.stepping.instant import DEEP, EVENTS, SHALLOW, Impulses, Instant, System, among, take
+from nsdyn.stepping.instant import DEEP, SHALLOW, Impulses, Instant, System, among, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
 from nsdyn.stepping.sight import Unmet, approach, others
@@ -173,7 +174,7 @@ def _moves(
     done: list[Impulses] = []
     solved: list[tuple[FC3D, Solution]] = []
     works: list[Works] = []
-    for cut in range(EVENTS + 1):
+    for cut in count():
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
             now, impulses, more, pair = struck
@@ -182,8 +183,7 @@ def _moves(
             solved.append(pair)
             works.append(more)
         soon = left * (AGAIN if cut and struck is None else SOON)
-        most = EVENT if cut < EVENTS else WORK + 1
-        length, tried = _until_event(s, loads, now, t, left, soon, effort, half, most)
+        length, tried = _until_event(s, loads, now, t, left, soon, effort, half)
         half = None
         m = finish(s, now, tried)
         path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
@@ -210,7 +210,7 @@ def _later(acted: Impulses, begun: float) -> Impulses:
 
 def _until_event(
     s: System, loads: Loads, begin: Instant, t: float, h: float, soon: float, effort: Effort,
-    half: Half | None = None, most: int = EVENT,
+    half: Half | None = None,
 ) -> tuple[float, Trial]:  # fmt: skip
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
@@ -221,7 +221,7 @@ def _until_event(
     def capture() -> tuple[float, Trial]:
         return h, _try(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None)
 
-    if not effort.affords(begin, most):
+    if not effort.affords(begin, EVENT):
         return capture()
     effort.spend(begin)
     m = _try(s, loads, begin, t, h, NONE, half)
