@@ -95,7 +95,7 @@ def test_apexes_of_a_bouncing_ball(restitution, h):
 def test_elastic_balls_keep_their_energy(height, rows, impacts):
     """Case 15: e = 1, theta = 1/2: no drift of energy over 1e4 impacts in 20 s, nor in SimBenchmark's 7 x 7 balls.
 
-    Up to sixteen contacts are hit at a time that is located; in steps with more, Newton's law holds all the same.
+    What one island can afford is located; what is caught obeys the same law of impact.
     """
     scene = nd.scenes.load("bouncing_balls")(rows=rows, height=height)
     trajectory = nd.simulate(scene, 20.0, dt=1e-2)
