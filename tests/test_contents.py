@@ -273,7 +273,8 @@ def test_large_pages_stay_small(rng):
     contacts = {
         "offset": 300 * np.arange(n), "geom1": first.astype(np.int32), "geom2": first.astype(np.int32) + 1,
         "key": rng.integers(0, 8, m), "point": rng.uniform(-2, 2, (m, 3)), "normal": normal,
-        "tangent": contact_points.axes(normal)[0], "gap": rng.normal(0, 1e-9, m), "mu": np.full(m, 0.5),
+        "tangent": contact_points.axes(normal)[0], "couple": np.zeros((m, 3)), "gap": rng.normal(0, 1e-9, m),
+        "mu": np.full(m, 0.5),
         "restitution": np.zeros(m), "u": rng.normal(size=(m, 3)), "impulse": np.abs(rng.normal(size=(m, 3))),
         "status": rng.integers(0, 3, m).astype(np.int8), "work_normal": -rng.uniform(size=m),
         "work_friction": -rng.uniform(size=m), "time": np.full(m, 0.5 / 30),
