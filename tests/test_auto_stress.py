@@ -102,7 +102,14 @@ def unsymmetric(mu, seed, nc=30):
 FORMS = pytest.mark.parametrize("form", [lambda p: p, given], ids=["factors", "matrix"])
 
 
-@FORMS
+@pytest.mark.parametrize(
+    "form",
+    [
+        pytest.param(lambda p: p, id="factors"),
+        # 190, 110, 62 and 252 iterations, since the stack's problem comes from contacts that do no work.
+        pytest.param(given, id="matrix", marks=pytest.mark.xfail(strict=True, reason="4.06 times as many, not 4")),
+    ],
+)
 def test_iterations_hardly_depend_on_the_mass_ratio(form):
     """20 boxes, the masses growing upwards by 1 to 1000 in all; every start from nothing."""
     counts = []
@@ -110,9 +117,8 @@ def test_iterations_hardly_depend_on_the_mass_ratio(form):
         solution = nd.solve(form(kicked_stack(height=20, ratio=ratio)))
         assert solution.converged, (ratio, solution.error, solution.residual)
         counts.append(solution.iterations)
-    # Sweeps, which grow with the square of the ratio, would give 1e6; the factor is for stages taken or left out. One
-    # that happens to need few of them is no measure of the others.
-    assert max(counts) <= 4 * np.median(counts), counts
+    # Sweeps, which grow with the square of the ratio, would give 1e6; the factor is for stages taken or left out.
+    assert max(counts) <= 4 * min(counts), counts
 
 
 @FORMS
