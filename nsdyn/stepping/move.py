@@ -32,6 +32,8 @@ __all__ = ["Move", "Trial", "attempt", "finish", "tree_works", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 
+OPEN = np.int8(0)
+
 GAPS = 3
 """Most times that the gaps which persistent contacts are found to end with are closed."""
 
@@ -374,6 +376,10 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
     r, h = a.solution.r, half.h
     impulses, own, warm = account(s, a.met, half.forces, velocities, r, h, a.impact, a.problem, a.couple, mass)
+    # What has just closed its gap approaches: where the next move begins it strikes, if it would become deep.
+    arrived = (a.met.end_gap[: warm.status.size] > s.closed) & ~a.met.stays
+    if arrived.any():
+        warm = warm._replace(status=np.where(arrived, OPEN, warm.status))
     works = []
     v_end, twists = a.v_end, a.twists
     if placed is not a.moved:

@@ -31,10 +31,13 @@ SOON, AGAIN = 1e-6, 0.1
 """Fractions of a move in which slip that turns round is not located: before it is nothing but round-off, and where slip
 has just been cut, which is located to second order, what is left of it."""
 
+GAIN = 1e-3
+"""Of the kinetic energy with which it begins, most that the contacts that persist may add in a step."""
+
 SHALLOWER = 0.125
-"""By what fraction bodies may run less far into each other in halves of a step in which they sank or were lifted far:
-impulses and projections at more configurations err less. It is halved as long as that is affordable: if all pieces as
-short have no more than `WORK` contacts."""
+"""By what fraction bodies may run less far into each other in halves of a step in which they sank, were lifted far, or
+gained energy: impulses and projections at more configurations err less. It is halved as long as that is affordable: if
+all pieces as short have no more than `WORK` contacts."""
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
@@ -132,13 +135,19 @@ def _pass(
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
-    They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly.
+    They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly,
+    and where contacts that persist add energy.
     """
     sunk, path = False, [begin.placement]
     found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
     if found is None:
         found, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
     now, rate, clear, done, solved, works = found
+    gained = sum(w.integration for w in works)
+    if gained > 0.0:
+        # Where all is at rest, what gravity gives in a step is the scale.
+        d, x = s.dynamics, begin.position
+        sunk = sunk or gained > GAIN * max(d.energies(x, v, d.tree_energies(x, v))[0] for v in (begin.v, h * rate))
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
     return Passage(now, rate, clear, done, solved, works, [*path, now.placement]), coarse
 
