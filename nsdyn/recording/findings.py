@@ -55,7 +55,7 @@ MEANING = {
     "overlap": "true overlap of two bodies, beyond one that the start has and keeps / smallest extent of the smaller",
     "distance": "distance over which an impulse acts, beyond what the bodies move in the step / smallest extent",
     "normal": "overlap along the normal of a contact with an impulse, beyond the true one / smallest extent",
-    "points": "an impulse's point from the surfaces of both bodies, beyond what they move / smallest extent",
+    "points": "an impulse's point from the surfaces of both bodies, beyond what they move there / smallest extent",
     "cone": "how far an impulse is outside its cone, beyond round-off of momenta / largest impulse of the step",
     "friction": "work of friction at a contact at the velocity at the end of the step / energy at play",
     "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
