@@ -75,7 +75,7 @@ MEANING = {
     "rebounds": "v+ + e v- of a limit that a joint strikes / largest velocity of the articulation",
     "shared_rebounds": "the same of limits that strike with others, or in a move",
     "joint_cone": "dry friction of a joint - h times its largest / that",
-    "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round / h tau_c by the largest |v|",
+    "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round / dt tau_c by the largest |v|",
     "loads": "joint forces where no controller gives any / largest",
     "wrenches": "external wrenches on links where nothing gives any / largest",
     "strength": "impulse of an actuator in a step or a piece - its limit times that time / that",
