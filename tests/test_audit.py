@@ -146,6 +146,14 @@ def test_shifted_contact_point(trajectory):
     failed(trajectory, "spin", K, "box")
 
 
+def test_contact_point_off_the_bodies(trajectory):
+    """A millimetre above the ground, along the impulse, which turns the can as it did."""
+    row = rows(trajectory, "can", "ground")[0]
+    trajectory.columns["contacts/point"][row, 2] += 1e-3
+    assert failed(trajectory, "points", K, "can", "ground").amount == pytest.approx(1e-3, rel=0.01)
+    assert nd.check(trajectory)["spin"].passed
+
+
 def test_impulse_at_a_distance(trajectory):
     """The can floats a millimetre above the ground, always."""
     trajectory.q[:, 14 + 2] += 1e-3

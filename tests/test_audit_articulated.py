@@ -123,15 +123,22 @@ def audits():
     return module
 
 
-@pytest.mark.parametrize("seed", [1, 4, 6, 65, 127, 175, 3094, 2050, 2071, 2173, 3108, 5079, 20160, 40004])
+@pytest.mark.parametrize("seed", [1, 4, 6, 65, 127, 175, 3094, 2050, 2071, 2173, 3108, 5079, 20160, 40004, 99, 2113])
 def test_random_robots_pass(audits, seed):
     """Among them one whose driven joint takes up impacts, and one whose loops turn fast.
 
     And contacts that do nothing at θ = 0.7 (3094), steps cut where a driven joint varies (2050), forces that work while
     joints turn fast (2071), small angles by cosine and sine (2173, 3108), a limit met on the way there and back (5079),
-    an end of loops that one pass finds (20160), impacts where θ = 1 has other impulses at the same time (40004).
+    an end of loops that one pass finds (20160), impacts where θ = 1 has other impulses at the same time (40004), a dry
+    joint that has stopped where a move begins (99), and pieces of 1e-15 s (2113).
     """
     audit = nd.check(audits.random_run(seed))
+    assert audit.passed, audit
+
+
+def test_what_touches_at_the_start_stays(audits):
+    """Its first work is the scheme's, as all that follows."""
+    audit = nd.check(audits.named("woodpecker", 0.01, 1e-3))
     assert audit.passed, audit
 
 

@@ -185,6 +185,18 @@ def test_what_is_over_the_border_of_a_face_meets_its_edge(gap):
     np.testing.assert_allclose(c.normal, np.tile([0.0, 0.0, 1.0], (len(c.gap), 1)), rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize("tilt", [1.9e-4, 2.1e-4, 2.6e-4, 2.8e-4, 4e-4])
+def test_edges_beside_a_face_that_hardly_tilts_meet_where_they_cross(tilt):
+    """The diagonal of the face tilts less than the face, and is no edge."""
+    R = np.array([about((1, 0, 0), tilt), about((0, 1, 0), 0.25 * np.pi)])
+    top = R[0] @ (0.0, 0.5, 0.5)
+    x = np.array([[0.0, 0.0, 0.0], [0.1, 0.7, top[2] + np.sqrt(0.5) - 1e-5]])
+    c, _ = detector(CUBE, CUBE).find(x, R, np.array([0.0, 0.0]), ContactMemory.empty())
+    deepest = c.gap.argmin()
+    np.testing.assert_allclose(c.point[deepest], (0.1, top[1], top[2] - 0.5e-5), rtol=0, atol=1e-5)
+    np.testing.assert_allclose(c.normal[deepest], (0.0, 0.0, 1.0), rtol=0, atol=tilt + 1e-9)
+
+
 @pytest.mark.parametrize(("inset", "on_face"), [(0.005, False), (0.1, True)])
 def test_a_corner_that_may_leave_a_face_meets_its_edge(inset, on_face):
     """An edge dips beyond the border, askew: the face stops its corner only far from there."""

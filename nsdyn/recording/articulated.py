@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from nsdyn.recording import joint_rows
 from nsdyn.recording.file import ON_JOINTS
-from nsdyn.recording.findings import Found, at_play, not_audited, worst_of
+from nsdyn.recording.findings import TOLERANCES, Found, at_play, not_audited, worst_of
 from nsdyn.recording.flight import Flight
+from nsdyn.recording.overlap import separation
 from nsdyn.recording.poses import Poses, matrix
 from nsdyn.recording.retrace import Trees, trees
 from nsdyn.recording.retraced import Retraced
@@ -167,9 +167,9 @@ def _works(poses: Poses, found: Retraced) -> Iterator[Found]:
     c, works = t.columns, {name: work.sum(axis=1) for name, work in found.works.items()}
     sums, open_to = {}, {}
     steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    stays = _stays(poses, steps)
     for name in ("normal", "friction"):
         work = c[f"contacts/work_{name}"]
-        stays = _stays(t.columns, steps)
         sums[name] = np.bincount(steps[~stays], work[~stays], t.steps)
         open_to[name] = np.bincount(steps[stays], np.abs(work[stays]), t.steps)
     doubt, scale = found.doubt.sum(axis=1), at_play(poses)
@@ -193,10 +193,17 @@ def _works(poses: Poses, found: Retraced) -> Iterator[Found]:
     yield worst_of("drives", off / scale, off, "J", np.arange(1, t.steps + 1), lambda _: ["constraint"])
 
 
-def _stays(c: Mapping[str, Any], step: Index) -> Bools:
-    """Contacts that were closed before, in this step or the last: what they do may be booked as numerics."""
-    key, on, out, before = c["contacts/key"], c["contacts/status"] > 0, np.zeros(step.size, np.bool_), set[int]()
+def _stays(poses: Poses, step: Index) -> Bools:
+    """Contacts closed before, in this step, the last or at the start: what they do may be booked as numerics."""
+    c = poses.trajectory.columns
+    i, j = (c[f"contacts/geom{k}"].astype(np.int64) for k in "12")
+    key, on, least = c["contacts/key"], c["contacts/status"] > 0, TOLERANCES["overlap"] * poses.size(i, j)
+    ends, out = on | (c["contacts/gap"] <= least), np.empty(step.size, np.bool_)
     begin = np.searchsorted(step, np.arange(int(step.max(initial=-1)) + 2))
+    first, start, before = np.arange(np.count_nonzero(step == 0)), np.zeros(step.size, np.int64), set[int]()
+    for a, b, some in poses.by_kind(i[first], j[first]):
+        gap = separation(a, *poses.of(i[some], start[some]), b, *poses.of(j[some], start[some]))
+        before |= {int(x) for x in key[some][gap <= least[some]]}
     for k in range(len(begin) - 1):
         now = set(before)
         for row in range(begin[k], begin[k + 1]):
@@ -204,5 +211,5 @@ def _stays(c: Mapping[str, Any], step: Index) -> Bools:
             if on[row]:
                 now.add(int(key[row]))
         own = slice(begin[k], begin[k + 1])
-        before = {int(x) for x in key[own][on[own]]}
+        before = {int(x) for x in key[own][ends[own]]}
     return out

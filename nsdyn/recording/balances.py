@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from nsdyn.recording.findings import Found, at_play, not_audited, of_bodies, worst_of
-from nsdyn.recording.flight import Flight, spins, velocities
+from nsdyn.recording.flight import Flight, angles, spins, velocities
 from nsdyn.recording.poses import Poses, turned
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
@@ -82,13 +82,12 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
         # Half a turn with either angular velocity, each in the axes of its own end.
         there, back = turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:])
         later = poses.uncertain[1][:, :free]
-    angle = 2.0 * np.linalg.norm(there - np.where((there * back).sum(-1, keepdims=True) < 0.0, -back, back), axis=-1)
     reach, extent = np.zeros(free), np.full(free, np.inf)
     for k in np.flatnonzero((poses.frame >= 0) & (poses.frame < free)):
         body, solid = poses.frame[k], poses.solids[poses.kind[k]]
         reach[body] = max(reach[body], solid.reach)
         extent[body] = min(extent[body], solid.extent)
-    amount = np.maximum(left, (angle - later) * reach)
+    amount = np.maximum(left, (angles(there, back) - later) * reach)
     return of_bodies(poses, "motion", amount, np.broadcast_to(extent, amount.shape), "m")
 
 

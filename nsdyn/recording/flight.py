@@ -12,7 +12,7 @@ from nsdyn.recording.poses import Poses
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["CONJUGATE", "Flight", "spins", "tumbled", "velocities"]
+__all__ = ["CONJUGATE", "Flight", "angles", "spins", "tumbled", "velocities"]
 
 LEAP = 0.05
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-6 rad."""
@@ -175,6 +175,13 @@ class Flight:
             np.diff(poses.x[:, :free], axis=0) - path, np.where(cut, unknown, 0.0), turned, met_x, met_quaternion,
             met_u, cut, timed,
         )  # fmt: skip
+
+
+def angles(one: Array, other: Array) -> Array:
+    """Angles between orientations (..., 4), to second order, (...), rad."""
+    near = np.where((one * other).sum(axis=-1, keepdims=True) < 0.0, -other, other)
+    out: Array = 2.0 * np.linalg.norm(one - near, axis=-1)
+    return out
 
 
 def _pieces(poses: Poses, step: Index) -> tuple[Index, Array]:

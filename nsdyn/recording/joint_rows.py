@@ -68,7 +68,7 @@ def on_joints(found: Retraced) -> Iterator[Found]:
     acted = list(_all(found))
     yield _worst("stops", [row for a in acted for row in _stops(a, found.trees.trajectory.dt)])
     yield from _rebounds(acted, found.trees.trajectory.columns["contacts/restitution"])
-    rubs = [pair for a in acted for pair in _rubs(a)]
+    rubs = [pair for a in acted for pair in _rubs(a, found.trees.trajectory.dt)]
     yield _worst("joint_cone", [bound for bound, _ in rubs])
     yield _worst("joint_slip", [slip for _, slip in rubs])
     yield from _loads(found)
@@ -131,8 +131,11 @@ def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
         yield _worst("shared_rebounds", [])
 
 
-def _rubs(a: Acted) -> Iterator[tuple[Row, Row]]:
-    """By how much dry friction is above its bound, and less than against the motion."""
+def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
+    """By how much dry friction is above its bound, and less than against the motion, as a part of what it is in a step.
+
+    A piece may be so short that all its friction is less than what a solver leaves of an impulse.
+    """
     drag, most_drag = a.kick.given[2], a.kick.h * a.m.friction
     # What drives a joint takes its friction, which does nothing to the motion.
     some = (a.m.friction > 0.0) | (drag != 0.0)
@@ -147,7 +150,8 @@ def _rubs(a: Acted) -> Iterator[tuple[Row, Row]]:
         speed = np.linalg.norm(speeds, axis=1)
         wasted = float((most_drag[j] * speed + speeds @ pull).min())
         turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
-        figure = 0.0 if turns else wasted / max(most_drag[j] * (float(speed.max()) + CREEP), 1e-300)
+        most = dt * a.m.friction[j] * (float(speed.max()) + CREEP)
+        figure = 0.0 if turns else wasted / max(most, 1e-300)
         yield bound, (figure, wasted, a.step, a.label[j])
 
 

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from nsdyn.problem.solution import Status
 from nsdyn.recording.findings import Found, at_play, not_audited, worst_of
-from nsdyn.recording.flight import Flight
+from nsdyn.recording.flight import Flight, angles
 from nsdyn.recording.overlap import Solid, separation
 from nsdyn.recording.poses import Poses
 from nsdyn.recording.tables import left_out
@@ -25,6 +25,9 @@ STATES = 200_000
 
 POINT = Solid.described({"shape": "sphere", "size": (0.0, 0.0, 0.0)})
 """A ball of no size."""
+
+Moment = tuple[tuple[Array, Array], tuple[Array, Array]]
+"""World poses (R, x) of the first and the second shapes of contacts."""
 
 PARTING = 1e-4
 """m/s, above which what has restitution rebounds: the residual that a solve may have that is accepted."""
@@ -202,12 +205,13 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
             along[moment, some] = _along(*where, n[some])
             free[moment, some] = separation(*where)
     size = poses.size(i, j)
-    travel = np.abs(np.diff(along, axis=0)).sum(axis=0)
     shift, turn = poses.uncertain
+    unsure = np.zeros(push.size)
     for geom in (i, j):
         moving = np.flatnonzero(poses.frame[geom] >= 0)
         body, reach = poses.frame[geom[moving]], poses.reach[geom[moving]]
-        travel[moving] += shift[k[moving] - 1, body] + reach * turn[k[moving] - 1, body]
+        unsure[moving] += shift[k[moving] - 1, body] + reach * turn[k[moving] - 1, body]
+    travel = np.abs(np.diff(along, axis=0)).sum(axis=0) + unsure
     # A contact and its normal are those of some time within the step.
     apart, skew = along[1:4].min(axis=0) - travel, (np.minimum(free, 0.0) - along)[1:4].min(axis=0) - travel
 
@@ -216,13 +220,36 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
 
     yield worst_of("distance", apart / size, apart, "m", k, pushing)
     yield worst_of("normal", skew / size, skew, "m", k, pushing)
-    off = np.zeros(push.size)
-    for geom, (R, x) in zip((i, j), moments[2], strict=True):
-        point = np.einsum("mji,mj->mi", R, c["point"][push] - x)
+    off = _off_surfaces(poses, flight, (i, j, k), moments[1:4], c["point"][push], n) - unsure
+    yield worst_of("points", off / size, off, "m", k, pushing)
+
+
+def _off_surfaces(
+    poses: Poses, flight: Flight, push: tuple[Index, Index, Index], moments: list[Moment], point: Array, normal: Array
+) -> Array:
+    """Distance of points from the surfaces of both shapes of pushes (shape, shape, step), beyond what they move, m.
+
+    The moments are the beginning of the step, the push and the end. A gap that is left there as the impulse acts is
+    closed within the step, by bodies that may turn; where on its way the projection lifts and turns them is not
+    recorded.
+    """
+    off, height, step = np.zeros(len(point)), np.zeros((3, len(point))), push[2] - 1
+    turn = angles(flight.quaternion, poses.quaternion[1:, : poses.free])
+    lift, lifted = (np.linalg.norm(flight.lift, axis=2) + flight.unknown, turn), np.zeros(len(point))
+    for side, geom in enumerate(push[:2]):
+        (R, x), frame = moments[1][side], poses.frame[geom]
+        own = np.einsum("mji,mj->mi", R, point - x)
         for kind in np.unique(poses.kind[geom]):
             some = poses.kind[geom] == kind
-            off[some] = np.maximum(off[some], _from_surface(poses.solids[kind], point[some]))
-    yield worst_of("points", (off - travel) / size, off - travel, "m", k, pushing)
+            off[some] = np.maximum(off[some], _from_surface(poses.solids[kind], own[some]))
+        for row, moment in enumerate(moments):
+            R, x = moment[side]
+            height[row] += (2 * side - 1) * ((np.einsum("mij,mj->mi", R, own) + x) * normal).sum(axis=1)
+        free = np.flatnonzero((frame >= 0) & (frame < poses.free) & flight.cut[step, 0])
+        shift, angle = (part[step[free], frame[free]] for part in lift)
+        lifted[free] += shift + poses.reach[geom[free]] * angle
+    out: Array = off - np.abs(np.diff(height, axis=0)).sum(axis=0) - lifted
+    return out
 
 
 def _from_surface(a: Solid, x: Array) -> Array:

@@ -25,7 +25,7 @@ from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
 from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, HALFSPACE, SPHERE, Geometry
 from nsdyn._kernels.collision.reduction import reduce
-from nsdyn._kernels.collision.segments import ends, segment, segments, touch
+from nsdyn._kernels.collision.segments import edge, ends, segments, touch
 from nsdyn._kernels.collision.support import SAME, SHARP, separation
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import along, dot, minus, put, row, times, to_world, unit
@@ -67,8 +67,8 @@ def closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, 
     """Contacts of the features that are outermost along n, where they are closest; returns their number."""
     size = min(geometry.radius[i], geometry.radius[j])
     flat1, flat2 = geometry.kind[i] == CYLINDER, geometry.kind[j] == CYLINDER
-    p1, q1, radius1, valid1 = segment(geometry, i, R, t, n, angle)
-    p2, q2, radius2, valid2 = segment(geometry, j, R, t, times(-1.0, n), angle)
+    p1, q1, radius1, valid1 = edge(geometry, i, R, t, n, angle)
+    p2, q2, radius2, valid2 = edge(geometry, j, R, t, times(-1.0, n), angle)
     if valid1 and valid2:
         count = segments(
             p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, point, normal, gap, at

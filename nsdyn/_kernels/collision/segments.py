@@ -58,6 +58,16 @@ def segment(geometry, g, R, t, n, angle):
     return along(c, 1.0, to_world(R, g, p)), along(c, 1.0, to_world(R, g, q)), 0.0, valid
 
 
+@in_place
+def edge(geometry, g, R, t, n, angle):
+    """`segment` at `angle`, or of a polytope at a smaller one: a diagonal of a face tilts less than the face."""
+    p, q, radius, valid = segment(geometry, g, R, t, n, angle)
+    while not valid and geometry.kind[g] == POLYTOPE and angle > INSIDE:
+        angle *= 0.5
+        p, q, radius, valid = segment(geometry, g, R, t, n, angle)
+    return p, q, radius, valid
+
+
 @in_place(forceinline=True)
 def closest(p, d, length1, q, e, length2):
     """Arc lengths (s, r) of the closest points p + s d, q + r e of two segments with unit directions d, e."""

@@ -39,6 +39,8 @@ def ending(r, y, b, mu, local, was, slid, out):
             end = y[j] - b[j] + u_free[j] + drift[j]
             onward, before, after = onward + u_begin[j] * end, before + u_begin[j] ** 2, after + end**2
             gain += r[j] * (u_begin[j] + end)
+        if before == 0.0:
+            continue  # it has stopped where the move begins
         # Of what redundant contacts share some may be at its limit though the body sticks.
         if found == 1 or after <= STANDS * STANDS * before:
             out[c] = 2 if gain > 0.0 else 1
