@@ -211,7 +211,7 @@ HEAD = """# Gallery
 
 Written by `python demos/gallery.py`, which runs every scene below with the default solver and step, audits the motion
 from its recording alone (`nd.check`: true overlaps, friction cones, balances of momentum and energy) and takes the
-pictures. Times are of one busy machine. Coming from another engine? [Here is what differs](coming_from.md).
+pictures. Times are of one busy machine. Coming from another engine? [Here is what differs](guide/coming_from.md).
 
 Besides, scripts that print and draw more:
 

@@ -1,4 +1,4 @@
-"""The benchmarks of the README run, on the smallest scenes, and print what they promise."""
+"""The benchmarks of the guide run, on the smallest scenes, and print what they promise."""
 
 import re
 import subprocess
@@ -66,8 +66,8 @@ def test_random_scenes_in_which_something_was_found(scene):
     assert "1 scenes: {'passed': 1}" in done.stdout, done.stdout
 
 
-def test_every_script_is_in_the_readme():
-    text = (ROOT / "README.md").read_text()
+def test_every_script_is_in_the_guide():
+    text = "".join(page.read_text() for page in (ROOT / "demos" / "guide").glob("*.md"))
     for script in (ROOT / "demos" / "bench").glob("*.py"):
         assert script.name in text
         assert script.name in SCRIPTS

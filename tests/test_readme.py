@@ -3,11 +3,15 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import nsdyn as nd
 from nsdyn.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
+GUIDE = sorted(f"demos/guide/{page.name}" for page in (ROOT / "demos" / "guide").glob("*.md"))
+PAGES = ["README.md", "demos/README.md", *GUIDE]
 
 
 def blocks(page):
@@ -19,10 +23,9 @@ BLOCKS = blocks("README.md")
 
 
 def executed(page):
-    """Names that the one block of Python of a page leaves."""
-    (code,) = (text for language, text in blocks(page) if language == "python")
-    names: dict = {}
-    exec(compile(code, page, "exec"), names)
+    """Names that the Python of a page leaves, all blocks one after the other."""
+    names: dict = {"__name__": "page"}
+    exec(compile("\n".join(text for language, text in blocks(page) if language == "python"), page, "exec"), names)
     return names
 
 
@@ -32,49 +35,138 @@ def commands(page):
     return [line.split()[1:] for line in lines if line.startswith("nsdyn ")]
 
 
-def test_python(tmp_path, monkeypatch):
+def run_commands(page):
+    for arguments in commands(page):
+        assert main(arguments) == 0, arguments
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_readme(folder):
     names = executed("README.md")
     trajectory = names["trajectory"]
     assert trajectory.body("box").position[-1, 0] == pytest.approx(2.0**2 / (2 * 0.3 * 9.81), abs=1e-5)
     assert trajectory.energy.friction.sum() == pytest.approx(-2.0, abs=1e-5)
-    assert (tmp_path / "slide.h5").exists() and (tmp_path / "slide.html").exists()
+    assert (folder / "slide.h5").exists() and (folder / "slide.html").exists()
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
 
 
-def test_commands(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    ours = commands("README.md")
-    assert len(ours) >= 5
-    for arguments in ours:
-        assert main(arguments) == 0, arguments
-    assert {"slide.h5", "slide.html", "energy.png", "energy.csv"} <= {p.name for p in tmp_path.iterdir()}
+def test_first_scene(folder):
+    names = executed("demos/guide/first_scene.md")
+    assert names["x"] == pytest.approx(0.6796, abs=1e-4) and names["lost"] == pytest.approx(-2.0, abs=1e-5)
+    assert names["further"] > 1.0 and names["same"]
+    run_commands("demos/guide/first_scene.md")
+    assert {"my.py", "my.h5", "my.html", "slide.h5"} <= {p.name for p in folder.iterdir()}
 
 
-def test_coming_from_other_engines(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names = executed("demos/coming_from.md")
+def test_step():
+    names = executed("demos/guide/step.md")
+    assert (names["slip"][:, 0] > 1.9).all()  # it slides
+    np.testing.assert_allclose(names["cone"], 0.0, rtol=0, atol=1e-7)  # N·s, of impulses of 0.02
+    assert names["J"].shape == (12, 6) and names["M"].shape == (6, 6) and names["forces"].shape == (6,)
+    assert names["apex"] == pytest.approx(0.64, abs=9.81 * 5e-3**2 / 2)  # half a step from the apex
+
+
+def test_solvers():
+    names = executed("demos/guide/solvers.md")
+    np.testing.assert_allclose(names["solution"].r, [1.0, -0.2, 0.0], rtol=0, atol=1e-8)
+    assert names["tight"].error <= 1e-10 and set(names["run"].solver.status_names) == {"CONVERGED"}
+    run_commands("demos/guide/solvers.md")
+
+
+def test_answers():
+    names = executed("demos/guide/answers.md")
+    assert names["audit"].passed
+    run_commands("demos/guide/answers.md")
+
+
+def test_accuracy():
+    assert len(executed("demos/guide/accuracy.md")["study"].rows) == 3
+    run_commands("demos/guide/accuracy.md")
+
+
+def test_robots(folder):
+    names = executed("demos/guide/robots.md")
+    assert nd.check(names["run"]).passed and nd.check(names["swing"]).passed
+    assert names["elbow"].reaction_force.shape == (250, 3)
+    assert np.abs(names["closure"]).max() > 1.0  # N: it carries weight
+    run_commands("demos/guide/robots.md")
+    assert (folder / "joints.csv").exists()
+
+
+def test_recordings(folder):
+    names = executed("demos/guide/recordings.md")
+    assert names["speeds"] == pytest.approx([2 - 0.25 * 9.81 * 0.2, 2 - 0.5 * 9.81 * 0.2], abs=1e-6)
+    assert names["parted"].options["mu"] == (0.5, 0.4)
+    run_commands("demos/guide/recordings.md")
+    made = {"slide.h5", "slide.html", "both.html", "energy.png", "energy.csv", "contacts.csv", "slide.png"}
+    assert made <= {p.name for p in folder.iterdir()}
+
+
+def test_extending():
+    """Each example does what it says: drag takes energy, slow impacts do not rebound, the solver solves."""
+    names = executed("demos/guide/extending.md")
+    fall = names["fall"]
+    assert names["lost"] < -1.0 and np.ptp(fall.energy.total) == pytest.approx(-names["lost"], rel=1e-9)
+    calm = names["calm"].body("ball")
+    # It falls at 3.1 m/s, then at half of that, ..., and 0.39 m/s is too slow to rebound.
+    assert calm.position[-1, 2] == pytest.approx(0.1, abs=1e-9) and np.abs(calm.linear_velocity[-1, 2]) <= 1e-9
+    np.testing.assert_allclose(names["ours"].u, names["theirs"].u, rtol=0, atol=1e-7)
+    assert set(names["slide"].solver.status_names) == {"CONVERGED"}
+    assert names["ramp"].bodies["ramp"].shape.volume == pytest.approx(0.2)
+
+
+def test_coming_from_other_engines(folder):
+    names = executed("demos/guide/coming_from.md")
     assert names["stopped"] == pytest.approx(0.40775, abs=6e-5)  # mu g dt²/8 of the last step
     assert names["force"].shape == (60, 3) and names["force"][0] == pytest.approx((-0.5 * 9.81, 0, 9.81), abs=1e-6)
     assert len(names["contacts"]) == 4
-    ours = commands("demos/coming_from.md")
-    assert len(ours) == 8
-    for arguments in ours:
-        assert main(arguments) == 0, arguments
-    assert {"my.py", "my.h5", "my.html", "my.png", "contacts.csv"} <= {p.name for p in tmp_path.iterdir()}
+    assert len(commands("demos/guide/coming_from.md")) == 8
+    run_commands("demos/guide/coming_from.md")
+    assert {"my.py", "my.h5", "my.html", "my.png", "contacts.csv"} <= {p.name for p in folder.iterdir()}
+
+
+@pytest.mark.parametrize("page", GUIDE)
+def test_every_page_with_code_has_a_test(page):
+    if any(language in ("python", "bash") for language, _ in blocks(page)):
+        assert f'executed("{page}")' in Path(__file__).read_text()
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_figure_names_the_command_that_draws_it(page):
+    """Near it, or once in the head of a page that one command writes."""
+    paragraphs = [p for p in (ROOT / page).read_text().split("\n\n") if p.strip()]
+    command = re.compile(r"`(python demos|nsdyn) ?[^`]+`")
+    written = "Written by `python" in paragraphs[1] or "writes this page" in paragraphs[1]
+    for k, paragraph in enumerate(paragraphs):
+        if paragraph.startswith("![") and not written:
+            assert command.search("\n".join(paragraphs[max(k - 1, 0) : k + 2])), paragraph
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", commands("demos/README.md"), ids=lambda arguments: arguments[1])
-def test_commands_of_the_gallery(tmp_path, monkeypatch, arguments):
-    monkeypatch.chdir(tmp_path)
+def test_commands_of_the_gallery(arguments):
     assert main(arguments) == 0
 
 
-@pytest.mark.parametrize("page", ["README.md", "demos/README.md", "demos/coming_from.md"])
-def test_links_lead_to_files(page):
-    folder = (ROOT / page).parent
-    links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()) if ":" not in link]
-    assert links and not [link for link in links if not (folder / link).exists()]
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_to_files_and_headings(page):
+    text, folder = (ROOT / page).read_text(), (ROOT / page).parent
+    links = [link for link in re.findall(r"\]\(([^)\s]+)\)", text) if ":" not in link]
+    assert links or page.endswith("notation.md")
+    for link in links:
+        path, _, heading = link.partition("#")
+        target = folder / path if path else ROOT / page
+        assert target.exists(), link
+        if heading:
+            titles = re.findall(r"^#+ (.*)$", target.read_text(), re.MULTILINE)
+            assert heading in {re.sub(r"[^\w\- ]", "", title).strip().lower().replace(" ", "-") for title in titles}, (
+                link
+            )
 
 
 def test_install_commands_are_those_of_ci():

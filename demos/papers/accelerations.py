@@ -65,7 +65,7 @@ def report(pictures: Path) -> str:
         "",
         "Accelerations from the primal program (58) and from its dual (70), and (v(dt) - v(0))/dt of one step.",
         "",
-        "![Steps against the acceleration](papers/accelerations.png)",
+        "![Steps against the acceleration](../papers/accelerations.png)",
         "",
         f"| state | ‖a‖ | primal - dual | step - a at dt = {STEPS[0]:g} s | at {STEPS[-1]:g} s | order |",
         "|---|---|---|---|---|---|",

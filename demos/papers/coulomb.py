@@ -407,7 +407,7 @@ def report(folders: Sequence[str | Path], pictures: Path, limit: float = LIMIT, 
             profile.plot(ax, legend=profile is profiles[-1])
         name = f"profile_{title.replace(' ', '_')}.png"
         figure.savefig(pictures / name, dpi=80)
-        lines += [f"### {TITLES[title]}", "", f"![{TITLES[title]}]({pictures.name}/{name})", ""]
+        lines += [f"### {TITLES[title]}", "", f"![{TITLES[title]}](../{pictures.name}/{name})", ""]
         lines += [claim.line(found) for claim in decided[title]]
         lines += ["", "```", *(f"tol {p.tol:g}\n{p.table()}" for p in profiles), "```", ""]
     return "\n".join(lines)

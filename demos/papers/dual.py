@@ -316,7 +316,7 @@ def report(pictures: Path) -> str:
     below, above = (uzawa_growth(m, f * limits[4]) for f in (0.99, 1.01))
     lines += [
         "",
-        "![Displacements and tractions of the dual elements](papers/dual.png)",
+        "![Displacements and tractions of the dual elements](../papers/dual.png)",
         "",
         "Mean difference of u_x from the primal elements on 64 x 64, relative to the largest: "
         + ", ".join(f"{e:.1e} on {c}" for c, e in zip(runs, errors, strict=True))

@@ -186,7 +186,7 @@ def report(pictures: Path) -> str:
         f"A cube of 40 mm on a plane, {cube.nc} contacts in 3D, friction {MU:g}, pressed by 2 mm, then pushed by "
         "2.5 mm along x and along y in six increments, large displacements.",
         "",
-        "![Newton–Raphson, and the merit across the ridge](papers/increments.png)",
+        "![Newton–Raphson, and the merit across the ridge](../papers/increments.png)",
         "",
         "| increment | open, sliding, sticking | iterations, tangent updated | last three residuals | tangent held |",
         "|---|---|---|---|---|",
