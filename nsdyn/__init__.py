@@ -2,12 +2,12 @@
 
     import nsdyn as nd
 
-nd.Scene, nd.Material, nd.scenes           describe a scene, or take a named one
-nd.simulate, nd.Stepper, nd.PD, nd.impacts run it, step by step if need be, under control, with a law of impact
-nd.Trajectory                              what happened: states, energies, contacts, forces, certificates, files, pages
-nd.check, nd.compare, nd.plots             audit a motion or a model, say where two part, draw what is recorded
-nd.sweep, nd.refine                        many parameters, several time steps
-nd.FC3D, nd.solve, nd.solvers, nd.fclib    contact problems alone
+    nd.Scene, nd.Material, nd.scenes            describe a scene, or take a named one
+    nd.simulate, nd.Stepper, nd.PD, nd.impacts  run it, step by step if need be, under control, with a law of impact
+    nd.Trajectory                               the recording: states, energies, contacts, forces, certificates, pages
+    nd.check, nd.compare, nd.plots              audit a motion or a model, compare two runs, draw a recording
+    nd.sweep, nd.refine                         many parameters, several time steps
+    nd.FC3D, nd.solve, nd.solvers, nd.fclib     contact problems alone
 
 Each has its own help, with an example; ``nsdyn --help`` lists the commands. SI units, world axes, quaternions xyzw.
 """

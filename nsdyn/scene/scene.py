@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -20,6 +21,7 @@ from nsdyn.scene.bodies import Body, BodyOptions, Geom, make_body
 from nsdyn.scene.materials import COMBINATION_RULES, Material
 from nsdyn.scene.prescribed import Motion, Velocity
 from nsdyn.scene.shapes import Shape
+from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import check_known, choice, meant
 
@@ -41,6 +43,13 @@ class Scene:
 
     Attributes
     ----------
+    bodies : dict of str to Body
+        By name, in the order they were added.
+    articulations : dict of str to Articulation
+    pairs : dict of frozenset of str to (float or None, float or None)
+        What `set_pair` has set of two bodies: friction and restitution.
+    motions : dict of str to Motion
+        What `set_motion` has set.
     parameters : dict
         What the scene was made with, by name, kept in its recordings: two of them beside each other show where they
         differ. Scenes of `nsdyn.scenes` and those that `nsdyn.sweep` and `nsdyn.refine` make have the arguments of
@@ -81,6 +90,16 @@ class Scene:
         free = len(self.free_bodies)
         fixed, trees = len(self.bodies) - free, len(self.articulations)
         return f"<Scene {self.name!r}: {free} free bodies, {fixed} fixed, {trees} articulations>"
+
+    def _repr_html_(self) -> str:
+        head = ["body", "shape", "mass [kg]", "position [m]", "mu", "restitution"]
+        rows: list[list[object]] = [
+            [b.name, b.shape.name, "fixed" if b.fixed else float(b.mass), b.position.tolist(),
+             float(b.material.mu), float(b.material.restitution)]
+            for b in self.bodies.values()
+        ]  # fmt: skip
+        trees = "".join(f"<p>{escape(repr(a).strip('<>'))}</p>" for a in self.articulations.values())
+        return notebook.table(repr(self).strip("<>"), head, rows) + trees
 
     # -- bodies ------------------------------------------------------------------------------------------------
 

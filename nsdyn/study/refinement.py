@@ -56,7 +56,15 @@ class Row:
 
 @dataclass(frozen=True)
 class Refinement:
-    """Runs of a scene at several steps, the coarsest first."""
+    """Runs of a scene at several steps.
+
+    Attributes
+    ----------
+    name : str
+        Of the scene.
+    rows : tuple of Row
+        The coarsest step first.
+    """
 
     name: str
     rows: tuple[Row, ...]
