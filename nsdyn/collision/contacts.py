@@ -43,6 +43,9 @@ class ContactSet(NamedTuple):
     restitution: Array
     key: Index
 
+    def __repr__(self) -> str:
+        return f"<ContactSet of {self.gap.size} contacts>"
+
 
 class ContactMemory(NamedTuple):
     """What it takes to recognise contacts in the next configuration, all of it.

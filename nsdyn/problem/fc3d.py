@@ -82,6 +82,10 @@ class FC3D:
         if not (normal := self.W.diagonal()[0::3] > 0.0).all():
             raise ValueError(f"W must have a positive normal diagonal, not at {np.flatnonzero(~normal).tolist()[:5]}")
 
+    def __repr__(self) -> str:
+        mu = f"mu from {self.mu.min():g} to {self.mu.max():g}, " if self.nc else ""
+        return f"<FC3D, nc = {self.nc}: {mu}‖q‖ = {np.linalg.norm(self.q):.3g} m/s>"
+
     @classmethod
     def from_blocks(cls, blocks: Blocks, q: Any, mu: Any, scales: Array | None = None) -> FC3D:
         """Problem with W = Hᵀ M⁻¹ H given by its factors, and the `scales` if known; W is assembled when asked for."""

@@ -7,6 +7,7 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 from nsdyn.problem.fc3d import FC3D
+from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
 
 __all__ = ["ACCEPTED", "NotConverged", "Solution", "Status"]
@@ -22,6 +23,12 @@ class Status(IntEnum):
     NO_SLATER_POINT = 4
     OVERLAP = 5
     LOOSE = 6
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __format__(self, spec: str) -> str:
+        return format(self.name, spec)
 
     @property
     def message(self) -> str:
@@ -69,6 +76,19 @@ class Solution(NamedTuple):
     residual: float
     iterations: int
     time: float
+
+    def __repr__(self) -> str:
+        return (
+            f"<Solution, nc = {self.r.size // 3}: {self.status}, error {self.error:.2e}, "
+            f"residual {self.residual:.2e} m/s, {self.iterations} iterations>"
+        )
+
+    def _repr_html_(self) -> str:
+        names = (
+            f"{letter}_{axis} [{unit}]" for letter, unit in (("r", "N·s"), ("u", "m/s")) for axis in ("N", "T1", "T2")
+        )
+        rows = zip(*(x.reshape(-1, 3)[:, k].tolist() for x in (self.r, self.u) for k in range(3)), strict=True)
+        return notebook.table(repr(self).strip("<>"), list(names), list(rows))
 
     @property
     def converged(self) -> bool:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nsdyn.recording import shares
 from nsdyn.recording.file import CONTACT_STATES, ENERGIES, WORKS
+from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
 
 __all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "SolverLog", "rotate"]
@@ -260,6 +261,12 @@ class ContactTable:
         if len(self) > _SHOWN:
             lines.append(f"... {len(self) - _SHOWN} more")
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        head = ["body 1", "body 2", "gap [m]", "u_N [m/s]", "‖u_T‖", "r_N [N·s]", "‖r_T‖", "mu", "status"]
+        u, r = ((x[:, 0].tolist(), np.hypot(x[:, 1], x[:, 2]).tolist()) for x in (self.u, self.impulse))
+        columns = self.body1, self.body2, self.gap.tolist(), *u, *r, self.mu.tolist(), self.status_names
+        return notebook.table(f"{len(self)} contacts", head, list(zip(*columns, strict=True)))
 
 
 _SHOWN = 40  # contacts a printed table shows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +17,7 @@ from nsdyn.recording import breakdown, joints, tables
 from nsdyn.recording import file as recording
 from nsdyn.recording.file import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog, rotate
-from nsdyn.tools import files
+from nsdyn.tools import files, notebook
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import meant
 
@@ -359,6 +360,18 @@ class Trajectory:
             f"<Trajectory of {self.meta['scene_name']!r}: {self.steps} steps of {self.dt:g} s, "
             f"{len(self.scene['frames'])} moving bodies>"
         )
+
+    def _repr_html_(self) -> str:
+        total, worst, shares = self.energy.total, self.worst(), self.shares()
+        status = Counter(self.solver.status_names)
+        return notebook.figures(repr(self).strip("<>"), [
+            ("simulated time [s]", float(self.t[-1])),
+            ("energy at the start, at the end [J]", (float(total[0]), float(total[-1]))),
+            ("works of physics, of numerics [J]", (shares["physics"][0], shares["numerics"][0])),
+            ("solves", ", ".join(f"{n} {name}" for name, n in status.most_common())),
+            ("largest residual [m/s]", worst["residual"]),
+            ("largest Gauss bound [√J]", worst["gauss_bound"]),
+        ])  # fmt: skip
 
 
 def _largest(values: ArrayLike) -> float:

@@ -36,6 +36,9 @@ PLANAR = "JointModelPlanar"
 COORDINATES = 256
 """Most of a tree: Pinocchio's data hold three-way tables of them, 64 nv³ bytes, which is 1 GB."""
 
+_SHOWN = 8
+"""Joints that the text of an articulation names."""
+
 
 class Link(NamedTuple):
     """A collision shape on a link: its name, its joint (0 for the world), its SE3 in the joint's frame, its shape."""
@@ -136,6 +139,14 @@ class Articulation:
     missing: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        joints, counts = list(self.model.names)[1:], ((len(self.loops), "loop"), (len(self.gears), "gear"))
+        more = "".join(f", {n} {what}{'s' if n > 1 else ''}" for n, what in counts if n)
+        names = ", ".join([*joints[:_SHOWN], "..."] if len(joints) > _SHOWN else joints)
+        return (
+            f"<Articulation {self.name!r}: {self.model.nv} coordinates, {len(self.links)} shapes{more}; joints {names}>"
+        )
 
     @property
     def report(self) -> tuple[str, ...]:

@@ -52,6 +52,10 @@ class Body:
     colour: tuple[float, float, float, float] | None
     com: Array
 
+    def __repr__(self) -> str:
+        what = "fixed" if self.fixed else f"{self.mass:g} kg"
+        return f"<Body {self.name!r}: {self.shape.name}, {what}, at {tuple(self.position.round(4).tolist())} m>"
+
     @property
     def fixed(self) -> bool:
         """Whether the body never moves."""

@@ -84,6 +84,15 @@ class Shape:
     bounding_radius: float
     inscribed_radius: float
 
+    def __repr__(self) -> str:
+        return f"<Shape {self.name}: {self.volume:.4g} m³>"
+
+    @property
+    def name(self) -> str:
+        """One of "halfspace", "box", "convex", "sphere", "capsule", "cylinder", "ellipsoid"."""
+        polytope = "box" if self.size.any() else "convex"
+        return ("halfspace", polytope, "sphere", "capsule", "cylinder", "ellipsoid")[self.kind]
+
     def inertia(self, mass: float) -> Array:
         """Inertia of the homogeneous solid about its centre of mass, shape axes, shape (3, 3), in kg m².
 
@@ -110,15 +119,12 @@ class Shape:
     def describe(self) -> dict[str, Any]:
         """Name and dimensions as JSON values: ``shape``, ``size``, and for a polytope ``vertices`` and ``faces``.
 
-        A half-space has ``offset`` too; ``shape`` is "halfspace", "box", "convex", "sphere", "capsule", "cylinder"
-        or "ellipsoid". ``size`` is as in the attribute of that name.
+        A half-space has ``offset`` too; ``shape`` is `name`, ``size`` as in the attribute of that name.
         """
-        name = ("halfspace", "convex", "sphere", "capsule", "cylinder", "ellipsoid")[self.kind]
-        out: dict[str, Any] = {"shape": name, "size": self.size.tolist()}
+        out: dict[str, Any] = {"shape": self.name, "size": self.size.tolist()}
         if self.kind == HALFSPACE:
             out["offset"] = self.offset
         if self.kind == POLYTOPE:
-            out["shape"] = "box" if self.size.any() else "convex"
             out["vertices"] = self.vertices.tolist()
             out["faces"] = [loop.tolist() for loop in np.split(self.face_loop, self.face_ptr[1:-1])]
         return out

@@ -188,6 +188,9 @@ class Stepper:
         energies = d.energies(instant.position, instant.v, instant.energies)
         self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies)
 
+    def __repr__(self) -> str:
+        return f"<Stepper of {self.scene.name!r} at t = {self.t:.6g} s, dt = {self.dt:g} s>"
+
     # -- state -------------------------------------------------------------------------------------------------
 
     @property

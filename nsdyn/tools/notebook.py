@@ -1,0 +1,37 @@
+"""Small tables for notebooks, which show what an object's `_repr_html_` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+__all__ = ["ROWS", "figures", "table"]
+
+ROWS = 20
+"""Most rows of a table: who wants more asks the object."""
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table of texts and numbers under a title; numbers to four digits, at most `ROWS` rows."""
+    cut = [[f"... {len(rows) - ROWS} more", *[""] * (len(head) - 1)]] if len(rows) > ROWS else []
+    body = "".join(_row("td", row) for row in [*rows[:ROWS], *cut])
+    return f"<table><caption>{escape(title)}</caption><thead>{_row('th', head)}</thead><tbody>{body}</tbody></table>"
+
+
+def figures(title: str, pairs: Iterable[tuple[str, object]]) -> str:
+    """A table of names and values."""
+    return (
+        f"<table><caption>{escape(title)}</caption><tbody>{''.join(_row('td', pair) for pair in pairs)}</tbody></table>"
+    )
+
+
+def _row(tag: str, cells: Iterable[object]) -> str:
+    return f"<tr>{''.join(f'<{tag}>{escape(_text(cell))}</{tag}>' for cell in cells)}</tr>"
+
+
+def _text(cell: object) -> str:
+    if isinstance(cell, float):
+        return f"{cell + 0.0:.4g}"  # no -0
+    if isinstance(cell, (tuple, list)):
+        return "(" + ", ".join(_text(part) for part in cell) + ")"
+    return str(cell)
