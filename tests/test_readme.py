@@ -1,6 +1,7 @@
 """The Python of all pages runs as it stands, their `nsdyn` commands work; `.ci/run` runs the two install commands."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -175,9 +176,17 @@ def test_install_commands_are_those_of_ci():
     assert sum("python -m pytest" in line for line in lines) == 1
 
 
-def test_every_dependency_has_its_reason():
-    import tomllib
+def test_the_citation_is_of_this_version():
+    lines = (ROOT / "CITATION.cff").read_text().splitlines()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert f"version: {nd.__version__}" in lines and f"license: {project['license']}" in lines
+    assert [f"  - name: {author['name']}" for author in project["authors"]] == [
+        line for line in lines if line.startswith("  - name:")
+    ]
+    assert [f"  - {keyword}" for keyword in project["keywords"]] == lines[lines.index("keywords:") + 1 :]
 
+
+def test_every_dependency_has_its_reason():
     text = (ROOT / "README.md").read_text()
     for requirement in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]:
         assert f"`{re.split('[<>=]', requirement)[0]}`" in text, requirement
