@@ -39,6 +39,15 @@ class Trajectory:
         What `Scene.describe` returned: enough to draw it.
     columns : dict of str to ndarray
         The datasets by their name in the file, see `nsdyn.recording.file`.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> run = nd.simulate(nd.scenes.load("slide")(), 0.1, dt=0.01)
+    >>> run
+    <Trajectory of 'slide': 10 steps of 0.01 s, 1 moving bodies>
+    >>> run.body("box").position.shape, run.contacts(-1).status_names
+    ((11, 3), ['slip', 'slip', 'slip', 'slip'])
     """
 
     meta: dict[str, Any]

@@ -33,6 +33,17 @@ class Material:
         Coulomb's coefficient of friction, ≥ 0.
     restitution : float
         Newton's coefficient e in [0, 1]; u_N⁺ = -e u_N⁻ at an impact.
+
+    Raises
+    ------
+    ValueError
+        For numbers out of these ranges.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> nd.Material(mu=0.3, restitution=0.8)
+    Material(mu=0.3, restitution=0.8)
     """
 
     mu: float = 0.5

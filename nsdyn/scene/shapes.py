@@ -3,15 +3,19 @@
 A `Shape` carries what the three users need: Coal its geometry object, the contact kernels the exact features
 (vertices, faces, sizes), the dynamics the mass properties. Lengths in m, volumes in m³.
 
-To add one that is a polytope, return what `convex` makes of its corners. To add a curved one:
+To add one that is a polytope, return what `convex` makes of its corners. To add a curved one (what each file does of it
+is in `demos/guide/extending.md`):
 
-1. a kind here and in `nsdyn._kernels.collision.geometry`, and a function that returns its `Shape`;
-2. what is outermost along a direction, and how it curves there, in `nsdyn._kernels.collision.support`; its faces and
-   straight edges, if it has any, in `faces` and `segments` beside it;
-3. ``add_...`` in `nsdyn.scene.scene`, the core that Coal sees in `nsdyn.collision.distances`, what is drawn in
-   `nsdyn.recording.viewer`;
-4. its distance from others, found another way, in `nsdyn.recording.overlap`, which vouches for it;
-5. its name in the lists of `tests/test_shapes.py`, `tests/test_manifold.py` and `tests/test_overlap.py`.
+1. a kind here and in `nsdyn._kernels.collision.geometry`, a function that returns its `Shape`, and ``add_...`` in
+   `nsdyn.scene.scene`;
+2. in `nsdyn._kernels.collision` its bounding box (`broadphase`), the outermost point along a direction and the curvature
+   there (`support`), its faces, straight edges and rims if it has any (`faces`, `segments`, `clipping`), and how contacts
+   with others are found (`manifold`);
+3. the core that Coal sees in `nsdyn.collision.distances`, whether it is round in `nsdyn.collision.detector`;
+4. what is drawn in `nsdyn.recording.solids` and its radius in `stage`, and its distance from others, found another way, in
+   `nsdyn.recording.overlap` and `touching`, which vouch for it;
+5. an example in `nsdyn.compilation`; its name in the lists of `tests/test_shapes.py`, `tests/test_manifold.py` and
+   `tests/test_overlap.py`.
 """
 
 from __future__ import annotations

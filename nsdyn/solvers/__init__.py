@@ -9,7 +9,7 @@ To add one:
 3. its name in `SOLVERS`, and the class in ``__all__``;
 4. `tests/test_solvers.py` and `tests/test_reference_solvers.py` run all of `SOLVERS`; what the method cannot solve is
    named there;
-5. a line in the README, and ``nsdyn profile DIR --solver NAME --solver auto`` to see where it stands.
+5. a line in `demos/guide/solvers.md`, and ``nsdyn profile DIR --solver NAME --solver auto`` to see where it stands.
 """
 
 from __future__ import annotations
