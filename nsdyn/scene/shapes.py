@@ -3,17 +3,17 @@
 A `Shape` carries what the three users need: Coal its geometry object, the contact kernels the exact features
 (vertices, faces, sizes), the dynamics the mass properties. Lengths in m, volumes in m³.
 
-To add one that is a polytope, return what `convex` makes of its corners. To add a curved one (what each file does of it
-is in `demos/guide/extending.md`):
+To add one that is a polytope, return what `convex` makes of its corners. To add a curved one
+(`demos/guide/extending.md` has a table of what each file does):
 
 1. a kind here and in `nsdyn._kernels.collision.geometry`, a function that returns its `Shape`, and ``add_...`` in
    `nsdyn.scene.scene`;
-2. in `nsdyn._kernels.collision` its bounding box (`broadphase`), the outermost point along a direction and the curvature
-   there (`support`), its faces, straight edges and rims if it has any (`faces`, `segments`, `clipping`), and how contacts
-   with others are found (`manifold`);
+2. in `nsdyn._kernels.collision` its bounding box (`broadphase`), the outermost point along a direction and the
+   curvature there (`support`), its faces, straight edges and rims if it has any (`faces`, `segments`, `clipping`), and how
+   contacts with others are found (`manifold`);
 3. the core that Coal sees in `nsdyn.collision.distances`, whether it is round in `nsdyn.collision.detector`;
-4. what is drawn in `nsdyn.recording.solids` and its radius in `stage`, and its distance from others, found another way, in
-   `nsdyn.recording.overlap` and `touching`, which vouch for it;
+4. what is drawn in `nsdyn.recording.solids` and its radius in `stage`, and its distance from others, found another way,
+   in `nsdyn.recording.overlap` and `touching`, which vouch for it;
 5. an example in `nsdyn.compilation`; its name in the lists of `tests/test_shapes.py`, `tests/test_manifold.py` and
    `tests/test_overlap.py`.
 """
