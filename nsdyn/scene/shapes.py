@@ -9,8 +9,8 @@ To add one that is a polytope, return what `convex` makes of its corners. To add
 1. a kind here and in `nsdyn._kernels.collision.geometry`, a function that returns its `Shape`, and ``add_...`` in
    `nsdyn.scene.scene`;
 2. in `nsdyn._kernels.collision` its bounding box (`broadphase`), the outermost point along a direction and the
-   curvature there (`support`), its faces, straight edges and rims if it has any (`faces`, `segments`, `clipping`), and how
-   contacts with others are found (`manifold`);
+   curvature there (`support`), its faces, straight edges and rims if it has any (`faces`, `segments`, `clipping`), and
+   how contacts with others are found (`manifold`);
 3. the core that Coal sees in `nsdyn.collision.distances`, whether it is round in `nsdyn.collision.detector`;
 4. what is drawn in `nsdyn.recording.solids` and its radius in `stage`, and its distance from others, found another way,
    in `nsdyn.recording.overlap` and `touching`, which vouch for it;
