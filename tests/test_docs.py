@@ -5,7 +5,10 @@ import doctest
 import importlib
 import inspect
 import re
+import subprocess
+import sys
 from functools import cached_property
+from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -69,6 +72,18 @@ def named(text):
     body = re.split(r"^(?:Parameters|Attributes)\n-+$", inspect.cleandoc(text), flags=re.MULTILINE)[1:]
     lines = [line for part in body for line in part.splitlines() if line and not line.startswith(" ")]
     return {name.strip(" *`") for line in lines for name in line.partition(":")[0].split(",")}
+
+
+@pytest.mark.slow
+def test_the_reference_has_every_public_name(tmp_path):
+    pytest.importorskip("pdoc", reason="pdoc is not installed (extra `docs`)")
+    script = Path(__file__).resolve().parent.parent / "demos" / "reference.py"
+    done = subprocess.run([sys.executable, script, tmp_path], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    anchors = set(re.findall(r'id="([^"]+)"', "".join(page.read_text() for page in tmp_path.rglob("*.html"))))
+    for name, value in documented():
+        plain = name.partition(".")[2] if name.split(".")[0] in nd._MODULES else name
+        assert isinstance(value, ModuleType) or plain in anchors, name
 
 
 @pytest.mark.parametrize(("name", "value"), documented(), ids=lambda v: v if isinstance(v, str) else "")
