@@ -131,6 +131,22 @@ def test_coming_from_other_engines(folder):
     assert {"my.py", "my.h5", "my.html", "my.png", "contacts.csv"} <= {p.name for p in folder.iterdir()}
 
 
+def test_names_of_the_notation_page_are_in_the_code():
+    from nsdyn.dynamics.dynamics import Dynamics
+    from nsdyn.dynamics.trees import Tree
+    from nsdyn.problem import cones, gauss
+    from nsdyn.recording import joints, series
+
+    text = (ROOT / "demos" / "guide" / "notation.md").read_text()
+    pairs = re.findall(r"`(\w+)\.(\w+)`", text)
+    assert len(pairs) > 40
+    places = [nd, nd.solvers, nd.impacts, series, joints, gauss]
+    owners = {"Dynamics": Dynamics, "Tree": Tree, "cones": cones, "FC3D": nd.FC3D(np.eye(3), np.ones(3), [0.5])}
+    for owner, name in pairs:
+        what = owners.get(owner) or next(getattr(place, owner) for place in places if hasattr(place, owner))
+        assert hasattr(what, name) or name in getattr(what, "__annotations__", {}), f"{owner}.{name}"
+
+
 @pytest.mark.parametrize("page", GUIDE)
 def test_every_page_with_code_has_a_test(page):
     if any(language in ("python", "bash") for language, _ in blocks(page)):
