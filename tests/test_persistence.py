@@ -41,7 +41,8 @@ class Pair:
         other = kernels.couples(
             self.blocks, (zero, zero + 1, zero, zero + 1, self.normal), self.mean, self.R, np.linalg.inv(self.J),
             np.ones(2), h,
-            self.r, np.array([0.5]), (yes, yes & sticks, ~yes), couple, dv, np.empty(1, np.bool_),
+            self.r, np.array([0.5]), (yes, yes & sticks, ~yes), couple, dv, np.full(1, np.inf),
+            np.empty(1, np.bool_),
         )  # fmt: skip
         return couple[0], dv.reshape(2, 6), other
 

@@ -103,7 +103,8 @@ def unfinished(
     other = np.empty(c.gap.size, np.bool_)
     _persistence.couples(
         met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
-        met.mu, (met.stays, met.sticks, slides), np.zeros((gap.size, 3)), np.empty(d.n), other,
+        met.mu, (met.stays, met.sticks, slides), np.zeros((gap.size, 3)), np.empty(d.n),
+        np.full(gap.size, np.inf), other,
     )  # fmt: skip
     out |= other
     out &= went[c.frame1] | went[c.frame2]
@@ -132,6 +133,7 @@ def solve_workless(
     d, c, full = s.dynamics, met.contacts, met.rows.full.arrays
     pairs, where = (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), (R, d.inverse_J, s.arm, h)
     flags, gaps = (met.stays, met.sticks, slides), (met.end_gap, met.restitution, met.rebound, met.late)
+    left = np.full(nc, np.inf)
     for _ in range(PASSES):
         if not solution.accepted:
             break
@@ -152,6 +154,7 @@ def solve_workless(
             dv,
             local,
             b,
+            left,
             other,
         ):
             break
