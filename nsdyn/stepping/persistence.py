@@ -97,17 +97,19 @@ def unfinished(
     if ended is begun or not met.stays.any():
         return None
     d, c = s.dynamics, met.contacts
-    went = np.append((begun.x != ended.x).any(axis=1) | (begun.R != ended.R).any(axis=(1, 2)), False)
     gap = s.detector.gaps(c, moved, Poses(ended.x, ended.R))
     out = met.off(gap, r, s.near(c), s.closed)
-    other = np.empty(c.gap.size, np.bool_)
-    _persistence.couples(
-        met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
-        met.mu, (met.stays, met.sticks, slides), np.zeros((gap.size, 3)), np.empty(d.n),
-        np.full(gap.size, np.inf), other,
-    )  # fmt: skip
-    out |= other
-    out &= went[c.frame1] | went[c.frame2]
+    if d.free:
+        other = np.empty(c.gap.size, np.bool_)
+        _persistence.couples(
+            met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
+            met.mu, (met.stays, met.sticks, slides), np.zeros((gap.size, 3)), np.empty(d.n),
+            np.full(gap.size, np.inf), other,
+        )  # fmt: skip
+        out |= other
+    if out.any():
+        went = np.append((begun.x != ended.x).any(axis=1) | (begun.R != ended.R).any(axis=(1, 2)), False)
+        out &= went[c.frame1] | went[c.frame2]
     return out if out.any() else None
 
 
