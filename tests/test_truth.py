@@ -37,7 +37,9 @@ def check(name, cases):
         pytest.xfail(f"above the bar: {missed}")
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == "random_scenes" else []) for name in QUICK]
+)
 def test_bar(name):
     check(name, truth.BARS[name].quick)
 
