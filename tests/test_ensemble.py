@@ -44,7 +44,7 @@ def test_members_are_the_product_in_order(serial):
 @pytest.mark.parametrize("kind", ["threads", "processes"])
 def test_same_bits_from_every_executor(serial, kind):
     """A function of a named scene goes to other processes by its name; what `keep` makes of a run comes back."""
-    pool = ThreadPoolExecutor(4) if kind == "threads" else ProcessPoolExecutor(2, get_context("spawn"))
+    pool = ThreadPoolExecutor(4) if kind == "threads" else ProcessPoolExecutor(1, get_context("spawn"))
     with pool:
         found = nd.sweep(nd.scenes.load("wall"), VALUES, executor=pool, keep=end, **OPTIONS)
     for one, other in zip(serial, found, strict=True):
