@@ -41,6 +41,7 @@ def test_python(tmp_path, monkeypatch):
     assert (tmp_path / "slide.h5").exists() and (tmp_path / "slide.html").exists()
 
 
+@pytest.mark.slow  # every one of them, the sweeps and the bench among them
 def test_commands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     ours = commands("README.md")
