@@ -153,3 +153,13 @@ def test_poses_in_one_call():
 def test_unknown_shape():
     with pytest.raises(ValueError, match=r"Shape\.describe names, got 'torus'"):
         overlap({"shape": "torus", "size": [1, 1, 1]}, np.eye(4), SHAPES["box"].describe(), np.eye(4))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("other", ["sphere", "capsule", "cylinder", "ellipsoid"])
+@pytest.mark.parametrize("shape", ["sphere", "capsule", "cylinder", "ellipsoid"])
+def test_shapes_about_one_centre_overlap_by_their_least_widths(shape, other):
+    """All are 0.1 m about the axis that is the shortest of each: no line of centres says where to."""
+    size, pose = (0.1, 0.2, 0.3), np.eye(4)
+    depth = overlap({"shape": shape, "size": size}, pose, {"shape": other, "size": size}, pose)
+    assert depth == pytest.approx(0.2, rel=1e-9)
