@@ -30,31 +30,35 @@ def _opening(o, i, mu):
 
 
 @in_place
-def _step_along(u, o, mu, speed):
-    """A λ ≥ 0 with û + λ o in K* at every contact; inf if there is none among the two tried.
+def _step_along(u, s, margin, o, mu, speed):
+    """A λ ≥ 0 with û + λ o in K* at every contact, û = u + s e_N; inf if there is none among the two tried.
 
-    That is the least with u_N + λ κ ≥ 0, which suffices, or else `speed`.
+    That is the least with margin + λ κ ≥ 0, which suffices where û is in margin e_N + K*, or else `speed`.
     """
     least = 0.0
     for c in range(mu.size):
-        i = 3 * c
-        if u[i] < 0.0:
-            kappa = _opening(o, i, mu[c])
-            least = max(least, -u[i] / kappa) if kappa > 0.0 else np.inf
+        if margin[c] < 0.0:
+            kappa = _opening(o, 3 * c, mu[c])
+            least = max(least, -margin[c] / kappa) if kappa > 0.0 else np.inf
     for c in range(mu.size):
-        i = 3 * c
-        # The contact that decides has u_N + λ κ = 0 up to round-off.
-        if least < np.inf and u[i] >= 0.0 and not u[i] + least * _opening(o, i, mu[c]) >= 0.0:
+        # The contact that decides has margin + λ κ = 0 up to round-off.
+        if least < np.inf and margin[c] >= 0.0 and not margin[c] + least * _opening(o, 3 * c, mu[c]) >= 0.0:
             least = np.inf
     if least < np.inf:
         return least
     for c in range(mu.size):
         i = 3 * c
-        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
         x, y = u[i + 1] + speed * o[i + 1], u[i + 2] + speed * o[i + 2]
-        if not u[i] + s + speed * o[i] >= mu[c] * math.sqrt(x * x + y * y):
+        if not u[i] + s[c] + speed * o[i] >= mu[c] * math.sqrt(x * x + y * y):
             return np.inf
     return speed
+
+
+@in_place
+def frozen_shift(u, mu, out):
+    """s = μ|u_T|, into out (nc,)."""
+    for c in range(mu.size):
+        out[c] = mu[c] * math.sqrt(u[3 * c + 1] * u[3 * c + 1] + u[3 * c + 2] * u[3 * c + 2])
 
 
 @kernel
@@ -66,18 +70,27 @@ def certificate(u, r, o, mu):
     gap, shift = duality_gap(u, r, mu)
     if shift == 0.0:
         return gap, shift, 0.0, 0.0, gap
+    s, margin = np.empty(mu.size), np.empty(mu.size)
+    frozen_shift(u, mu, s)
     speed = ROUNDING * np.abs(u).max()
     for c in range(mu.size):
-        speed = max(speed, -u[3 * c])
-    step, total = _step_along(u, o, mu, speed), 0.0
+        margin[c] = u[3 * c]
+        speed = max(speed, -margin[c])
+    step, total = frozen(u, s, margin, r, o, mu, speed)
+    return gap, shift, speed, step, total
+
+
+@in_place
+def frozen(u, s, margin, r, o, mu, speed):
+    """(λ, Σ r·(û + λ o)) of `_step_along`."""
+    step, total = _step_along(u, s, margin, o, mu, speed), 0.0
     if step < np.inf:
         for c in range(mu.size):
             i = 3 * c
-            s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
-            own = r[i] * (u[i] + s + step * o[i])
+            own = r[i] * (u[i] + s[c] + step * o[i])
             own += r[i + 1] * (u[i + 1] + step * o[i + 1]) + r[i + 2] * (u[i + 2] + step * o[i + 2])
             total += max(own, 0.0)  # less is round-off
-    return gap, shift, speed, step, total
+    return step, total
 
 
 @kernel
@@ -114,28 +127,27 @@ def certificate_along(blocks, u, r, mu, d):
 
 
 @in_place
-def pull(o, b, rho, mu, A, g):
-    """Newton's step on ½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ: d = (M + Σ H_c A_c H_cᵀ)⁻¹ H g, into A and g."""
-    for c in range(mu.size):
-        i = 3 * c
-        z0, z1, z2 = rho[c] * (b[i] - o[i]), rho[c] * (b[i + 1] - o[i + 1]), rho[c] * (b[i + 2] - o[i + 2])
-        B = A[c]
-        projection_jacobian(z0, z1, z2, mu[c], B)
-        B *= rho[c]
-        g[i], g[i + 1], g[i + 2] = project(z0, z1, z2, mu[c])
-        for j in range(3):
-            g[i + j] += B[j, 0] * o[i] + B[j, 1] * o[i + 1] + B[j, 2] * o[i + 2]
-
-
-@in_place
-def merit(square, o, b, rho, mu):
-    """½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ, which `pull` descends, from ‖d‖²_M and o = Hᵀ d."""
+def merit(square, o, b, x, rho, mu, P):
+    """½‖d‖²_M + Σ ‖P_K(x + ρ (b - o))‖² / 2ρ, from ‖d‖²_M and o = Hᵀ d; the projections into P (3 nc,)."""
     total = square
     for c in range(mu.size):
         i, k = 3 * c, rho[c]
-        x, y, z = project(k * (b[i] - o[i]), k * (b[i + 1] - o[i + 1]), k * (b[i + 2] - o[i + 2]), mu[c])
-        total += (x * x + y * y + z * z) / k
+        z0, z1, z2 = x[i] + k * (b[i] - o[i]), x[i + 1] + k * (b[i + 1] - o[i + 1]), x[i + 2] + k * (b[i + 2] - o[i + 2])
+        p0, p1, p2 = project(z0, z1, z2, mu[c])
+        P[i], P[i + 1], P[i + 2] = p0, p1, p2
+        total += (p0 * p0 + p1 * p1 + p2 * p2) / k
     return 0.5 * total
+
+
+@in_place
+def curvature(o, b, x, rho, mu, A):
+    """ρ ∂P_K at x + ρ (b - o), so that M + Σ H_c A_c H_cᵀ is the second derivative of `merit`, into A (nc, 3, 3)."""
+    for c in range(mu.size):
+        i, k = 3 * c, rho[c]
+        z0, z1, z2 = x[i] + k * (b[i] - o[i]), x[i + 1] + k * (b[i + 1] - o[i + 1]), x[i + 2] + k * (b[i + 2] - o[i + 2])
+        B = A[c]
+        projection_jacobian(z0, z1, z2, mu[c], B)
+        B *= k
 
 
 @kernel
