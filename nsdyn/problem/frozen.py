@@ -60,8 +60,12 @@ class Least:
         self._product, self._solve = _response(problem)
         self._mu, self._scales, self._b = problem.mu, problem.scales, b
         self._A = np.empty((problem.nc, 3, 3))
-        self.d, self.o, self.square = d, *self._along(d)
+        self.restart(d)
         self.estimate = np.empty_like(b)
+
+    def restart(self, d: Array) -> None:
+        """Go on from the velocity change of another impulse."""
+        self.d, self.o, self.square = d, *self._along(d)
 
     def _along(self, d: Array) -> tuple[Array, float]:
         o = self._product(d)
@@ -70,7 +74,7 @@ class Least:
     def step(self, x: Array, penalty: float) -> tuple[float, float]:
         """A Newton step at an estimate x, with ρ = `penalty`/λ_max(W_cc).
 
-        Returns its fraction, 0 where it was not found, and its length in the kinetic norm, √J.
+        Returns its fraction, 0 where it was not found, and its defect ‖y - M⁻¹ H `estimate`‖_M, √J.
         """
         given = self._b, x, penalty / self._scales, self._mu
         last = _kernels.merit(self.square, self.o, *given, self.estimate)
@@ -79,7 +83,7 @@ class Least:
         try:
             moved = self._solve(self._A, g)
         except RuntimeError:  # singular up to round-off
-            return 0.0, 0.0
+            return 0.0, np.inf
         change, fraction = g - np.einsum("cij,cj->ci", self._A, moved.reshape(-1, 3)).ravel(), 1.0
         while True:
             d = self.d + fraction * change
@@ -88,7 +92,8 @@ class Least:
                 break
             fraction *= 0.5
         self.d, self.o, self.square = d, o, square
-        return fraction, fraction * float(np.sqrt(max(0.0, change @ moved)))
+        _, left = self._along(self.estimate - d)
+        return fraction, float(np.sqrt(max(0.0, left)))
 
 
 def _response(problem: FC3D) -> tuple[Callable[[Array], Array], Callable[[Array, Array], Array]]:

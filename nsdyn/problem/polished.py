@@ -29,10 +29,10 @@ from nsdyn.tools.arrays import Array
 
 __all__ = ["certify"]
 
-PENALTY, LARGEST = 1e3, 1e5
+PENALTY, LARGEST = 1e3, 1e6
 """Penalty times λ_max(W_cc) of the first multiplier step, and the largest: round-off grows with it."""
 
-ROUNDS, STEPS = 12, 40
+ROUNDS, STEPS = 30, 30
 """Most multiplier steps of a polished answer, and Newton steps of each."""
 
 EXACT, SLOW = 0.1, 0.3
@@ -80,23 +80,36 @@ def _polished(problem: FC3D, s: Array, r: Array, opening: gauss.Opening | None) 
     """Best answer r' found to the problem with the shift s (nc,) frozen, from r in K, and its bound, √J."""
     b = -problem.q
     b[0::3] -= s
-    least, x, penalty, last = Least(problem, b, r), r, PENALTY, math.inf
+    least, x, last = Least(problem, b, r), r, math.inf
+    penalty, largest = PENALTY, LARGEST
     best, bound = r, math.inf
     for _ in range(ROUNDS):
-        for _ in range(STEPS):
-            fraction, length = least.step(x, penalty)
-            step = (least.estimate - x).reshape(-1, 3)
-            size = math.sqrt(float(problem.scales @ (step * step).sum(axis=1)) / penalty)
-            if not fraction or (fraction == 1.0 and length <= EXACT * size):
-                break
-        x = least.estimate.copy()
-        found = _bound(problem, s, x, opening)
+        settled, size = _settled(problem, least, x, penalty)
+        found = _bound(problem, s, least.estimate, opening)
         if found < bound or bound == math.inf:
-            best, bound = x, found
-        if found <= SHARP * _distance(problem, r, x) or (found > 0.5 * bound and size <= ROUNDING) or not fraction:
+            best, bound = least.estimate.copy(), found
+        if found <= SHARP * _distance(problem, r, best) or size <= ROUNDING * math.sqrt(abs(least.square)):
             break
-        penalty, last = min(10.0 * penalty, LARGEST) if size > SLOW * last else penalty, size
+        if not settled:  # too much at once
+            least.restart(x)
+            penalty = largest = 0.1 * penalty
+            continue
+        x = least.estimate.copy()
+        if size > SLOW * last:
+            penalty = min(10.0 * penalty, largest)
+        last = size
     return best, bound
+
+
+def _settled(problem: FC3D, least: Least, x: Array, penalty: float) -> tuple[bool, float]:
+    """Newton steps at an estimate x: whether they settle, and the size of the multiplier step that follows, √J."""
+    for _ in range(STEPS):
+        fraction, defect = least.step(x, penalty)
+        step = (least.estimate - x).reshape(-1, 3)
+        size = math.sqrt(float(problem.scales @ (step * step).sum(axis=1)) / penalty)
+        if not fraction or defect <= max(EXACT * size, ROUNDING * math.sqrt(abs(least.square))):
+            return fraction > 0.0, size
+    return False, size
 
 
 def _bound(problem: FC3D, s: Array, r: Array, opening: gauss.Opening | None) -> float:
