@@ -149,7 +149,7 @@ def certify(
     """
     mu, impulse = problem.mu, np.empty(problem.q.size)
     b, d = problem.blocks, opening.d if opening else NOTHING
-    found = None if b is None or u is None else _kernels.certificate_of(b.arrays, u, r, mu, d, impulse)
+    found = None if b is None or u is None else _kernels.certificate_of(b.arrays, u, r, mu, problem.scales, d, impulse)
     if u is None or found is None or found[0]:
         if _kernels.into_cones(r, mu, impulse) or u is None:
             u = problem.velocity(impulse)
@@ -182,9 +182,9 @@ def _along_direction(problem: FC3D, u: Array, r: Array, d: Array) -> tuple[float
     """(gap, |δ|_2, max δ, λ, Σ r·(û + λ Hᵀ d), ‖d‖²_M) along `Opening.d`."""
     b = problem.blocks
     if b is not None:
-        return _kernels.certificate_along(b.arrays, u, r, problem.mu, d)  # type: ignore[no-any-return]
+        return _kernels.certificate_along(b.arrays, u, r, problem.mu, problem.scales, d)  # type: ignore[no-any-return]
     o, square = along(problem, d)
-    return *_kernels.certificate(u, r, o, problem.mu), square
+    return *_kernels.certificate(u, r, o, problem.mu, problem.scales), square
 
 
 def along(problem: FC3D, d: Array) -> tuple[Array, float]:

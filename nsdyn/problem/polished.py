@@ -38,11 +38,10 @@ ROUNDS, STEPS = 30, 30
 EXACT, SLOW = 0.1, 0.3
 """Fraction of a multiplier step up to which Newton's method is exact; of the last one, from which on steps are slow."""
 
+ROUND_OFF = _kernels.UNITS * ROUNDING
+
 SHARP = 0.05
 """Fraction of the distance from the polished answer which its own bound need not fall below."""
-
-UNITS = 4.0
-"""Round-off of a sum of products, in units of that of the largest: they are some twenty, and err at random."""
 
 
 def certify(
@@ -143,17 +142,17 @@ def _rounding(problem: FC3D, r: Array, s: Array) -> Array:
         np.add.at(total, block, push[:, None])
         total[-1] = 0.0
         near = total[block].sum(axis=1)
-    out: Array = UNITS * ROUNDING * (scale * near + np.abs(problem.q).reshape(-1, 3).max(axis=1) + s)
+    out: Array = ROUND_OFF * (scale * near + np.abs(problem.q).reshape(-1, 3).max(axis=1) + s)
     return out
 
 
 def _distance(problem: FC3D, r: Array, other: Array) -> float:
     """‖v(r) - v(r')‖_M with its round-off, √J."""
     change = r - other
-    size = UNITS * ROUNDING * float(np.sqrt(problem.scales) @ np.linalg.norm(change.reshape(-1, 3), axis=1))
+    size = ROUND_OFF * float(np.sqrt(problem.scales) @ np.linalg.norm(change.reshape(-1, 3), axis=1))
     if problem.blocks is not None:
         p = problem.blocks.momentum(change)
         return math.sqrt(max(0.0, float(p @ problem.blocks.velocity_change(change)))) + size
     # What cancels in W r leaves the root of its round-off.
     square = float(change @ (problem.velocity(change) - problem.q))
-    return math.sqrt(max(0.0, square) + size * size / (UNITS * ROUNDING))
+    return math.sqrt(max(0.0, square) + size * size / (ROUND_OFF))

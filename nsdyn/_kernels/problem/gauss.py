@@ -9,6 +9,9 @@ from nsdyn._kernels.problem import unit_mass
 from nsdyn._kernels.problem.blocks import block_product, relative_velocity
 from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
 
+UNITS = 4.0
+"""Round-off of a sum of products, in units of that of the largest: they are some twenty, and err at random."""
+
 
 @in_place
 def into_cones(r, mu, out):
@@ -61,15 +64,26 @@ def frozen_shift(u, mu, out):
         out[c] = mu[c] * math.sqrt(u[3 * c + 1] * u[3 * c + 1] + u[3 * c + 2] * u[3 * c + 2])
 
 
+@in_place
+def _round_off(r, scales):
+    """Round-off of the velocity M⁻¹ H r in the kinetic norm: ‖M⁻¹ H_c r_c‖_M ≤ √λ_max(W_cc) |r_c|, √J."""
+    total = 0.0
+    for c in range(scales.size):
+        i = 3 * c
+        total += math.sqrt(scales[c] * (r[i] * r[i] + r[i + 1] * r[i + 1] + r[i + 2] * r[i + 2]))
+    return UNITS * ROUNDING * total
+
+
 @kernel
-def certificate(u, r, o, mu):
+def certificate(u, r, o, mu, scales):
     """(gap, |δ|_2, max δ, λ, Σ r·(û + λ o)) of an impulse in K, with o = Hᵀ d; every term of the sum is ≥ 0.
 
-    A max δ below the round-off of u counts as that.
+    A max δ below the round-off of u counts as that, and to the sum the square of that of the velocity is added.
     """
     gap, shift = duality_gap(u, r, mu)
+    least = _round_off(r, scales) ** 2
     if shift == 0.0:
-        return gap, shift, 0.0, 0.0, gap
+        return gap, shift, 0.0, 0.0, gap + least
     s, margin = np.empty(mu.size), np.empty(mu.size)
     frozen_shift(u, mu, s)
     speed = ROUNDING * np.abs(u).max()
@@ -77,7 +91,7 @@ def certificate(u, r, o, mu):
         margin[c] = u[3 * c]
         speed = max(speed, -margin[c])
     step, total = frozen(u, s, margin, r, o, mu, speed)
-    return gap, shift, speed, step, total
+    return gap, shift, speed, step, total + least
 
 
 @in_place
@@ -107,22 +121,22 @@ def along_blocks(blocks, d, o):
 
 
 @in_place
-def certificate_of(blocks, u, r, mu, d, out):
+def certificate_of(blocks, u, r, mu, scales, d, out):
     """`into_cones`, and the certificate of `certificate_along` if r is in K."""
     if into_cones(r, mu, out):
         return True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    gap, shift, speed, step, total, square = certificate_along(blocks, u, out, mu, d)
+    gap, shift, speed, step, total, square = certificate_along(blocks, u, out, mu, scales, d)
     return False, gap, shift, speed, step, total, square
 
 
 @kernel
-def certificate_along(blocks, u, r, mu, d):
+def certificate_along(blocks, u, r, mu, scales, d):
     """`certificate` with o = Hᵀ d, and ‖d‖²_M; a d of other coordinates opens nothing."""
     offset = blocks[0]
     o, square = np.zeros(u.size), 0.0
     if d.size == offset[-1]:
         square = along_blocks(blocks, d, o)
-    gap, shift, speed, step, total = certificate(u, r, o, mu)
+    gap, shift, speed, step, total = certificate(u, r, o, mu, scales)
     return gap, shift, speed, step, total, square
 
 
