@@ -19,6 +19,10 @@ def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
     """Options of a simulation: its time, its step, and those of `add_solver`."""
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
+    parser.add_argument(
+        "--polish", action="store_true",
+        help="certify every step through polished answers: bounds of the order of the error, for about another solve",
+    )  # fmt: skip
     add_solver(parser, *on_fail)
 
 
@@ -96,6 +100,7 @@ def chosen_steps(arguments: argparse.Namespace) -> dict[str, Any]:
         "dt": seconds(arguments.scene, "DT") if arguments.dt is None else arguments.dt,
         "theta": arguments.theta,
         "on_fail": arguments.on_fail,
+        "polish": arguments.polish,
     }
 
 

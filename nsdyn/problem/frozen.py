@@ -2,8 +2,8 @@
 
     min ½‖y‖²_M  under  Hᵀ y ∈ b + K*,        whose dual is   K* ∋ W x - b ⟂ x ∈ K,  y = M⁻¹ H x.
 
-With b = -(q + s e_N) that is the frozen problem of Gauss's principle: convex, unlike Coulomb's, so that it is solved from
-any start. For an estimate x of the impulse and ρ > 0 per contact Newton's method minimises
+With b = -(q + s e_N) that is the frozen problem of Gauss's principle: convex, unlike Coulomb's, so that it is solved
+from any start. For an estimate x of the impulse and ρ > 0 per contact Newton's method minimises
 
     ½‖y‖²_M + Σ ‖P_K(x + ρ (b - Hᵀ y))‖² / 2ρ,   y = M⁻¹ H d,
 

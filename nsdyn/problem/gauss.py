@@ -20,8 +20,8 @@ depends on the contacts alone. It is found once and used as long as it serves, w
 bodies are wedged there is none, and each û is brought into K* by projections of its own.
 
 Where r is right up to η and contacts carry impulses, the bound is of the order of √η: of an answer to 1e-13 m/s it
-says 1e-7 √J. Where the frozen problem has no velocity inside all cones it has no bound, for then the least error of u
-may leave it without any velocity at all.
+says 1e-7 √J. `nsdyn.problem.polished` has one of the order of η, which costs a solve. Where the frozen problem has no
+velocity inside all cones it has no bound, for then the least error of u may leave it without any velocity at all.
 """
 
 from __future__ import annotations
@@ -87,6 +87,9 @@ class Certificate(NamedTuple):
         Coulomb's problem, which need not be unique, nor the error of time stepping; round-off in u is not counted.
         Infinite where some u_N < 0 and no velocity with û inside K* is found (two walls that close on a body, a roller
         that friction grips in a nip), or where the impulse is not finite.
+    coulomb : float
+        Defect in Coulomb's law, √J: how far v* moves when the shifts s are updated once more, to those of v*. It is no
+        bound. NaN where it was not asked for (`nsdyn.problem.polished`).
     """
 
     gap: float
@@ -219,7 +222,7 @@ def of_all(problem: FC3D) -> Array:
 
 
 def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
-    """`Opening.d` with û + λ Hᵀ d in K* at λ = `speed`, the most by which û (3 nc,) misses it; empty if none is found."""
+    """`Opening.d` with û + λ Hᵀ d in K* at λ = `speed`, by which û (3 nc,) misses it at most; empty if none."""
     unit = max(speed, RESOLVED * float(np.abs(hat).max()))
     inside = -hat / unit
     if problem.blocks is not None:

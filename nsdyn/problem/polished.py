@@ -27,20 +27,23 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
 from nsdyn.tools.arrays import Array
 
-__all__ = ["certify"]
+__all__ = ["certify", "polished"]
 
-PENALTY, LARGEST = 1e3, 1e6
-"""Penalty times λ_max(W_cc) of the first multiplier step, and the largest: round-off grows with it."""
+PENALTY, LARGEST, LEAST = 1e3, 1e9, 50.0
+"""Penalty times λ_max(W_cc) of the first multiplier step, the largest and the least. Where contacts are redundant,
+which of them carry may change all impulses for a velocity that hardly does: the penalty grows by tens until they do, as
+long as Newton's method follows. Round-off grows with it, so that it falls again once they are found."""
 
 ROUNDS, STEPS = 30, 30
 """Most multiplier steps of a polished answer, and Newton steps of each."""
 
-EXACT, SLOW = 0.1, 0.3
-"""Fraction of a multiplier step up to which Newton's method is exact; of the last one, from which on steps are slow."""
+EXACT, NEAR = 0.1, 0.1
+"""Fraction of a multiplier step up to which Newton's method is exact, and of the last one, up to which the contacts
+that carry are found."""
 
 ROUND_OFF = _kernels.UNITS * ROUNDING
 
-SHARP = 0.05
+SHARP = 0.01
 """Fraction of the distance from the polished answer which its own bound need not fall below."""
 
 
@@ -58,14 +61,16 @@ def certify(
     impulse = np.empty_like(problem.q)
     if _kernels.into_cones(r, problem.mu, impulse) or u is None:
         u = problem.velocity(impulse)
-    if opening is None or not (opening.d.size or opening.wedged):
-        d = gauss.of_all(problem)
-        opening = gauss.Opening(d, problem.nc, 0.0, 0 if d.size else problem.nc)
-    s = _shift(problem, u)
-    first, bound = _polished(problem, s, impulse, opening)
+    d = opening.d if opening is not None and (opening.d.size or opening.wedged) else gauss.of_all(problem)
+    first, bound = _polished(problem, _shift(problem, u), impulse, d)
     bound = min(certificate.bound, _distance(problem, impulse, first) + bound)
-    second, _ = _polished(problem, _shift(problem, problem.velocity(first)), first, opening)
+    second, _ = _polished(problem, _shift(problem, problem.velocity(first)), first, d)
     return certificate._replace(bound=bound, coulomb=_distance(problem, first, second)), opening
+
+
+def polished(problem: FC3D, r: Array) -> Array:
+    """The best answer that is found to the problem with the shift of r (3 nc,) in K frozen."""
+    return _polished(problem, _shift(problem, problem.velocity(r)), r, gauss.of_all(problem))[0]
 
 
 def _shift(problem: FC3D, u: Array) -> Array:
@@ -75,47 +80,47 @@ def _shift(problem: FC3D, u: Array) -> Array:
     return s
 
 
-def _polished(problem: FC3D, s: Array, r: Array, opening: gauss.Opening | None) -> tuple[Array, float]:
-    """Best answer r' found to the problem with the shift s (nc,) frozen, from r in K, and its bound, √J."""
+def _polished(problem: FC3D, s: Array, r: Array, d: Array) -> tuple[Array, float]:
+    """Best answer r' found to the problem with the shift s (nc,) frozen, from r in K, and its bound, √J.
+
+    A direction d, an `Opening.d`, may open the contacts.
+    """
     b = -problem.q
     b[0::3] -= s
-    least, x, last = Least(problem, b, r), r, math.inf
-    penalty, largest = PENALTY, LARGEST
-    best, bound = r, math.inf
+    least, x, best, bound = Least(problem, b, r), r, r, math.inf
+    penalty, largest, last = PENALTY, LARGEST, 0.0
     for _ in range(ROUNDS):
         settled, size = _settled(problem, least, x, penalty)
-        found = _bound(problem, s, least.estimate, opening)
+        found = _bound(problem, s, least.estimate, d)
         if found < bound or bound == math.inf:
             best, bound = least.estimate.copy(), found
-        if found <= SHARP * _distance(problem, r, best) or size <= ROUNDING * math.sqrt(abs(least.square)):
+        if found <= SHARP * _distance(problem, r, best) or penalty < LEAST:
             break
         if not settled:  # too much at once
             least.restart(x)
             penalty = largest = 0.1 * penalty
             continue
         x = least.estimate.copy()
-        if size > SLOW * last:
-            penalty = min(10.0 * penalty, largest)
-        last = size
+        penalty, last = 0.1 * penalty if size <= NEAR * last else min(10.0 * penalty, largest), size
     return best, bound
 
 
 def _settled(problem: FC3D, least: Least, x: Array, penalty: float) -> tuple[bool, float]:
-    """Newton steps at an estimate x: whether they settle, and the size of the multiplier step that follows, √J."""
+    """Newton steps at an estimate x: whether they settle, and the size √λ_max(W_cc) |Δr| of the step that follows."""
     for _ in range(STEPS):
         fraction, defect = least.step(x, penalty)
         step = (least.estimate - x).reshape(-1, 3)
-        size = math.sqrt(float(problem.scales @ (step * step).sum(axis=1)) / penalty)
-        if not fraction or defect <= max(EXACT * size, ROUNDING * math.sqrt(abs(least.square))):
+        size = math.sqrt(float(problem.scales @ (step * step).sum(axis=1)))
+        if not fraction or defect <= max(EXACT * size / math.sqrt(penalty), ROUNDING * math.sqrt(abs(least.square))):
             return fraction > 0.0, size
     return False, size
 
 
-def _bound(problem: FC3D, s: Array, r: Array, opening: gauss.Opening | None) -> float:
+def _bound(problem: FC3D, s: Array, r: Array, d: Array) -> float:
     """Bound of an impulse r in K to the problem with the shift s (nc,) frozen, round-off counted, √J."""
     mu, u, error = problem.mu, problem.velocity(r), _rounding(problem, r, s)
     margin = u[0::3] + s - mu * np.hypot(u[1::3], u[2::3]) - (1.0 + mu) * error
-    speed, d, step = max(0.0, -float(margin.min(initial=0.0))), np.empty(0) if opening is None else opening.d, math.inf
+    speed = max(0.0, -float(margin.min(initial=0.0)))
     for own in (False, True):
         if own:
             hat = u.copy()
@@ -125,7 +130,8 @@ def _bound(problem: FC3D, s: Array, r: Array, opening: gauss.Opening | None) -> 
         step, total = _kernels.frozen(u, s, margin, r, o, mu, speed)
         if step < math.inf:
             half = 0.5 * step * math.sqrt(square)
-            return half + math.sqrt(half * half + total + 2.0 * float(np.abs(r.reshape(-1, 3)).sum(axis=1) @ error))
+            total += 2.0 * float(np.abs(r.reshape(-1, 3)).sum(axis=1) @ error)
+            return half + math.sqrt(half * half + float(total))
     return math.inf
 
 

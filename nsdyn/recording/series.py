@@ -76,11 +76,14 @@ class Gauss:
         Size of the perturbation of the step that was solved exactly, m/s.
     bound : ndarray
         At least the error of the velocity in the kinetic norm, √J; infinite where none is (`nsdyn.problem.gauss`).
+    coulomb : ndarray
+        Defect in Coulomb's law, √J (`nsdyn.problem.polished`); NaN unless the steps were certified with `polish`.
     """
 
     gap: Array
     shift: Array
     bound: Array
+    coulomb: Array
 
     def __repr__(self) -> str:
         bound, shift = self.bound.max(initial=0.0), self.shift.max(initial=0.0)

@@ -65,12 +65,16 @@ def frozen_shift(u, mu, out):
 
 
 @in_place
-def _round_off(r, scales):
-    """Round-off of the velocity M⁻¹ H r in the kinetic norm: ‖M⁻¹ H_c r_c‖_M ≤ √λ_max(W_cc) |r_c|, √J."""
+def _round_off(u, r, scales):
+    """Round-off of velocities in the kinetic norm, √J: of M⁻¹ H_c r_c, up to √λ_max(W_cc) |r_c|, and of u.
+
+    An impulse that changes u_c moves the bodies by 1/√λ_max(W_cc) of it at least.
+    """
     total = 0.0
     for c in range(scales.size):
-        i = 3 * c
-        total += math.sqrt(scales[c] * (r[i] * r[i] + r[i + 1] * r[i + 1] + r[i + 2] * r[i + 2]))
+        i, scale = 3 * c, math.sqrt(scales[c])
+        total += scale * math.sqrt(r[i] * r[i] + r[i + 1] * r[i + 1] + r[i + 2] * r[i + 2])
+        total += math.sqrt(u[i] * u[i] + u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2]) / scale
     return UNITS * ROUNDING * total
 
 
@@ -81,7 +85,7 @@ def certificate(u, r, o, mu, scales):
     A max δ below the round-off of u counts as that, and to the sum the square of that of the velocity is added.
     """
     gap, shift = duality_gap(u, r, mu)
-    least = _round_off(r, scales) ** 2
+    least = _round_off(u, r, scales) ** 2
     if shift == 0.0:
         return gap, shift, 0.0, 0.0, gap + least
     s, margin = np.empty(mu.size), np.empty(mu.size)
@@ -140,13 +144,19 @@ def certificate_along(blocks, u, r, mu, scales, d):
     return gap, shift, speed, step, total, square
 
 
+@in_place(inline="always")
+def _pulled(o, b, x, rho, i):
+    """x + ρ (b - o) of the contact whose rows begin at i."""
+    return x[i] + rho * (b[i] - o[i]), x[i + 1] + rho * (b[i + 1] - o[i + 1]), x[i + 2] + rho * (b[i + 2] - o[i + 2])
+
+
 @in_place
 def merit(square, o, b, x, rho, mu, P):
     """½‖d‖²_M + Σ ‖P_K(x + ρ (b - o))‖² / 2ρ, from ‖d‖²_M and o = Hᵀ d; the projections into P (3 nc,)."""
     total = square
     for c in range(mu.size):
         i, k = 3 * c, rho[c]
-        z0, z1, z2 = x[i] + k * (b[i] - o[i]), x[i + 1] + k * (b[i + 1] - o[i + 1]), x[i + 2] + k * (b[i + 2] - o[i + 2])
+        z0, z1, z2 = _pulled(o, b, x, k, i)
         p0, p1, p2 = project(z0, z1, z2, mu[c])
         P[i], P[i + 1], P[i + 2] = p0, p1, p2
         total += (p0 * p0 + p1 * p1 + p2 * p2) / k
@@ -158,7 +168,7 @@ def curvature(o, b, x, rho, mu, A):
     """ρ ∂P_K at x + ρ (b - o), so that M + Σ H_c A_c H_cᵀ is the second derivative of `merit`, into A (nc, 3, 3)."""
     for c in range(mu.size):
         i, k = 3 * c, rho[c]
-        z0, z1, z2 = x[i] + k * (b[i] - o[i]), x[i + 1] + k * (b[i + 1] - o[i + 1]), x[i + 2] + k * (b[i + 2] - o[i + 2])
+        z0, z1, z2 = _pulled(o, b, x, k, i)
         B = A[c]
         projection_jacobian(z0, z1, z2, mu[c], B)
         B *= k
