@@ -115,6 +115,10 @@ def _met(trajectory: Any, solver: Any) -> str:
     parts = [f"{count.pop(Status.CONVERGED, 0)} {what} to {solver.tol:g}"]
     if loose := count.pop(Status.LOOSE, 0):
         parts.append(f"{loose} to {solver.loose:g}")
+    if several := count.pop(Status.SEVERAL, 0):
+        parts.append(f"{several} whose motion is not determined by Coulomb's law")
+    if jams := count.pop(Status.JAM, 0):
+        parts.append(f"{jams} in which bodies jam")
     if squeezed := count.pop(Status.OVERLAP, 0):
         parts.append(f"{squeezed} with an overlap that nothing removed")
     if missed := count.total():

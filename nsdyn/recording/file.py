@@ -56,7 +56,7 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                                                    found it: `impulse_raw` of `nsdyn.recording.series.ContactTable`
     /contacts/couple                               (., 3)  on 2, world, N·m·s, with which contacts that persist do no
                                                    work; since version 8
-    /contacts/status                               0 open, 1 stick, 2 slip
+    /contacts/status                               0 open, 1 stick, 2 slip, 3 jam
     /contacts/work_normal, work_friction           J
     /contacts/time                                 s after the beginning of the step; since version 6
     /state           the last states of the run, from which it can go on: see `nsdyn.recording.slots`; since version 5
@@ -64,8 +64,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
 them, so that the ledger closes, as are `/joints`, `/links`, `/solver/iterations`, `time` and `/wall_time`; `shift`,
 `bound` and `coulomb` are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the
-last, their impulses and works too; there are no `/pieces`. With contacts false there are none. A recording that is complete is
-compressed (byte shuffle and gzip).
+last, their impulses and works too; there are no `/pieces`. With contacts false there are none. A recording that is
+complete is compressed (byte shuffle and gzip).
 
 A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
 HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file
@@ -97,7 +97,7 @@ Columns = dict[str, NDArray[Any]]
 Saved = tuple[int, Columns]
 
 FORMAT_VERSION = 9
-CONTACT_STATES = ("open", "stick", "slip")
+CONTACT_STATES = ("open", "stick", "slip", "jam")
 
 ENERGIES = ("kinetic", "potential")
 PHYSICS = ("external", "normal", "friction", "damping", "constraint")

@@ -106,7 +106,7 @@ class Recorder:
     contacts                      ContactSet: geom1, geom2, point, normal, mu, restitution, key
     gap                           (nc,), at the end of the step
     u, r, couple, tangent         (nc, 3) each
-    contact_status                (nc,), 0 open, 1 stick, 2 slip
+    contact_status                (nc,), 0 open, 1 stick, 2 slip, 3 jam
     contact_time                  (nc,), s after the beginning of the step
     created                       float, J
     joints                        (7, nv) impulses of actuation, limits, friction and external wrenches,

@@ -199,7 +199,7 @@ class ContactTable:
     key : ndarray of int64, shape (nc,)
         The same for the same features of the same pair of shapes in the next step.
     status : ndarray of int8, shape (nc,)
-        0 open, 1 stick, 2 slip, faster than the solver's tolerance.
+        0 open, 1 stick, 2 slip, faster than the solver's tolerance, 3 jam (`nsdyn.Step.contact_status`).
     time : ndarray, shape (nc,)
         When the impulse acted, s after the beginning of the step; NaN in recordings before format 6.
     work_normal, work_friction : ndarray, shape (nc,)
@@ -242,7 +242,7 @@ class ContactTable:
 
     @property
     def status_names(self) -> list[str]:
-        """Words for the status of each contact: open, stick or slip."""
+        """Words for the status of each contact: open, stick, slip or jam."""
         return [CONTACT_STATES[s] for s in self.status]
 
     def __len__(self) -> int:

@@ -30,6 +30,7 @@ from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
 from nsdyn.stepping.half import Callbacks
 from nsdyn.stepping.impacts import Law, as_law
+from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.instant import Impulses, System
 from nsdyn.stepping.islands import Islands
@@ -184,6 +185,8 @@ class Stepper:
             self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
             float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), law, elastic,
         )  # fmt: skip
+        most = max([*(g.material.mu for g in geoms), *(mu for mu, _ in scene.pairs.values() if mu is not None)], default=0)
+        self._paradoxes = Paradoxes(self.dynamics, solver, self.system.arm, most)
         if not (scene.free_bodies or scene.articulations or scene.driven_bodies):
             warnings.warn("the scene has nothing that moves: all its bodies are fixed, if any", stacklevel=2)
         self._prescribed = None
@@ -316,8 +319,13 @@ class Stepper:
         if not math.isfinite(sum(energies)):
             raise ArithmeticError("positions or velocities are no longer finite")
         self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
-        ledger = Ledger.of(s.energies, energies, Works.total(works))
         problem, solution = solved[k]
+        total = Works.total(works)
+        if self._paradoxes.possible:
+            done, total, odd = self._paradoxes.told(done, solved, total, s.dt, rate)
+            if odd is not None and solution.converged:
+                solution = solution._replace(status=odd)
+        ledger = Ledger.of(s.energies, energies, total)
         if solution.accepted and not clear:
             solution = solution._replace(status=Status.OVERLAP)
         return self._record(done, ledger, certificate, problem, solution)
