@@ -1,14 +1,14 @@
 """Paradoxes of Coulomb's law: velocities that are not unique, and impulses that are no force.
 
-Where friction presses a contact on faster than its normal impulse opens it, W_NN < μ‖W_NT‖, the law of one contact may
-have several solutions: it opens, sticks and slips, all at once (Painlevé). Of these a solver returns one. `others` shows
-another velocity that obeys the law as well, which proves that the answer is one of several; where it finds none, nothing
-is proved. It looks at every such contact, the impulses of all others given, at all its solutions: the answer, with that
-of one contact replaced, is where a solve begins.
+Where friction presses a contact on faster than its normal impulse opens it, W_NN < μ‖W_NT‖, the law of one contact
+may have several solutions: it opens, sticks and slips, all at once (Painlevé). Of these a solver returns one. `others`
+shows another velocity that obeys the law as well, which proves that the answer is one of several; where it finds none,
+nothing is proved. It takes each such contact through all solutions of its own law, the impulses of others given, and
+solves on from there.
 
-Where a contact slides, and only the normal impulses that no force gives would hold it, the impulse does not fall with
-the step although nothing collides: a jam, which stops the slip at once. `jams` takes the loads on the normals away
-but for a thousandth: forces fall by as much, and a jam stays.
+Where a contact slides, and only normal impulses that no force gives would hold it, the impulse does not fall with the
+step although nothing collides: a jam, which stops the slip at once. `jams` takes the loads on the normals away but for a
+thousandth: forces fall by as much, and a jam stays.
 
 References
 ----------
@@ -18,6 +18,7 @@ results on Painlevé paradoxes, Eur. J. Mech. A/Solids 18, 1999.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -48,19 +49,18 @@ def paradoxical(problem: FC3D) -> NDArray[np.bool_]:
     if problem.blocks is None:
         W = problem.W.toarray()
         n = np.arange(0, 3 * problem.nc, 3)
-        out: Array = W[n, n] - problem.mu * np.hypot(W[n, n + 1], W[n, n + 2])
-    else:
-        out = np.empty(problem.nc)
-        _kernels.coupled(problem.blocks.arrays, problem.mu, out)
+        return np.asarray(W[n, n] < problem.mu * np.hypot(W[n, n + 1], W[n, n + 2]))
+    out = np.empty(problem.nc)
+    _kernels.coupled(problem.blocks.arrays, problem.mu, out)
     return out < 0.0
 
 
 def all_of_one(W: Array, q: Array, mu: float) -> list[Array]:
     """All impulses (3,) that solve u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K of one contact, W (3, 3) of full rank.
 
-    It opens where q_N ≥ 0; sticks where -W⁻¹ q is in K; and slips with u_T = -α r_T, α > 0, where the impulse that leaves
-    u_N = 0 is on the edge of K. By Cramer's rule its r_N det and r_T det are polynomials in α of degrees 2 and 1: four
-    roots at most.
+    It opens where q_N ≥ 0; sticks where -W⁻¹ q is in K; and slips with u_T = -α r_T, α > 0, where the impulse that
+    leaves u_N = 0 is on the edge of K. By Cramer's rule its r_N det and r_T det are polynomials in α of degrees 2 and
+    1: four roots at most.
     """
     found, eye = [np.zeros(3)] if q[0] >= 0.0 else [], np.diag([0.0, 1.0, 1.0])
 
@@ -135,7 +135,7 @@ def _apart(problem: FC3D, r: Array, other: Array) -> bool:
     """Whether two impulses give two velocities."""
 
     def size(x: Array) -> float:
-        return float(np.sqrt(max(0.0, x @ (problem.velocity(x) - problem.q))))
+        return math.sqrt(max(0.0, float(x @ (problem.velocity(x) - problem.q))))
 
     return size(r - other) > APART * max(size(r), size(other))
 

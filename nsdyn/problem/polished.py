@@ -129,7 +129,7 @@ def _bound(problem: FC3D, s: Array, r: Array, d: Array) -> float:
         o, square = gauss.along(problem, d)
         step, total = _kernels.frozen(u, s, margin, r, o, mu, speed)
         if step < math.inf:
-            half = 0.5 * step * math.sqrt(square)
+            half = 0.5 * float(step) * math.sqrt(square)
             total += 2.0 * float(np.abs(r.reshape(-1, 3)).sum(axis=1) @ error)
             return half + math.sqrt(half * half + float(total))
     return math.inf

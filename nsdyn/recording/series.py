@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -192,6 +193,9 @@ class ContactTable:
         that obey the law of contact with the same force and torque: see `nsdyn.recording.shares`.
     impulse_raw : ndarray, shape (nc, 3)
         The same as the solver found them, not unique when contacts are redundant.
+    unique : ndarray of bool, shape (nc,)
+        Whether the impulse of the contact is the only one that gives this motion, by rank
+        (`nsdyn.recording.uniqueness`). It is found when it is asked for.
     couple : ndarray, shape (nc, 3)
         On body 2, world axes, its opposite on body 1, N·m·s, with which contacts that persist do no work; NaN in
         recordings before format 8.
@@ -224,6 +228,12 @@ class ContactTable:
     time: Array
     work_normal: Array
     work_friction: Array
+    _unique: Callable[[], NDArray[np.bool_]]
+
+    @cached_property
+    def unique(self) -> NDArray[np.bool_]:
+        """Whether the impulse of the contact is the only one that gives this motion, shape (nc,)."""
+        return self._unique()
 
     @cached_property
     def impulse(self) -> Array:

@@ -101,8 +101,8 @@ class Step(NamedTuple):
         Couple on body 2, world axes, N·m·s, with which a contact that persists does no work, 0 of others: its force
         acts a little off its point (`nsdyn.stepping.persistence`).
     contact_status : ndarray of int8, shape (nc,)
-        0 open, 1 stick, 2 slip, faster than the solver's tolerance; 3 jam, stopped by an impulse that does not fall with dt
-        though nothing collides, whose work is that of an impact, normal.
+        0 open, 1 stick, 2 slip, faster than the solver's tolerance; 3 jam, stopped by an impulse that does not fall
+        with dt though nothing collides, whose work is that of an impact, normal.
     contact_time : ndarray, shape (nc,)
         When the impulse acted, s after the beginning of the step.
     work_normal, work_friction : ndarray, shape (nc,)

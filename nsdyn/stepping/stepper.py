@@ -185,8 +185,9 @@ class Stepper:
             self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
             float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), law, elastic,
         )  # fmt: skip
-        most = max([*(g.material.mu for g in geoms), *(mu for mu, _ in scene.pairs.values() if mu is not None)], default=0)
-        self._paradoxes = Paradoxes(self.dynamics, solver, self.system.arm, most)
+        own = (mu for mu, _ in scene.pairs.values() if mu is not None)
+        steepest = max([0.0, *(g.material.mu for g in geoms), *own])
+        self._paradoxes = Paradoxes(self.dynamics, solver, self.system.arm, steepest)
         if not (scene.free_bodies or scene.articulations or scene.driven_bodies):
             warnings.warn("the scene has nothing that moves: all its bodies are fixed, if any", stacklevel=2)
         self._prescribed = None
