@@ -7,8 +7,8 @@ nothing is proved. It takes each such contact through all solutions of its own l
 solves on from there.
 
 Where a contact slides, and only normal impulses that no force gives would hold it, the impulse does not fall with the
-step although nothing collides: a jam, which stops the slip at once. `jams` takes the loads on the normals away but for a
-thousandth: forces fall by as much, and a jam stays.
+step although nothing collides: a jam, which stops the slip at once. `jams` takes the loads on the normals away but for
+a thousandth: forces fall by as much, and a jam stays.
 
 References
 ----------
@@ -65,8 +65,7 @@ def all_of_one(W: Array, q: Array, mu: float) -> list[Array]:
     found, eye = [np.zeros(3)] if q[0] >= 0.0 else [], np.diag([0.0, 1.0, 1.0])
 
     def impulse(alpha: float) -> Array:
-        out: Array = -np.linalg.solve(W + alpha * eye, q)
-        return out
+        return np.asarray(-np.linalg.solve(W + alpha * eye, q), dtype=float)
 
     stick = impulse(0.0)
     if stick[0] > 0.0 and np.hypot(*stick[1:]) <= mu * stick[0]:
