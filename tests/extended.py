@@ -42,11 +42,14 @@ def project(z, mu):
     return along * edge, J
 
 
-def frozen(H, b, mu, x, rho=1e4, rounds=12):
-    """x ∈ K with Hᵀ H x + b ∈ K* orthogonal to it, from a guess; and what proves it: its gap and its margin."""
+def frozen(H, b, mu, x):
+    """x ∈ K with Hᵀ H x + b ∈ K* orthogonal to it, from a guess; and what proves it: its gap and its margin.
+
+    Large penalties find it in a few rounds, small ones leave less round-off.
+    """
     H, b, x, mu = (np.asarray(a, Real) for a in (H, b, x, mu))
     n, nc, unit = len(H), len(mu), (H * H).sum(axis=0).reshape(-1, 3).sum(axis=1)
-    y, steps = H @ x, Real(rho) / unit
+    y = H @ x
 
     def estimate(y):
         z = x.reshape(-1, 3) - steps[:, None] * (H.T @ y + b).reshape(-1, 3)
@@ -55,7 +58,8 @@ def frozen(H, b, mu, x, rho=1e4, rounds=12):
         return P.ravel(), [J for _, J in parts], (y @ y + ((P * P).sum(axis=1) / steps).sum()) / 2
 
     least = best = None
-    for _ in range(rounds):
+    for rho in (1e4, 1e4, 1e4, 1e4, 1e3, 1e2, 1e1, 1e0, 1e-1):
+        steps = Real(rho) / unit
         for _ in range(30):
             P, J, value = estimate(y)
             F = y - H @ P
@@ -74,8 +78,6 @@ def frozen(H, b, mu, x, rho=1e4, rounds=12):
         u = H.T @ (H @ x) + b
         margin = min(u[0::3] - mu * np.sqrt(u[1::3] ** 2 + u[2::3] ** 2))
         off = abs(x @ u) + max(-margin, Real(0))
-        if least is not None and off > least / 2 and least < 1e-15:
-            break
         if least is None or off < least:
             least, best = off, x
     return best, least
