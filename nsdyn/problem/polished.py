@@ -43,8 +43,9 @@ that carry are found."""
 
 ROUND_OFF = _kernels.UNITS * ROUNDING
 
-SHARP = 0.01
-"""Fraction of the distance from the polished answer which its own bound need not fall below."""
+SHARP, FLOOR = 0.01, 1.5
+"""What the bound of a polished answer need not fall below: fraction of the distance from it, and times what round-off
+alone makes of it."""
 
 
 def certify(
@@ -87,14 +88,19 @@ def _polished(problem: FC3D, s: Array, r: Array, d: Array) -> tuple[Array, float
     """
     b = -problem.q
     b[0::3] -= s
-    least, x, best, bound = Least(problem, b, r), r, r, math.inf
+    least, x, best, bound = Least(problem, b, r), r, r, _bound(problem, s, r, d)
+    least_bound = FLOOR * math.sqrt(_of_rounding(r, _rounding(problem, r, s)))
+    if bound <= least_bound:
+        return r, bound
     penalty, largest, last = PENALTY, LARGEST, 0.0
     for _ in range(ROUNDS):
         settled, size = _settled(problem, least, x, penalty)
         found = _bound(problem, s, least.estimate, d)
         if found < bound or bound == math.inf:
             best, bound = least.estimate.copy(), found
-        if found <= SHARP * _distance(problem, r, best) or penalty < LEAST:
+        if found <= max(SHARP * _distance(problem, r, best), least_bound) or penalty < LEAST:
+            break
+        if penalty <= PENALTY and size <= _round_off(least, penalty):
             break
         if not settled:  # too much at once
             least.restart(x)
@@ -111,9 +117,14 @@ def _settled(problem: FC3D, least: Least, x: Array, penalty: float) -> tuple[boo
         fraction, defect = least.step(x, penalty)
         step = (least.estimate - x).reshape(-1, 3)
         size = math.sqrt(float(problem.scales @ (step * step).sum(axis=1)))
-        if not fraction or defect <= max(EXACT * size / math.sqrt(penalty), ROUNDING * math.sqrt(abs(least.square))):
+        if not fraction or defect * math.sqrt(penalty) <= max(EXACT * size, _round_off(least, penalty)):
             return fraction > 0.0, size
     return False, size
+
+
+def _round_off(least: Least, penalty: float) -> float:
+    """Size of multiplier steps that are nothing but round-off."""
+    return penalty**1.5 * ROUND_OFF * math.sqrt(abs(least.square))
 
 
 def _bound(problem: FC3D, s: Array, r: Array, d: Array) -> float:
@@ -130,9 +141,13 @@ def _bound(problem: FC3D, s: Array, r: Array, d: Array) -> float:
         step, total = _kernels.frozen(u, s, margin, r, o, mu, speed)
         if step < math.inf:
             half = 0.5 * float(step) * math.sqrt(square)
-            total += 2.0 * float(np.abs(r.reshape(-1, 3)).sum(axis=1) @ error)
-            return half + math.sqrt(half * half + float(total))
+            return half + math.sqrt(half * half + float(total) + _of_rounding(r, error))
     return math.inf
+
+
+def _of_rounding(r: Array, error: Array) -> float:
+    """What round-off of velocities (nc,) adds to Σ r·û of an impulse, J."""
+    return 2.0 * float(np.abs(r.reshape(-1, 3)).sum(axis=1) @ error)
 
 
 def _rounding(problem: FC3D, r: Array, s: Array) -> Array:
