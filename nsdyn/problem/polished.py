@@ -124,7 +124,7 @@ def _settled(problem: FC3D, least: Least, x: Array, penalty: float) -> tuple[boo
 
 def _round_off(least: Least, penalty: float) -> float:
     """Size of multiplier steps that are nothing but round-off."""
-    return penalty**1.5 * ROUND_OFF * math.sqrt(abs(least.square))
+    return ROUND_OFF * math.sqrt(penalty**3 * abs(least.square))
 
 
 def _bound(problem: FC3D, s: Array, r: Array, d: Array) -> float:
