@@ -332,7 +332,7 @@ def test_motion_of_the_painleve_rod_converges(start, order):
 
     def end(h):
         trajectory = nd.simulate(nd.scenes.load("rod")(mu=2.0, **start), 0.2, dt=h)
-        assert (trajectory.solver.status == nd.Status.CONVERGED).all()
+        assert np.isin(trajectory.solver.status, (nd.Status.CONVERGED, nd.Status.JAM, nd.Status.SEVERAL)).all()
         # No energy comes from the contact but what second-order errors of the turning motion leave.
         assert np.diff(trajectory.energy.total).max() <= 3.0 * h**2 + 1e-13
         return np.concatenate((trajectory.q[-1, :3], [2 * math.atan2(trajectory.q[-1, 4], trajectory.q[-1, 6])]))
