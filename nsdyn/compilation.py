@@ -22,7 +22,7 @@ from nsdyn._kernels.problem import cones
 from nsdyn._kernels.solvers import start
 from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.collision.detector import Detector
-from nsdyn.problem import gauss
+from nsdyn.problem import gauss, paradox, polished
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.scene import checks, pairs
 from nsdyn.scene import named as scenes
@@ -123,6 +123,9 @@ def _problems() -> None:
         assert problem.blocks is not None
         opening = gauss.Opening(np.zeros(problem.blocks.n), problem.nc, 1.0)
         gauss.certify(problem, np.zeros_like(problem.q), -np.ones_like(problem.q), opening)
+        polished.certify(problem, np.zeros_like(problem.q))
+        paradox.paradoxical(problem)
+    polished.certify(matrix, np.zeros_like(matrix.q))
 
 
 def _all() -> None:

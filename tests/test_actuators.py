@@ -103,7 +103,7 @@ def test_a_trot_is_of_second_order():
 # -- limits ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dt", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("dt", [1e-2, pytest.param(1e-3, marks=pytest.mark.slow), 1e-4])
 @pytest.mark.parametrize(
     ("kp", "kd"), [(1.0, 0.0), (1.0, 1.0), (1e3, 1e2), (0.0, 1.0), (0.0, 1e6), (1e6, 0.0), (1e6, 1e6)]
 )

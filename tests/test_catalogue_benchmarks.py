@@ -32,15 +32,19 @@ class Account:
 
 
 @pytest.mark.case(15)
-def test_energy_over_ten_thousand_elastic_impacts():
-    """27 smooth balls in a closed box: of the change nothing is unexplained, and what is left is the solver's error."""
-    run = Account(nd.scenes.load("billiard")(balls=27, speed=5.0), 6000, 2e-3, tol=1e-12)
-    assert run.impacts >= 10_000
+@pytest.mark.parametrize("steps", [600, pytest.param(6000, marks=pytest.mark.slow)])
+def test_energy_over_ten_thousand_elastic_impacts(steps):
+    """27 smooth balls in a closed box: of the change nothing is unexplained, and what is left is the solver's error.
+
+    In 6000 steps; in 600 there are a tenth of the impacts.
+    """
+    run = Account(nd.scenes.load("billiard")(balls=27, speed=5.0), steps, 2e-3, tol=1e-12)
+    assert run.impacts >= steps / 0.6
     # 6000 sums of numbers as large as the energy.
     assert run.unexplained <= 1e-12
     assert np.abs(run.change).max() <= 1e-11
     # Not secular: both halves of the run change it by less than the bar.
-    assert abs(run.energy[-1] - run.energy[3000]) <= 1e-11 * run.energy[0]
+    assert abs(run.energy[-1] - run.energy[steps // 2]) <= 1e-11 * run.energy[0]
 
 
 @pytest.mark.case(15)
@@ -96,7 +100,7 @@ def test_falling_balls_do_not_overlap(side, dt, duration):
 
 
 @pytest.mark.case(45)
-@pytest.mark.parametrize(("side", "duration"), [(3, 2.0), (6, 4.0)])
+@pytest.mark.parametrize(("side", "duration"), [(3, 2.0), pytest.param(6, 4.0, marks=pytest.mark.slow)])
 def test_elastic_balls_keep_their_energy(side, duration):
     """At dt = 1e-3; the least mean square error of the peers is 1.1e-3 J² (RaiSim), at dt = 1e-4."""
     run = Account(

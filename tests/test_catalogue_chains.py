@@ -1,5 +1,7 @@
 """A thousandfold mass at the end of a chain; rows of dominoes at several scales."""
 
+from functools import cache
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -61,6 +63,7 @@ def test_chain_swings_as_exactly_at_any_step():
 DOMINO = {"thickness": 0.0075, "width": 0.022, "height": 0.044, "spacing": 0.022}
 
 
+@cache
 def dominoes(scale, count, duration, dt):
     """Positions (steps, count, 3) in units of `scale`, times in units of its square root."""
     sizes = {name: scale * value for name, value in DOMINO.items()}

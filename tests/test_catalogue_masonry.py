@@ -68,8 +68,14 @@ def test_limits_of_the_literature(voussoirs, mu, limit):
 
 
 @pytest.mark.case(34)
-@pytest.mark.parametrize("mu", [0.4, 0.35])
-@pytest.mark.parametrize("voussoirs", [5, 7, 11, pytest.param(21, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("voussoirs", "mu"),
+    [
+        pytest.param(n, mu, marks=[] if (n, mu) in ((11, 0.4), (7, 0.35)) else pytest.mark.slow)
+        for n in (5, 7, 11, 21)
+        for mu in (0.4, 0.35)
+    ],
+)
 def test_arch_stands_above_its_limit_and_falls_below(voussoirs, mu):
     """Hinges decide at mu = 0.4, sliding joints at 0.35."""
     limit = smallest(lambda t: arch_stands(voussoirs, t, mu), 0.05, 0.3)

@@ -44,7 +44,7 @@ def test_members_are_the_product_in_order(serial):
 @pytest.mark.parametrize("kind", ["threads", "processes"])
 def test_same_bits_from_every_executor(serial, kind):
     """A function of a named scene goes to other processes by its name; what `keep` makes of a run comes back."""
-    pool = ThreadPoolExecutor(4) if kind == "threads" else ProcessPoolExecutor(2, get_context("spawn"))
+    pool = ThreadPoolExecutor(4) if kind == "threads" else ProcessPoolExecutor(1, get_context("spawn"))
     with pool:
         found = nd.sweep(nd.scenes.load("wall"), VALUES, executor=pool, keep=end, **OPTIONS)
     for one, other in zip(serial, found, strict=True):
@@ -219,6 +219,9 @@ def test_any_function_is_a_scene():
     assert ensemble.figures(one.result)["displacement"] == pytest.approx(0.05 - 0.5 * 0.5 * 9.81 * 0.05**2)
 
 
+ONE = "--workers", "1"
+
+
 def run(capsys, *arguments):
     code = cli.main(["sweep", *arguments])
     return code, *capsys.readouterr()
@@ -226,22 +229,23 @@ def run(capsys, *arguments):
 
 def test_command(capsys, tmp_path):
     settings = ["--set", "mu=0.1,0.2", "--set", "speed=1", "--time", "0.05", "--dt", "0.01"]
-    code, out, _ = run(capsys, "slide", *settings, "--csv", str(tmp_path / "s.csv"))
+    code, out, _ = run(capsys, "slide", *settings, *ONE, "--csv", str(tmp_path / "s.csv"))
     lines = out.splitlines()
     assert code == 0 and len(lines) == 3 and lines[0].split()[:3] == ["mu", "speed", "displacement"]
     assert lines[2].split()[:3] == ["0.2", "1", f"{0.05 - 0.1 * 9.81 * 0.05**2:.6g}"]
     assert len((tmp_path / "s.csv").read_text().splitlines()) == 3
-    # Text and JSON, one process and several: the same figures.
-    one, several = (json.loads(run(capsys, "slide", *settings, "--json", *w)[1]) for w in ([], ["--workers", "2"]))
-    assert one == several and [r["mu"] for r in one["runs"]] == [0.1, 0.2]
-    stored = json.loads(run(capsys, "slide", *settings, "--json", "--store", str(tmp_path / "s.jsonl"))[1])
-    again = json.loads(run(capsys, "slide", *settings, "--json", "--store", str(tmp_path / "s.jsonl"))[1])
-    assert stored == again == one
+    # Text and JSON, stored and read from there, one process and several: the same figures.
+    store = str(tmp_path / "s.jsonl")
+    one, several, stored, again = (
+        json.loads(run(capsys, "slide", *settings, "--json", *more)[1])
+        for more in ([*ONE], ["--workers", "2"], [*ONE, "--store", store], [*ONE, "--store", store])
+    )
+    assert one == several == stored == again and [r["mu"] for r in one["runs"]] == [0.1, 0.2]
 
 
 def test_command_with_a_failing_run(capsys):
     code, out, err = run(
-        capsys, "slide", "--solver", "pgs", "--tol", "1e-300", "--time", "0.02", "--on-fail", "raise", "--set", "mu=0.1"
+        capsys, "slide", *ONE, *"--solver pgs --tol 1e-300 --time 0.02 --on-fail raise --set mu=0.1".split()
     )
     assert code == 1 and out.splitlines()[0].split() == ["mu"] and "failed: {'mu': 0.1}: step" in err
 

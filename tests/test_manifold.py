@@ -3,6 +3,7 @@
 import coal
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from test_contacts import BOX, CYLINDER, PRISM, ROCK, about, detector, random_rotation, support
 
 from nsdyn.collision.contacts import ContactMemory
@@ -89,10 +90,13 @@ def close_pair(a, b, gap, rng):
         R = np.array([flat_side_up(A, rng), lower])
     x = np.zeros((2, 3))
     x[1, :2] = rng.uniform(-0.6, 0.6, size=2) * (rng.random(2) < 0.7) * min(A.bounding_radius, B.bounding_radius)
-    low, high = 0.0, A.bounding_radius + B.bounding_radius + 0.1
-    for _ in range(40):
-        x[1, 2] = 0.5 * (low + high)
-        low, high = (low, x[1, 2]) if distance(a, b, x, R)[0] > gap else (x[1, 2], high)
+
+    def excess(height):
+        x[1, 2] = height
+        return max(distance(a, b, x, R)[0], -10.0) - gap  # no distance where Coal fails
+
+    if excess(0.0) < 0.0:  # else beside each other
+        x[1, 2] = brentq(excess, 0.0, A.bounding_radius + B.bounding_radius + 0.1, xtol=1e-12)
     Q, origin = random_rotation(rng), rng.normal(size=3)
     return x @ Q.T + origin, Q @ R
 

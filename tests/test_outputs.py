@@ -172,9 +172,9 @@ def test_a_scene_of_ones_own(run, tmp_path):
     code, _, err = run("new", "my.py")
     assert code == 2 and "my.py exists" in err
     assert run("new", "my.txt")[0] == 2
-    code, out, _ = run("sweep", "my.py", "--set", "mu=0.1,0.9", "--time", "0.05", "--workers", "2")
+    code, out, _ = run("sweep", "my.py", "--set", "mu=0.1,0.9", "--time", "0.05", "--workers", "1")
     assert code == 0 and [line.split()[0] for line in out.splitlines()[1:]] == ["0.1", "0.9"]
-    found = nd.sweep(nd.scenes.load("my.py"), {"mu": [0.1]}, 0.05, executor=2, keep=float_of_end, dt=5e-3)
+    found = nd.sweep(nd.scenes.load("my.py"), {"mu": [0.1]}, 0.05, executor=1, keep=float_of_end, dt=5e-3)
     assert found[0].failure == ""
 
 

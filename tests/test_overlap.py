@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import elementwise
 from scipy.spatial.transform import Rotation
 
 from nsdyn.recording.overlap import Solid, overlap, separation
@@ -19,7 +20,7 @@ SHAPES = {
 }
 GROUND = shapes.halfspace((0.0, 0.0, 1.0), 0.5)
 PAIRS = [(a, b) for k, a in enumerate(SHAPES) for b in list(SHAPES)[k:]]
-DEPTHS = [1e-2, 1e-4, 1e-6, 1e-7, -1e-4]
+DEPTHS = np.array([1e-2, 1e-4, 1e-6, 1e-7, -1e-4])
 
 
 I = np.eye(3)
@@ -89,28 +90,30 @@ def test_edges_across():
 
 
 def searched(a, b, R, x, rng):
-    """Largest separation that a random search finds."""
-    n = rng.normal(size=(1000, 3))
-    n = np.vstack([n / a.half, (n / b.half) @ R.T])
-    n /= np.linalg.norm(n, axis=1)[:, None]
+    """Largest separations that a random search finds for poses R (m, 3, 3), x (m, 3), from three starts each."""
 
-    def along(n):
-        return n @ x - a.support(n) - b.support(-(n @ R))
+    def along(n):  # n (m, ..., 3)
+        return n @ x[:, :, None] - (a.support(n) + b.support(-(n @ R)))[..., None]
 
-    values = along(n)
-    out = -np.inf
-    for k in np.argsort(-values)[:3]:
-        at, value, reach = n[k], values[k], 0.1
-        while reach > 1e-9:
-            tried = at + reach * rng.normal(size=(30, 3))
-            tried /= np.linalg.norm(tried, axis=1)[:, None]
-            new = along(tried)
-            if new.max() > value:
-                at, value = tried[new.argmax()], new.max()
-            else:
-                reach *= 0.6
-        out = max(out, value)
-    return out
+    def best(n, count):
+        """The directions of the largest separations, shape (m, count, 3), and these."""
+        values = along(n)
+        k = np.argsort(-values, axis=1)[:, :count]
+        return np.take_along_axis(n, k, axis=1), np.take_along_axis(values, k, axis=1)
+
+    n = np.tile(rng.normal(size=(1000, 3)), (len(x), 1, 1))
+    n = np.concatenate([n / a.half, (n / b.half) @ R.transpose(0, 2, 1)], axis=1)
+    at, value = best(n / np.linalg.norm(n, axis=2, keepdims=True), 3)
+    at, value = at.reshape(-1, 1, 3), value.reshape(-1, 1, 1)
+    R, x = np.repeat(R, 3, axis=0), np.repeat(x, 3, axis=0)
+    reach = np.full_like(value, 0.1)
+    while reach.max() > 1e-9:
+        tried = at + reach * rng.normal(size=(len(at), 30, 3))
+        tried, new = best(tried / np.linalg.norm(tried, axis=2, keepdims=True), 1)
+        better = new > value
+        at, value = np.where(better, tried, at), np.where(better, new, value)
+        reach = np.where(better, reach, 0.6 * reach)
+    return value.reshape(-1, 3).max(axis=1)
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
@@ -122,19 +125,19 @@ def test_random_search_finds_no_larger_separation(first, second):
     R1, R2 = (Rotation.random(m, rng).as_matrix() for _ in range(2))
     x1, way = rng.normal(size=(2, m, 3))
     way /= np.linalg.norm(way, axis=1)[:, None]
-    low, high = np.zeros(m), np.full(m, a.reach + b.reach)
-    for _ in range(45):
-        middle = 0.5 * (low + high)
-        inside = separation(a, R1, x1, b, R2, x1 + middle[:, None] * way) < -np.array(DEPTHS) * size
-        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
-    x2 = x1 + low[:, None] * way
+
+    def excess(far, k):
+        k = k.astype(int)
+        return separation(a, R1[k], x1[k], b, R2[k], x1[k] + far[:, None] * way[k], exact=True) / size + DEPTHS[k]
+
+    ends = np.full(m, 1e-3 * size), np.full(m, a.reach + b.reach + size)
+    x2 = x1 + elementwise.find_root(excess, ends, args=(np.arange(m),)).x[:, None] * way
     found = separation(a, R1, x1, b, R2, x2, exact=True)
     # Of either one first, and of both together far from the origin.
     np.testing.assert_allclose(separation(b, R2, x2, a, R1, x1, exact=True), found, rtol=0.0, atol=1e-8 * size)
-    np.testing.assert_allclose(found[:-1], -np.array(DEPTHS[:-1]) * size, rtol=1e-6, atol=1e-8 * size)
-    for k in range(m):
-        more = searched(a, b, R1[k].T @ R2[k], R1[k].T @ (x2[k] - x1[k]), rng)
-        assert found[k] >= more - 1e-8 * size
+    np.testing.assert_allclose(found[:-1], -DEPTHS[:-1] * size, rtol=1e-6, atol=1e-8 * size)
+    back = R1.transpose(0, 2, 1)
+    assert (found >= searched(a, b, back @ R2, (back @ (x2 - x1)[:, :, None])[..., 0], rng) - 1e-8 * size).all()
 
 
 def test_poses_in_one_call():
@@ -150,3 +153,13 @@ def test_poses_in_one_call():
 def test_unknown_shape():
     with pytest.raises(ValueError, match=r"Shape\.describe names, got 'torus'"):
         overlap({"shape": "torus", "size": [1, 1, 1]}, np.eye(4), SHAPES["box"].describe(), np.eye(4))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("other", ["sphere", "capsule", "cylinder", "ellipsoid"])
+@pytest.mark.parametrize("shape", ["sphere", "capsule", "cylinder", "ellipsoid"])
+def test_shapes_about_one_centre_overlap_by_their_least_widths(shape, other):
+    """All are 0.1 m about the axis that is the shortest of each: no line of centres says where to."""
+    size, pose = (0.1, 0.2, 0.3), np.eye(4)
+    depth = overlap({"shape": shape, "size": size}, pose, {"shape": other, "size": size}, pose)
+    assert depth == pytest.approx(0.2, rel=1e-9)

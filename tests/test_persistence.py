@@ -41,7 +41,8 @@ class Pair:
         other = kernels.couples(
             self.blocks, (zero, zero + 1, zero, zero + 1, self.normal), self.mean, self.R, np.linalg.inv(self.J),
             np.ones(2), h,
-            self.r, np.array([0.5]), (yes, yes & sticks, ~yes), couple, dv, np.empty(1, np.bool_),
+            self.r, np.array([0.5]), (yes, yes & sticks, ~yes), couple, dv, np.full(1, np.inf),
+            np.empty(1, np.bool_),
         )  # fmt: skip
         return couple[0], dv.reshape(2, 6), other
 
@@ -313,6 +314,19 @@ def test_a_slow_elastic_ball_keeps_bouncing(drop):
     scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1 + drop), material=material)
     e = nd.simulate(scene, 1.0, 1e-2).energy
     np.testing.assert_allclose(e.total - G * 0.1, G * drop, rtol=1e-7)  # of 9.81 J to round-off
+
+
+@pytest.mark.parametrize("bounces", [20, 100, 300])
+def test_a_ball_between_two_plates_is_thrown_back_as_often_as_may_be_in_a_step(bounces):
+    """40 bounces of a step are located; what is left of the speed after sixty in no time is round-off, no approach."""
+    scene, material = nd.Scene(gravity=(0, 0, 0)), nd.Material(mu=0.0, restitution=1.0)
+    scene.add_halfspace("floor", material=material)
+    scene.add_halfspace("roof", normal=(0, 0, -1), offset=-1.0, material=material)
+    scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.5), linear_velocity=(0, 0, 1), material=material)
+    stepper = nd.Stepper(scene, dt=0.8 * bounces)
+    for _ in range(3):
+        step = stepper.step()
+    assert step.ledger.kinetic == pytest.approx(0.5, rel=1e-12) and abs(step.v[2]) == pytest.approx(1.0, rel=1e-12)
 
 
 def test_elastic_balls_keep_their_energy():

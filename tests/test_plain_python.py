@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import nsdyn
 
@@ -94,6 +95,7 @@ def kernels() -> set[str]:
     }
 
 
+@pytest.mark.slow  # plain Python takes its time
 def test_plain_python_gives_the_same_numbers():
     plain, called = run("all", NUMBA_DISABLE_JIT="1")
     compiled, _ = run()
@@ -103,6 +105,7 @@ def test_plain_python_gives_the_same_numbers():
         np.testing.assert_allclose(plain[name], values, rtol=0, atol=1e-11, err_msg=name)
 
 
+@pytest.mark.slow  # all kernels in a process of its own, twice
 def test_kernels_keep_no_memory(tmp_path):
     """Those that do not count references must call none that returns an array of its own: what does is found here."""
     variables = os.environ | {"PYTHONPATH": str(ROOT.parent), "NUMBA_NRT_STATS": "1"}

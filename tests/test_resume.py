@@ -76,10 +76,7 @@ def assert_same(a, b):
     assert all(one[2][name].shape == other[2][name].shape for name in TIMES)
 
 
-QUICK = "pile", "quadruped"
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in RUNS])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n == "pile" else [pytest.mark.slow]) for n in RUNS])
 def test_killed_run_goes_on_bit_for_bit(name, tmp_path):
     """Killed twice, in the run and in the one that goes on with it, in or between writes as it happens."""
     whole, part = tmp_path / "whole.h5", tmp_path / "part.h5"

@@ -48,7 +48,7 @@ def test_scenes_by_name_and_by_function():
     assert parameters(slide()) == SLIDE
     assert parameters(nd.simulate(nd.scenes.load("slide")(0.3), 0.01)) == SLIDE | {"mu": 0.3}
     assert nd.scenes.setup("rolling", balls=3).scene.parameters["balls"] == 3
-    for executor in (None, 2):
+    for executor in (None, 1):
         runs = nd.sweep("slide", {"mu": [0.1, 0.2]}, 0.01, executor=executor)
         assert [parameters(run.result) for run in runs] == [SLIDE | {"mu": mu} for mu in (0.1, 0.2)]
     runs = nd.sweep(thrown, {"speed": [np.float64(1.5)], "n": [np.arange(2)]}, 0.01)

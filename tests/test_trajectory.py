@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -83,7 +82,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
                 moves=np.ones((k % 3, 1), np.int8), joints=rng.normal(size=(7, k % 3, 1)),
             ) if links and k % 3 else None,
             joints=rng.normal(size=(7, 1)) if links else None, links=rng.normal(size=(int(links), 6)),
-            gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k),
+            gauss=SimpleNamespace(gap=1e-20 * k, shift=1e-10, bound=1e-10 * k, coulomb=1e-11 * k),
             solution=SimpleNamespace(
                 error=1e-10 * k, residual=1e-9 * k, iterations=k, status=nd.Status.CONVERGED, time=1e-4
             ),
@@ -147,14 +146,14 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 8 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 9 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
         assert file["frames/x"].shape == (8, 3, 3) and file["frames/quat"].shape == (8, 3, 4)
         assert set(file["energy"]) == {"kinetic", "potential", *WORKS, "created"}
         assert file["energy/kinetic"].shape == (8,) and file["energy/defect"].shape == (7,)
-        assert set(file["gauss"]) == {"gap", "shift", "bound"}
+        assert set(file["gauss"]) == {"gap", "shift", "bound", "coulomb"}
         assert set(file["solver"]) == {"error", "residual", "iterations", "status", "time"}
         offset, pieces = file["contacts/offset"][:], file["pieces/offset"][:]
         assert offset.shape == (8,) and offset[0] == 0
@@ -294,7 +293,7 @@ def test_failed_save_leaves_the_old_file(tmp_path):
     [
         (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
         (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
-        (lambda f: f["meta"].attrs.__setitem__("format_version", 9), "format_version 9"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", 10), "format_version 10"),
         (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
         (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
         (lambda f: f["t"].resize(0, axis=0), "is damaged"),
@@ -359,13 +358,23 @@ def test_truncated_file_is_told_at_once(tmp_path, monkeypatch, dies_at):
     whole, cut = tmp_path / "run.h5", tmp_path / "cut.h5"
     record(whole, 40, links=True) if dies_at is None else killed(whole, dies_at)
     monkeypatch.setattr(unfinished, "PATIENCE", 0.0)
+    opened = []
+
+    class File(h5py.File):
+        def __init__(self, *given, **options):
+            opened.append(options)
+            super().__init__(*given, **options)
+
+    monkeypatch.setattr(h5py, "File", File)
     data = whole.read_bytes()
     for length in [*range(0, 64), *range(64, len(data), len(data) // 150)]:
         cut.write_bytes(data[:length])
-        start = time.perf_counter()
+        opened.clear()
         with pytest.raises(ValueError, match=r"cut\.h5 is (damaged|not a recording)") as failure:
             Trajectory.load(cut)
-        assert time.perf_counter() - start < 1.0 and "\n" not in str(failure.value)
+        assert "\n" not in str(failure.value)
+        # As it is and without its mark; a reader beside a writer would try each block a hundred times.
+        assert len(opened) <= 2 and not any("swmr" in options for options in opened)
     cut.write_bytes(data)
     assert Trajectory.load(cut).steps == (40 if dies_at is None else 9)
 

@@ -19,6 +19,10 @@ def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
     """Options of a simulation: its time, its step, and those of `add_solver`."""
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
+    parser.add_argument(
+        "--polish", action="store_true",
+        help="certify every step through polished answers: bounds of the order of the error, for about another solve",
+    )  # fmt: skip
     add_solver(parser, *on_fail)
 
 
@@ -96,6 +100,7 @@ def chosen_steps(arguments: argparse.Namespace) -> dict[str, Any]:
         "dt": seconds(arguments.scene, "DT") if arguments.dt is None else arguments.dt,
         "theta": arguments.theta,
         "on_fail": arguments.on_fail,
+        "polish": arguments.polish,
     }
 
 
@@ -110,6 +115,10 @@ def _met(trajectory: Any, solver: Any) -> str:
     parts = [f"{count.pop(Status.CONVERGED, 0)} {what} to {solver.tol:g}"]
     if loose := count.pop(Status.LOOSE, 0):
         parts.append(f"{loose} to {solver.loose:g}")
+    if several := count.pop(Status.SEVERAL, 0):
+        parts.append(f"{several} whose motion is not determined by Coulomb's law")
+    if jams := count.pop(Status.JAM, 0):
+        parts.append(f"{jams} in which bodies jam")
     if squeezed := count.pop(Status.OVERLAP, 0):
         parts.append(f"{squeezed} with an overlap that nothing removed")
     if missed := count.total():

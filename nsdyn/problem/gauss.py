@@ -20,14 +20,13 @@ depends on the contacts alone. It is found once and used as long as it serves, w
 bodies are wedged there is none, and each û is brought into K* by projections of its own.
 
 Where r is right up to η and contacts carry impulses, the bound is of the order of √η: of an answer to 1e-13 m/s it
-says 1e-7 √J. Where the frozen problem has no velocity inside all cones it has no bound, for then the least error of u
-may leave it without any velocity at all.
+says 1e-7 √J. `nsdyn.problem.polished` has one of the order of η, which costs a solve. Where the frozen problem has no
+velocity inside all cones it has no bound, for then the least error of u may leave it without any velocity at all.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -36,11 +35,10 @@ from nsdyn._kernels.problem import gauss as _kernels
 from nsdyn._kernels.problem.cones import ROUNDING
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.linear import contact_graph
-from nsdyn.problem.operators import Local
+from nsdyn.problem.frozen import Least
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Certificate", "Opening", "certify"]
+__all__ = ["Certificate", "Opening", "along", "certify", "of_all", "of_own"]
 
 NOTHING = np.empty(0)
 
@@ -66,9 +64,9 @@ FEWER = 0.9
 PENALTY, GROWTH, LARGEST = 10.0, 10.0, 1e9
 """Penalty times λ_max(W_cc) of the first Newton step, its growth with every full step, and its limit."""
 
-STEPS, SHORTEST = 20, 1e-3
-"""Newton steps for a direction, and the shortest fraction of one. About five are needed. In a heap of spheres 50 find
-one that bounds no better than what projections give, and where none exists no number of them is enough."""
+STEPS = 20
+"""Newton steps for a direction. About five are needed. In a heap of spheres 50 find one that bounds no better than what
+projections give, and where none exists no number of them is enough."""
 
 MARGIN = 0.01
 """How far inside K* Newton's method brings û of one answer, in the unit of OWN_AIM, where projections fail."""
@@ -89,11 +87,15 @@ class Certificate(NamedTuple):
         Coulomb's problem, which need not be unique, nor the error of time stepping; round-off in u is not counted.
         Infinite where some u_N < 0 and no velocity with û inside K* is found (two walls that close on a body, a roller
         that friction grips in a nip), or where the impulse is not finite.
+    coulomb : float
+        Defect in Coulomb's law, √J: how far v* moves when the shifts s are updated once more, to those of v*. It is no
+        bound. NaN where it was not asked for (`nsdyn.problem.polished`).
     """
 
     gap: float
     shift: float
     bound: float
+    coulomb: float = math.nan
 
 
 class Opening(NamedTuple):
@@ -150,7 +152,7 @@ def certify(
     """
     mu, impulse = problem.mu, np.empty(problem.q.size)
     b, d = problem.blocks, opening.d if opening else NOTHING
-    found = None if b is None or u is None else _kernels.certificate_of(b.arrays, u, r, mu, d, impulse)
+    found = None if b is None or u is None else _kernels.certificate_of(b.arrays, u, r, mu, problem.scales, d, impulse)
     if u is None or found is None or found[0]:
         if _kernels.into_cones(r, mu, impulse) or u is None:
             u = problem.velocity(impulse)
@@ -166,10 +168,12 @@ def certify(
             d = _relaxed(problem, last.d)
             # What lasts is worth its cost where contacts do: where there are as many as at the last search.
             if not d.size and problem.nc == last.nc:
-                d = _least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
+                d = of_all(problem)
                 wedged = 0 if d.size else problem.nc
         if not d.size:
-            d = _of_own(problem, u, speed)
+            hat = u.copy()
+            hat[0::3] += problem.mu * np.hypot(u[1::3], u[2::3])
+            d = of_own(problem, hat, speed)
         if d.size or step == math.inf:
             opening = Opening(d, problem.nc, speed, wedged)
             step, total, square = _along_direction(problem, u, impulse, d)[3:]
@@ -181,12 +185,12 @@ def _along_direction(problem: FC3D, u: Array, r: Array, d: Array) -> tuple[float
     """(gap, |δ|_2, max δ, λ, Σ r·(û + λ Hᵀ d), ‖d‖²_M) along `Opening.d`."""
     b = problem.blocks
     if b is not None:
-        return _kernels.certificate_along(b.arrays, u, r, problem.mu, d)  # type: ignore[no-any-return]
-    o, square = _along(problem, d)
-    return *_kernels.certificate(u, r, o, problem.mu), square
+        return _kernels.certificate_along(b.arrays, u, r, problem.mu, problem.scales, d)  # type: ignore[no-any-return]
+    o, square = along(problem, d)
+    return *_kernels.certificate(u, r, o, problem.mu, problem.scales), square
 
 
-def _along(problem: FC3D, d: Array) -> tuple[Array, float]:
+def along(problem: FC3D, d: Array) -> tuple[Array, float]:
     """(Hᵀ d, ‖d‖²_M) of `Opening.d`; zeros, which open nothing, where it is of other coordinates."""
     o, b = np.zeros_like(problem.q), problem.blocks
     if b is None and d.size == o.size:
@@ -212,11 +216,15 @@ def _relax(blocks: Blocks, mu: Array, b: Array, aim: float, enough: float, sweep
     return kernel(blocks.arrays, mu, b, aim, enough, sweeps, d)  # type: ignore[no-any-return]
 
 
-def _of_own(problem: FC3D, u: Array, speed: float) -> Array:
-    """`Opening.d` with û(v + λ d) in K* at λ = `speed`, the largest -u_N; empty if none is found."""
-    unit = max(speed, RESOLVED * float(np.abs(u).max()))
-    inside = -u / unit
-    inside[0::3] -= problem.mu * np.hypot(inside[1::3], inside[2::3])
+def of_all(problem: FC3D) -> Array:
+    """`Opening.d` with κ > 0 at every contact; empty if none is found."""
+    return _least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
+
+
+def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
+    """`Opening.d` with û + λ Hᵀ d in K* at λ = `speed`, by which û (3 nc,) misses it at most; empty if none."""
+    unit = max(speed, RESOLVED * float(np.abs(hat).max()))
+    inside = -hat / unit
     if problem.blocks is not None:
         d = np.zeros(problem.blocks.n)
         if _relax(problem.blocks, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
@@ -229,41 +237,16 @@ def _least_direction(problem: FC3D, b: Array, slack: float) -> Array:
     """`Opening.d` of least ‖d‖_M with Hᵀ d ∈ b - slack e_N + K*, by a growing penalty; empty if there is none.
 
     The minimum of ½‖d‖²_M + Σ ρ/2 dist²(Hᵀ d, b + K*) grows with ρ to the least ‖d‖_M without slack, so that the first
-    one that will do is hardly longer. It is the problem of contact without de Saxcé's shift, K* ∋ W x - b ⟂ x ∈ K:
-    convex, with a symmetric matrix in Newton's method, which a step that is halved until it descends makes safe.
+    one that will do is hardly longer.
     """
-    solve, mu, penalty = _newton(problem), problem.mu, PENALTY
-    g, A = np.empty_like(problem.q), np.empty((problem.nc, 3, 3))
-    d = np.zeros(g.size if problem.blocks is None else problem.blocks.n)
-    o, square = np.zeros_like(g), 0.0
+    nothing, penalty = np.zeros_like(problem.q), PENALTY
+    least = Least(problem, b, nothing)
     for _ in range(STEPS):
-        rho = penalty / problem.scales
-        _kernels.pull(o, b, rho, mu, A, g)
-        try:
-            change, step = solve(A, g) - d, 1.0
-        except RuntimeError:  # singular up to round-off
-            break
-        last = _kernels.merit(square, o, b, rho, mu)
-        while True:
-            o, square = _along(problem, d + step * change)
-            if step < SHORTEST or _kernels.merit(square, o, b, rho, mu) <= last:
-                break
-            step *= 0.5
-        d = d + step * change
-        if _kernels.least_opening(o, b, mu) >= -slack:
-            return d
-        if step == 1.0:
+        fraction, _ = least.step(nothing, penalty)
+        if fraction and _kernels.least_opening(least.o, b, problem.mu) >= -slack:
+            return least.d if problem.blocks is None else problem.blocks.velocity_change(least.d)
+        if fraction == 1.0:
             penalty *= GROWTH
-        if penalty > LARGEST:
+        if not fraction or penalty > LARGEST:
             break
     return NOTHING
-
-
-def _newton(problem: FC3D) -> Callable[[Array, Array], Array]:
-    """Function (A, g) ↦ `Opening.d`, d = (M + Σ H_c A_c H_cᵀ)⁻¹ H g, which is x = (I + A W)⁻¹ g."""
-    blocks = problem.blocks
-    if blocks is None:
-        factor = Local(problem.W).factor
-        return lambda A, g: g - (A @ factor(A)(g).reshape(-1, 3, 1)).ravel()
-    graph = contact_graph(blocks)
-    return lambda A, g: graph.solve(blocks, A, blocks.momentum(g))

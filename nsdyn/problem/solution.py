@@ -23,6 +23,8 @@ class Status(IntEnum):
     NO_SLATER_POINT = 4
     OVERLAP = 5
     LOOSE = 6
+    SEVERAL = 7
+    JAM = 8
 
     def __str__(self) -> str:
         return self.name
@@ -43,10 +45,16 @@ class Status(IntEnum):
             Status.OVERLAP: "converged, but no position without overlap was found where the step ends; look for bodies "
             "that are squeezed",
             Status.LOOSE: "within the loose tolerance, where the other costs too much; accepted",
+            Status.SEVERAL: "converged, and another velocity obeys Coulomb's law as well: the motion is not determined",
+            Status.JAM: "converged, and bodies jam: an impulse that does not fall with dt stops them though nothing "
+            "collides",
         }[self]
 
 
-ACCEPTED = Status.CONVERGED, Status.LOOSE
+TOLD = Status.CONVERGED, Status.SEVERAL, Status.JAM
+"""Of what met its tolerance: what a simulation says of a step beyond that."""
+
+ACCEPTED = *TOLD, Status.LOOSE
 
 
 class Solution(NamedTuple):
@@ -93,7 +101,7 @@ class Solution(NamedTuple):
     @property
     def converged(self) -> bool:
         """Whether both measures met the tolerance."""
-        return self.status is Status.CONVERGED
+        return self.status in TOLD
 
     @property
     def accepted(self) -> bool:

@@ -21,7 +21,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                                                    (n,)  work of the step, J; damping and constraint since version 2;
                                                    before version 3 gyroscopic, theta and mass make up integration
     /energy/created                                (n,)  J, no term of the balance; since version 3
-    /gauss/gap, shift, bound                       (n,)  J, m/s, sqrt(J)
+    /gauss/gap, shift, bound, coulomb              (n,)  J, m/s, sqrt(J), sqrt(J); coulomb since version 9, NaN unless
+                                                   /meta has polish
     /solver/error, residual, iterations, status, time
                                                    (n,)  -, m/s, -, `nd.Status`, s; error since version 3
     /wall_time                                     (n,)  s that the step took, recording apart; since version 4
@@ -55,16 +56,16 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                                                    found it: `impulse_raw` of `nsdyn.recording.series.ContactTable`
     /contacts/couple                               (., 3)  on 2, world, N·m·s, with which contacts that persist do no
                                                    work; since version 8
-    /contacts/status                               0 open, 1 stick, 2 slip
+    /contacts/status                               0 open, 1 stick, 2 slip, 3 jam
     /contacts/work_normal, work_friction           J
     /contacts/time                                 s after the beginning of the step; since version 6
     /state           the last states of the run, from which it can go on: see `nsdyn.recording.slots`; since version 5
 
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
-them, so that the ledger closes, as are `/joints`, `/links`, `/solver/iterations`, `time` and `/wall_time`; `shift` and
-`bound` are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the last, their
-impulses and works too; there are no `/pieces`. With contacts false there are none. A recording that is complete is
-compressed (byte shuffle and gzip).
+them, so that the ledger closes, as are `/joints`, `/links`, `/solver/iterations`, `time` and `/wall_time`; `shift`,
+`bound` and `coulomb` are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the
+last, their impulses and works too; there are no `/pieces`. With contacts false there are none. A recording that is
+complete is compressed (byte shuffle and gzip).
 
 A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
 HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file
@@ -95,13 +96,13 @@ __all__ = ["create", "extend", "read", "read_state", "until"]
 Columns = dict[str, NDArray[Any]]
 Saved = tuple[int, Columns]
 
-FORMAT_VERSION = 8
-CONTACT_STATES = ("open", "stick", "slip")
+FORMAT_VERSION = 9
+CONTACT_STATES = ("open", "stick", "slip", "jam")
 
 ENERGIES = ("kinetic", "potential")
 PHYSICS = ("external", "normal", "friction", "damping", "constraint")
 WORKS = (*PHYSICS, "integration", "projection", "defect")
-GAUSS = ("gap", "shift", "bound")
+GAUSS = ("gap", "shift", "bound", "coulomb")
 SOLVER = {"error": "f8", "residual": "f8", "iterations": "i4", "status": "i1", "time": "f8"}
 # Columns of a contact by name: (where a step has it, type, components).
 CONTACT = {
@@ -142,9 +143,10 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
     (4, "wall_time", (), math.nan),
     (6, "contacts/time", (), math.nan),
     (8, "contacts/couple", (), math.nan),
+    (9, "gauss/coulomb", (), math.nan),
 ]
 # Attributes of /meta that older files lack.
-ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": ""}
+ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": "", "polish": False}
 CONTACTS = [f"contacts/{name}" for name in CONTACT]
 RAGGED = ("contacts", "pieces")
 

@@ -243,6 +243,10 @@ def _polytope_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) ->
     return best
 
 
+SAME, AXIS = 1e-12, np.array([0.0, 0.0, 1.0])
+"""m, nearer than which two points are one; an axis where any will do."""
+
+
 def _along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
     """Separations along axes n (m, k, 3), of either sign; -inf along those of length 0. Shape (m, k)."""
     length = np.linalg.norm(n, axis=2)
@@ -276,14 +280,19 @@ def _corner_axes(a: Solid, b: Solid, R: Array, x: Array) -> Array:
     corners = b.corners @ turned + x[:, None]
     start, line = b.feet[:, :3] @ turned + x[:, None], b.feet[:, 3:] @ turned
     pairs = corners[:, None] - a.corners[:, None]
+    # Where two coincide no axis is better than another.
+    pairs[np.linalg.norm(pairs, axis=3) < SAME] = AXIS
     out = [pairs, _across(corners[:, None] - a.feet[:, None, :3], a.feet[None, :, None, 3:])]
     out.append(_across(a.corners[:, None] - start[:, None], line[:, None]))
     return np.concatenate([axes.reshape(len(x), -1, 3) for axes in out], axis=1)
 
 
 def _across(d: Array, line: Array) -> Array:
-    """What of vectors d is across a line of unit vectors."""
+    """What of vectors d is across a line of unit vectors; one across it where nothing is."""
     out: Array = d - (d * line).sum(axis=-1, keepdims=True) * line
+    on = np.linalg.norm(out, axis=-1) < SAME
+    if on.any():
+        out[on] = _tangents(np.broadcast_to(line, out.shape)[on])[:, :, 0]
     return out
 
 
@@ -295,7 +304,8 @@ def _smooth_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> A
     """
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
     # Along the line of centres, normals of faces and crosses of edges, in which kinks meet.
-    known = np.concatenate([x[:, None], _face_normals(a, b, R, x), _edge_axes(a, b, R, x)], axis=1)
+    centres = np.where(np.linalg.norm(x, axis=1)[:, None] < SAME, AXIS, x)
+    known = np.concatenate([centres[:, None], _face_normals(a, b, R, x), _edge_axes(a, b, R, x)], axis=1)
     best, n = _best_along(a, b, R, x, known)
     left = np.flatnonzero(best < enough)
     if not left.size:

@@ -101,12 +101,12 @@ class Recorder:
     t, q, v                       float, (nq,), (nv,) at the end of the step
     frames_x, frames_quat         (nframes, 3), (nframes, 4) xyzw, or None in scenes without articulations
     energy                        mapping of the `names` of `Energy` to floats, J
-    gauss                         attributes gap, shift, bound
+    gauss                         attributes gap, shift, bound, coulomb
     solution                      attributes error, residual, iterations, status, time
     contacts                      ContactSet: geom1, geom2, point, normal, mu, restitution, key
     gap                           (nc,), at the end of the step
     u, r, couple, tangent         (nc, 3) each
-    contact_status                (nc,), 0 open, 1 stick, 2 slip
+    contact_status                (nc,), 0 open, 1 stick, 2 slip, 3 jam
     contact_time                  (nc,), s after the beginning of the step
     created                       float, J
     joints                        (7, nv) impulses of actuation, limits, friction and external wrenches,
@@ -334,12 +334,15 @@ def _merged(
     states, steps, wall = zip(*parts, strict=True)
     *state, energy = states[-1]
     energy = {**energy, **{name: sum(s[-1][name] for s in states) for name in WORKS}}
-    gap, shift, bound, error, residual, iterations, status, spent, created, joints, _, _ = zip(
+    gap, shift, bound, coulomb, error, residual, iterations, status, spent, created, joints, _, _ = zip(
         *(step[: -len(CONTACT)] for step in steps), strict=True
     )
     fine = Status.CONVERGED, Status.LOOSE
     worst = max(range(len(steps)), key=lambda k: (status[k] not in fine, error[k]))
-    did = sum(gap), max(shift), max(bound), error[worst], residual[worst], sum(iterations), status[worst], sum(spent)
+    did = (
+        sum(gap), max(shift), max(bound), max(coulomb), error[worst], residual[worst], sum(iterations), status[worst],
+        sum(spent),
+    )  # fmt: skip
     total = None if joints[0] is None else sum(joints)
     return (*state, energy), (*did, sum(created), total, None, None, *steps[-1][-len(CONTACT) :]), sum(wall)
 

@@ -131,7 +131,7 @@ def _check_contacts(columns: Mapping[str, NDArray[Any]], shapes: int) -> None:
         offset = columns.get(group, np.zeros(1))
         if offset[0] != 0 or (np.diff(offset) < 0).any():
             raise ValueError(f"/{group} must ascend from 0")
-    for name, most in (("geom1", shapes), ("geom2", shapes), ("status", 3)):
+    for name, most in (("geom1", shapes), ("geom2", shapes), ("status", 4)):
         values = columns[f"contacts/{name}"]
         if values.size and not (values.min() >= 0 and values.max() < most):
             raise ValueError(f"/contacts/{name} must lie between 0 and {most - 1}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -77,11 +78,14 @@ class Gauss:
         Size of the perturbation of the step that was solved exactly, m/s.
     bound : ndarray
         At least the error of the velocity in the kinetic norm, √J; infinite where none is (`nsdyn.problem.gauss`).
+    coulomb : ndarray
+        Defect in Coulomb's law, √J (`nsdyn.problem.polished`); NaN unless the steps were certified with `polish`.
     """
 
     gap: Array
     shift: Array
     bound: Array
+    coulomb: Array
 
     def __repr__(self) -> str:
         bound, shift = self.bound.max(initial=0.0), self.shift.max(initial=0.0)
@@ -190,6 +194,9 @@ class ContactTable:
         that obey the law of contact with the same force and torque: see `nsdyn.recording.shares`.
     impulse_raw : ndarray, shape (nc, 3)
         The same as the solver found them, not unique when contacts are redundant.
+    unique : ndarray of bool, shape (nc,)
+        Whether the impulse of the contact is the only one that gives this motion, by rank
+        (`nsdyn.recording.uniqueness`). It is found when it is asked for.
     couple : ndarray, shape (nc, 3)
         On body 2, world axes, its opposite on body 1, N·m·s, with which contacts that persist do no work; NaN in
         recordings before format 8.
@@ -197,7 +204,7 @@ class ContactTable:
     key : ndarray of int64, shape (nc,)
         The same for the same features of the same pair of shapes in the next step.
     status : ndarray of int8, shape (nc,)
-        0 open, 1 stick, 2 slip, faster than the solver's tolerance.
+        0 open, 1 stick, 2 slip, faster than the solver's tolerance, 3 jam (`nsdyn.Step.contact_status`).
     time : ndarray, shape (nc,)
         When the impulse acted, s after the beginning of the step; NaN in recordings before format 6.
     work_normal, work_friction : ndarray, shape (nc,)
@@ -222,6 +229,12 @@ class ContactTable:
     time: Array
     work_normal: Array
     work_friction: Array
+    _unique: Callable[[], NDArray[np.bool_]]
+
+    @cached_property
+    def unique(self) -> NDArray[np.bool_]:
+        """Whether the impulse of the contact is the only one that gives this motion, shape (nc,)."""
+        return self._unique()
 
     @cached_property
     def impulse(self) -> Array:
@@ -240,7 +253,7 @@ class ContactTable:
 
     @property
     def status_names(self) -> list[str]:
-        """Words for the status of each contact: open, stick or slip."""
+        """Words for the status of each contact: open, stick, slip or jam."""
         return [CONTACT_STATES[s] for s in self.status]
 
     def __len__(self) -> int:

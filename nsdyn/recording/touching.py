@@ -230,10 +230,11 @@ def _off_surfaces(
     """Distance of points from the surfaces of both shapes of pushes (shape, shape, step), beyond what they move, m.
 
     The moments are the beginning of the step, the push and the end. A gap that is left there as the impulse acts is
-    closed within the step, by bodies that may turn; where on its way the projection lifts and turns them is not
-    recorded.
+    closed within the step, by bodies that may turn. What is caught where it ends, as two edges that cross, acts midway
+    between where these points of either body were, which slip past each other. Where on its way the projection lifts
+    and turns bodies is not recorded.
     """
-    off, height, step = np.zeros(len(point)), np.zeros((3, len(point))), push[2] - 1
+    off, apart, step = np.zeros(len(point)), np.zeros((3, len(point), 3)), push[2] - 1
     turn = angles(flight.quaternion, poses.quaternion[1:, : poses.free])
     lift, lifted = (np.linalg.norm(flight.lift, axis=2) + flight.unknown, turn), np.zeros(len(point))
     for side, geom in enumerate(push[:2]):
@@ -244,11 +245,13 @@ def _off_surfaces(
             off[some] = np.maximum(off[some], _from_surface(poses.solids[kind], own[some]))
         for row, moment in enumerate(moments):
             R, x = moment[side]
-            height[row] += (2 * side - 1) * ((np.einsum("mij,mj->mi", R, own) + x) * normal).sum(axis=1)
+            apart[row] += (2 * side - 1) * (np.einsum("mij,mj->mi", R, own) + x)
         free = np.flatnonzero((frame >= 0) & (frame < poses.free) & flight.cut[step, 0])
         shift, angle = (part[step[free], frame[free]] for part in lift)
         lifted[free] += shift + poses.reach[geom[free]] * angle
-    out: Array = off - np.abs(np.diff(height, axis=0)).sum(axis=0) - lifted
+    went = np.diff(apart, axis=0)
+    closed, slid = np.abs((went * normal).sum(axis=2)).sum(axis=0), 0.5 * np.linalg.norm(went[1], axis=1)
+    out: Array = off - closed - slid - lifted
     return out
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from nsdyn.recording import breakdown, joints, tables
@@ -159,7 +159,13 @@ class Trajectory:
         # Recordings before format 4 have no names of links.
         body1, body2 = (tuple(geom.get("link", geom["name"]) for geom in side) for side in sides)
         shape1, shape2 = (tuple(geom["name"] for geom in side) for side in sides)
-        return ContactTable(body1, body2, shape1, shape2, **part)
+        return ContactTable(body1, body2, shape1, shape2, **part, _unique=partial(self._unique, step))
+
+    def _unique(self, step: int) -> NDArray[np.bool_]:
+        """Whether the impulses of the contacts of a step are the only ones, shape (nc,)."""
+        from nsdyn.recording.uniqueness import unique  # loads Pinocchio, which few need
+
+        return unique(self, step)
 
     def contact_table(self) -> Any:
         """All contacts of all steps, one a row, by columns; SI units, world axes.

@@ -37,6 +37,9 @@ from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["SOLVES", "Basis", "Closing", "Encounter", "Warm", "foresee", "solve"]
 
+STOPPED = 1e-13
+"""Of the change of a velocity by impacts, what is left of it in some hundred of them."""
+
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
 that stop, whose slip would else be turned round."""
@@ -264,6 +267,8 @@ class Encounter(NamedTuple):
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
         du, local = self.rows.full.relative_velocity(dv), self.local.copy()
         local[1:3] += du
+        # What is left of a velocity that impacts have stopped is round-off, which no contact need resist.
+        local[1:3][np.abs(local[1:3]) <= STOPPED * np.abs(du)] = 0.0
         local[3, np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3)] = 0.0
         end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
         rebound = np.where(struck, np.maximum(local[1, 0::3], 0.0), 0.0)

@@ -22,7 +22,7 @@ class Works(NamedTuple):
     external: float = 0.0
     """Of external forces and joint actuation."""
     normal: float = 0.0
-    """Of the normal impulses of impacts, Σ ½(u_N⁺ + u_N⁻) r_N, and of joint limits."""
+    """Of the normal impulses of impacts, Σ ½(u_N⁺ + u_N⁻) r_N, of joint limits, and all that jams do."""
     friction: float = 0.0
     """Of tangential contact impulses that slide or strike, Σ ½(u_T⁺ + u_T⁻)·r_T, and of dry joint friction."""
     damping: float = 0.0

@@ -6,7 +6,6 @@ from itertools import count
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
@@ -17,7 +16,7 @@ from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
 from nsdyn.stepping.instant import DEEP, SHALLOW, Impulses, Instant, System, among, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
-from nsdyn.stepping.sight import Unmet, approach, others
+from nsdyn.stepping.sight import Unmet, approach
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
 
@@ -38,6 +37,9 @@ SHALLOWER = 0.125
 """By what fraction bodies may run less far into each other in halves of a step in which they sank, were lifted far, or
 gained energy: impulses and projections at more configurations err less. It is halved as long as that is affordable: if
 all pieces as short have no more than `WORK` contacts."""
+
+LOOKS = 30
+"""Most moves by which an impact is located."""
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
@@ -143,11 +145,10 @@ def _pass(
     if found is None:
         found, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
     now, rate, clear, done, solved, works = found
-    gained = sum(w.integration for w in works)
-    if gained > 0.0:
+    gained, d = sum(w.integration for w in works), s.dynamics
+    if gained > 0.0 and not d.trees:  # which keep their own errors small
         # Where all is at rest, what gravity gives in a step is the scale.
-        d, x = s.dynamics, begin.position
-        sunk = sunk or gained > GAIN * max(d.energies(x, v, d.tree_energies(x, v))[0] for v in (begin.v, h * rate))
+        sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * rate))
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
     return Passage(now, rate, clear, done, solved, works, [*path, now.placement]), coarse
 
@@ -256,32 +257,31 @@ def _until_event(
         return 0.0 if abs(gap) <= 1e-3 * s.closed else gap
 
     def gap(time: float) -> float:
-        if time == 0.0:
-            found, _ = s.detector.find(begin.placement.x, begin.placement.R, far, begin.memory)
-            held = s.dynamics.joints.limits[begin.limits <= s.closed]
-            closed = take(begin.contacts, begin.contacts.gap <= s.closed)
-            before = others(s, found, closed, np.ones(closed.gap.size), begin.limits, held)
-            return max(least(before), s.closed)
         if time not in moves:
             effort.spend(begin)
             moves[time] = _try(s, loads, begin, t, time, barred)
         return least(moves[time].unmet)
 
-    # In free flight the first guess is exact.
-    guess = _first_touch(s, m, barred)
-    if gap(guess) != 0.0:
-        low, high = (guess, h) if gap(guess) > 0.0 else (0.0, guess)
-        brentq(gap, low, high, xtol=1e-15 * h, rtol=1e-15, maxiter=30, disp=False)
-    # Where another feature is the first to touch the gap jumps, and has no root.
-    length = min(moves, key=lambda time: abs(gap(time)))
+    low, high, length = 0.0, h, h
+    for _ in range(LOOKS):
+        # Newton's method from the nearest: in free flight it is exact.
+        time = _first_touch(s, moves[length], barred)
+        time = time if low < time < high else 0.5 * (low + high)
+        found = gap(time)
+        low, high = (time, high) if found > 0.0 else (low, time)
+        length = min(moves, key=lambda time: abs(gap(time)))
+        # Where another feature is the first to touch the gap jumps, and has no root.
+        if found == 0.0 or high - low <= 1e-15 * h:
+            break
     best, located = moves[length], abs(gap(length)) <= limit
-    # What `gap` holds lives until garbage is collected: SciPy wraps it in a function that refers to itself.
-    moves.clear()
     return (length, best) if located else capture()
 
 
 def _first_touch(s: System, m: Trial, barred: Index) -> float:
-    """When a move first touches what is barred, s: by parabolas of gaps that end as it does, under its free forces."""
+    """When a move first touches what is barred, s: by parabolas of gaps that end as it does, under its free forces.
+
+    It may be past its end; infinite where nothing tells.
+    """
     d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
     pressed = a.met.contacts.key[a.normal > 0.0]
     c = take(c, among(s.detector.codes(c), barred) & ~among(c.key, pressed))
@@ -295,8 +295,8 @@ def _first_touch(s: System, m: Trial, barred: Index) -> float:
     root = np.sqrt(np.maximum(u * u - 2.0 * fall * gap, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         x = np.where(u < 0.0, 2.0 * gap / (u - root), (u + root) / fall)
-    times = m.half.h - x[(gap < 0.0) & (x > 0.0) & (x < m.half.h)]
-    return float(times.min()) if times.size else 0.5 * m.half.h
+    times = m.half.h - x[((gap < 0.0) & (x > 0.0)) | ((gap > 0.0) & (u < 0.0))]
+    return float(times[times > 0.0].min(initial=np.inf))
 
 
 def _try(

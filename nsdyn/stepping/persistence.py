@@ -97,16 +97,19 @@ def unfinished(
     if ended is begun or not met.stays.any():
         return None
     d, c = s.dynamics, met.contacts
-    went = np.append((begun.x != ended.x).any(axis=1) | (begun.R != ended.R).any(axis=(1, 2)), False)
     gap = s.detector.gaps(c, moved, Poses(ended.x, ended.R))
     out = met.off(gap, r, s.near(c), s.closed)
-    other = np.empty(c.gap.size, np.bool_)
-    _persistence.couples(
-        met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
-        met.mu, (met.stays, met.sticks, slides), np.zeros((gap.size, 3)), np.empty(d.n), other,
-    )  # fmt: skip
-    out |= other
-    out &= went[c.frame1] | went[c.frame2]
+    if d.free:
+        other = np.empty(c.gap.size, np.bool_)
+        _persistence.couples(
+            met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
+            met.mu, (met.stays, met.sticks, slides), np.zeros((gap.size, 3)), np.empty(d.n),
+            np.full(gap.size, np.inf), other,
+        )  # fmt: skip
+        out |= other
+    if out.any():
+        went = np.append((begun.x != ended.x).any(axis=1) | (begun.R != ended.R).any(axis=(1, 2)), False)
+        out &= went[c.frame1] | went[c.frame2]
     return out if out.any() else None
 
 
@@ -132,6 +135,7 @@ def solve_workless(
     d, c, full = s.dynamics, met.contacts, met.rows.full.arrays
     pairs, where = (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), (R, d.inverse_J, s.arm, h)
     flags, gaps = (met.stays, met.sticks, slides), (met.end_gap, met.restitution, met.rebound, met.late)
+    left = np.full(nc, np.inf)
     for _ in range(PASSES):
         if not solution.accepted:
             break
@@ -152,6 +156,7 @@ def solve_workless(
             dv,
             local,
             b,
+            left,
             other,
         ):
             break

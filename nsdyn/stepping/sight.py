@@ -27,7 +27,8 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "parting", "reached", "shown", "touched"]
 
 PAST = 0.05
-"""Fraction of the smaller inscribed radius by which bodies may get into each other where a fast move is cut short."""
+"""Fraction of the smaller inscribed radius by which bodies get into each other where a fast move is cut short, which is
+where they would by more than twice that: a shorter move touches at another time."""
 
 
 LEAST = 5e-324
@@ -160,7 +161,7 @@ def reached(
 def touched(
     s: System, begin: Instant, places: tuple[Placement, Placement], memory: ContactMemory, h: float, speed: Array
 ) -> float:
-    """Time just after a pair that is open where a move of h s begins touches on its way, h if none does, s.
+    """Time just after a pair that is open where a move of h s begins touches on its way, h if none does before, s.
 
     Not much after it, so that what is hit is seen from the side where it is: the frames move with `speed` (frames,).
     """
@@ -176,7 +177,8 @@ def touched(
     k, c = int(touches.fraction.argmin()), touches.contacts
     fast = sum(float(speed[f]) for f in (c.frame1[k], c.frame2[k]) if f >= 0)
     size = float(min(s.inscribed[c.geom1[k]], s.inscribed[c.geom2[k]]))
-    return min(before + length * float(touches.fraction[k]) + PAST * size / fast, h)
+    at, past = before + length * float(touches.fraction[k]), PAST * size / fast
+    return at + past if at + 2.0 * past < h else h
 
 
 def shown(

@@ -39,6 +39,7 @@ class RunOptions(TypedDict, total=False):
     contacts: bool
     overlap: float
     lift: bool
+    polish: bool
 
 
 class Options(RunOptions, total=False):
@@ -66,6 +67,7 @@ def simulate(
     resume: str | Path | None = None,
     overlap: float = 0.01,
     lift: bool = False,
+    polish: bool = False,
 ) -> Trajectory:
     """Simulate a scene and return its trajectory.
 
@@ -74,7 +76,7 @@ def simulate(
     scene : Scene
     duration : float
         s; rounded up to whole steps that are recorded. At least half a step.
-    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift
+    dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift, polish
         As in `Stepper`.
     record : path, optional
         HDF5 file written while the simulation runs; a killed run keeps its steps.
@@ -122,7 +124,8 @@ def simulate(
     if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
         raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
     stepper = Stepper(
-        scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift
+        scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift,
+        polish,
     )  # fmt: skip
     if duration < 0.5 * stepper.dt:
         raise ValueError(f"duration must be at least half a step of dt = {stepper.dt:g} s, got {duration:g} s")
@@ -131,7 +134,7 @@ def simulate(
     if resume is not None and record is not None:
         raise ValueError(f"record must be None where resume names the file to go on with, got {record}")
     steps = every * max(1, math.ceil(duration / stepper.dt / every - 1e-9))
-    kept = {"max_points": max_points, "every": every, "contacts": bool(contacts)}
+    kept = {"max_points": max_points, "every": every, "contacts": bool(contacts), "polish": polish}
     with _recorder(stepper, record, resume, kept, duration) as recorder:
         done = every * recorder.rows
         # disable=None: tqdm draws only on a terminal

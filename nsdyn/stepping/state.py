@@ -101,7 +101,8 @@ class Step(NamedTuple):
         Couple on body 2, world axes, N·m·s, with which a contact that persists does no work, 0 of others: its force
         acts a little off its point (`nsdyn.stepping.persistence`).
     contact_status : ndarray of int8, shape (nc,)
-        0 open, 1 stick, 2 slip, faster than the solver's tolerance.
+        0 open, 1 stick, 2 slip, faster than the solver's tolerance; 3 jam, stopped by an impulse that does not fall
+        with dt though nothing collides, whose work is that of an impact, normal.
     contact_time : ndarray, shape (nc,)
         When the impulse acted, s after the beginning of the step.
     work_normal, work_friction : ndarray, shape (nc,)
@@ -126,7 +127,8 @@ class Step(NamedTuple):
     problem : FC3D
     solution : Solution
         Of the last problem solved, or of the worst where any missed its tolerance; its status is OVERLAP where shapes
-        are left in each other by more than what counts as closed.
+        are left in each other by more than what counts as closed, JAM where bodies jam, and SEVERAL where another
+        velocity is found to obey Coulomb's law as well (`nsdyn.problem.paradox`).
     """
 
     t: float

@@ -19,7 +19,7 @@ from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Controls, Dynamics, Wrenches
 from nsdyn.dynamics.values import Position
-from nsdyn.problem import gauss
+from nsdyn.problem import gauss, polished
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.scene import pairs
@@ -30,6 +30,7 @@ from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
 from nsdyn.stepping.half import Callbacks
 from nsdyn.stepping.impacts import Law, as_law
+from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.instant import Impulses, System
 from nsdyn.stepping.islands import Islands
@@ -108,6 +109,9 @@ class Stepper:
     lift : bool
         Move bodies that overlap at the start apart before the first step, by the projection that follows every step.
         Otherwise the first step does, its work is in the ledger, and a warning says so.
+    polish : bool
+        Certify every step through polished answers (`nsdyn.problem.polished`): its bound is of the order of the error,
+        not of its root, and the defect in Coulomb's law is measured. It costs about as much as the solves.
 
     Raises
     ------
@@ -143,6 +147,7 @@ class Stepper:
         impact: str | Law = "dissipative",
         overlap: float = 0.01,
         lift: bool = False,
+        polish: bool = False,
     ) -> None:
         if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
@@ -156,8 +161,10 @@ class Stepper:
         law = as_law(impact)
         if isinstance(overlap, bool) or not isinstance(overlap, (int, float)) or not 0.0 <= overlap <= 1.0:
             raise ValueError(f"overlap must be a fraction in [0, 1], got {overlap!r}")
-        if not isinstance(lift, bool):
-            raise ValueError(f"lift must be True or False, got {lift!r}")
+        for name, value in (("lift", lift), ("polish", polish)):
+            if not isinstance(value, bool):
+                raise ValueError(f"{name} must be True or False, got {value!r}")
+        self._certificate = polished.certify if polish else gauss.certify
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
         solver = Auto() if solver in (None, "auto") else as_solver(solver)
         self.controller, self.external_force = controller, external_force
@@ -178,6 +185,9 @@ class Stepper:
             self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
             float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), law, elastic,
         )  # fmt: skip
+        own = (mu for mu, _ in scene.pairs.values() if mu is not None)
+        steepest = max([0.0, *(g.material.mu for g in geoms), *own])
+        self._paradoxes = Paradoxes(self.dynamics, solver, self.system.arm, steepest)
         if not (scene.free_bodies or scene.articulations or scene.driven_bodies):
             warnings.warn("the scene has nothing that moves: all its bodies are fixed, if any", stacklevel=2)
         self._prescribed = None
@@ -313,8 +323,13 @@ class Stepper:
         if not math.isfinite(sum(energies)):
             raise ArithmeticError("positions or velocities are no longer finite")
         self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
-        ledger = Ledger.of(s.energies, energies, Works.total(works))
         problem, solution = solved[k]
+        total = Works.total(works)
+        if self._paradoxes.possible:
+            done, total, odd = self._paradoxes.told(done, solved, total, s.dt, rate)
+            if odd is not None and solution.converged:
+                solution = solution._replace(status=odd)
+        ledger = Ledger.of(s.energies, energies, total)
         if solution.accepted and not clear:
             solution = solution._replace(status=Status.OVERLAP)
         return self._record(done, ledger, certificate, problem, solution)
@@ -337,15 +352,15 @@ class Stepper:
     def _certify(
         self, solved: list[tuple[FC3D, Solution]], opening: gauss.Opening | None
     ) -> tuple[gauss.Certificate, gauss.Opening | None]:
-        """Certificate of all problems of a step: sum of the gaps, largest shift and bound; direction of the last."""
+        """Certificate of all problems of a step: sum of the gaps, the largest of all others; direction of the last."""
         if len(solved) == 1:
             problem, solution = solved[0]
-            return gauss.certify(problem, solution.r, solution.u, opening)
-        gap = shift = bound = 0.0
+            return self._certificate(problem, solution.r, solution.u, opening)
+        gap = shift = bound = coulomb = 0.0
         for problem, solution in solved:
-            c, opening = gauss.certify(problem, solution.r, solution.u, opening)
-            gap, shift, bound = gap + c.gap, max(shift, c.shift), max(bound, c.bound)
-        return gauss.Certificate(gap, shift, bound), opening
+            c, opening = self._certificate(problem, solution.r, solution.u, opening)
+            gap, shift, bound, coulomb = gap + c.gap, max(shift, c.shift), max(bound, c.bound), max(c.coulomb, coulomb)
+        return gauss.Certificate(gap, shift, bound, coulomb), opening
 
     def _record(
         self, done: list[Impulses], ledger: Ledger, certificate: gauss.Certificate, problem: FC3D, solution: Solution

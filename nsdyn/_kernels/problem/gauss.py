@@ -9,6 +9,9 @@ from nsdyn._kernels.problem import unit_mass
 from nsdyn._kernels.problem.blocks import block_product, relative_velocity
 from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
 
+UNITS = 4.0
+"""Round-off of a sum of products, in units of that of the largest: they are some twenty, and err at random."""
+
 
 @in_place
 def into_cones(r, mu, out):
@@ -30,54 +33,82 @@ def _opening(o, i, mu):
 
 
 @in_place
-def _step_along(u, o, mu, speed):
-    """A λ ≥ 0 with û + λ o in K* at every contact; inf if there is none among the two tried.
+def _step_along(u, s, margin, o, mu, speed):
+    """A λ ≥ 0 with û + λ o in K* at every contact, û = u + s e_N; inf if there is none among the two tried.
 
-    That is the least with u_N + λ κ ≥ 0, which suffices, or else `speed`.
+    That is the least with margin + λ κ ≥ 0, which suffices where û is in margin e_N + K*, or else `speed`.
     """
     least = 0.0
     for c in range(mu.size):
-        i = 3 * c
-        if u[i] < 0.0:
-            kappa = _opening(o, i, mu[c])
-            least = max(least, -u[i] / kappa) if kappa > 0.0 else np.inf
+        if margin[c] < 0.0:
+            kappa = _opening(o, 3 * c, mu[c])
+            least = max(least, -margin[c] / kappa) if kappa > 0.0 else np.inf
     for c in range(mu.size):
-        i = 3 * c
-        # The contact that decides has u_N + λ κ = 0 up to round-off.
-        if least < np.inf and u[i] >= 0.0 and not u[i] + least * _opening(o, i, mu[c]) >= 0.0:
+        # The contact that decides has margin + λ κ = 0 up to round-off.
+        if least < np.inf and margin[c] >= 0.0 and not margin[c] + least * _opening(o, 3 * c, mu[c]) >= 0.0:
             least = np.inf
     if least < np.inf:
         return least
     for c in range(mu.size):
         i = 3 * c
-        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
         x, y = u[i + 1] + speed * o[i + 1], u[i + 2] + speed * o[i + 2]
-        if not u[i] + s + speed * o[i] >= mu[c] * math.sqrt(x * x + y * y):
+        if not u[i] + s[c] + speed * o[i] >= mu[c] * math.sqrt(x * x + y * y):
             return np.inf
     return speed
 
 
+@in_place
+def frozen_shift(u, mu, out):
+    """s = μ|u_T|, into out (nc,)."""
+    for c in range(mu.size):
+        out[c] = mu[c] * math.sqrt(u[3 * c + 1] * u[3 * c + 1] + u[3 * c + 2] * u[3 * c + 2])
+
+
+@in_place
+def _round_off(u, r, scales):
+    """Round-off of velocities in the kinetic norm, √J: of M⁻¹ H_c r_c, up to √λ_max(W_cc) |r_c|, and of u.
+
+    An impulse that changes u_c moves the bodies by 1/√λ_max(W_cc) of it at least.
+    """
+    total = 0.0
+    for c in range(scales.size):
+        i, scale = 3 * c, math.sqrt(scales[c])
+        total += scale * math.sqrt(r[i] * r[i] + r[i + 1] * r[i + 1] + r[i + 2] * r[i + 2])
+        total += math.sqrt(u[i] * u[i] + u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2]) / scale
+    return UNITS * ROUNDING * total
+
+
 @kernel
-def certificate(u, r, o, mu):
+def certificate(u, r, o, mu, scales):
     """(gap, |δ|_2, max δ, λ, Σ r·(û + λ o)) of an impulse in K, with o = Hᵀ d; every term of the sum is ≥ 0.
 
-    A max δ below the round-off of u counts as that.
+    A max δ below the round-off of u counts as that, and to the sum the square of that of the velocity is added.
     """
     gap, shift = duality_gap(u, r, mu)
+    least = _round_off(u, r, scales) ** 2
     if shift == 0.0:
-        return gap, shift, 0.0, 0.0, gap
+        return gap, shift, 0.0, 0.0, gap + least
+    s, margin = np.empty(mu.size), np.empty(mu.size)
+    frozen_shift(u, mu, s)
     speed = ROUNDING * np.abs(u).max()
     for c in range(mu.size):
-        speed = max(speed, -u[3 * c])
-    step, total = _step_along(u, o, mu, speed), 0.0
+        margin[c] = u[3 * c]
+        speed = max(speed, -margin[c])
+    step, total = frozen(u, s, margin, r, o, mu, speed)
+    return gap, shift, speed, step, total + least
+
+
+@in_place
+def frozen(u, s, margin, r, o, mu, speed):
+    """(λ, Σ r·(û + λ o)) of `_step_along`."""
+    step, total = _step_along(u, s, margin, o, mu, speed), 0.0
     if step < np.inf:
         for c in range(mu.size):
             i = 3 * c
-            s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
-            own = r[i] * (u[i] + s + step * o[i])
+            own = r[i] * (u[i] + s[c] + step * o[i])
             own += r[i + 1] * (u[i + 1] + step * o[i + 1]) + r[i + 2] * (u[i + 2] + step * o[i + 2])
             total += max(own, 0.0)  # less is round-off
-    return gap, shift, speed, step, total
+    return step, total
 
 
 @kernel
@@ -94,48 +125,53 @@ def along_blocks(blocks, d, o):
 
 
 @in_place
-def certificate_of(blocks, u, r, mu, d, out):
+def certificate_of(blocks, u, r, mu, scales, d, out):
     """`into_cones`, and the certificate of `certificate_along` if r is in K."""
     if into_cones(r, mu, out):
         return True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    gap, shift, speed, step, total, square = certificate_along(blocks, u, out, mu, d)
+    gap, shift, speed, step, total, square = certificate_along(blocks, u, out, mu, scales, d)
     return False, gap, shift, speed, step, total, square
 
 
 @kernel
-def certificate_along(blocks, u, r, mu, d):
+def certificate_along(blocks, u, r, mu, scales, d):
     """`certificate` with o = Hᵀ d, and ‖d‖²_M; a d of other coordinates opens nothing."""
     offset = blocks[0]
     o, square = np.zeros(u.size), 0.0
     if d.size == offset[-1]:
         square = along_blocks(blocks, d, o)
-    gap, shift, speed, step, total = certificate(u, r, o, mu)
+    gap, shift, speed, step, total = certificate(u, r, o, mu, scales)
     return gap, shift, speed, step, total, square
 
 
-@in_place
-def pull(o, b, rho, mu, A, g):
-    """Newton's step on ½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ: d = (M + Σ H_c A_c H_cᵀ)⁻¹ H g, into A and g."""
-    for c in range(mu.size):
-        i = 3 * c
-        z0, z1, z2 = rho[c] * (b[i] - o[i]), rho[c] * (b[i + 1] - o[i + 1]), rho[c] * (b[i + 2] - o[i + 2])
-        B = A[c]
-        projection_jacobian(z0, z1, z2, mu[c], B)
-        B *= rho[c]
-        g[i], g[i + 1], g[i + 2] = project(z0, z1, z2, mu[c])
-        for j in range(3):
-            g[i + j] += B[j, 0] * o[i] + B[j, 1] * o[i + 1] + B[j, 2] * o[i + 2]
+@in_place(inline="always")
+def _pulled(o, b, x, rho, i):
+    """x + ρ (b - o) of the contact whose rows begin at i."""
+    return x[i] + rho * (b[i] - o[i]), x[i + 1] + rho * (b[i + 1] - o[i + 1]), x[i + 2] + rho * (b[i + 2] - o[i + 2])
 
 
 @in_place
-def merit(square, o, b, rho, mu):
-    """½‖d‖²_M + Σ ‖P_K(ρ (b - o))‖² / 2ρ, which `pull` descends, from ‖d‖²_M and o = Hᵀ d."""
+def merit(square, o, b, x, rho, mu, P):
+    """½‖d‖²_M + Σ ‖P_K(x + ρ (b - o))‖² / 2ρ, from ‖d‖²_M and o = Hᵀ d; the projections into P (3 nc,)."""
     total = square
     for c in range(mu.size):
         i, k = 3 * c, rho[c]
-        x, y, z = project(k * (b[i] - o[i]), k * (b[i + 1] - o[i + 1]), k * (b[i + 2] - o[i + 2]), mu[c])
-        total += (x * x + y * y + z * z) / k
+        z0, z1, z2 = _pulled(o, b, x, k, i)
+        p0, p1, p2 = project(z0, z1, z2, mu[c])
+        P[i], P[i + 1], P[i + 2] = p0, p1, p2
+        total += (p0 * p0 + p1 * p1 + p2 * p2) / k
     return 0.5 * total
+
+
+@in_place
+def curvature(o, b, x, rho, mu, A):
+    """ρ ∂P_K at x + ρ (b - o), so that M + Σ H_c A_c H_cᵀ is the second derivative of `merit`, into A (nc, 3, 3)."""
+    for c in range(mu.size):
+        i, k = 3 * c, rho[c]
+        z0, z1, z2 = _pulled(o, b, x, k, i)
+        B = A[c]
+        projection_jacobian(z0, z1, z2, mu[c], B)
+        B *= k
 
 
 @kernel

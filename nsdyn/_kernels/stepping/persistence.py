@@ -24,8 +24,9 @@ errors of second. Where nothing turns there are none, and what approaches is sto
 ARM = 1.0
 """Most that a couple moves a contact force, in lengths h ω R: as far as points of the body go in the move."""
 
-NO_ARM, NO_WORK = 1e-10, 1e-12
-"""Arms, as fractions of R, of what may be at rest, which have no couples; and works, of r_N R ω, that are round-off."""
+NO_ARM, NO_WORK, NOISE = 1e-10, 1e-12, 1e-10
+"""Arms, as fractions of R, of what may be at rest, which have no couples; works, of r_N R ω, that are round-off;
+and those that are if another pass does not halve them: impulses of redundant contacts are less exact."""
 
 
 @kernel
@@ -92,7 +93,7 @@ def spin_of(f, free, R, v):
 
 
 @kernel
-def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, dv, other):
+def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, dv, left, other):
     """Couples that make contacts of free bodies that persist do no work, and the change of v by them.
 
     With w = Σ r·ū of the contacts of a pair of shapes, normal and, of those that stick, tangential, and ω̄ how body 2
@@ -118,6 +119,8 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
         On body 2, world axes, N·m·s: those that act, changed where others would have done no work.
     dv : ndarray, shape (n,)
         Change of v by them.
+    left : ndarray, shape (nc,)
+        Work that the couples that act leave, J, changed from that of those before; infinite if none was looked for.
     other : ndarray of bool, shape (nc,)
         Whether they differ from those that act by more than round-off.
 
@@ -160,7 +163,9 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
                 now = 0.0
                 for c in range(first, last):
                     now += dot(row(couple, c), turning)
-                differ = abs(amount * speed - now) > NO_WORK * press * size * speed
+                rest, scale = abs(amount * speed - now), press * size * speed
+                differ = rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first]
+                left[first] = rest
                 some = some or differ
                 for c in range(first, last):
                     if differ:
@@ -190,7 +195,7 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
 
 @kernel
 def turn(
-    blocks, contacts, velocities, R, inverse_J, arm, h, r, mu, flags, gaps, closing, couple, dv, local, b, other
+    blocks, contacts, velocities, R, inverse_J, arm, h, r, mu, flags, gaps, closing, couple, dv, local, b, left, other
 ):  # fmt: skip
     """`couples` at the mean of v⁻ and v_f + dv + change, velocities = (v⁻, v_f, dv, change), and what they then meet.
 
@@ -202,7 +207,7 @@ def turn(
     for i in range(mean.size):
         after = free[i] + acting[i] if acting.size else free[i]
         mean[i] = 0.5 * (before[i] + after + change[i])
-    if not couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, dv, other):
+    if not couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, dv, left, other):
         return False
     relative_velocity(blocks, dv, b)
     for i in range(b.size):

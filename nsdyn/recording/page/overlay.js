@@ -1,7 +1,7 @@
 // What is drawn over the 3D picture: contacts, friction cones, forces, the trail of a body. Seen through bodies, for
 // contacts are between them.
 
-const STATE_COLOURS = ["#ffffff", "#0072b2", "#e69f00"];  // open, stick, slip: told apart by shape too
+const STATE_COLOURS = ["#ffffff", "#0072b2", "#e69f00", "#c8102e"];  // open, stick, slip, jam: told apart by shape too
 const FORCE_COLOUR = "#30363d";
 const EDGE_COLOUR = "#c8102e";
 
@@ -23,7 +23,7 @@ class Overlay {
 
   // How many contacts are in each state.
   get counts() {
-    const out = [0, 0, 0];
+    const out = [0, 0, 0, 0];
     for (const {state} of this.contacts) out[state]++;
     return out;
   }

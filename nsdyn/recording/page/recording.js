@@ -1,7 +1,7 @@
 // What Python packed: values and arrays, and what of them belongs to a time.
 
 const TYPES = {f4: Float32Array, f8: Float64Array, u1: Uint8Array, u4: Uint32Array};
-const STATES = ["open", "stick", "slip"];
+const STATES = ["open", "stick", "slip", "jam"];
 const AT_EDGE = 4;
 
 class Recording {

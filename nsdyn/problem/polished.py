@@ -1,0 +1,179 @@
+"""What an answer is worth to first order: its distance from a polished one, and its defect in Coulomb's law.
+
+With the shift s = μ‖u_T‖ of an answer r frozen, `gauss` bounds its distance from the velocity v* of least constraint by
+√η where r is right up to η. But for any other r' in K
+
+    ‖v(r) - v*‖_M ≤ ‖v(r) - v(r')‖_M + bound(r'),
+
+and if r' solves the frozen problem to round-off, the first term is the error itself, and the last 1e-8 of the root of
+the energy at play, the root of round-off. The frozen problem is convex, and `frozen.Least` solves it from r in a few
+Newton steps.
+
+v* is not Coulomb's: it slips otherwise than v, so that its own shift s' is another. How far v*(s') is from v*(s) is the
+defect in Coulomb's law: 0 at its solutions, where v*(s) = v. It is no bound of the distance to one, which need not be
+unique, or exist.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.problem import gauss as _kernels
+from nsdyn._kernels.problem.cones import ROUNDING
+from nsdyn.problem import gauss
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.frozen import Least
+from nsdyn.tools.arrays import Array
+
+__all__ = ["certify", "polished"]
+
+PENALTY, LARGEST, LEAST = 1e3, 1e9, 50.0
+"""Penalty times λ_max(W_cc) of the first multiplier step, the largest and the least. Where contacts are redundant,
+which of them carry may change all impulses for a velocity that hardly does: the penalty grows by tens until they do, as
+long as Newton's method follows. Round-off grows with it, so that it falls again once they are found."""
+
+ROUNDS, STEPS = 30, 30
+"""Most multiplier steps of a polished answer, and Newton steps of each."""
+
+EXACT, NEAR = 0.1, 0.1
+"""Fraction of a multiplier step up to which Newton's method is exact, and of the last one, up to which the contacts
+that carry are found."""
+
+ROUND_OFF = _kernels.UNITS * ROUNDING
+
+SHARP, FLOOR = 0.01, 1.5
+"""What the bound of a polished answer need not fall below: fraction of the distance from it, and times what round-off
+alone makes of it."""
+
+
+def certify(
+    problem: FC3D, r: Array, u: Array | None = None, opening: gauss.Opening | None = None
+) -> tuple[gauss.Certificate, gauss.Opening | None]:
+    """`gauss.certify` with a bound that is linear in the error where that is tighter, and the defect in Coulomb's law.
+
+    Parameters and results are those of `gauss.certify`. It takes some Newton steps for each of two convex problems,
+    about as long as the solve. Round-off of velocities is counted.
+    """
+    certificate, opening = gauss.certify(problem, r, u, opening)
+    if not math.isfinite(certificate.gap + certificate.shift):
+        return certificate, opening
+    impulse = np.empty_like(problem.q)
+    if _kernels.into_cones(r, problem.mu, impulse) or u is None:
+        u = problem.velocity(impulse)
+    d = opening.d if opening is not None and (opening.d.size or opening.wedged) else gauss.of_all(problem)
+    first, bound = _polished(problem, _shift(problem, u), impulse, d)
+    bound = min(certificate.bound, _distance(problem, impulse, first) + bound)
+    second, _ = _polished(problem, _shift(problem, problem.velocity(first)), first, d)
+    return certificate._replace(bound=bound, coulomb=_distance(problem, first, second)), opening
+
+
+def polished(problem: FC3D, r: Array) -> Array:
+    """The best answer that is found to the problem with the shift of r (3 nc,) in K frozen."""
+    return _polished(problem, _shift(problem, problem.velocity(r)), r, gauss.of_all(problem))[0]
+
+
+def _shift(problem: FC3D, u: Array) -> Array:
+    """s = μ‖u_T‖ (nc,), m/s."""
+    s = np.empty(problem.nc)
+    _kernels.frozen_shift(u, problem.mu, s)
+    return s
+
+
+def _polished(problem: FC3D, s: Array, r: Array, d: Array) -> tuple[Array, float]:
+    """Best answer r' found to the problem with the shift s (nc,) frozen, from r in K, and its bound, √J.
+
+    A direction d, an `Opening.d`, may open the contacts.
+    """
+    b = -problem.q
+    b[0::3] -= s
+    least, x, best, bound = Least(problem, b, r), r, r, _bound(problem, s, r, d)
+    least_bound = FLOOR * math.sqrt(_of_rounding(r, _rounding(problem, r, s)))
+    if bound <= least_bound:
+        return r, bound
+    penalty, largest, last = PENALTY, LARGEST, 0.0
+    for _ in range(ROUNDS):
+        settled, size = _settled(problem, least, x, penalty)
+        found = _bound(problem, s, least.estimate, d)
+        if found < bound or bound == math.inf:
+            best, bound = least.estimate.copy(), found
+        if found <= max(SHARP * _distance(problem, r, best), least_bound) or penalty < LEAST:
+            break
+        if penalty <= PENALTY and size <= _round_off(least, penalty):
+            break
+        if not settled:  # too much at once
+            least.restart(x)
+            penalty = largest = 0.1 * penalty
+            continue
+        x = least.estimate.copy()
+        penalty, last = 0.1 * penalty if size <= NEAR * last else min(10.0 * penalty, largest), size
+    return best, bound
+
+
+def _settled(problem: FC3D, least: Least, x: Array, penalty: float) -> tuple[bool, float]:
+    """Newton steps at an estimate x: whether they settle, and the size √λ_max(W_cc) |Δr| of the step that follows."""
+    for _ in range(STEPS):
+        fraction, defect = least.step(x, penalty)
+        step = (least.estimate - x).reshape(-1, 3)
+        size = math.sqrt(float(problem.scales @ (step * step).sum(axis=1)))
+        if not fraction or defect * math.sqrt(penalty) <= max(EXACT * size, _round_off(least, penalty)):
+            return fraction > 0.0, size
+    return False, size
+
+
+def _round_off(least: Least, penalty: float) -> float:
+    """Size of multiplier steps that are nothing but round-off."""
+    return ROUND_OFF * math.sqrt(penalty**3 * abs(least.square))
+
+
+def _bound(problem: FC3D, s: Array, r: Array, d: Array) -> float:
+    """Bound of an impulse r in K to the problem with the shift s (nc,) frozen, round-off counted, √J."""
+    mu, u, error = problem.mu, problem.velocity(r), _rounding(problem, r, s)
+    margin = u[0::3] + s - mu * np.hypot(u[1::3], u[2::3]) - (1.0 + mu) * error
+    speed = max(0.0, -float(margin.min(initial=0.0)))
+    for own in (False, True):
+        if own:
+            hat = u.copy()
+            hat[0::3] += s - (1.0 + mu) * error
+            d = gauss.of_own(problem, hat, speed)
+        o, square = gauss.along(problem, d)
+        step, total = _kernels.frozen(u, s, margin, r, o, mu, speed)
+        if step < math.inf:
+            half = 0.5 * float(step) * math.sqrt(square)
+            return half + math.sqrt(half * half + float(total) + _of_rounding(r, error))
+    return math.inf
+
+
+def _of_rounding(r: Array, error: Array) -> float:
+    """What round-off of velocities (nc,) adds to Σ r·û of an impulse, J."""
+    return 2.0 * float(np.abs(r.reshape(-1, 3)).sum(axis=1) @ error)
+
+
+def _rounding(problem: FC3D, r: Array, s: Array) -> Array:
+    """Round-off of the velocities of the contacts of an impulse, shape (nc,), m/s."""
+    scale = np.sqrt(problem.scales)
+    push = scale * np.linalg.norm(r.reshape(-1, 3), axis=1)
+    if problem.blocks is None:
+        indptr, indices, _ = problem.csr
+        near = np.add.reduceat(push[indices], indptr[:-1])
+    else:
+        block = problem.blocks.block
+        total = np.zeros(problem.blocks.offset.size)  # the last is of none
+        np.add.at(total, block, push[:, None])
+        total[-1] = 0.0
+        near = total[block].sum(axis=1)
+    out: Array = ROUND_OFF * (scale * near + np.abs(problem.q).reshape(-1, 3).max(axis=1) + s)
+    return out
+
+
+def _distance(problem: FC3D, r: Array, other: Array) -> float:
+    """‖v(r) - v(r')‖_M with its round-off, √J."""
+    change = r - other
+    size = ROUND_OFF * float(np.sqrt(problem.scales) @ np.linalg.norm(change.reshape(-1, 3), axis=1))
+    if problem.blocks is not None:
+        p = problem.blocks.momentum(change)
+        return math.sqrt(max(0.0, float(p @ problem.blocks.velocity_change(change)))) + size
+    # What cancels in W r leaves the root of its round-off.
+    square = float(change @ (problem.velocity(change) - problem.q))
+    return math.sqrt(max(0.0, square) + size * size / (ROUND_OFF))

@@ -1,0 +1,125 @@
+"""Which contacts of a step have one impulse only, by rank.
+
+What contacts may add to their impulses without a change of H r, what they do to the coordinates of the bodies, and of
+the law of contact, they may have had as well: all three components where one sticks, its ray where it slips, the normal
+one without friction, nothing where it is open. The impulse of a contact is unique where every vector of the null space
+of these columns of H leaves it as it is. That it is not is said by rank alone: the edges of the cones may still leave
+one.
+
+Coordinates are those of free bodies and of articulations, at the end of the step, without what loops, gears and
+drives take up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from nsdyn.recording.mechanism import Mechanism
+from nsdyn.recording.retrace import trees as articulations
+from nsdyn.tools.arrays import Array, Index
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["unique"]
+
+CLOSED = 1e-6
+"""m/s: parting speed, with that which the gap adds, up to which a contact that carries nothing is closed; the solver's
+tolerance is below."""
+
+NULL = 1e-8
+"""Singular values below this fraction of the largest are none, and so are such parts of null vectors: columns have norm
+one, and round-off of points and normals is 1e-16 of their size."""
+
+OPEN, SLIP = 0, 2
+
+
+def unique(trajectory: Trajectory, step: int) -> NDArray[np.bool_]:
+    """Whether the impulse of each contact of a step, from 1 on, is the only one, shape (nc,).
+
+    Raises
+    ------
+    ValueError
+        If articulations are not recorded well enough to tell.
+    """
+    first, last = trajectory.columns["contacts/offset"][step - 1 : step + 1]
+    c = {name[9:]: x[first:last] for name, x in trajectory.columns.items() if name.startswith("contacts/")}
+    own, direction = _freedoms(c, trajectory.dt)
+    H = _columns(trajectory, step, c, own, direction)
+    out = np.ones(last - first, np.bool_)
+    for some in _islands(H, own):
+        A = H[:, some].toarray()
+        A = A[np.abs(A).any(axis=1)]
+        _, singular, V = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300))
+        rank = int((singular > NULL * singular.max(initial=0.0)).sum())
+        out[own[some[np.linalg.norm(V[rank:], axis=0) > NULL]]] = False
+    return out
+
+
+def _freedoms(c: Mapping[str, NDArray[Any]], dt: float) -> tuple[Index, Array]:
+    """Contact, and direction in world axes, of all that contacts may add to their impulses, shapes (m,), (m, 3)."""
+    r, u, mu, status = c["impulse"], c["u"], c["mu"], c["status"]
+    axes = np.stack([c["normal"], c["tangent"], np.cross(c["normal"], c["tangent"])], axis=1)
+    rests = (status == OPEN) & (u[:, 0] + c["gap"] / dt <= CLOSED)
+    drag, slip = np.linalg.norm(r[:, 1:], axis=1), np.linalg.norm(u[:, 1:], axis=1)
+    slides = ((status == SLIP) & (drag > 0.0)) | (rests & (slip > CLOSED)) | (mu == 0.0)
+    opposed = np.where(rests[:, None], -u[:, 1:], r[:, 1:])
+    along = opposed * (mu / np.maximum(np.linalg.norm(opposed, axis=1), 1e-300))[:, None]
+    ray = np.einsum("ci,cij->cj", np.column_stack([np.ones(len(mu)), along]), axes)
+    touches = (status != OPEN) | rests
+    rays, sticks = np.flatnonzero(touches & slides), np.flatnonzero(touches & ~slides)
+    return np.concatenate([rays, np.repeat(sticks, 3)]), np.concatenate([ray[rays], axes[sticks].reshape(-1, 3)])
+
+
+def _columns(trajectory: Trajectory, step: int, c: Mapping[str, NDArray[Any]], own: Index, direction: Array) -> Any:
+    """What impulses along directions at contacts do to the coordinates at the end of the step, sparse (n, m)."""
+    scene, free = trajectory.scene, trajectory.scene["free"]
+    frame, place = np.array([geom["frame"] for geom in scene["geoms"]], dtype=np.int64), trajectory.q[step]
+    built = articulations(trajectory) if scene["articulations"] else None
+    if isinstance(built, str):
+        raise ValueError(f"whether impulses are unique is not known: {built}")
+    links = {} if built is None else built.links
+    bases = []
+    if built is not None:
+        bases = [_left_free(m, place[q]) for m, (q, _) in zip(built.mechanisms, built.at, strict=True)]
+    rows, columns, values = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty(0)]
+    for k, (contact, push) in enumerate(zip(own.tolist(), direction, strict=True)):
+        point = c["point"][contact]
+        for side, sign in (("geom1", -1.0), ("geom2", 1.0)):
+            body = int(frame[c[side][contact]])
+            if 0 <= body < free:
+                lever = point - place[7 * body : 7 * body + 3]
+                rows.append(6 * body + np.arange(6))
+                values.append(sign * np.concatenate((push, np.cross(lever, push))))
+            elif built is not None and body in links:
+                tree, joint = links[body]
+                own_rows = built.at[tree][1]
+                rows.append(np.arange(own_rows.start, own_rows.stop))
+                values.append(sign * bases[tree] @ built.mechanisms[tree].push(joint, point, push))
+            else:
+                continue
+            columns.append(np.full(rows[-1].size, k))
+    places = np.concatenate(rows), np.concatenate(columns)
+    return coo_array((np.concatenate(values), places), shape=(trajectory.v.shape[1], own.size)).tocsc()
+
+
+def _left_free(m: Mechanism, q: Array) -> Array:
+    """Projection (nv, nv) on what loops, gears and drives leave free at q, where the mechanism is placed."""
+    _, B = m.constraints(q)
+    out: Array = np.eye(m.nv) - np.linalg.pinv(B, rcond=NULL) @ B
+    return out
+
+
+def _islands(H: Any, own: Index) -> Iterator[Index]:
+    """Columns that share coordinates or a contact, group by group."""
+    pattern = abs(H)
+    same = coo_array((np.ones(own.size), (own, np.arange(own.size)))).tocsc()
+    count, label = connected_components(pattern.T @ pattern + same.T @ same, directed=False)
+    for k in range(count if own.size else 0):
+        yield np.flatnonzero(label == k)

@@ -1,0 +1,77 @@
+"""What the law of contact leaves open in a step is told: several velocities, and impulses that are no force."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.problem import paradox as _kernels
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.problem import paradox
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.solvers import Solver
+from nsdyn.stepping.energy import Works
+from nsdyn.stepping.instant import Impulses
+from nsdyn.tools.arrays import Array
+
+__all__ = ["JAM", "Paradoxes"]
+
+JAM = 3
+"""State of a contact that jams, beside 0 open, 1 stick, 2 slip."""
+
+FEW = 8
+"""Most contacts of a problem in which another velocity is looked for, so that a step costs hardly more."""
+
+
+class Paradoxes:
+    """Finds them, in scenes where there may be some.
+
+    A body of mass m, whose least moment of inertia is J and whose shapes reach b from its centre, has
+    W_NN - μ‖W_NT‖ ≥ 1/m - μ² b²/4 J: friction turns it so fast only where μ > 2 (J/m)^½/b. Of articulations nothing is
+    known beforehand.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+    solver : Solver
+    arm : ndarray, shape (frames,)
+        How far shapes reach from the origins of their frames, m.
+    mu : float
+        Largest coefficient of friction of the scene.
+    """
+
+    def __init__(self, dynamics: Dynamics, solver: Solver, arm: Array, mu: float) -> None:
+        self._solver, free = solver, dynamics.free
+        radius = np.sqrt(np.linalg.eigvalsh(dynamics.J)[:, 0] / dynamics.mass) if free else np.empty(0)
+        steep = 2.0 * radius / np.maximum(arm[:free], 1e-300)
+        self.possible = mu > 0.0 and bool(dynamics.trees or (mu > steep).any())
+
+    def told(
+        self, done: list[Impulses], solved: list[tuple[FC3D, Solution]], works: Works, dt: float, rate: Array
+    ) -> tuple[list[Impulses], Works, Status | None]:
+        """What acted and its works, with jams as impacts, and the status of the step, None for nothing odd.
+
+        The free acceleration is `rate` (n,). Impacts in no time are collisions.
+        """
+        status: Status | None = None
+        for k, (problem, solution) in enumerate(solved):
+            nc = done[k].contacts.gap.size
+            if not (nc and problem.nc >= nc and done[k].duration and solution.accepted):
+                continue
+            load, change = _kernels.stopped(problem.q, solution.u, solution.r, nc)
+            if change > paradox.ODD * load:
+                fall = dt * float(np.abs(rate).max(initial=0.0))
+                jam = paradox.jams(problem, solution, nc, fall, self._solver)
+                if jam.any():
+                    acted, status = done[k], Status.JAM
+                    moved = np.where(jam, acted.friction, 0.0)
+                    states = np.where(jam, JAM, acted.status).astype(np.int8)
+                    normal, friction = acted.normal + moved, acted.friction - moved
+                    done[k] = acted._replace(status=states, normal=normal, friction=friction)
+                    total = math.fsum(moved)
+                    works = works._replace(normal=works.normal + total, friction=works.friction - total)
+            if status is None and problem.nc <= FEW and paradox.others(problem, solution.r, self._solver) is not None:
+                status = Status.SEVERAL
+        return done, works, status
