@@ -1,23 +1,24 @@
 """What is compiled before it is needed: nothing tells what a simulation calls, and for which types, but simulating.
 
-Each process runs small examples, the kernels as plain Python, which takes a second, and compiles what was called. All
-do so with the same list, from different places on, and leave out what another has compiled or is compiling.
+While one process compiles what it meets, others run small examples, the kernels as plain Python, which takes a second,
+and compile what was called, from the end of that list on. Nobody compiles what another has compiled or is compiling.
 """
 
 from __future__ import annotations
 
 import logging
-import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from itertools import combinations_with_replacement, product
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
 from nsdyn import solvers
-from nsdyn._kernels.compiled import Kernel, Notes
+from nsdyn._kernels import ahead
+from nsdyn._kernels.compiled import Kernel
 from nsdyn._kernels.problem import cones
 from nsdyn._kernels.solvers import start
 from nsdyn.collision.contacts import ContactMemory, Poses
@@ -33,7 +34,7 @@ from nsdyn.solvers.means import ByFactors, ByMatrix
 from nsdyn.solvers.reference.gauss_seidel import Local
 from nsdyn.stepping.stepper import Stepper
 
-__all__ = ["EXAMPLES", "noted", "work"]
+__all__ = ["EXAMPLES", "compile_all", "noted", "work"]
 
 SCENES = (
     "arm_pushes_box", "bounce", "bricard", "bullet", "euler_disk", "gripper", "quadruped", "rattleback", "rocking",
@@ -152,24 +153,34 @@ def _contact() -> None:
 EXAMPLES: dict[str, Callable[[], None]] = {"step": _step, "all": _all, "contact": _contact}
 
 
-def noted(group: str) -> Notes:
-    """Calls of kernels in a group of examples, which run as Python."""
-    Kernel.notes = notes = Notes()
-    try:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            EXAMPLES[group]()
-    finally:
-        Kernel.notes = None
-    return notes
+@contextmanager
+def _silence() -> Iterator[None]:
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        yield
 
 
-def work(group: str, begin: float) -> None:
-    """Compile what a group needs, from a fraction of the list on, and print the index of each and their number."""
-    logging.getLogger("nsdyn").setLevel(logging.ERROR)
-    calls = list(noted(group).calls)
-    for k in range(len(calls)):
-        index = (k + int(begin * len(calls))) % len(calls)
-        kernel, types = calls[index]
-        if kernel.compile(types, wait=False) is not None:
-            os.write(1, f"{index} {len(calls)}\n".encode())
+def noted(group: str) -> list[tuple[Kernel, Any]]:
+    """Kernels that a group of examples calls, with the types of arguments, while all run as Python."""
+    notes: dict[tuple[Kernel, Any], None] = {}
+    Kernel.notes = notes
+    with _silence():
+        EXAMPLES[group]()
+    Kernel.notes = None
+    return list(notes)
+
+
+def work(group: str, end: float) -> None:
+    """Compile what a group needs, from a fraction of the list on towards its begin, but for what others compile."""
+    logging.disable()
+    calls = noted(group)
+    last = round(end * len(calls))
+    for kernel, types in calls[:last][::-1] + calls[last:][::-1]:
+        kernel.compile(types, wait=False)
+
+
+def compile_all() -> None:
+    """Compile all kernels, by doing what anything does."""
+    ahead.help_with("all")
+    with _silence():
+        EXAMPLES["all"]()
