@@ -70,7 +70,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]  # numba is not typed
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         super().__init__(function, targetoptions=options)
-        self._compiler._customize_flags = _Flags
+        self._compiler.compile = self._machine_code
         self._codes: dict[Any, Any] = {}
         if cache.folder() is not None:
             before, config.CACHE_LOCATOR_CLASSES = config.CACHE_LOCATOR_CLASSES, cache.__name__
@@ -78,8 +78,8 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]  # numba is not typed
             config.CACHE_LOCATOR_CLASSES = before
 
     def _code(self, given: Any) -> Any:
-        """LLVM's code for these types of arguments, without machine code unless Python has called it."""
-        if given in self.overloads:
+        """LLVM's code for these types of arguments, as other kernels call it."""
+        if given not in self._codes and given in self.overloads:  # from the cache
             return self.overloads[given]
         if given not in self._codes:
             flags = compiler.Flags()
@@ -88,11 +88,20 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]  # numba is not typed
             made = compiler.compile_extra(self.typingctx, self.targetctx, self.py_func, given, None, _Flags(flags), {})
             # By its entry, an address, numba finds how a function is called: any object that is no other's will do
             made = made._replace(entry_point=object())
-            made.library._finalized = True  # as it is, and its callers are linked with what it calls
-            libraries = [made.library, *made.library._linking_libraries]
-            self.targetctx.insert_user_function(made.entry_point, made.fndesc, libraries)
+            # It stays as it is, and its callers are linked with what it calls: each after all that call it
+            made.library._finalized = True
+            below = made.library._linking_libraries
+            below[:] = [*dict.fromkeys(below[::-1])][::-1]
+            self.targetctx.insert_user_function(made.entry_point, made.fndesc, [made.library, *below])
             self._codes[given] = made
         return self._codes[given]
+
+    def _machine_code(self, given: Any, _: None) -> Any:
+        """That with an entry for Python, optimised and translated with all it calls."""
+        made = self._code(given)
+        made.library._finalized, made.library._shared_module, context = False, None, made.target_context
+        context.create_cpython_wrapper(made.library, made.fndesc, made.environment, made.call_helper)
+        return made._replace(entry_point=context.get_executable(made.library, made.fndesc, made.environment))
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Meaning of a call in another kernel; numba would compile f(0) and f(i) both."""
@@ -157,7 +166,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if config.DISABLE_JIT:
         return function
     # What is left open numba takes from the kernel that calls this one first, and keeps for all others.
-    always = {"nopython": True, "boundscheck": None, "fastmath": False, "_nrt": True, "no_cfunc_wrapper": True}
+    always = {"nopython": True, "boundscheck": None, "fastmath": False, "_nrt": True}
     return Kernel(function, always | options)
 
 
