@@ -1,7 +1,7 @@
 """What is compiled before it is needed: nothing tells what a simulation calls, and for which types, but simulating.
 
 While one process compiles what it meets, others run small examples, the kernels as plain Python, which takes a second,
-and compile what was called, from the end of that list on. Nobody compiles what another has compiled or is compiling.
+and compile what was called, the longest first. Nobody compiles what another has compiled or is compiling.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import logging
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from itertools import combinations_with_replacement, product
 from typing import Any, get_args
 
@@ -38,7 +38,7 @@ __all__ = ["EXAMPLES", "compile_all", "noted", "work"]
 
 SCENES = (
     "arm_pushes_box", "bounce", "bricard", "bullet", "euler_disk", "gripper", "quadruped", "rattleback", "rocking",
-    "rolling", "slider_crank", "woodpecker",
+    "rolling", "slide", "slider_crank", "stack", "woodpecker",
 )  # fmt: skip
 """Named scenes whose first steps call what others do."""
 
@@ -52,9 +52,8 @@ def _steps(name: str, count: int, impact: str = "dissipative") -> None:
 
 
 def _step() -> None:
-    """What most simulations of free bodies call."""
-    _steps("slide", 3)
-    _steps("stack", 1)
+    """What simulations of free bodies call: a box at rest."""
+    Stepper(scenes.load("stack")(height=1), 5e-3).step()
 
 
 def _lift() -> None:
@@ -128,7 +127,6 @@ def _problems() -> None:
 
 def _all() -> None:
     """What anything calls."""
-    _step()
     for name in SCENES:
         _steps(name, 3)
     for impact in ("poisson", "fremond"):
@@ -170,12 +168,17 @@ def noted(group: str) -> list[tuple[Kernel, Any]]:
     return list(notes)
 
 
-def work(group: str, end: float) -> None:
-    """Compile what a group needs, from a fraction of the list on towards its begin, but for what others compile."""
+@cache
+def _size(kernel: Kernel) -> int:
+    """Bytes of code of a kernel and of what it calls."""
+    known = map(kernel.py_func.__globals__.get, kernel.py_func.__code__.co_names)
+    return len(kernel.py_func.__code__.co_code) + sum(_size(other) for other in known if isinstance(other, Kernel))
+
+
+def work(group: str) -> None:
+    """Compile what a group needs, the longest first, but for what others compile."""
     logging.disable()
-    calls = noted(group)
-    last = round(end * len(calls))
-    for kernel, types in calls[:last][::-1] + calls[last:][::-1]:
+    for kernel, types in sorted(noted(group), key=lambda call: -_size(call[0])):
         kernel.compile(types, wait=False)
 
 

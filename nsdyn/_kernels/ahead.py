@@ -11,7 +11,7 @@ from nsdyn._kernels.compiled import Kernel
 PROCESSES = "NSDYN_COMPILE_PROCESSES"
 """Environment variable: how many processes compile; 1 for this one alone, by default one per core."""
 
-_CODE = "import sys; sys.path[:] = {}; from nsdyn.compilation import work; work({!r}, {})"
+_CODE = "import sys; sys.path[:] = {}; from nsdyn.compilation import work; work({!r})"
 _helpers: list[subprocess.Popen[bytes]] = []
 
 
@@ -21,9 +21,8 @@ def help_with(group: str) -> None:
     others = 0 if _helpers else int(os.environ.get(PROCESSES) or cores or 1) - 1
     environment = os.environ | {PROCESSES: "1"} | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     with suppress(OSError):  # where none can be started, this one compiles
-        for k in range(others):
-            command = [sys.executable, "-c", _CODE.format(sys.path, group, (k + 1) / others)]
-            nothing = subprocess.DEVNULL
+        for _ in range(others):
+            command, nothing = [sys.executable, "-c", _CODE.format(sys.path, group)], subprocess.DEVNULL
             _helpers.append(subprocess.Popen(command, env=environment, stdin=nothing, stdout=nothing, stderr=nothing))
             atexit.register(_helpers[-1].kill)
 
