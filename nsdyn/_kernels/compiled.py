@@ -68,20 +68,15 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]  # numba is not typed
     new: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
     """Called where nothing is known of what is compiled."""
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
-        super().__init__(function, targetoptions=options)
+    def __init__(self, *args: Any, **kws: Any) -> None:
+        super().__init__(*args, **kws)
         self._compiler.compile = self._machine_code
         self._codes: dict[Any, Any] = {}
-        if cache.folder() is not None:
-            before, config.CACHE_LOCATOR_CLASSES = config.CACHE_LOCATOR_CLASSES, cache.__name__
-            self.enable_caching()
-            config.CACHE_LOCATOR_CLASSES = before
 
     def _code(self, given: Any) -> Any:
         """LLVM's code for these types of arguments, as other kernels call it."""
-        if given not in self._codes and given in self.overloads:  # from the cache
-            return self.overloads[given]
-        if given not in self._codes:
+        made = self._codes.get(given) or self.overloads.get(given)  # these are from the cache
+        if made is None:
             flags = compiler.Flags()
             self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
             flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
@@ -94,7 +89,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]  # numba is not typed
             below[:] = [*dict.fromkeys(below[::-1])][::-1]
             self.targetctx.insert_user_function(made.entry_point, made.fndesc, [made.library, *below])
             self._codes[given] = made
-        return self._codes[given]
+        return made
 
     def _machine_code(self, given: Any, _: None) -> Any:
         """That with an entry for Python, optimised and translated with all it calls."""
@@ -143,9 +138,8 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]  # numba is not typed
         if place and not os.path.exists(place):
             Kernel.new()
         gc.disable()
-        timer = threading.Timer(
-            max(PATIENCE / 4.0, PATIENCE - loading()), _tell
-        )  # to load takes less than that quarter
+        # To load takes less than that quarter
+        timer = threading.Timer(max(0.25 * PATIENCE, PATIENCE - loading()), _tell)
         timer.daemon = True
         timer.start()
         try:
@@ -167,7 +161,12 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         return function
     # What is left open numba takes from the kernel that calls this one first, and keeps for all others.
     always = {"nopython": True, "boundscheck": None, "fastmath": False, "_nrt": True}
-    return Kernel(function, always | options)
+    out = Kernel(function, targetoptions=always | options)
+    if cache.folder() is not None:
+        before, config.CACHE_LOCATOR_CLASSES = config.CACHE_LOCATOR_CLASSES, cache.__name__
+        out.enable_caching()
+        config.CACHE_LOCATOR_CLASSES = before
+    return out
 
 
 def in_place(function: Callable[..., Any] | None = None, **options: Any) -> Any:
