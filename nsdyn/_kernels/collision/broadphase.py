@@ -93,7 +93,8 @@ def append(codes, count, code):
     """Array with the code at position `count`, grown when it is full."""
     if count == codes.size:
         grown = np.empty(2 * codes.size, dtype=np.int64)
-        grown[:count] = codes
+        for k in range(count):
+            grown[k] = codes[k]
         codes = grown
     codes[count] = code
     return codes

@@ -14,8 +14,8 @@ STILL = 1e-3
 of what counts as closed, by which the rows of a contact at rest may drift in one."""
 
 LEFT = 1e-8
-"""What the solver's tolerance leaves of a relative velocity: bodies that fall together, on which forces change no more,
-do not press."""
+"""What the solver's tolerance leaves of a relative velocity, and of what its rows turn by: bodies that fall together,
+on which forces change no more, do not press."""
 
 JOLT = 1.0
 """Speeds of approach that are errors of a motion, in drifts of the rows over half a move: these are of first order,
@@ -69,10 +69,10 @@ def persists(key, pair, warm, begin, local, end_gap, h, struck, stays, sticks, w
             continue
         gap = begin_gap[before[c]] if before[c] >= 0 else 0.0
         speed = math.sqrt(u_begin[i] ** 2 + u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
-        still, old = STILL * abs(u_free[i] - u[i]) - LEFT * speed, was[c]
+        bent = math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)
+        still, old = STILL * abs(u_free[i] - u[i]) - LEFT * (speed + bent), was[c]
         if gap < -2.0 * closed or (old == 0 and (before[c] < 0 or gap > closed or abs(u_begin[i]) >= still)):
             continue
-        bent = math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
         slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
         sticks[c] = stays[c] and (old == 1 or (old == 0 and slip <= still))
