@@ -127,17 +127,6 @@ def test_an_edited_callee_is_seen_and_nothing_else_compiled(package, tmp_path):
     assert python("-c", COMMAND, **environment).stdout.endswith(" 0\n")
 
 
-def test_a_module_that_was_moved_is_no_other(package, tmp_path):
-    """What is kept names the module that it is of: an older version of the package may have it elsewhere."""
-    kernels, environment = package / "nsdyn" / "_kernels", {"PYTHONPATH": str(package)}
-    environment["NSDYN_CACHE_DIR"] = str(tmp_path / "cache")
-    for folder in (kernels, kernels / "problem"):
-        (folder / "moved.py").write_text(CALLEE + "\nprint(given(1.0))\n")
-        module = ".".join((folder / "moved").relative_to(package).parts)
-        assert python("-c", f"import {module}", **environment).stdout == "1.0\n"
-        (folder / "moved.py").unlink()
-
-
 def test_without_a_cache_it_works(tmp_path):
     (tmp_path / "file").touch()
     for _ in range(2):

@@ -47,14 +47,14 @@ def folder() -> Path | None:
 
 @cache
 def contents(module: str) -> str:
-    """Hash of the name and text of a module, which what is kept names, and of the modules of ours it imports."""
+    """Hash of the text of a module and, transitively, of the modules of ours it imports."""
     text = Path(sys.modules[module].__file__ or "").read_text()
     names = set()
     for package, parts in _IMPORT.findall(text):
         names |= {package} | {f"{package}.{part.split()[0]}" for part in parts.strip("()").split(",") if part.strip()}
     below = map(contents, sorted(name for name in names if name in sys.modules and name != __package__))
     versions = numba.__version__, np.__version__, numba.config.BOUNDSCHECK, numba.config.OPT
-    return hashlib.sha256(repr((module, text, *below, versions)).encode()).hexdigest()
+    return hashlib.sha256(repr((text, *below, versions)).encode()).hexdigest()
 
 
 def from_function(function: Callable[..., Any], file: str) -> SimpleNamespace:
