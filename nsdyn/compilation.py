@@ -1,24 +1,23 @@
 """What is compiled before it is needed: nothing tells what a simulation calls, and for which types, but simulating.
 
-While one process compiles what it meets, others run small examples, the kernels as plain Python, which takes a second,
-and compile what was called, the longest first. Nobody compiles what another has compiled or is compiling.
+Each process runs small examples, the kernels as plain Python, which takes a second, and compiles what was called. All
+do so with the same list, from different places on, and leave out what another has compiled or is compiling.
 """
 
 from __future__ import annotations
 
 import logging
+import os
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cache, partial
+from collections.abc import Callable
+from functools import partial
 from itertools import combinations_with_replacement, product
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
 from nsdyn import solvers
-from nsdyn._kernels import ahead
-from nsdyn._kernels.compiled import Kernel
+from nsdyn._kernels.compiled import Kernel, Notes
 from nsdyn._kernels.problem import cones
 from nsdyn._kernels.solvers import start
 from nsdyn.collision.contacts import ContactMemory, Poses
@@ -34,11 +33,11 @@ from nsdyn.solvers.means import ByFactors, ByMatrix
 from nsdyn.solvers.reference.gauss_seidel import Local
 from nsdyn.stepping.stepper import Stepper
 
-__all__ = ["EXAMPLES", "compile_all", "noted", "work"]
+__all__ = ["EXAMPLES", "noted", "work"]
 
 SCENES = (
     "arm_pushes_box", "bounce", "bricard", "bullet", "euler_disk", "gripper", "quadruped", "rattleback", "rocking",
-    "rolling", "slide", "slider_crank", "stack", "woodpecker",
+    "rolling", "slider_crank", "woodpecker",
 )  # fmt: skip
 """Named scenes whose first steps call what others do."""
 
@@ -52,8 +51,9 @@ def _steps(name: str, count: int, impact: str = "dissipative") -> None:
 
 
 def _step() -> None:
-    """What simulations of free bodies call: a box at rest."""
-    Stepper(scenes.load("stack")(height=1), 5e-3).step()
+    """What most simulations of free bodies call."""
+    _steps("slide", 3)
+    _steps("stack", 1)
 
 
 def _lift() -> None:
@@ -130,6 +130,7 @@ def _problems() -> None:
 
 def _all() -> None:
     """What anything calls."""
+    _step()
     for name in SCENES:
         _steps(name, 3)
     for impact in ("poisson", "fremond"):
@@ -154,39 +155,24 @@ def _contact() -> None:
 EXAMPLES: dict[str, Callable[[], None]] = {"step": _step, "all": _all, "contact": _contact}
 
 
-@contextmanager
-def _silence() -> Iterator[None]:
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        yield
+def noted(group: str) -> Notes:
+    """Calls of kernels in a group of examples, which run as Python."""
+    Kernel.notes = notes = Notes()
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            EXAMPLES[group]()
+    finally:
+        Kernel.notes = None
+    return notes
 
 
-def noted(group: str) -> list[tuple[Kernel, Any]]:
-    """Kernels that a group of examples calls, with the types of arguments, while all run as Python."""
-    notes: dict[tuple[Kernel, Any], None] = {}
-    Kernel.notes = notes
-    with _silence():
-        EXAMPLES[group]()
-    Kernel.notes = None
-    return list(notes)
-
-
-@cache
-def _size(kernel: Kernel) -> int:
-    """Bytes of code of a kernel and of what it calls."""
-    known = map(kernel.py_func.__globals__.get, kernel.py_func.__code__.co_names)
-    return len(kernel.py_func.__code__.co_code) + sum(_size(other) for other in known if isinstance(other, Kernel))
-
-
-def work(group: str) -> None:
-    """Compile what a group needs, the longest first, but for what others compile."""
-    logging.disable()
-    for kernel, types in sorted(noted(group), key=lambda call: -_size(call[0])):
-        kernel.compile(types, wait=False)
-
-
-def compile_all() -> None:
-    """Compile all kernels, by doing what anything does."""
-    ahead.help_with("all")
-    with _silence():
-        EXAMPLES["all"]()
+def work(group: str, begin: float) -> None:
+    """Compile what a group needs, from a fraction of the list on, and print the index of each and their number."""
+    logging.getLogger("nsdyn").setLevel(logging.ERROR)
+    calls = list(noted(group).calls)
+    for k in range(len(calls)):
+        index = (k + int(begin * len(calls))) % len(calls)
+        kernel, types = calls[index]
+        if kernel.compile(types, wait=False) is not None:
+            os.write(1, f"{index} {len(calls)}\n".encode())

@@ -1,28 +1,35 @@
-"""The decorator of all kernels, and what it adds to numba's.
+"""The decorator of all kernels.
 
-numba makes machine code of every function that it compiles, with all that it calls, again for each caller; of kernels
-that only kernels call nobody uses it. Here these stop at LLVM's code, simplified function by function, and what Python
-calls is optimised and translated with all below it, once. That is a third of a compilation.
+What Python calls is compiled to machine code; what kernels call is not, see `nsdyn._kernels.called`. Both are kept, see
+`nsdyn._kernels.cache`.
 """
 
 import gc
-import logging
-import multiprocessing
-import os
 import threading
 import time
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
-from numba import config, types
-from numba.core import compiler, typing
+from numba.core import config, typing
 from numba.core.registry import CPUDispatcher
+from numba.core.types import unliteral
 
-from nsdyn._kernels import cache
+from nsdyn._kernels.cache import Cache, alone
+from nsdyn._kernels.called import Called
 
-PATIENCE = 2.0
-"""s of compiling about which nothing is said."""
+
+@contextmanager
+def _no_garbage() -> Iterator[None]:
+    """Without the search for cycles, which takes a fifth of a compilation, since it makes millions of objects."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 class _Loading(threading.local):
@@ -42,115 +49,80 @@ def clock() -> float:
     return time.perf_counter() - _loading.seconds
 
 
-@lru_cache(maxsize=1)
-def _tell() -> None:
-    """Tell who waits, once."""
-    if multiprocessing.parent_process() is None:
-        logging.getLogger("nsdyn").warning("compiling kernels, once on this machine: about half a minute")
+class Notes:
+    """Calls of kernels from Python, in their order, while all kernels run as Python."""
+
+    def __init__(self) -> None:
+        self.calls: dict[tuple[Kernel, Any], None] = {}
+        self._inside = False
+
+    def call(self, kernel: "Kernel", *args: Any, **kws: Any) -> Any:
+        """Run a kernel as Python; those it calls are none of Python's."""
+        if self._inside:
+            return kernel.py_func(*args, **kws)
+        types = tuple(map(kernel.typeof_pyval, args)), {k: kernel.typeof_pyval(v) for k, v in kws.items()}
+        self.calls[kernel, tuple(kernel.fold_argument_types(*types)[1])] = None
+        self._inside = True
+        try:
+            return kernel.py_func(*args, **kws)
+        finally:
+            self._inside = False
 
 
-class _Flags(compiler.Flags):  # type: ignore[misc]  # numba is not typed
-    """Options that are told apart by what is set of them: numba looks all up by name, a seventh of a compilation."""
-
-    def __hash__(self) -> int:
-        return len(self._values)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, compiler.Flags) and self._values == other._values
-
-
-class Kernel(CPUDispatcher):  # type: ignore[misc]  # numba is not typed
+class Kernel(CPUDispatcher):
     """Compiled function: compiled by one process while others wait, and for variables where it is given constants."""
 
-    notes: ClassVar[dict[tuple["Kernel", Any], None] | None] = None
-    """Where not None, kernels run as Python, and what Python calls of them is noted here."""
+    known: ClassVar[list["Kernel"]] = []
+    notes: ClassVar[Notes | None] = None
+    """Where not None, nothing is compiled."""
 
-    new: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
-    """Called where nothing is known of what is compiled."""
+    prepare: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
+    """Called before a process compiles what Python calls."""
 
-    def __init__(self, *args: Any, **kws: Any) -> None:
-        super().__init__(*args, **kws)
-        self._compiler.compile = self._machine_code
-        self._codes: dict[Any, Any] = {}
+    def enable_caching(self) -> None:
+        """As numba does, in our cache."""
+        self._cache = Cache(self.py_func)
+        self.known.append(self)
 
-    def _code(self, given: Any) -> Any:
-        """LLVM's code for these types of arguments, as other kernels call it."""
-        made = self._codes.get(given) or self.overloads.get(given)  # these are from the cache
-        if made is None:
-            flags = compiler.Flags()
-            self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
-            flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
-            made = compiler.compile_extra(self.typingctx, self.targetctx, self.py_func, given, None, _Flags(flags), {})
-            # By its entry, an address, numba finds how a function is called: any object that is no other's will do
-            made = made._replace(entry_point=object())
-            # It stays as it is, and its callers are linked with what it calls: each after all that call it
-            made.library._finalized = True
-            below = made.library._linking_libraries
-            below[:] = [*dict.fromkeys(below[::-1])][::-1]
-            self.targetctx.insert_user_function(made.entry_point, made.fndesc, [made.library, *below])
-            self._codes[given] = made
-        return made
+    @property
+    def name(self) -> str:
+        """Module, name and contents: the beginning of the names of its files."""
+        return self._cache.name
 
-    def _machine_code(self, given: Any, _: None) -> Any:
-        """That with an entry for Python, optimised and translated with all it calls."""
-        made = self._code(given)
-        made.library._finalized, made.library._shared_module, context = False, None, made.target_context
-        context.create_cpython_wrapper(made.library, made.fndesc, made.environment, made.call_helper)
-        return made._replace(entry_point=context.get_executable(made.library, made.fndesc, made.environment))
+    @cached_property
+    def called(self) -> Called:
+        """What other kernels call."""
+        return Called(self)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Meaning of a call in another kernel; numba would compile f(0) and f(i) both."""
-        plain = tuple(map(types.unliteral, args)), {name: types.unliteral(t) for name, t in kws.items()}
-        signature, folded = self._compiler.fold_argument_types(*plain)
-        name, known = self.py_func.__name__, [self._code(tuple(folded)).signature]
-        return typing.make_concrete_template(name, key=name, signatures=known), signature, folded, {}
+        types = tuple(map(unliteral, args)), {name: unliteral(t) for name, t in kws.items()}
+        signature, folded = self._compiler.fold_argument_types(*types)
+        name = self.py_func.__name__
+        found = typing.make_concrete_template(name, key=name, signatures=[self.called[tuple(folded)].signature])
+        return found, signature, folded, {}
 
-    def get_overload(self, given: Any) -> Any:
+    def get_overload(self, types: Any) -> Any:
         """What numba knows the function by that another kernel calls."""
-        return self._code(tuple(given)).entry_point
+        return self.called[tuple(types)].entry_point
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         """What to call instead, at a call from Python with new types."""
         if Kernel.notes is not None:
-            return self._noted
+            return partial(Kernel.notes.call, self)
         begin = time.perf_counter()
         try:
+            Kernel.prepare()
             return super()._compile_for_args(*args, **kws)
         finally:
             _loading.seconds += time.perf_counter() - begin
 
-    def _noted(self, *args: Any, **kws: Any) -> Any:
-        """Run as Python; the kernels it calls are none of Python's."""
-        given = tuple(map(self.typeof_pyval, args)), {name: self.typeof_pyval(v) for name, v in kws.items()}
-        notes, Kernel.notes = Kernel.notes, {}
-        notes[self, tuple(self.fold_argument_types(*given)[1])] = None
-        try:
-            return self.py_func(*args, **kws)
-        finally:
-            Kernel.notes = notes
-
-    def compile(self, given: Any, wait: bool = True) -> Any:
-        """Load or compile for these types; without waiting None where another process does.
-
-        Without the search for garbage, which takes a fifth of a compilation, since it makes millions of objects.
-        """
-        place, enabled = self._cache.cache_path, gc.isenabled()
-        if place and not os.path.exists(place):
-            Kernel.new()
-        gc.disable()
-        # To load takes less than that quarter
-        timer = threading.Timer(max(0.25 * PATIENCE, PATIENCE - loading()), _tell)
-        timer.daemon = True
-        timer.start()
-        try:
-            with cache.alone(place, self.py_func.__name__, wait) as free:
-                return super().compile(given) if free else None
-        except OSError:  # a full disk: it is compiled, and not kept
-            return super().compile(given)
-        finally:
-            timer.cancel()
-            if enabled:
-                gc.enable()
+    def compile(self, types: Any, wait: bool = True) -> Any:
+        """Load or compile for these types; without waiting None where another process does."""
+        if types in self.overloads:
+            return super().compile(types)
+        with _no_garbage(), alone(self._cache.file(types, self.targetctx), wait) as free:
+            return super().compile(types) if free else None
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -162,10 +134,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     # What is left open numba takes from the kernel that calls this one first, and keeps for all others.
     always = {"nopython": True, "boundscheck": None, "fastmath": False, "_nrt": True}
     out = Kernel(function, targetoptions=always | options)
-    if cache.folder() is not None:
-        before, config.CACHE_LOCATOR_CLASSES = config.CACHE_LOCATOR_CLASSES, cache.__name__
-        out.enable_caching()
-        config.CACHE_LOCATOR_CLASSES = before
+    out.enable_caching()
     return out
 
 

@@ -86,9 +86,9 @@ def diagnose(arguments: argparse.Namespace) -> int:
 
     wrong = wrong_packages()
     if arguments.compile and not wrong:
-        from nsdyn.compilation import compile_all
+        from nsdyn._kernels import ahead
 
-        compile_all()
+        ahead.compile_examples("all")
     packages: dict[str, Any] = {}
     for distribution, module in PACKAGES.items():
         spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server

@@ -93,8 +93,7 @@ def append(codes, count, code):
     """Array with the code at position `count`, grown when it is full."""
     if count == codes.size:
         grown = np.empty(2 * codes.size, dtype=np.int64)
-        for k in range(count):
-            grown[k] = codes[k]
+        grown[:count] = codes
         codes = grown
     codes[count] = code
     return codes
