@@ -102,7 +102,7 @@ def unsymmetric(mu, seed, nc=30):
 FORMS = pytest.mark.parametrize("form", [lambda p: p, given], ids=["factors", "matrix"])
 
 
-@pytest.mark.parametrize("form", [lambda p: p, given], ids=["factors", "matrix"])
+@FORMS
 def test_iterations_hardly_depend_on_the_mass_ratio(form):
     """20 boxes, the masses growing upwards by 1 to 1000 in all; every start from nothing."""
     counts = []
