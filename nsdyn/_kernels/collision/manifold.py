@@ -23,7 +23,7 @@ import math
 from nsdyn._kernels.collision.clipping import merge, on_border, over_face
 from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
-from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, HALFSPACE, POLYTOPE, SPHERE, Geometry
+from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, HALFSPACE, SPHERE, Geometry
 from nsdyn._kernels.collision.reduction import reduce
 from nsdyn._kernels.collision.segments import edge, ends, segments, touch
 from nsdyn._kernels.collision.support import SAME, SHARP, separation
@@ -81,8 +81,6 @@ def closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, 
             given, _, _ = separation(geometry, i, j, R, t, n)
             if own > given - SAME * size and abs(own - gap[at]) < SAME * size:
                 return 1
-            if angle <= SHARP and geometry.kind[i] == POLYTOPE and geometry.kind[j] == POLYTOPE:
-                return 0  # what is outermost of each does not meet that of the other: faces do
     smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, valid2, point, normal, gap, at)
     return 1
 
@@ -129,7 +127,7 @@ def pair_contacts(
             first = of_features(
                 geometry, i, j, R, t, known, found if trusted else n, SHARP, margin, near, point, normal, gap, at
             )  # fmt: skip
-            deepest = gap[at] if first > 0 else deepest
+            deepest = gap[at]
     overlap = min(deepest, 0.0) if first > 0 else 0.0
     if first > 0:
         kept = 0
