@@ -99,9 +99,16 @@ def block(cells: int = 32, alpha: float = 0.3) -> Block:
     W[2::3, 2::3] += np.eye(n) * np.diag(W)[1::3].mean()
     solved = [factor.solve(load[free]) for load in loads] + [factor.solve(spring * mode)]
     return Block(
-        mesh.p[0, nodes], W, B.T @ solved[0], B.T @ solved[1], factor.solve(mode) @ B, mode @ solved[0],
-        mode @ solved[1], B.T @ solved[2], mode @ solved[2],
-    )  # fmt: skip
+        mesh.p[0, nodes],
+        W,
+        B.T @ solved[0],
+        B.T @ solved[1],
+        factor.solve(mode) @ B,
+        mode @ solved[0],
+        mode @ solved[1],
+        B.T @ solved[2],
+        mode @ solved[2],
+    )
 
 
 def solve(

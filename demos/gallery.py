@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import nsdyn as nd
-from nsdyn.recording import pictures, viewer
+from nsdyn.view import pictures, viewer
 
 HERE = Path(__file__).resolve().parent
 G = 9.81
@@ -71,72 +71,129 @@ def _energy_drift(trajectory: nd.Trajectory) -> float:
 
 EXHIBITS = (
     Exhibit(
-        "Cube thrown along the ground", "slide",
+        "Cube thrown along the ground",
+        "slide",
         "Coulomb: it stops after v0²/(2 μ g), whatever its heading, since the friction cone is round.",
-        lambda t: math.dist(*t.body("box").position[[0, -1]]), "m", 2.0**2 / (2 * 0.5 * G), {"heading": 30.0},
+        lambda t: math.dist(*t.body("box").position[[0, -1]]),
+        "m",
+        2.0**2 / (2 * 0.5 * G),
+        {"heading": 30.0},
     ),
     Exhibit(
-        "A thousand kilograms on nine boxes of one", "heavy_on_light",
+        "A thousand kilograms on nine boxes of one",
+        "heavy_on_light",
         "Statics: the ground carries all weights. The mass ratio that stalls relaxation does not matter to Newton's "
         "method in velocity space.",
-        lambda t: float(t.force("heavy")[-1, 2]), "N", 1000 * G, {"ratio": 1000.0, "below": 9}, 0.5,
+        lambda t: float(t.force("heavy")[-1, 2]),
+        "N",
+        1000 * G,
+        {"ratio": 1000.0, "below": 9},
+        0.5,
     ),
     Exhibit(
-        "Ball dropped on the ground", "bounce",
+        "Ball dropped on the ground",
+        "bounce",
         "Newton's law of impact: the second apex is e² = 0.64 times the first. Impacts are located, so that this is "
         "exact at any dt.",
-        _apex, "m", 0.64, {}, 1.5, 0.9,
+        _apex,
+        "m",
+        0.64,
+        {},
+        1.5,
+        0.9,
     ),
     Exhibit(
-        "Newton's cradle with gaps", "cradle",
+        "Newton's cradle with gaps",
+        "cradle",
         "Equal elastic balls hand on their velocity one by one: the last flies off with all of it.",
-        lambda t: float(t.body("ball4").linear_velocity[-1, 0]), "m/s", 1.0, {}, 0.5,
+        lambda t: float(t.body("ball4").linear_velocity[-1, 0]),
+        "m/s",
+        1.0,
+        {},
+        0.5,
     ),
     Exhibit(
-        "Ball in a V-groove", "groove",
+        "Ball in a V-groove",
+        "groove",
         "Rolling on two sides: a = g sin α / (1 + 2/(5 sin² β)), on a smaller radius than its own.",
-        lambda t: 2.0 * math.dist(*t.body("ball").position[[0, -1]]) / t.t[-1] ** 2, "m/s²",
+        lambda t: 2.0 * math.dist(*t.body("ball").position[[0, -1]]) / t.t[-1] ** 2,
+        "m/s²",
         G * math.sin(math.radians(10)) / (1 + 2 / (5 * math.sin(math.radians(45)) ** 2)),
     ),
     Exhibit(
-        "Books over the edge of a table", "overhang",
+        "Books over the edge of a table",
+        "overhang",
         "The harmonic series: a thousandth of a length inside the largest overhang they stand, and do not creep.",
-        drift, "m", 0.0, {}, 1.0,
+        drift,
+        "m",
+        0.0,
+        {},
+        1.0,
     ),
     Exhibit(
-        "Arch of eleven voussoirs", "arch",
+        "Arch of eleven voussoirs",
+        "arch",
         "Heyman: it stands if a thrust line lies within it, held by friction and one-sided contact alone.",
-        drift, "m", 0.0, {}, 1.0,
+        drift,
+        "m",
+        0.0,
+        {},
+        1.0,
     ),
     Exhibit(
-        "Wall of 105 bricks", "wall",
+        "Wall of 105 bricks",
+        "wall",
         "At rest is at rest: no drift, with redundant contacts whose impulses are not unique.",
-        drift, "m", 0.0, {}, 0.5,
+        drift,
+        "m",
+        0.0,
+        {},
+        0.5,
     ),
     Exhibit(
-        "Rattleback", "rattleback",
+        "Rattleback",
+        "rattleback",
         "Spun the wrong way it rattles, stops and turns back. It rolls on one point, which sticks: friction does no "
         "work.",
-        lambda t: abs(float(t.energy.friction.sum())) / t.at_play, "of the energy at play", 0.0, {"spin": -5.0}, 2.0,
+        lambda t: abs(float(t.energy.friction.sum())) / t.at_play,
+        "of the energy at play",
+        0.0,
+        {"spin": -5.0},
+        2.0,
         dt=1e-4,
     ),
     Exhibit(
-        "Bricard's mechanism", "bricard",
+        "Bricard's mechanism",
+        "bricard",
         "Six hinges on a closed loop, one freedom that no count sees: redundant constraints, energy kept.",
-        _energy_drift, "of the energy at play", 0.0, {}, 2.0, 0.9,
+        _energy_drift,
+        "of the energy at play",
+        0.0,
+        {},
+        2.0,
+        0.9,
     ),
     Exhibit(
-        "Gripper", "gripper",
+        "Gripper",
+        "gripper",
         "Friction holds what two fingers press with 20 N: the box comes up by 0.2 m, without sinking.",
-        lambda t: float(np.ptp(t.body("box").position[[0, -1], 2])), "m", 0.2,
+        lambda t: float(np.ptp(t.body("box").position[[0, -1], 2])),
+        "m",
+        0.2,
     ),
     Exhibit(
-        "Quadruped", "quadruped",
+        "Quadruped",
+        "quadruped",
         "Twelve joints under implicit control, four feet: it stands and walks in place. While it stands the contact "
         "forces carry its weight.",
-        lambda t: float(t.force("quadruped")[t.t_steps < 1.0][-1, 2]), "N", math.nan, {}, 2.0, 1.2,
+        lambda t: float(t.force("quadruped")[t.t_steps < 1.0][-1, 2]),
+        "N",
+        math.nan,
+        {},
+        2.0,
+        1.2,
     ),
-)  # fmt: skip
+)
 
 
 def command(exhibit: Exhibit) -> str:
@@ -185,10 +242,16 @@ def section(exhibit: Exhibit, trajectory: nd.Trajectory) -> str:
     if play <= 1e-6 * potential:
         energy = f"at rest ({play:.0e} J of {potential:.3g} J)"
     cells = (
-        f"`{solver}`", f"{trajectory.dt:g} s", trajectory.steps, f"{contacts:.1f}", f"{worst['residual']:.0e} m/s",
-        f"{max(overlap.amount, 0.0):.0e} m", energy,
-        f"{np.median(trajectory.wall_time) * 1e3:.2f} ms", "passed" if audit.passed else "FAILED",
-    )  # fmt: skip
+        f"`{solver}`",
+        f"{trajectory.dt:g} s",
+        trajectory.steps,
+        f"{contacts:.1f}",
+        f"{worst['residual']:.0e} m/s",
+        f"{max(overlap.amount, 0.0):.0e} m",
+        energy,
+        f"{np.median(trajectory.wall_time) * 1e3:.2f} ms",
+        "passed" if audit.passed else "FAILED",
+    )
     return f"""## {exhibit.title}
 
 ![{exhibit.title}]({photograph(exhibit, trajectory)})

@@ -17,9 +17,14 @@ import pdoc
 import nsdyn as nd
 
 VALUES = (
-    "nsdyn.recording.series", "nsdyn.recording.joints", "nsdyn.recording.tables", "nsdyn.recording.findings",
-    "nsdyn.recording.file", "nsdyn.problem.gauss", "nsdyn.collision.contacts",
-)  # fmt: skip
+    "nsdyn.recording.series",
+    "nsdyn.recording.joint_tables",
+    "nsdyn.recording.tables",
+    "nsdyn.audit.findings",
+    "nsdyn.recording.columns",
+    "nsdyn.problem.gauss",
+    "nsdyn.collision.contacts",
+)
 """Modules of what public functions return, and the layout of a recording."""
 
 
@@ -36,8 +41,9 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", default="reference", type=Path)
     folder = parser.parse_args().folder
     names = modules()
-    for name in nd.__all__:
-        setattr(nd, name, getattr(nd, name))  # public names are imported at their first use, which pdoc waits for
+    for module in (nd, nd.solvers):
+        for name in module.__all__:
+            setattr(module, name, getattr(module, name))  # these are imported at their first use; pdoc looks once
     for name in names:
         importlib.import_module(name)
     pdoc.render.configure(docformat="numpy", footer_text=f"nsdyn {nd.__version__}")

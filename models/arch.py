@@ -8,9 +8,13 @@ DURATION, DT = 2.0, 5e-3
 
 
 def scene(
-    voussoirs: int = 11, thickness: float = 0.107, radius: float = 1.0, width: float = 0.3, density: float = 2000.0,
+    voussoirs: int = 11,
+    thickness: float = 0.107,
+    radius: float = 1.0,
+    width: float = 0.3,
+    density: float = 2000.0,
     mu: float = 0.6,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """`voussoirs` equal wedges between `radius` ± `thickness`/2 [m], `width` [m] deep.
 
     It stands if thickness/radius exceeds the limit of Milankovitch's problem for that number of voussoirs with flat

@@ -8,9 +8,14 @@ DURATION, DT = 10.0, 2e-3
 
 
 def scene(
-    balls: int = 8, size: float = 1.0, radius: float = 0.1, speed: float = 3.0, gravity: float = 0.0, mass: float = 1.0,
+    balls: int = 8,
+    size: float = 1.0,
+    radius: float = 0.1,
+    speed: float = 3.0,
+    gravity: float = 0.0,
+    mass: float = 1.0,
     seed: int = 0,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """`balls` balls of `radius` [m] with masses from `mass` to twice that [kg] in a cubic box of edge `size` [m].
 
     They start on a grid with velocities of length `speed` [m/s] in directions drawn from `seed`.
@@ -27,7 +32,11 @@ def scene(
     for k, place in enumerate(places):
         direction = rng.normal(size=3)
         out.add_sphere(
-            f"ball{k}", radius, mass * (1.0 + k / balls), position=place * (size - radius), material=material,
+            f"ball{k}",
+            radius,
+            mass * (1.0 + k / balls),
+            position=place * (size - radius),
+            material=material,
             linear_velocity=speed * direction / np.linalg.norm(direction),
-        )  # fmt: skip
+        )
     return out

@@ -10,9 +10,16 @@ DURATION, DT = 3.0, 1e-3
 
 
 def scene(
-    height: float = 1.0, restitution: float = 0.8, radius: float = 0.1, mass: float = 1.0, mu: float = 0.5,
-    speed: float = 0.0, fall: float = 0.0, spin: float = 0.0, gravity: float = 9.81,
-) -> Scene:  # fmt: skip
+    height: float = 1.0,
+    restitution: float = 0.8,
+    radius: float = 0.1,
+    mass: float = 1.0,
+    mu: float = 0.5,
+    speed: float = 0.0,
+    fall: float = 0.0,
+    spin: float = 0.0,
+    gravity: float = 9.81,
+) -> Scene:
     """Ball of `radius` [m] and `mass` [kg] whose lowest point starts `height` [m] above the ground.
 
     It starts with `speed` along x, `fall` downwards [m/s] and `spin` about y [rad/s].
@@ -21,7 +28,12 @@ def scene(
     material = Material(mu=mu, restitution=restitution)
     out.add_halfspace("ground", material=material)
     out.add_sphere(
-        "ball", radius, mass, position=(0, 0, radius + height), material=material,
-        linear_velocity=(speed, 0, -fall), angular_velocity=(0, spin, 0),
-    )  # fmt: skip
+        "ball",
+        radius,
+        mass,
+        position=(0, 0, radius + height),
+        material=material,
+        linear_velocity=(speed, 0, -fall),
+        angular_velocity=(0, spin, 0),
+    )
     return out

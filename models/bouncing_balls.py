@@ -9,9 +9,13 @@ DURATION, DT = 2.0, 1e-2
 
 
 def scene(
-    rows: int = 7, height: float = 5.0, restitution: float = 1.0, radius: float = 0.5, mass: float = 10.0,
+    rows: int = 7,
+    height: float = 5.0,
+    restitution: float = 1.0,
+    radius: float = 0.5,
+    mass: float = 10.0,
     spacing: float = 2.0,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """`rows` x `rows` balls of `radius` [m] and `mass` [kg], `spacing` [m] apart, `height` [m] above the ground.
 
     Each starts a little higher than the one before, so that no two meet the ground together.

@@ -6,9 +6,13 @@ DURATION, DT = 0.2, 1e-2
 
 
 def scene(
-    speed: float = 100.0, shift: float = 0.0, restitution: float = 0.0, wall: float = 0.01, radius: float = 0.02,
+    speed: float = 100.0,
+    shift: float = 0.0,
+    restitution: float = 0.0,
+    wall: float = 0.01,
+    radius: float = 0.02,
     mass: float = 1.0,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """Ball of `radius` [m] and `mass` [kg] flying at `speed` [m/s] at a `wall` [m] thick, 5 m + `shift` away."""
     out = Scene(gravity=(0, 0, 0), name="bullet")
     material = Material(0.0, restitution)

@@ -8,9 +8,15 @@ DURATION, DT = 1.0, 5e-3
 
 
 def scene(
-    blocks: int = 8, mu: float = 0.3, ratio: float = 2.6, weight: float = 10.0, block_mass: float = 1e-2,
-    radius: float = 1.0, thickness: float = 0.2, width: float = 0.2,
-) -> Scene:  # fmt: skip
+    blocks: int = 8,
+    mu: float = 0.3,
+    ratio: float = 2.6,
+    weight: float = 10.0,
+    block_mass: float = 1e-2,
+    radius: float = 1.0,
+    thickness: float = 0.2,
+    width: float = 0.2,
+) -> Scene:
     """`blocks` wedges of `block_mass` [kg] on the flat facets of half a circle of `radius` [m] below the ground.
 
     They touch each other without friction and the trough with `mu`; on the left end stands `weight` [kg], on the right
@@ -29,13 +35,19 @@ def scene(
         # The body axis z of a facet points outwards. It ends short of its neighbours' blocks.
         turn = (np.pi / 2 - middle) / 2
         out.add_box(
-            f"facet{k}", (1.8 * half, 2 * width, 0.1), fixed=True, material=rough, position=(radius + 0.05) * outward,
+            f"facet{k}",
+            (1.8 * half, 2 * width, 0.1),
+            fixed=True,
+            material=rough,
+            position=(radius + 0.05) * outward,
             quaternion=(0, np.sin(turn), 0, np.cos(turn)),
-        )  # fmt: skip
+        )
         corners = [
             (r / np.cos(d / 2) * np.cos(a), y, r / np.cos(d / 2) * np.sin(a))
-            for a in joints[k : k + 2] for r in (radius - thickness, radius) for y in (-width / 2, width / 2)
-        ]  # fmt: skip
+            for a in joints[k : k + 2]
+            for r in (radius - thickness, radius)
+            for y in (-width / 2, width / 2)
+        ]
         out.add_convex(f"block{k}", corners, block_mass, material=rough)
         if k:
             out.set_pair(f"block{k - 1}", f"block{k}", mu=0.0)

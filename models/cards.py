@@ -21,9 +21,14 @@ def _clip(polygon: np.ndarray, normal: tuple[float, float], offset: float) -> np
 
 
 def scene(
-    levels: int = 2, lean: float = 20.0, height: float = 0.08, thickness: float = 0.002, depth: float = 0.06,
-    density: float = 800.0, mu: float = 0.4,
-) -> Scene:  # fmt: skip
+    levels: int = 2,
+    lean: float = 20.0,
+    height: float = 0.08,
+    thickness: float = 0.002,
+    depth: float = 0.06,
+    density: float = 800.0,
+    mu: float = 0.4,
+) -> Scene:
     """`levels` storeys of frames `height` [m] high whose cards lean by `lean` [deg] from the vertical.
 
     Cards are cut level at the ground and at the ridge, and plumb where the two of a frame meet, so that they touch in
@@ -56,7 +61,10 @@ def scene(
             x0 = (k + 0.5 * level + 0.5) * pitch
             size = (pitch - 0.1 * thickness, depth, thickness)
             out.add_box(
-                f"flat{level}_{k}", size, density * float(np.prod(size)), material=material,
+                f"flat{level}_{k}",
+                size,
+                density * float(np.prod(size)),
+                material=material,
                 position=(x0, 0, z0 + height + thickness / 2),
-            )  # fmt: skip
+            )
     return out

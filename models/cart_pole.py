@@ -10,9 +10,14 @@ DURATION, DT = 5.0, 1e-3
 
 
 def scene(
-    rail: float = 0.6, restitution: float = 0.5, cart: float = 1.0, pole: float = 0.5, length: float = 1.0,
-    angle: float = 10.0, speed: float = 1.0,
-) -> Scene:  # fmt: skip
+    rail: float = 0.6,
+    restitution: float = 0.5,
+    cart: float = 1.0,
+    pole: float = 0.5,
+    length: float = 1.0,
+    angle: float = 10.0,
+    speed: float = 1.0,
+) -> Scene:
     """`cart` and `pole` [kg], uniform pole of `length` [m] leaning by `angle` [deg], cart at `speed` [m/s].
 
     Its centre moves freely over `rail` [m] and rebounds from the stops at both ends with `restitution`.
@@ -30,7 +35,11 @@ def scene(
     limit = np.array([rail / 2, np.inf])
     model.lowerPositionLimit, model.upperPositionLimit = -limit, limit
     out.add_model(
-        "cart_pole", model, q=(0.0, np.radians(angle)), v=(speed, 0.0), restitution=restitution,
+        "cart_pole",
+        model,
+        q=(0.0, np.radians(angle)),
+        v=(speed, 0.0),
+        restitution=restitution,
         collisions={"cart": [shapes.box(size)], "pole": [(shapes.capsule(0.02, length - 0.04), up)]},
-    )  # fmt: skip
+    )
     return out

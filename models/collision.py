@@ -6,9 +6,17 @@ DURATION, DT = 0.4, 1e-3
 
 
 def scene(
-    mu: float = 0.3, restitution: float = 0.6, speed: float = 3.0, spin_x: float = 0.0, spin_y: float = 5.0,
-    spin_z: float = 0.0, offset_y: float = 0.0, offset_z: float = 0.05, radius: float = 0.1, mass: float = 1.0,
-) -> Scene:  # fmt: skip
+    mu: float = 0.3,
+    restitution: float = 0.6,
+    speed: float = 3.0,
+    spin_x: float = 0.0,
+    spin_y: float = 5.0,
+    spin_z: float = 0.0,
+    offset_y: float = 0.0,
+    offset_z: float = 0.05,
+    radius: float = 0.1,
+    mass: float = 1.0,
+) -> Scene:
     """Ball a of `radius` [m] and `mass` [kg] comes along x at `speed` [m/s] with `spin` [rad/s].
 
     Ball b, 1.5 times as large and 2.5 times as heavy, waits 5 radii ahead and `offset` [m] aside.

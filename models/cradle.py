@@ -11,9 +11,13 @@ DURATION, DT = 2.0, 1e-3
 
 
 def scene(
-    count: int = 5, gap: float = 0.01, speed: float = 1.0, restitution: float = 1.0, radius: float = 0.05,
+    count: int = 5,
+    gap: float = 0.01,
+    speed: float = 1.0,
+    restitution: float = 1.0,
+    radius: float = 0.05,
     mass: float = 0.5,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """`count` balls of `radius` [m] and `mass` [kg], `gap` [m] between them, without gravity.
 
     The first starts 0.1 m and `gap` away from the second at `speed` [m/s].
@@ -23,7 +27,11 @@ def scene(
     for k in range(count):
         x = k * (2 * radius + gap) - (0.1 if k == 0 else 0.0)
         out.add_sphere(
-            f"ball{k}", radius, mass, position=(x, 0, 0), material=material,
+            f"ball{k}",
+            radius,
+            mass,
+            position=(x, 0, 0),
+            material=material,
             linear_velocity=(speed if k == 0 else 0.0, 0, 0),
-        )  # fmt: skip
+        )
     return out

@@ -23,8 +23,12 @@ def scene(
         w = push if k == 0 else 0.0
         # Turning about its lower front edge: v = w x (centre - edge).
         out.add_box(
-            f"domino{k}", (thickness, width, height), mass, material=material,
-            position=(k * (spacing + thickness), 0, height / 2), angular_velocity=(0, w, 0),
+            f"domino{k}",
+            (thickness, width, height),
+            mass,
+            material=material,
+            position=(k * (spacing + thickness), 0, height / 2),
+            angular_velocity=(0, w, 0),
             linear_velocity=(w * height / 2, 0, w * thickness / 2),
-        )  # fmt: skip
+        )
     return out

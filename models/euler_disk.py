@@ -8,9 +8,13 @@ DURATION, DT = 1.0, 1e-3
 
 
 def scene(
-    tilt: float = 10.0, radius: float = 0.0375, thickness: float = 0.0064, mass: float = 0.44, mu: float = 0.5,
+    tilt: float = 10.0,
+    radius: float = 0.0375,
+    thickness: float = 0.0064,
+    mass: float = 0.44,
+    mu: float = 0.5,
     gravity: float = 9.81,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """Disk of `radius` and `thickness` [m] leaning by `tilt` [deg] from the ground, in its steady motion.
 
     It turns about the line from its centre to the contact while that line goes round the vertical at the rate W,
@@ -30,8 +34,13 @@ def scene(
     # In the plane of the tilt: e1 up the face of the disk, e3 its axis; the disk leans about the y axis.
     e1, e3 = np.array([c, 0, s]), np.array([-s, 0, c])
     out.add_cylinder(
-        "disk", a, thickness, mass, position=(0, 0, a * s + b * c), material=material,
+        "disk",
+        a,
+        thickness,
+        mass,
+        position=(0, 0, a * s + b * c),
+        material=material,
         quaternion=(0, -np.sin(alpha / 2), 0, np.cos(alpha / 2)),
         angular_velocity=precession * s * (e1 + b / a * e3),
-    )  # fmt: skip
+    )
     return out

@@ -8,9 +8,13 @@ DURATION, DT = 1.0, 1e-2
 
 
 def scene(
-    offset_x: float = 0.1, offset_y: float = -0.05, size: float = 1.0, height: float = 0.2, mass: float = 10.0,
+    offset_x: float = 0.1,
+    offset_y: float = -0.05,
+    size: float = 1.0,
+    height: float = 0.2,
+    mass: float = 10.0,
     mu: float = 0.5,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """Box of `size` x `size` x `height` [m] and `mass` [kg] on four balls under its corners.
 
     Its centre of mass lies `offset_x`, `offset_y` [m] from the middle: the centre of pressure of the forces on the
@@ -25,7 +29,12 @@ def scene(
         )
     inertia = mass / 12 * np.diag([size**2 + height**2, size**2 + height**2, 2 * size**2])
     out.add_box(
-        "box", (size, size, height), mass, material=material, com=(offset_x, offset_y, 0), inertia=inertia,
+        "box",
+        (size, size, height),
+        mass,
+        material=material,
+        com=(offset_x, offset_y, 0),
+        inertia=inertia,
         position=(offset_x, offset_y, 2 * radius + height / 2),
-    )  # fmt: skip
+    )
     return out

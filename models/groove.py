@@ -8,9 +8,13 @@ DURATION, DT = 1.0, 1e-3
 
 
 def scene(
-    slope: float = 10.0, half_angle: float = 45.0, speed: float = 0.0, mu: float = 0.5, radius: float = 0.1,
+    slope: float = 10.0,
+    half_angle: float = 45.0,
+    speed: float = 0.0,
+    mu: float = 0.5,
+    radius: float = 0.1,
     mass: float = 1.0,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """Ball of `radius` [m] at `speed` [m/s] in a groove whose sides make `half_angle` [deg] with the plane of symmetry.
 
     Rolling from rest a = g sin(slope)/(1 + 2/(5 sin² half_angle)). Thrown without spin in a level groove it is slowed

@@ -12,9 +12,15 @@ DURATION, DT = 2.0, 1e-2
 
 
 def scene(
-    angle: float = 20.0, mu: float = 0.37, speed: float = 0.0, across: float = 0.0, heading: float = 0.0,
-    size: float = 0.2, slenderness: float = 1.0, mass: float = 1.0,
-) -> Scene:  # fmt: skip
+    angle: float = 20.0,
+    mu: float = 0.37,
+    speed: float = 0.0,
+    across: float = 0.0,
+    heading: float = 0.0,
+    size: float = 0.2,
+    slenderness: float = 1.0,
+    mass: float = 1.0,
+) -> Scene:
     """Block of `mass` [kg], base `size` [m] square and `slenderness` times as tall, on a plane tilted by `angle` [deg].
 
     The slope falls towards `heading` [deg from x]; its block does not turn with it, nor do the tangents of its
@@ -30,9 +36,12 @@ def scene(
     height = slenderness * size
     out.add_halfspace("plane", normal=normal, material=material)
     out.add_box(
-        "box", (size, size, height), mass, material=material,
+        "box",
+        (size, size, height),
+        mass,
+        material=material,
         position=[height / 2 * n for n in normal],
         quaternion=(-y * math.sin(a / 2), x * math.sin(a / 2), 0, math.cos(a / 2)),
         linear_velocity=[speed * d + across * s for d, s in zip(downhill, sideways, strict=True)],
-    )  # fmt: skip
+    )
     return out

@@ -12,9 +12,13 @@ DURATION, DT = 1.0, 1e-2
 
 
 def scene(
-    angle: float = 60.0, mu: float = 0.3, mu_wall: float = 0.0, length: float = 2.0, width: float = 0.4,
+    angle: float = 60.0,
+    mu: float = 0.3,
+    mu_wall: float = 0.0,
+    length: float = 2.0,
+    width: float = 0.4,
     mass: float = 10.0,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """Ladder of `length` x `width` [m] and `mass` [kg], `angle` [deg] steep, edges as its ends.
 
     `mu` is the friction of the ground, `mu_wall` that of the wall.
@@ -28,9 +32,13 @@ def scene(
     thick = length / 100
     section = [(-half, 0), (0, thick / 2), (half, 0), (0, -thick / 2)]
     out.add_convex(
-        "ladder", [(x, y, z) for x, z in section for y in (-width / 2, width / 2)], mass,
-        position=(run / 2, 0, rise / 2), quaternion=(0, -math.sin(a / 2), 0, math.cos(a / 2)), material=Material(mu),
-    )  # fmt: skip
+        "ladder",
+        [(x, y, z) for x, z in section for y in (-width / 2, width / 2)],
+        mass,
+        position=(run / 2, 0, rise / 2),
+        quaternion=(0, -math.sin(a / 2), 0, math.cos(a / 2)),
+        material=Material(mu),
+    )
     out.set_pair("ladder", "ground", mu=mu)
     out.set_pair("ladder", "wall", mu=mu_wall)
     return out

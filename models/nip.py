@@ -8,9 +8,13 @@ DURATION, DT = 0.5, 2e-3
 
 
 def scene(
-    half_angle: float = 15.0, mu: float = 0.27, radius: float = 0.05, weight: float = 10.0, roller: float = 0.1,
+    half_angle: float = 15.0,
+    mu: float = 0.27,
+    radius: float = 0.05,
+    weight: float = 10.0,
+    roller: float = 0.1,
     length: float = 0.15,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """Roller of `radius` [m] and `roller` [kg] between a fixed plate and the lower face of a block of `weight` [kg].
 
     Both make `half_angle` [deg] with the horizontal and open to the right; the block moves up and down between smooth
@@ -28,9 +32,14 @@ def scene(
     out.add_halfspace("left", (1, 0, 0), left)
     out.add_halfspace("right", (-1, 0, 0), -right)
     out.add_cylinder(
-        "roller", radius, length, roller, position=(x, 0, 0), material=rough,
+        "roller",
+        radius,
+        length,
+        roller,
+        position=(x, 0, 0),
+        material=rough,
         quaternion=(np.sqrt(0.5), 0, 0, np.sqrt(0.5)),
-    )  # fmt: skip
+    )
     corners = [(u, y, z) for u in (left, right) for z in (u * t, top) for y in (-length / 2, length / 2)]
     low, high = top - right * t, top - left * t
     centroid = left + length / 3 * (high + 2 * low) / (high + low)

@@ -32,9 +32,13 @@ def scene(start: float = 0.35, speed: float = 0.0, mu: float = 0.3, size: float 
     material = Material(mu=mu)
     out.add_halfspace("ground", material=material)
     out.add_box(
-        "block", (size, size, size), mass, position=(start, 0, size / 2), linear_velocity=(speed, 0, 0),
+        "block",
+        (size, size, size),
+        mass,
+        position=(start, 0, size / 2),
+        linear_velocity=(speed, 0, 0),
         material=material,
-    )  # fmt: skip
+    )
     return out
 
 

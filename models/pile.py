@@ -8,9 +8,14 @@ DURATION, DT = 2.0, 5e-3
 
 
 def scene(
-    boxes: int = 15, spheres: int = 15, size: float = 0.1, density: float = 1000.0, side: float = 0.5,
-    mu: float = 0.4, seed: int = 0,
-) -> Scene:  # fmt: skip
+    boxes: int = 15,
+    spheres: int = 15,
+    size: float = 0.1,
+    density: float = 1000.0,
+    side: float = 0.5,
+    mu: float = 0.4,
+    seed: int = 0,
+) -> Scene:
     """Cubes of edge `size` and spheres of diameter `size` [m] above a square container `side` [m] wide."""
     out = Scene(name="pile")
     material = Material(mu=mu)
@@ -35,9 +40,13 @@ def scene(
         if kind == "box":
             quaternion = rng.normal(size=4)
             out.add_box(
-                f"box{k}", (size, size, size), density * size**3, position=centre,
-                quaternion=quaternion / np.linalg.norm(quaternion), material=material,
-            )  # fmt: skip
+                f"box{k}",
+                (size, size, size),
+                density * size**3,
+                position=centre,
+                quaternion=quaternion / np.linalg.norm(quaternion),
+                material=material,
+            )
         else:
             mass = density * np.pi / 6 * size**3
             out.add_sphere(f"sphere{k}", size / 2, mass, position=centre, material=material)

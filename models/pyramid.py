@@ -14,7 +14,10 @@ def scene(base: int = 6, size: float = 0.2, mass: float = 1.0, mu: float = 0.5, 
     for row in range(base):
         for k in range(base - row):
             out.add_box(
-                f"box{row}_{k}", (size, size, size), mass,
-                position=((k + 0.5 * row) * pitch, 0, (row + 0.5) * size), material=material,
-            )  # fmt: skip
+                f"box{row}_{k}",
+                (size, size, size),
+                mass,
+                position=((k + 0.5 * row) * pitch, 0, (row + 0.5) * size),
+                material=material,
+            )
     return out

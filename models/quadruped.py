@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from nsdyn import PD, Material, Scene
 from nsdyn.scene.articulations import Articulation
+from nsdyn.tools.naming import choice
 
 DURATION, DT = 4.0, 5e-3
 
@@ -28,10 +29,8 @@ SHIFT = 5.0
 
 def _urdf(robot: str) -> tuple[Path, list[Path]]:
     """URDF of a robot, and the folders of its meshes."""
-    if robot == "quadruped":
+    if choice(robot, STANCE, "robot") == "quadruped":
         return Path(__file__).with_name("quadruped.urdf"), []
-    if robot != "solo12":
-        raise ValueError(f"robot must be one of {sorted(STANCE)}, got {robot!r}")
     try:
         package = importlib.metadata.distribution("example-robot-data")
     except importlib.metadata.PackageNotFoundError:
@@ -90,15 +89,9 @@ def controller(scene: Scene, walk: bool = True) -> Callable[[float, np.ndarray, 
     stance = np.array(STANCE[robot])
     kp, kd = GAINS[robot]
     legs, carry = _support(scene.articulations[first])
-    base = np.zeros(6)
-
-    def gains(value: float) -> np.ndarray:
-        return np.concatenate((base, np.full(12, value)))
 
     def pd(angles: np.ndarray, share: np.ndarray) -> dict[str, PD]:
-        torque = np.concatenate((base, legs + share @ carry))
-        command = PD(gains(kp), gains(kd), np.concatenate((base, angles)), 0.0, torque)
-        return dict.fromkeys(scene.articulations, command)
+        return dict.fromkeys(scene.articulations, PD(kp, kd, angles, feedforward=legs + share @ carry))
 
     standing = pd(stance, np.ones(4))
     # Lifting a foot: the thigh forward, the knee bent twice as much, to the side to which the leg is bent.

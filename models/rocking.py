@@ -14,9 +14,14 @@ DURATION, DT = 2.0, 1e-3
 
 
 def scene(
-    tilt: float = 5.0, spin: float = 0.0, width: float = 0.25, height: float = 1.0, depth: float = 0.5,
-    mass: float = 100.0, mu: float = 2.0,
-) -> Scene:  # fmt: skip
+    tilt: float = 5.0,
+    spin: float = 0.0,
+    width: float = 0.25,
+    height: float = 1.0,
+    depth: float = 0.5,
+    mass: float = 100.0,
+    mu: float = 2.0,
+) -> Scene:
     """Block of `width` x `depth` x `height` [m] and `mass` [kg] on its right edge at `tilt` [deg].
 
     It turns about that edge at `spin` [rad/s], positive where the tilt grows.
@@ -29,7 +34,13 @@ def scene(
     x = -width / 2 * math.cos(t) + height / 2 * math.sin(t)
     z = width / 2 * math.sin(t) + height / 2 * math.cos(t)
     out.add_box(
-        "block", (width, depth, height), mass, material=material, quaternion=(0, math.sin(t / 2), 0, math.cos(t / 2)),
-        position=(width / 2 + x, 0, z), angular_velocity=(0, spin, 0), linear_velocity=(spin * z, 0, -spin * x),
-    )  # fmt: skip
+        "block",
+        (width, depth, height),
+        mass,
+        material=material,
+        quaternion=(0, math.sin(t / 2), 0, math.cos(t / 2)),
+        position=(width / 2 + x, 0, z),
+        angular_velocity=(0, spin, 0),
+        linear_velocity=(spin * z, 0, -spin * x),
+    )
     return out

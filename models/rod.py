@@ -17,9 +17,16 @@ DURATION, DT = 0.3, 1e-3
 
 
 def scene(
-    angle: float = 63.435, mu: float = 2.0, restitution: float = 0.0, slip: float = -1.0, fall: float = 0.0,
-    spin: float = 0.0, length: float = 1.0, mass: float = 1.0, gravity: float = 9.81,
-) -> Scene:  # fmt: skip
+    angle: float = 63.435,
+    mu: float = 2.0,
+    restitution: float = 0.0,
+    slip: float = -1.0,
+    fall: float = 0.0,
+    spin: float = 0.0,
+    length: float = 1.0,
+    mass: float = 1.0,
+    gravity: float = 9.81,
+) -> Scene:
     """Uniform rod of `length` [m] and `mass` [kg], `angle` [deg] steep, its upper end towards +x.
 
     Its lower end touches the ground at x = 0 and moves at `slip` along x, pushed if negative, and at `fall` downwards
@@ -35,8 +42,14 @@ def scene(
     vertices = [(-half, 0, 0), (half, 0, 0), (0, thick, 0), (0, -thick, 0), (0, 0, thick), (0, 0, -thick)]
     J = mass * length**2 / 12
     out.add_convex(
-        "rod", vertices, mass, position=(x, 0, z), quaternion=(0, -math.sin(a / 2), 0, math.cos(a / 2)),
-        linear_velocity=(slip - spin * z, 0, -fall + spin * x), angular_velocity=(0, -spin, 0), material=material,
+        "rod",
+        vertices,
+        mass,
+        position=(x, 0, z),
+        quaternion=(0, -math.sin(a / 2), 0, math.cos(a / 2)),
+        linear_velocity=(slip - spin * z, 0, -fall + spin * x),
+        angular_velocity=(0, -spin, 0),
+        material=material,
         inertia=[[J / 100, 0, 0], [0, J, 0], [0, 0, J]],
-    )  # fmt: skip
+    )
     return out

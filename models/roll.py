@@ -11,7 +11,12 @@ def scene(speed: float = 2.0, spin: float = 0.0, mu: float = 0.3, radius: float 
     material = Material(mu=mu)
     out.add_halfspace("ground", material=material)
     out.add_sphere(
-        "ball", radius, mass, position=(0, 0, radius), material=material,
-        linear_velocity=(speed, 0, 0), angular_velocity=(0, spin, 0),
-    )  # fmt: skip
+        "ball",
+        radius,
+        mass,
+        position=(0, 0, radius),
+        material=material,
+        linear_velocity=(speed, 0, 0),
+        angular_velocity=(0, spin, 0),
+    )
     return out

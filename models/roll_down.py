@@ -26,7 +26,13 @@ def scene(shape: str = "ball", angle: float = 30.0, mu: float = 0.5, radius: flo
         thin = mass * radius**2
         hoop = [[thin / 2, 0, 0], [0, thin / 2, 0], [0, 0, thin]]
         out.add_cylinder(
-            "body", radius, 2 * radius, mass, position=position, quaternion=(math.sqrt(0.5), 0, 0, math.sqrt(0.5)),
-            material=material, inertia=hoop if shape == "hoop" else None,
-        )  # fmt: skip
+            "body",
+            radius,
+            2 * radius,
+            mass,
+            position=position,
+            quaternion=(math.sqrt(0.5), 0, 0, math.sqrt(0.5)),
+            material=material,
+            inertia=hoop if shape == "hoop" else None,
+        )
     return out

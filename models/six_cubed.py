@@ -8,9 +8,16 @@ DURATION, DT = 4.0, 2e-3
 
 
 def scene(
-    side: int = 6, restitution: float = 0.0, mu: float = 0.8, radius: float = 0.1, mass: float = 10.0,
-    pitch: float = 0.21, height: float = 1.101, disturbance: float = 1e-3, seed: int = 42,
-) -> Scene:  # fmt: skip
+    side: int = 6,
+    restitution: float = 0.0,
+    mu: float = 0.8,
+    radius: float = 0.1,
+    mass: float = 10.0,
+    pitch: float = 0.21,
+    height: float = 1.101,
+    disturbance: float = 1e-3,
+    seed: int = 42,
+) -> Scene:
     """`side`³ balls of `radius` [m] and `mass` [kg] at a `pitch` [m], the lowest `height` [m] up, in a cubic grid.
 
     Each is displaced by up to `disturbance` [m] along every axis. With `restitution` 0 the measure is penetration,

@@ -14,7 +14,11 @@ def scene(mu: float = 0.5, speed: float = 2.0, heading: float = 0.0, size: float
     out.add_halfspace("ground", material=material)
     angle = math.radians(heading)
     out.add_box(
-        "box", (size, size, size), mass, position=(0, 0, size / 2), material=material,
+        "box",
+        (size, size, size),
+        mass,
+        position=(0, 0, size / 2),
+        material=material,
         linear_velocity=(speed * math.cos(angle), speed * math.sin(angle), 0),
-    )  # fmt: skip
+    )
     return out

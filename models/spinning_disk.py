@@ -22,9 +22,16 @@ DURATION, DT = 0.3, 1e-3
 
 
 def scene(
-    speed: float = 1.0, spin: float = 10.0, mu: float = 0.5, radius: float = 0.1, mass: float = 1.0, rings: int = 5,
-    sectors: int = 3, solid: bool = True, flywheel: float = 0.0,
-) -> Scene:  # fmt: skip
+    speed: float = 1.0,
+    spin: float = 10.0,
+    mu: float = 0.5,
+    radius: float = 0.1,
+    mass: float = 1.0,
+    rings: int = 5,
+    sectors: int = 3,
+    solid: bool = True,
+    flywheel: float = 0.0,
+) -> Scene:
     """Disk of `radius` [m] and `mass` [kg] at `speed` along x [m/s] with `spin` [rad/s].
 
     A solid disk stands on `rings` rings of `sectors`, 3 `sectors`, 5 `sectors`, ... pads, all of the same weight and

@@ -8,9 +8,15 @@ DURATION, DT = 4.0, 1e-3
 
 
 def scene(
-    spin: float = 150.0, tilt: float = 6.0, mu: float = 0.3, radius: float = 0.015, mass: float = 0.015,
-    eccentricity: float = 0.2, axial: float = 0.237, transverse: float = 0.237,
-) -> Scene:  # fmt: skip
+    spin: float = 150.0,
+    tilt: float = 6.0,
+    mu: float = 0.3,
+    radius: float = 0.015,
+    mass: float = 0.015,
+    eccentricity: float = 0.2,
+    axial: float = 0.237,
+    transverse: float = 0.237,
+) -> Scene:
     """Ball of `radius` [m], its centre of mass `eccentricity` radii from its centre, leaning by `tilt` [deg].
 
     It spins at `spin` [rad/s] about its axis of symmetry, with moments of inertia `axial` and `transverse` in units of
@@ -31,9 +37,14 @@ def scene(
     offset = eccentricity * radius
     axis = np.array([np.sin(t), 0, np.cos(t)])
     out.add_sphere(
-        "top", radius, mass, com=(0, 0, -offset), material=material,
+        "top",
+        radius,
+        mass,
+        com=(0, 0, -offset),
+        material=material,
         inertia=mass * radius**2 * np.diag([transverse, transverse, axial]),
-        position=np.array([0, 0, radius]) - offset * axis, quaternion=(0, np.sin(t / 2), 0, np.cos(t / 2)),
+        position=np.array([0, 0, radius]) - offset * axis,
+        quaternion=(0, np.sin(t / 2), 0, np.cos(t / 2)),
         angular_velocity=spin * axis,
-    )  # fmt: skip
+    )
     return out

@@ -32,7 +32,10 @@ def scene(
             bricks = [(column * pitch, length) for column in range(columns)]
         for k, (x, size) in enumerate(bricks):
             out.add_box(
-                f"brick{row}_{k}", (size, width, height), density * size * width * height,
-                position=(x, 0, (row + 0.5) * height), material=material,
-            )  # fmt: skip
+                f"brick{row}_{k}",
+                (size, width, height),
+                density * size * width * height,
+                position=(x, 0, (row + 0.5) * height),
+                material=material,
+            )
     return out

@@ -23,9 +23,13 @@ TIP = 1e-4
 
 
 def scene(
-    mu: float = 0.3, peck: float = 0.5, stiffness: float = 0.0056, bird: float = -0.2788, speed: float = -0.3411,
+    mu: float = 0.3,
+    peck: float = 0.5,
+    stiffness: float = 0.0056,
+    bird: float = -0.2788,
+    speed: float = -0.3411,
     spin: float = -7.4583,
-) -> Scene:  # fmt: skip
+) -> Scene:
     """Start near the periodic motion: the sleeve just jams at `speed` [m/s], the bird at angle `bird` [rad].
 
     `spin` [rad/s] is that of the bird; `peck` is the restitution of the beak, the sleeve's is 0; `stiffness`
@@ -54,8 +58,10 @@ def scene(
     arm = SLEEVE + TIP
     jam = np.arctan2(HALF_HEIGHT, arm) - np.arccos((POLE + TIP) / np.hypot(arm, HALF_HEIGHT))
     out.add_model(
-        "toy", model,
-        q=(0.0, jam, bird - jam), v=(speed, 0.0, spin),
+        "toy",
+        model,
+        q=(0.0, jam, bird - jam),
+        v=(speed, 0.0, spin),
         stiffness=(0.0, 0.0, stiffness),
         material={"sleeve": Material(mu=mu), "bird": Material(mu=mu, restitution=peck)},
         collisions={
@@ -63,5 +69,5 @@ def scene(
             "bird": [tip(CENTRE - BEAK, BEAK_HEIGHT)],
         },
         self_collisions=False,
-    )  # fmt: skip
+    )
     return out

@@ -3,8 +3,9 @@
     import nsdyn as nd
 
     nd.Scene, nd.Material, nd.scenes            describe a scene, or take a named one
-    nd.simulate, nd.Stepper, nd.PD, nd.impacts  run it, step by step if need be, under control, with a law of impact
-    nd.Trajectory                               the recording: states, energies, contacts, forces, certificates, pages
+    nd.simulate, nd.Stepper, nd.impacts         run it, step by step if need be, with a law of impact
+    nd.PD, nd.Actuation                         control of joints, and of the actuators of MJCF files
+    nd.Trajectory, nd.Table                     the recording: states, energies, contacts, forces, certificates, pages
     nd.check, nd.compare, nd.plots              audit a motion or a model, compare two runs, draw a recording
     nd.sweep, nd.refine                         many parameters, several time steps
     nd.FC3D, nd.solve, nd.solvers, nd.fclib     contact problems alone
@@ -19,14 +20,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nsdyn import solvers
+    from nsdyn.audit.audit import Audit
+    from nsdyn.audit.checking import check
+    from nsdyn.audit.inspection import Inspection
     from nsdyn.problem import fclib
     from nsdyn.problem.fc3d import FC3D
     from nsdyn.problem.solution import NotConverged, Solution, Status
-    from nsdyn.recording import plots
-    from nsdyn.recording.audit import Audit
-    from nsdyn.recording.comparison import Comparison, compare
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.scene import named as scenes
+    from nsdyn.scene.actuation import Actuation
     from nsdyn.scene.control import PD
     from nsdyn.scene.materials import Material
     from nsdyn.scene.scene import Scene
@@ -35,14 +37,16 @@ if TYPE_CHECKING:
     from nsdyn.stepping.simulation import simulate
     from nsdyn.stepping.state import State, Step
     from nsdyn.stepping.stepper import Stepper
-    from nsdyn.study.checking import check
-    from nsdyn.study.inspection import Inspection
+    from nsdyn.study.comparison import Comparison, compare
     from nsdyn.study.refinement import Refinement, refine
     from nsdyn.study.sweep import sweep
+    from nsdyn.tools.table import Table
+    from nsdyn.view import plots
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Actuation",
     "Audit",
     "Comparison",
     "FC3D",
@@ -57,6 +61,7 @@ __all__ = [
     "Status",
     "Step",
     "Stepper",
+    "Table",
     "Trajectory",
     "check",
     "compare",
@@ -74,9 +79,10 @@ __all__ = [
 _HOME = {
     "problem.fc3d": ("FC3D",),
     "problem.solution": ("NotConverged", "Solution", "Status"),
-    "recording.audit": ("Audit",),
-    "recording.comparison": ("Comparison", "compare"),
+    "audit.audit": ("Audit",),
+    "study.comparison": ("Comparison", "compare"),
     "recording.trajectory": ("Trajectory",),
+    "scene.actuation": ("Actuation",),
     "scene.control": ("PD",),
     "scene.materials": ("Material",),
     "scene.scene": ("Scene",),
@@ -84,15 +90,16 @@ _HOME = {
     "stepping.simulation": ("simulate",),
     "stepping.state": ("State", "Step"),
     "stepping.stepper": ("Stepper",),
-    "study.checking": ("check",),
-    "study.inspection": ("Inspection",),
+    "audit.checking": ("check",),
+    "audit.inspection": ("Inspection",),
     "study.refinement": ("Refinement", "refine"),
     "study.sweep": ("sweep",),
+    "tools.table": ("Table",),
 }
 _MODULES = {
     "fclib": "problem.fclib",
     "impacts": "stepping.impacts",
-    "plots": "recording.plots",
+    "plots": "view.plots",
     "scenes": "scene.named",
     "solvers": "solvers",
 }

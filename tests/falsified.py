@@ -27,10 +27,18 @@ def _arm():
     scene.add_halfspace("ground", offset=-1.1, material=material)
     capsule = shapes.capsule(0.03, 0.3), at((0, 0, -0.2))
     scene.add_model(
-        "arm", model, q=[0.8, 0.3, 0.2], v=[-4.0, 0.0, 0.0], collisions={f"j{k}": [capsule] for k in range(3)},
-        material=material, self_collisions=False, friction=[0.1] * 3, damping=[0.05] * 3, stiffness=[2.0] * 3,
+        "arm",
+        model,
+        q=[0.8, 0.3, 0.2],
+        v=[-4.0, 0.0, 0.0],
+        collisions={f"j{k}": [capsule] for k in range(3)},
+        material=material,
+        self_collisions=False,
+        friction=[0.1] * 3,
+        damping=[0.05] * 3,
+        stiffness=[2.0] * 3,
         restitution=0.3,
-    )  # fmt: skip
+    )
     return nd.simulate(scene, 0.5, 5e-3)
 
 
@@ -74,15 +82,27 @@ def _machine():
     model.lowerPositionLimit[2], model.upperPositionLimit[2] = -0.3, 0.3
     scene = nd.Scene(name="machine")
     add(
-        scene, "machine", model, q=[0.4, -0.1, 0.2], v=[1.0, -0.5, 2.5], armature=0.02, friction=[0.0, 0.0, 0.05],
-        damping=0.02, stiffness=1.0, rest=0.1, restitution=0.3,
-    )  # fmt: skip
+        scene,
+        "machine",
+        model,
+        q=[0.4, -0.1, 0.2],
+        v=[1.0, -0.5, 2.5],
+        armature=0.02,
+        friction=[0.0, 0.0, 0.05],
+        damping=0.02,
+        stiffness=1.0,
+        rest=0.1,
+        restitution=0.3,
+    )
     scene.add_gear("machine", "j0", "j1", -0.5)
     motor = nd.PD(kp=[40.0, 0.0, 0.0], kd=[1.0, 0.0, 0.0], target=[0.8, 0.0, 0.0], limit=3.0)
     return nd.simulate(
-        scene, 0.15, 5e-3, controller=lambda t, q, v: {"machine": motor},
+        scene,
+        0.15,
+        5e-3,
+        controller=lambda t, q, v: {"machine": motor},
         external_force=lambda t, q, v: {"machine/j2": (1.0 + t, 0.0, 0.0)},
-    )  # fmt: skip
+    )
 
 
 def _crank():
@@ -100,6 +120,34 @@ def _crank():
     return nd.simulate(scene, 0.3, 5e-3)
 
 
+def _snake():
+    """Ball joints and hinges that strike the ground in the middle of a step, pushed all along."""
+    rng, model, parent = np.random.default_rng(3), pin.Model(), 0
+    kinds = pin.JointModelFreeFlyer, pin.JointModelSpherical, pin.JointModelRX, pin.JointModelSpherical
+    link = pin.Inertia(0.5, np.array([0, 0, -0.15]), np.diag([3.75e-3, 3.75e-3, 2e-4]))
+    for k, kind in enumerate(kinds):
+        parent = model.addJoint(parent, kind(), at((0, 0, -0.3 if k else 0)), f"s{k}")
+        model.appendBodyToJoint(parent, link, at((0, 0, 0)))
+    limit(model)
+    q = pin.integrate(model, pin.neutral(model), 0.4 * rng.normal(size=model.nv))
+    q[:3] = 0.0, 0.0, 1.25
+    scene, material = nd.Scene(name="snake"), nd.Material(mu=0.3)
+    scene.add_halfspace("ground", material=material)
+    capsule = shapes.capsule(0.03, 0.24), at((0, 0, -0.15))
+    scene.add_model(
+        "snake",
+        model,
+        q=q,
+        v=0.5 * rng.normal(size=model.nv),
+        collisions={f"s{k}": [capsule] for k in range(len(kinds))},
+        material=material,
+        limits=False,
+        self_collisions=False,
+        damping=[0.0] * 6 + [0.01] * (model.nv - 6),
+    )
+    return nd.simulate(scene, 0.46, 5e-3, external_force=lambda t, q, v: {"snake/s3": (np.sin(9 * t), 0.5, 0.0)})
+
+
 RUNS = {
     "arm": _arm,
     "bars": _bars,
@@ -109,6 +157,8 @@ RUNS = {
     "woodpecker": lambda: _named("woodpecker", 0.02, 2e-4),
     "machine": _machine,
     "crank": _crank,
+    "snake": _snake,
+    "slider crank": lambda: _named("slider_crank", 0.07, 1e-3),
 }
 
 
@@ -440,6 +490,20 @@ def _gear(key, more):
     return change
 
 
+def _spun(quaternion):
+    turned = pin.Quaternion(quaternion) * pin.Quaternion(pin.exp3(np.array([0.0, 0.0, 1e-7])))
+    quaternion[:] = turned.coeffs()
+
+
+def _spread(c, scene):
+    """A tenth of the largest impulse in the next step."""
+    r, offset = c["contacts/impulse"], c["contacts/offset"]
+    most = int(r[:, 0].argmax())
+    following = int(offset[np.searchsorted(offset, most, side="right")])
+    r[following] += 0.1 * r[most]
+    r[most] *= 0.9
+
+
 LAST = slice(None), -1
 KINDS = {
     "velocities times 3": ("arm", _times("v", 3.0)),
@@ -542,4 +606,8 @@ KINDS = {
     "limits that are said not to rebound": ("arm", _told("restitution", lambda e: 0.0)),
     "points of impulses off the bodies": ("gripper", _along_normals),
     "lengths of pieces": ("machine", _lengths),
-}  # fmt: skip
+    "friction of other materials": ("quadruped", _times("contacts/mu", 1.2)),
+    "contacts that are said to rebound": ("quadruped", _plus("contacts/restitution", 0.5)),
+    "a ball joint turned by 1e-7 rad in one state": ("snake", lambda c, s: _spun(c["q"][40, 7:11])),
+    "a blow spread over two steps": ("snake", _spread),
+}

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 import nsdyn as nd
-from nsdyn.recording.poses import Poses
-from nsdyn.recording.touching import separations
+from nsdyn.audit.poses import Poses
+from nsdyn.audit.touching import separations
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 import truth
@@ -40,9 +40,20 @@ SECONDS = 120
 """That a scene may take."""
 
 BARS = {
-    "overlap": 1e-5, "distance": 1e-3, "normal": 1e-3, "cone": 1e-8, "motion": 0.1, "momentum": 1e-9, "energy": 1e-9,
-    "works": 1e-9, "spin": 1e-3, "balance": 1e-9, "dissipation": 1e-4, "created": 1e-7, "misreported": 1e-9,
-}  # fmt: skip
+    "overlap": 1e-5,
+    "distance": 1e-3,
+    "normal": 1e-3,
+    "cone": 1e-8,
+    "motion": 0.1,
+    "momentum": 1e-9,
+    "energy": 1e-9,
+    "works": 1e-9,
+    "spin": 1e-3,
+    "balance": 1e-9,
+    "dissipation": 1e-4,
+    "created": 1e-7,
+    "misreported": 1e-9,
+}
 """Most of each figure: of `nd.check`, energy out of nothing over that in play, and what a solver says of its answer -
 what it is. The step keeps energies to its tolerance of 1e-8, `loose` answers to a thousandth of their 1e-4."""
 
@@ -199,9 +210,13 @@ def add_arm(scene: nd.Scene, folder: Path, base: float, cell: float, dt: float, 
     )
     velocity = 0.05 / dt * rng.uniform(-1.0, 1.0, 2)
     scene.add_urdf(
-        "arm", path, position=(2.5 * cell, 0, 0), v=velocity, q=rng.uniform(-0.9, 0.9, 2),
+        "arm",
+        path,
+        position=(2.5 * cell, 0, 0),
+        v=velocity,
+        q=rng.uniform(-0.9, 0.9, 2),
         restitution=float(rng.choice([0.0, 0.5])),
-    )  # fmt: skip
+    )
 
 
 def bad_scene(seed: int, folder: Path) -> tuple[nd.Scene, dict[str, Any], bool]:
@@ -229,10 +244,13 @@ def bad_scene(seed: int, folder: Path) -> tuple[nd.Scene, dict[str, Any], bool]:
         speed = 10.0 ** rng.uniform(-3.0, 4.0) if kind == "fast" else scale / dt * rng.choice([0.0, 0.01, 0.2])
         quaternion = np.array([0.0, 0.0, 0.0, 1.0]) if kind in ("deep", "vice") else truth.turned(rng)
         common: dict[str, Any] = {
-            "mass": mass, "material": material, "position": where + at, "quaternion": quaternion,
+            "mass": mass,
+            "material": material,
+            "position": where + at,
+            "quaternion": quaternion,
             "linear_velocity": speed * truth.along(rng),
             "angular_velocity": rng.choice([0.0, 0.1]) / dt * truth.along(rng),
-        }  # fmt: skip
+        }
         if kind == "vertex":
             corners = np.array([[0, 0, -1], [1, 0, 0.1], [-1, 1, 0.1], [-1, -1, 0.1]])
             scene.add_convex(f"body{k}", scale * corners, **common)

@@ -5,7 +5,7 @@
 Named scenes with articulations at several steps, then random robots: chains and trees of every kind of joint, fixed or
 floating, with limits, dry friction, springs, damping, armature, closed loops, gears, driven joints, controllers,
 external forces, contacts with and without restitution. Each recording must pass `nsdyn.check`; what it says it did not
-look at is counted. The falsified ones, none of which may pass, are in `tests/test_audit_articulated.py`.
+look at is counted. The falsified ones, none of which may pass, are in `tests/audit/test_audit_articulated.py`.
 """
 
 import argparse
@@ -23,11 +23,17 @@ from nsdyn.scene import shapes
 Rng = np.random.Generator
 
 NAMED = {
-    "arm_pushes_box": (1.0, (1e-2, 2e-3)), "bricard": (0.5, (5e-3, 2e-3)), "cart_pole": (1.5, (1e-2, 2e-3)),
-    "chain": (0.1, (1e-3,)), "double_pendulum": (0.5, (1e-2, 1e-3)), "four_bar": (0.5, (1e-2, 2e-3)),
-    "gripper": (0.8, (5e-3, 2e-3)), "quadruped": (1.4, (1e-2, 5e-3)), "slider_crank": (0.01, (5e-5, 1e-5)),
+    "arm_pushes_box": (1.0, (1e-2, 2e-3)),
+    "bricard": (0.5, (5e-3, 2e-3)),
+    "cart_pole": (1.5, (1e-2, 2e-3)),
+    "chain": (0.1, (1e-3,)),
+    "double_pendulum": (0.5, (1e-2, 1e-3)),
+    "four_bar": (0.5, (1e-2, 2e-3)),
+    "gripper": (0.8, (5e-3, 2e-3)),
+    "quadruped": (1.4, (1e-2, 5e-3)),
+    "slider_crank": (0.01, (5e-5, 1e-5)),
     "woodpecker": (0.1, (1e-3, 1e-4)),
-}  # fmt: skip
+}
 """Scenes by name: seconds, and steps."""
 
 
@@ -42,11 +48,20 @@ def kind(rng: Rng) -> Any:
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
     kinds = (
-        pin.JointModelRX, pin.JointModelRY, pin.JointModelPZ, pin.JointModelRUBY, pin.JointModelSpherical,
-        pin.JointModelSphericalZYX, pin.JointModelTranslation, lambda: pin.JointModelRevoluteUnaligned(axis),
-        lambda: pin.JointModelPrismaticUnaligned(axis), lambda: pin.JointModelHX(0.1), pin.JointModelPlanar,
-        pin.JointModelRZ, pin.JointModelRY,
-    )  # fmt: skip
+        pin.JointModelRX,
+        pin.JointModelRY,
+        pin.JointModelPZ,
+        pin.JointModelRUBY,
+        pin.JointModelSpherical,
+        pin.JointModelSphericalZYX,
+        pin.JointModelTranslation,
+        lambda: pin.JointModelRevoluteUnaligned(axis),
+        lambda: pin.JointModelPrismaticUnaligned(axis),
+        lambda: pin.JointModelHX(0.1),
+        pin.JointModelPlanar,
+        pin.JointModelRZ,
+        pin.JointModelRY,
+    )
     return kinds[rng.integers(len(kinds))]()
 
 
@@ -95,10 +110,18 @@ def random_run(seed: int) -> nd.Trajectory:
     velocity = rng.choice([0.3, 3.0]) * rng.normal(size=model.nv)
     looped = not floating and rng.uniform() < 0.2
     scene.add_model(
-        "robot", model, v=0.0 * velocity if looped else velocity, restitution=e, material=material,
-        collisions={f"j{k}": [ball] for k in range(model.njoints - 1)}, self_collisions=False,
-        friction=some(0.3), damping=some(0.5), stiffness=some(20.0), armature=some(0.05),
-    )  # fmt: skip
+        "robot",
+        model,
+        v=0.0 * velocity if looped else velocity,
+        restitution=e,
+        material=material,
+        collisions={f"j{k}": [ball] for k in range(model.njoints - 1)},
+        self_collisions=False,
+        friction=some(0.3),
+        damping=some(0.5),
+        stiffness=some(20.0),
+        armature=some(0.05),
+    )
     free = [name for name in list(model.names)[1:] if scalar[model.joints[model.getJointId(name)].idx_v]]
     if free and rng.uniform() < 0.2:
         rate = 0.5 * rng.normal()

@@ -14,7 +14,7 @@ from scaling import spheres
 from step_time import mujoco_steps
 
 import nsdyn as nd
-from nsdyn.recording import audit
+from nsdyn.audit import audit
 
 
 def line(name: str, times: list[float], deepest: float, more: str = "") -> float:

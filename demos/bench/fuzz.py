@@ -230,10 +230,39 @@ READERS = {
 
 Rng = np.random.Generator
 
-ODD = ["nan", "inf", "-inf", "0", "-0", "-1", "1e308", "-1e308", "1e-308", "1e39", "1e20", "1e-20", "2147483647",
-       "-2147483648", "4294967296", "18446744073709551616", "99999999999999999999999", "", "x", "1 2", "1e999", "0x10",
-       "1,5", "\u00bd", "../../../etc/passwd", "/dev/zero", "package://", "file:///dev/zero", "&lt;", "%s%n",
-       "A" * 5000]  # fmt: skip
+ODD = [
+    "nan",
+    "inf",
+    "-inf",
+    "0",
+    "-0",
+    "-1",
+    "1e308",
+    "-1e308",
+    "1e-308",
+    "1e39",
+    "1e20",
+    "1e-20",
+    "2147483647",
+    "-2147483648",
+    "4294967296",
+    "18446744073709551616",
+    "99999999999999999999999",
+    "",
+    "x",
+    "1 2",
+    "1e999",
+    "0x10",
+    "1,5",
+    "\u00bd",
+    "../../../etc/passwd",
+    "/dev/zero",
+    "package://",
+    "file:///dev/zero",
+    "&lt;",
+    "%s%n",
+    "A" * 5000,
+]
 """In place of a word of a text."""
 
 
@@ -338,8 +367,8 @@ def fields(data: bytes, rng: Rng) -> bytes:
             if not item.size or item.size > 10**6:  # changed before
                 continue
             found = item[()]
-            if item.dtype.kind == "O":  # a text
-                changed_text(file, name, found, rng)
+            if item.dtype.kind == "O":  # a text, or several
+                changed_text(file, name, b"\n".join(np.atleast_1d(found).tolist()), rng)
                 continue
             del file[name]
             changed_field(file, name, found, rng)
@@ -514,9 +543,15 @@ def watched(source: int, pid: int, at: mmap.mmap) -> tuple[list[str], bool]:
 
 
 def tell(
-    name: str, good: list[bytes], reader: Reader, seed: int, case: int, found: str, tally: collections.Counter[str],
+    name: str,
+    good: list[bytes],
+    reader: Reader,
+    seed: int,
+    case: int,
+    found: str,
+    tally: collections.Counter[str],
     keep: Path | None,
-) -> None:  # fmt: skip
+) -> None:
     """Count an outcome; a failure is shown, and a copy of its file kept."""
     kind = found.split(":")[0]
     tally[kind] += 1

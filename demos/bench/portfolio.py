@@ -1,21 +1,25 @@
 """What `auto` solves and costs, on problems from files and on a wall that a ball hits.
 
-    python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [FOLDER ...]
+    python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [--set sweep=20] [FOLDER ...]
 
 Processor time. For every folder of FCLIB files: problems solved, the geometric mean, the mean and the longest solve
 from nothing, by their factors if the file has them and by W alone. For the wall: the mean and longest time of a step
-with the solver, at defaults, and how many solves ended within the loose tolerance only or failed.
+with the solver, at defaults, and how many solves ended within the loose tolerance only or failed. `--set` gives a
+constant of `nsdyn.solvers.auto.Tuning` another value.
 """
 
 import argparse
+import ast
 import statistics
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import nsdyn as nd
+from nsdyn.solvers import auto
 from nsdyn.tools.arrays import Array
 
 
@@ -99,10 +103,14 @@ def main() -> None:
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--tol", type=float, default=1e-8)
     parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     arguments = parser.parse_args()
+    values = dict(given.split("=") for given in arguments.set)
+    auto.TUNING = replace(auto.TUNING, **{name: ast.literal_eval(value) for name, value in values.items()})
     for folder in arguments.folders:
         files(folder, arguments.tol)
-    wall(arguments.steps)
+    if arguments.steps:
+        wall(arguments.steps)
 
 
 if __name__ == "__main__":

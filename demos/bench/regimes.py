@@ -19,7 +19,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import nsdyn as nd
-from nsdyn.study import profile
+from nsdyn.bench.profiles import Profile, measure
 
 TOLERANCES = (1e-4, 1e-6, 1e-8)
 SOLVERS = ("auto", "newton", "interior", "impulse_newton", "admm", "pgs")
@@ -58,9 +58,13 @@ def collision() -> Iterator[Source]:
     for n in (3, 5, 7, 10):
         scene = nd.scenes.load("wall")(rows=n, columns=n)
         scene.add_sphere(
-            "ball", 0.15, 16.0, position=(0.107 * n, -0.3, 0.05 * n), linear_velocity=(0, 15, 0),
+            "ball",
+            0.15,
+            16.0,
+            position=(0.107 * n, -0.3, 0.05 * n),
+            linear_velocity=(0, 15, 0),
             material=nd.Material(mu=0.6),
-        )  # fmt: skip
+        )
         yield f"wall{n * n:03}", scene, 0.0, (4, 8, 16, 32)
     for bodies in (10, 20, 40):
         yield f"pile{2 * bodies}", nd.scenes.load("pile")(boxes=bodies, spheres=bodies), 0.0, (80, 120, 160)
@@ -89,7 +93,7 @@ def write(folder: Path, sources: Iterator[Source], bodies: int) -> None:
                 nd.fclib.write(folder / f"{name}-{count:03}.hdf5", problem)
 
 
-def unsolved(p: profile.Profile, limit: float) -> Iterator[str]:
+def unsolved(p: Profile, limit: float) -> Iterator[str]:
     """A line for each solver that left problems: how many, how close it came, and whether time was the reason."""
     for name in p.solvers:
         left = [run for run in p.runs if run.solver == name and not run.solved]
@@ -101,7 +105,7 @@ def unsolved(p: profile.Profile, limit: float) -> Iterator[str]:
             yield f"  {name} leaves {len(left)} ({sizes}): {late} out of time, {near}"
 
 
-def work(p: profile.Profile) -> Iterator[str]:
+def work(p: Profile) -> Iterator[str]:
     """Median and largest number of iterations of each solver where it solves."""
     for name in p.solvers:
         counts = [run.iterations for run in p.runs if run.solver == name and run.solved]
@@ -109,7 +113,7 @@ def work(p: profile.Profile) -> Iterator[str]:
             yield f"  {name}: {statistics.median(counts):g} iterations in the median, {max(counts)} at most"
 
 
-def draw(profiles: dict[tuple[str, float], profile.Profile], path: Path) -> None:
+def draw(profiles: dict[tuple[str, float], Profile], path: Path) -> None:
     """Profiles at the last tolerance above, times of `auto` against contacts below, a column a regime."""
     figure, axes = plt.subplots(2, len(REGIMES), figsize=(12, 7), layout="constrained")
     for (upper, lower), regime in zip(axes.T, REGIMES, strict=True):
@@ -140,7 +144,7 @@ def main() -> None:
         if not folder.is_dir():
             write(folder, sources(), arguments.bodies)
         for tol in TOLERANCES:
-            p = profile.measure(folder, arguments.solver, tol, arguments.limit, arguments.peer, progress=True)
+            p = measure(folder, arguments.solver, tol, arguments.limit, arguments.peer, progress=True)
             profiles[regime, tol] = p
             print(f"\n{regime}, {tol:g}\n{p.table()}", *work(p), *unsolved(p, arguments.limit), sep="\n", flush=True)
     if arguments.plot:

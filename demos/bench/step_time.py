@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 import nsdyn as nd
-from nsdyn.recording import audit
-from nsdyn.study import bench
+from nsdyn.audit import audit
+from nsdyn.bench import engines
 
 PHASES = ("contacts", "solve", "the rest", "record")
 
@@ -63,9 +63,9 @@ def ours(scene: nd.Scene, dt: float, tol: float, steps: int) -> tuple[list[float
 
 def mujoco_steps(scene: nd.Scene, variant: str, dt: float, settling: int, steps: int) -> tuple[list[float], float]:
     """Seconds of each of MuJoCo's steps and its deepest overlap [m], after steps that are not looked at."""
-    from nsdyn.study._peers.bench_mujoco import Simulation
+    from nsdyn.bench._peers.bench_mujoco import Simulation
 
-    simulation = Simulation(bench.describe(scene), variant, dt)
+    simulation = Simulation(engines.describe(scene), variant, dt)
     simulation.advance(settling)
     times, poses = [], []
     for _ in range(steps):

@@ -3,9 +3,9 @@
     python demos/bench/truth.py [BAR]... [--quick] [--verbose]
 
 Every bar is a function of its seeds and steps that returns figures measured from recorded states alone: overlaps by
-`nsdyn.recording.overlap`, which shares no code with the detection of contacts, energies and momenta from positions and
+`nsdyn.audit.overlap`, which shares no code with the detection of contacts, energies and momenta from positions and
 velocities computed anew. A figure in brackets has no bar and is only told. `--quick` runs the few cases that
-`tests/test_truth.py` runs by default; `at_rest.py` compares what a step costs where nothing happens.
+`tests/bench/test_truth.py` runs by default; `at_rest.py` compares what a step costs where nothing happens.
 """
 
 import argparse
@@ -25,7 +25,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
-from nsdyn.recording import overlap as independent
+from nsdyn.audit import overlap as independent
 from nsdyn.scene import pairs
 
 INFORM = math.inf
@@ -215,7 +215,7 @@ def timed(step: Callable[[], Any], steps: int) -> tuple[float, float]:
 )
 def wall_cost(duration: float) -> Figures:
     """dt 5e-3; MuJoCo at its defaults, where it is installed."""
-    from nsdyn.study import bench
+    from nsdyn.bench import engines
 
     scene, dt = wall(10, 15.0), 5e-3
     steps = round(duration / dt)
@@ -225,10 +225,10 @@ def wall_cost(duration: float) -> Figures:
     stepper.set_state(start)
     out = dict(zip(("mean ms", "longest ms"), timed(stepper.step, steps), strict=True))
     try:
-        from nsdyn.study._peers.bench_mujoco import Simulation
+        from nsdyn.bench._peers.bench_mujoco import Simulation
     except ImportError:
         return out
-    peer = Simulation(bench.describe(scene), "default", dt)
+    peer = Simulation(engines.describe(scene), "default", dt)
     theirs = timed(lambda: peer.advance(1), steps)
     return out | dict(zip(("MuJoCo's mean ms", "MuJoCo's longest ms"), theirs, strict=True))
 
@@ -479,9 +479,14 @@ def blades(speed: float, phase: int, hits: bool, dt: float = 1e-2) -> Figures:
     start = -phase / 8 * speed * dt
     turn = Rotation.from_rotvec([0, 0, start]).as_quat()
     scene.add_box(
-        "blade", (2, 0.02, 0.02), 1.0, quaternion=turn, linear_velocity=(0, 0, 1), angular_velocity=(0, 0, speed),
+        "blade",
+        (2, 0.02, 0.02),
+        1.0,
+        quaternion=turn,
+        linear_velocity=(0, 0, 1),
+        angular_velocity=(0, 0, speed),
         material=nd.Material(mu=0.0),
-    )  # fmt: skip
+    )
     trajectory = nd.simulate(scene, (ANGLE + 2.0) / speed + 3 * dt, dt)
     blade = trajectory.body("blade")
     if not hits:
@@ -507,9 +512,17 @@ def mixed(scene: nd.Scene, places: Iterable[Any], speed: float, seed: int, towar
     for k, at in enumerate(places):
         aim = along(rng) - towards * np.array(at)
         add_any(
-            scene, f"body{k}", 0.1, rng, mass=rng.uniform(0.5, 2.0), position=at, quaternion=turned(rng),
-            linear_velocity=speed * aim, angular_velocity=2.0 * along(rng), material=material,
-        )  # fmt: skip
+            scene,
+            f"body{k}",
+            0.1,
+            rng,
+            mass=rng.uniform(0.5, 2.0),
+            position=at,
+            quaternion=turned(rng),
+            linear_velocity=speed * aim,
+            angular_velocity=2.0 * along(rng),
+            material=material,
+        )
 
 
 def corners(side: float) -> list[tuple[float, float, float]]:
@@ -626,9 +639,14 @@ def egg(beside: str) -> nd.Scene:
     scene.add_halfspace("ground", material=nd.Material(mu=1.0))
     w = np.array([1.0, 2.0, 0.5])
     scene.add_ellipsoid(
-        "egg", (0.12, 0.08, 0.1), 1.0, position=(0, 0, 0.1), material=nd.Material(mu=1.0),
-        angular_velocity=w, linear_velocity=np.cross(w, (0, 0, 0.1)),
-    )  # fmt: skip
+        "egg",
+        (0.12, 0.08, 0.1),
+        1.0,
+        position=(0, 0, 0.1),
+        material=nd.Material(mu=1.0),
+        angular_velocity=w,
+        linear_velocity=np.cross(w, (0, 0, 0.1)),
+    )
     if beside == "bullet":
         scene.add_sphere("bullet", 0.005, 0.01, position=(1000, 0, 50), linear_velocity=(0, 900, 0))
     elif beside == "coin":
@@ -674,10 +692,10 @@ def rolling_egg(beside: str, dt: float = 2.5e-3) -> Figures:
 )
 def time_to_error(limit: float) -> Figures:
     """Of `nsdyn bench`: the bouncing ball, and free rotation beside MuJoCo's best."""
-    from nsdyn.study import bench
+    from nsdyn.bench import engines
 
-    peers = [name for name in ("mujoco",) if bench.PEERS[name].installed]
-    found = bench.measure(["bounce", "tumble"], peers, limit)
+    peers = [name for name in ("mujoco",) if engines.PEERS[name].installed]
+    found = engines.measure(["bounce", "tumble"], peers, limit)
 
     def ms(case: str, engine: str, error: float) -> float:
         run = found.reach(case, engine, error)
@@ -743,9 +761,15 @@ def touching(rng: np.random.Generator, one: float | None) -> nd.Scene:
 
     def add(kind: str, name: str, size: Any, at: Any, **keywords: Any) -> None:
         getattr(scene, f"add_{kind}")(
-            name, size, 10.0 ** rng.uniform(-1.0, 1.0), position=at, linear_velocity=rng.normal(size=3),
-            angular_velocity=3.0 * rng.normal(size=3), material=material(), **keywords,
-        )  # fmt: skip
+            name,
+            size,
+            10.0 ** rng.uniform(-1.0, 1.0),
+            position=at,
+            linear_velocity=rng.normal(size=3),
+            angular_velocity=3.0 * rng.normal(size=3),
+            material=material(),
+            **keywords,
+        )
 
     kind = rng.choice(["stack", "heap", "edge", "ball on box"])
     if kind == "stack":

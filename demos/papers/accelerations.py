@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 import nsdyn as nd
-from nsdyn.stepping.acceleration import accelerations, least_constraint
+from nsdyn.literature.acceleration import accelerations, least_constraint
 
 STEPS = 4e-4, 2e-4, 1e-4, 5e-5
 """dt in s."""

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 import nsdyn as nd
+from nsdyn.bench.profiles import Profile, Run
+from nsdyn.literature._common import Equilibrated
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import GaussSeidel, Hybrid, ImpulseNewton, Proximal, relaxed
-from nsdyn.solvers._common import Equilibrated
-from nsdyn.study.profile import Profile, Run
 from nsdyn.tools.arrays import Array
 
 TOLERANCES = 1e-4, 1e-8

@@ -175,9 +175,16 @@ def block(cells: int = 32, alpha: float = 0.3) -> Block:
     W[2::3, 2::3] = np.eye(n) * np.diag(flexibility)[1::2].mean()
     columns = spread(u[:, 2 * n :])
     return Block(
-        m.x, W, columns[:, 0] / YOUNG, columns[:, 1] / YOUNG, spread(d[: 2 * n] / YOUNG), d[2 * n] / YOUNG,
-        d[2 * n + 1] / YOUNG, columns[:, 2], d[2 * n + 2],
-    )  # fmt: skip
+        m.x,
+        W,
+        columns[:, 0] / YOUNG,
+        columns[:, 1] / YOUNG,
+        spread(d[: 2 * n] / YOUNG),
+        d[2 * n] / YOUNG,
+        d[2 * n + 1] / YOUNG,
+        columns[:, 2],
+        d[2 * n + 2],
+    )
 
 
 def load(

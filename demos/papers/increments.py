@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 import nsdyn as nd
-from nsdyn.problem.formulations import residual_xuewen_soh_wanji
+from nsdyn.literature.formulations import residual_xuewen_soh_wanji
 
 SIDE, YOUNG, POISSON, MU = 0.04, 1e6, 0.3, 0.4  # m, Pa: rubber
 LENGTH = 1e-3

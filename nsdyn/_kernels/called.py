@@ -52,12 +52,19 @@ class LinkableCache(Cache):
         library._final_module = llvm.parse_bitcode(code)
         library._finalize_final_module()
         return compile_result(
-            typing_context=context.typing_context, target_context=context, library=library, fndesc=description,
-            environment=environment, signature=signature, reload_init=reload_init, entry_point=None, objectmode=False,
-        )  # fmt: skip
+            typing_context=context.typing_context,
+            target_context=context,
+            library=library,
+            fndesc=description,
+            environment=environment,
+            signature=signature,
+            reload_init=reload_init,
+            entry_point=None,
+            objectmode=False,
+        )
 
 
-class _Lowered(_FunctionCompiler):  # type: ignore[misc]  # numba is not typed
+class _Lowered(_FunctionCompiler):
     """Compiler that stops before machine code."""
 
     def _customize_flags(self, flags: Flags) -> Flags:

@@ -34,7 +34,7 @@ def announce() -> None:
         _log.warning(words)
 
 
-class Waiting(event.Listener):  # type: ignore[misc]  # numba is not typed
+class Waiting(event.Listener):
     """Tells whoever has waited for `PATIENCE`, once in a process, and counts the kernels in a bar on a terminal."""
 
     def __init__(self) -> None:

@@ -20,27 +20,58 @@ from pathlib import Path
 from typing import NoReturn, TextIO
 
 from nsdyn.cli.doctor import diagnose, version_of
+from nsdyn.cli.figures import add_plot, draw
+from nsdyn.cli.films import add_film, make_film
 from nsdyn.cli.output import OUTPUTS, add_input, add_json, add_output, one_line
-from nsdyn.cli.plots import add_plot, draw
 from nsdyn.cli.problems import bench_engines, profile_solvers, solve_file
-from nsdyn.cli.results import show_contacts, show_energy, show_joints, write_page
-from nsdyn.cli.simulation import add_simulation, begin_scene, list_scenes, run_scene
+from nsdyn.cli.results import add_table, show_energy, show_table, write_page
+from nsdyn.cli.run import add_simulation, begin_scene, list_scenes, run_scene
 from nsdyn.cli.studies import add_check, add_compare, add_study, check_anything, compare_recordings, study_steps
 from nsdyn.cli.sweeps import add_sweep, sweep_scene
 from nsdyn.tools import callbacks
-from nsdyn.tools.files import FILM, FRAME, PAGE, PICTURE, PROBLEM, RECORDING, TABLE
+from nsdyn.tools.files import FRAME, PAGE, PICTURE, PROBLEM, RECORDING, TABLE
 
-__all__ = ["main"]
+__all__ = ["EXAMPLES", "main", "parser"]
 
 Command = Callable[[str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
 """Adds a command of a name, a function and a summary."""
+
+EXAMPLES = {
+    "scenes": "nsdyn scenes",
+    "doctor": "nsdyn doctor --compile",
+    "new": "nsdyn new my.py",
+    "run": "nsdyn run stack -o run.h5 --html run.html",
+    "sweep": "nsdyn sweep slide --set mu=0.2,0.5 --csv slides.csv",
+    "study": "nsdyn study double_pendulum --dt 0.02,0.01,0.005 --plot study.pdf",
+    "check": "nsdyn check run.h5",
+    "solve": "nsdyn solve problem.hdf5 --solver newton",
+    "profile": "nsdyn profile problems --solver all --plot profile.png",
+    "bench": "nsdyn bench slip --peer mujoco",
+    "energy": "nsdyn energy run.h5 --plot energy.png",
+    "bodies": "nsdyn bodies run.h5 --csv bodies.csv",
+    "joints": "nsdyn joints run.h5 --name 'robot/*knee*'",
+    "pairs": "nsdyn pairs run.h5 --name ground",
+    "contacts": "nsdyn contacts run.h5 --csv contacts.csv",
+    "view": "nsdyn view run.h5 other.h5 -o both.html",
+    "film": "nsdyn film run.h5 --speed 0.1 -o slowly.mp4",
+    "plot": "nsdyn plot run.h5 --kind speed --kind force -o run.pdf",
+    "compare": "nsdyn compare run.h5 other.h5",
+}
+"""One of each command, which the help shows."""
+
+TABLES = {
+    "bodies": "Print or export the motion of bodies: positions, velocities, contact forces.",
+    "joints": "Print or export joints and loops: motion, torques, reactions.",
+    "pairs": "Print or export what bodies do to each other: gap, slip, normal force, friction.",
+    "contacts": "Print or export contact points: gap, velocity, impulse, state.",
+}
 
 SCENE = "a name that 'nsdyn scenes' lists, or a file of your own, which 'nsdyn new' begins"
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    arguments = _parser().parse_args(argv)
+    arguments = parser().parse_args(argv)
     arguments.typed = shlex.join(["nsdyn", *(sys.argv[1:] if argv is None else argv)])
     logging.basicConfig(level=logging.INFO, format="nsdyn: %(message)s", stream=sys.stderr)
     with warnings.catch_warnings():
@@ -58,8 +89,8 @@ def main(argv: list[str] | None = None) -> int:
             ours = isinstance(error, OSError) and error.filename is None and error.strerror
             print(f"nsdyn: error: {one_line(callbacks.text(error) if theirs else ours or error)}", file=sys.stderr)
             return 2
-        except KeyboardInterrupt:
-            print("nsdyn: interrupted", file=sys.stderr)
+        except KeyboardInterrupt as stop:
+            print("nsdyn: interrupted" + (f": {stop}" if stop.args else ""), file=sys.stderr)
             return 130
 
 
@@ -78,22 +109,31 @@ class _Parser(argparse.ArgumentParser):
     """Tells a mistake in one line, as everything else here does."""
 
     def error(self, message: str) -> NoReturn:
-        from nsdyn.tools.naming import meant
+        from nsdyn.tools.naming import unknown
 
-        choice = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
-        hint = meant(choice[1], re.findall(r"[\w-]+", choice[2])) if choice else ""
-        self.exit(2, f"nsdyn: error: {hint}{message} (see {self.prog} --help)\n")
+        if choice := re.fullmatch(r"argument (.*): invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            what, given, known = choice.groups()
+            message = unknown(given, re.findall(r"[\w-]+", known), what)
+        self.exit(2, f"nsdyn: error: {message} (see {self.prog} --help)\n")
 
 
-def _parser() -> _Parser:
-    parser = _Parser(prog="nsdyn", description="Rigid multibody dynamics with hard contact and exact Coulomb friction.")
-    parser.add_argument("--version", action="version", version=f"nsdyn {version_of('nsdyn')}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    parser.set_defaults(run=partial(_help, parser))
+def parser() -> _Parser:
+    """What reads the command line."""
+    top = _Parser(
+        prog="nsdyn",
+        description="Rigid multibody dynamics with hard contact and exact Coulomb friction.",
+        formatter_class=argparse.RawTextHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=f"nsdyn {version_of('nsdyn')}")
+    commands = top.add_subparsers(title="commands", metavar="COMMAND")
+    top.set_defaults(run=partial(_help, top))
 
     def command(name: str, run: Callable[[argparse.Namespace], int], summary: str) -> argparse.ArgumentParser:
         out = commands.add_parser(
-            name, help=summary, description=summary, epilog=None if run in (list_scenes, diagnose) else OUTPUTS
+            name,
+            help=f"{summary}\n  {EXAMPLES[name]}",
+            description=f"{summary} For example: {EXAMPLES[name]}",
+            epilog=None if run in (list_scenes, diagnose) else OUTPUTS,
         )
         out.set_defaults(run=run)
         return out
@@ -101,7 +141,7 @@ def _parser() -> _Parser:
     _add_simulations(command)
     _add_problems(command)
     _add_results(command)
-    return parser
+    return top
 
 
 def _help(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
@@ -135,9 +175,12 @@ def _add_simulations(command: Command) -> None:
     where = p.add_mutually_exclusive_group()
     add_output(where, "-o", "--output", kind=RECORDING, metavar="RUN.h5", help="recording, written while it runs")
     add_output(
-        where, "--resume", kind=RECORDING, metavar="RUN.h5",
+        where,
+        "--resume",
+        kind=RECORDING,
+        metavar="RUN.h5",
         help="recording of a run of the same arguments that ended or was killed: go on with it, bit for bit",
-    )  # fmt: skip
+    )
     p.add_argument(
         "--every", type=int, default=1, metavar="N", help="record only every N-th step (default: %(default)s)"
     )
@@ -211,41 +254,45 @@ def _add_results(command: Command) -> None:
     add_input(p, "recording", metavar="RUN.h5")
     add_output(p, "--plot", kind=PICTURE, metavar="E.png", help="picture of energies and works (png, pdf or svg)")
     p.add_argument(
-        "--by", choices=("pair", "body"),
+        "--by",
+        choices=("pair", "body"),
         help="in place of the ledger, works of the contacts of each pair of bodies, or energies of each body",
-    )  # fmt: skip
+    )
     add_output(p, "--csv", kind=TABLE, metavar="E.csv", help="all times: energies, and the works of each step, in J")
     add_json(p)
 
-    p = command("contacts", show_contacts, "Print or export the contacts of a recording.")
-    add_input(p, "recording", metavar="RUN.h5")
-    p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
-    add_output(p, "--csv", kind=TABLE, metavar="C.csv", help="all contacts of all steps, one a line")
+    for kind, summary in TABLES.items():
+        add_table(command(kind, partial(show_table, kind), summary))
 
-    p = command("joints", show_joints, "Print or export joints and loops of a recording: motion, torques, reactions.")
+    p = command("view", write_page, "Make a web page or a picture of a recording, or of some beside each other.")
     add_input(p, "recording", metavar="RUN.h5")
-    p.add_argument(
-        "--joint", metavar="NAME", default="*", help="joints or loops by name, or as 'robot/*knee*' (default: all)"
-    )
-    p.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
-    add_output(p, "--csv", kind=TABLE, metavar="J.csv", help="all steps, one joint or loop a line, with units")
-
-    p = command("view", write_page, "Make a web page, a picture or a film of a recording, or of two side by side.")
-    add_input(p, "recording", metavar="RUN.h5")
-    add_input(p, "beside", metavar="OTHER.h5", nargs="?", help="shown beside it, on the same clock")
+    add_input(p, "beside", metavar="OTHER.h5", nargs="*", help="shown beside it, on the same clock")
     add_output(
-        p, "-o", "--output", kind=PAGE, metavar="RUN.html",
+        p,
+        "-o",
+        "--output",
+        kind=PAGE,
+        metavar="RUN.html",
         help="self-contained animated page (default, if nothing else is asked for: named after the recording, in this "
         "folder)",
-    )  # fmt: skip
+    )
     p.add_argument(
-        "--forces", nargs="?", const="pair", default=False, metavar="BY",
+        "--forces",
+        nargs="?",
+        const="pair",
+        default=False,
+        metavar="BY",
         help="draw the contact forces, one for each pair of bodies (the default) or each contact point: pair, point",
-    )  # fmt: skip
-    p.add_argument("--fps", type=float, default=30.0, metavar="N", help="keyframes per second (default: %(default)s)")
+    )
+    p.add_argument(
+        "--fps",
+        type=float,
+        metavar="N",
+        help="keyframes per second (default: all states where they cost less than 1 MB, else 30)",
+    )
     add_output(p, "--png", kind=FRAME, metavar="FRAME.png", help="picture of one moment, made by a headless Chromium")
-    add_output(p, "--mp4", kind=FILM, metavar="RUN.mp4", help="film, made by a headless Chromium and ffmpeg")
     p.add_argument("--at", type=float, metavar="T", help="time of the picture in s (default: the end)")
 
+    add_film(command("film", make_film, "Make a film of a recording, or of some beside each other, with their curves."))
     add_compare(command("compare", compare_recordings, "Say where two recordings of one scene part."))
-    add_plot(command("plot", draw, "Draw dissipation, friction cones, certificate, penetration of a recording."))
+    add_plot(command("plot", draw, "Draw motion, forces, energies, joints or errors of a recording over time."))

@@ -82,7 +82,7 @@ def _within(version: str, bound: str) -> bool:
 
 def diagnose(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn doctor``."""
-    from nsdyn.recording import browser
+    from nsdyn.view import browser
 
     wrong = wrong_packages()
     if arguments.compile and not wrong:
@@ -110,7 +110,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
         return 0 if sound else 1
     for name, found in {"python": figures["python"], **packages}.items():
         print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
-    absent = "not found; only pictures and films (nsdyn view --png, --mp4) need it"
+    absent = "not found; only pictures and films (nsdyn view --png, nsdyn film) need it"
     print(f"{'chromium':12} {figures['chromium'] or absent}")
     print(f"{'cache':12} {cache or none}")
     for line in wrong:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "OUTPUTS",
+    "PICTURE_SIZE",
     "add_input",
     "add_json",
     "add_output",
@@ -34,7 +35,6 @@ __all__ = [
     "table",
     "write_columns",
     "write_rows",
-    "write_table",
 ]
 
 
@@ -42,6 +42,9 @@ def one_line(message: object) -> str:
     """A message without its line breaks."""
     return " ".join(str(message).split())
 
+
+PICTURE_SIZE = 5.5, 3.5
+"""Of one picture, in inches."""
 
 OUTPUTS = (
     "Output files that exist are overwritten once the new ones are complete, but none of another kind. Links are "
@@ -114,7 +117,8 @@ def check_files(arguments: argparse.Namespace) -> None:
     from nsdyn.tools import files
 
     given = vars(arguments)
-    read = [path for name in given.get("inputs", ()) if (path := given[name])]
+    found = (given[name] for name in given.get("inputs", ()))
+    read = [path for one in found if one for path in (one if isinstance(one, list) else [one])]
     for path in read:
         if not os.path.exists(path):
             raise ValueError(f"no such file: {path}")
@@ -135,7 +139,7 @@ def plot_to(path: Path, *draw: Callable[[Any], Any]) -> None:
         for axes, panel in zip(figure.subplots(1, len(draw), squeeze=False)[0], draw, strict=True):
             panel(axes)
 
-    picture(path, panels, (3 + 5 * len(draw), 5), 150)
+    picture(path, panels, (3 + 5 * len(draw), 5))
 
 
 def write_columns(trajectory: Trajectory, series: Mapping[str, Array], path: Path) -> None:
@@ -159,6 +163,7 @@ def ledger(trajectory: Trajectory) -> dict[str, Any]:
     return {
         "ledger": trajectory.ledger(),
         "at_play": trajectory.at_play,
+        "at_rest": trajectory.at_rest,
         "shares": shares,
         "worst": trajectory.worst(),
     }
@@ -176,18 +181,6 @@ def write_rows(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: 
         sink.writerows(rows)
 
 
-def write_table(columns: Any, path: Path, heading: Callable[[str], str] = str) -> None:
-    """Write columns, a mapping or a DataFrame, as a CSV file; `heading` says what stands over each."""
-    import csv
-
-    from nsdyn.tools import files
-
-    with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
-        sink = csv.writer(file)
-        sink.writerow(map(heading, columns))
-        sink.writerows(zip(*(columns[name].tolist() for name in columns), strict=True))
-
-
 def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
     """Text table of some columns; what a row lacks is a dash."""
     cells = [[_cell(row.get(name)) for name in columns] for row in rows]
@@ -203,7 +196,7 @@ def _cell(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else as_text(value)
 
 
-def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int) -> None:
+def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int = 200) -> None:
     """Picture of what `draw` draws on a matplotlib figure of `size` in inches."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
 

@@ -49,23 +49,26 @@ def profile_solvers(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
     from functools import partial
 
-    from nsdyn.study import profile
+    from nsdyn.bench import profiles
 
     check_files(arguments)
     solvers, smallest = arguments.solver or ["auto"], arguments.min_contacts
     found = [
-        profile.measure(arguments.folder, solvers, tol, arguments.limit, arguments.peer, smallest, progress=True)
+        profiles.measure(arguments.folder, solvers, tol, arguments.limit, arguments.peer, smallest, progress=True)
         for tol in arguments.tol or [1e-8]
     ]
     if arguments.csv:
-        profile.write_csv(arguments.csv, found)
+        profiles.write_csv(arguments.csv, found)
     if arguments.plot:
         plot_to(arguments.plot, *(partial(one.plot, legend=one is found[-1]) for one in found))
     if arguments.json:
-        say_json(arguments, [
-            {"tol": p.tol, "limit": p.limit, "summary": p.summary(), "runs": [asdict(run) for run in p.runs]}
-            for p in found
-        ])  # fmt: skip
+        say_json(
+            arguments,
+            [
+                {"tol": p.tol, "limit": p.limit, "summary": p.summary(), "runs": [asdict(run) for run in p.runs]}
+                for p in found
+            ],
+        )
     else:
         say(arguments, "\n\n".join(f"tol {one.tol:g}\n{one.table()}" for one in found))
     return 0
@@ -75,10 +78,10 @@ def bench_engines(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn bench``."""
     from dataclasses import asdict
 
-    from nsdyn.study import bench
+    from nsdyn.bench import engines
 
     check_files(arguments)
-    found = bench.measure(arguments.case, arguments.peer, arguments.limit, progress=True)
+    found = engines.measure(arguments.case, arguments.peer, arguments.limit, progress=True)
     if arguments.csv:
         found.write_csv(arguments.csv)
     if arguments.plot:

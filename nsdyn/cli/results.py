@@ -1,4 +1,4 @@
-"""`nsdyn energy`, `nsdyn contacts`, `nsdyn joints` and `nsdyn view`: what recordings show."""
+"""`nsdyn energy`, `nsdyn view` and the commands that print tables: what recordings show."""
 
 from __future__ import annotations
 
@@ -7,30 +7,40 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nsdyn.cli.output import check_files, ledger, plot_to, say, say_json, table, write_columns, write_table
+from nsdyn.cli.output import (
+    PICTURE_SIZE,
+    add_input,
+    add_output,
+    check_files,
+    ledger,
+    picture,
+    say,
+    say_json,
+    write_columns,
+)
+from nsdyn.tools.files import PARQUET, TABLE
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.tools.arrays import Array
 
-__all__ = ["show_contacts", "show_energy", "show_joints", "write_page"]
+__all__ = ["add_table", "show_energy", "show_table", "write_page"]
 
 
 def show_energy(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn energy``."""
     from nsdyn.recording.trajectory import Trajectory
-    from nsdyn.tools import files
 
     check_files(arguments)
     trajectory = Trajectory.load(arguments.recording)
     if arguments.plot:
-        plot_to(arguments.plot, trajectory.plot_energy)
+        from nsdyn.view import plots
+
+        picture(arguments.plot, lambda figure: plots.draw(trajectory, "energy", figure=figure), PICTURE_SIZE)
     if arguments.by:
         return _energy_by(arguments, trajectory)
     if arguments.csv:
-        energy = trajectory.energy
-        with files.writing(arguments.csv, files.TABLE) as part:
-            write_columns(trajectory, {name: getattr(energy, name) for name in energy.names}, part)
+        trajectory.table("energy").to_csv(arguments.csv)
     if arguments.json:
         say_json(arguments, ledger(trajectory))
     else:
@@ -62,67 +72,73 @@ def _energy_by(arguments: argparse.Namespace, trajectory: Trajectory) -> int:
     return 0
 
 
-def show_contacts(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn contacts``."""
-    trajectory = _at_a_step(arguments)
-    if arguments.csv:
-        write_table(trajectory.contact_table(), arguments.csv)
-    say(arguments, trajectory.contacts(arguments.step))
-    return 0
+SHOWN = {
+    "bodies": ("body", *"xyz", "v_x", "v_y", "v_z", "speed", "force_x", "force_y", "force_z"),
+    "joints": (
+        "joint",
+        "coordinate",
+        "unit",
+        "position",
+        "velocity",
+        "torque",
+        "limit",
+        "friction",
+        "reaction_force_x",
+        "reaction_force_y",
+        "reaction_force_z",
+    ),
+    "pairs": ("body1", "body2", "state", "gap", "slip", "normal_force", "friction_force"),
+    "contacts": ("body1", "body2", "state", "gap", "u_N", "u_T", "impulse_N", "impulse_T", "mu"),
+}
+"""Columns of the tables that are printed."""
 
 
-def show_joints(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn joints``."""
-    import numpy as np
-
-    from nsdyn.recording.joints import heading, joint_table
-
-    trajectory = _at_a_step(arguments)
-    k = arguments.step if arguments.step > 0 else trajectory.steps + 1 + arguments.step
-    found = joint_table(trajectory, arguments.joint, np.array([k]))
-    if arguments.csv:
-        write_table(trajectory.joint_table(arguments.joint), arguments.csv, heading)
-    shown = {name: name for name in ("joint", "position", "velocity", "torque", "friction")}
-    shown |= {f"reaction_{what}_{axis}": f"{what[0]}_{axis}" for what in ("force", "torque") for axis in "xyz"}
-    rows = zip(*(found[name].tolist() for name in shown), strict=True)
-    cells = [[None if x != x else x for x in row] for row in rows]  # NaN, as the position of a loop
-    say(arguments, table([dict(zip(shown.values(), row, strict=True)) for row in cells], list(shown.values())))
-    say(arguments, _JOINTS.format(step=k, t=trajectory.t[k]))
-    return 0
+def add_table(parser: argparse.ArgumentParser) -> None:
+    """The options of the commands that show a table."""
+    add_input(parser, "recording", metavar="RUN.h5")
+    parser.add_argument(
+        "--name", metavar="PATTERN", default="*", help="which, by name, or as 'robot/*knee*' (default: all)"
+    )
+    parser.add_argument("--step", type=int, default=-1, metavar="K", help="step to print (default: the last)")
+    add_output(parser, "--csv", kind=TABLE, metavar="T.csv", help="all steps and all columns, for spreadsheets")
+    add_output(parser, "--parquet", kind=PARQUET, metavar="T.parquet", help="the same for data frames")
 
 
-_JOINTS = (
-    "step {step}, which ends at t = {t:g} s; rad or m, N m or N; reactions f [N] and t [N m]: mean of the step, on the "
-    "child\nabout the joint's origin, world axes. Of several coordinates the first is shown, --csv has all"
-)
-
-
-def _at_a_step(arguments: argparse.Namespace) -> Trajectory:
-    """The recording of which a step is to be printed; ValueError where it has no such step."""
+def show_table(kind: str, arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn bodies``, ``joints``, ``pairs`` and ``contacts``."""
+    from nsdyn.recording.tabulated import tabulated
     from nsdyn.recording.trajectory import Trajectory
 
     check_files(arguments)
     trajectory = Trajectory.load(arguments.recording)
     if not 1 <= abs(arguments.step) <= trajectory.steps:
         raise ValueError(f"--step must be one of 1 to {trajectory.steps}, or -1 back, got {arguments.step}")
-    return trajectory
+    k = arguments.step if arguments.step > 0 else trajectory.steps + 1 + arguments.step
+    found = tabulated(trajectory, kind, arguments.name, k)
+    if arguments.csv or arguments.parquet:
+        table = trajectory.table(kind, arguments.name)
+        if arguments.csv:
+            table.to_csv(arguments.csv)
+        if arguments.parquet:
+            table.to_parquet(arguments.parquet)
+    say(arguments, found.select(*SHOWN[kind]))
+    say(arguments, f"step {k}, which ends at t = {trajectory.t[k]:g} s; --csv and --parquet have all steps and columns")
+    return 0
 
 
 def write_page(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn view``."""
-    from nsdyn.recording import pictures, viewer
     from nsdyn.recording.trajectory import Trajectory
+    from nsdyn.view import pictures, viewer
 
-    named = arguments.output or arguments.png or arguments.mp4
+    named = arguments.output or arguments.png
     if not named:
         arguments.output = Path(f"{arguments.recording.stem}.html")
     check_files(arguments)
     if arguments.at is not None and not arguments.png:
         raise ValueError("--at is the time of the picture: give --png FRAME.png too")
-    if arguments.mp4:
-        pictures.check_film()
     trajectory = Trajectory.load(arguments.recording)
-    beside = Trajectory.load(arguments.beside) if arguments.beside else None
+    beside = [Trajectory.load(path) for path in arguments.beside]
     options = {"fps": arguments.fps, "forces": arguments.forces, "beside": beside}
     with tempfile.TemporaryDirectory(prefix="nsdyn-") as folder:
         page = Path(folder) / "page.html"
@@ -130,9 +146,6 @@ def write_page(arguments: argparse.Namespace) -> int:
             at = trajectory.t[-1] if arguments.at is None else arguments.at
             viewer.write_html(trajectory, page, at=at, **options)
             pictures.screenshot(page, arguments.png)
-        if arguments.mp4:
-            viewer.write_html(trajectory, page, **options)
-            pictures.film(page, arguments.mp4, arguments.fps)
     if arguments.output:
         viewer.write_html(trajectory, arguments.output, **options)
     if not named:

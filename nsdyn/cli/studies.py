@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from nsdyn.cli.output import add_input, add_json, add_output, check_files, say_found, write_rows
-from nsdyn.cli.simulation import add_solver, chosen_solver
-from nsdyn.tools.files import TABLE
+from nsdyn.cli.output import PICTURE_SIZE, add_input, add_json, add_output, check_files, picture, say_found, write_rows
+from nsdyn.cli.run import add_solver, chosen_solver
+from nsdyn.tools.files import PICTURE, TABLE
 
 __all__ = ["add_check", "add_compare", "add_study", "check_anything", "compare_recordings", "study_steps"]
 
@@ -25,6 +25,7 @@ def add_study(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     add_solver(parser, "raise", "ignore")
     add_output(parser, "--csv", kind=TABLE, metavar="F.csv", help="the table")
+    add_output(parser, "--plot", kind=PICTURE, metavar="F.png", help="picture of the errors over dt (png, pdf or svg)")
     add_json(parser)
 
 
@@ -53,6 +54,10 @@ def study_steps(arguments: argparse.Namespace) -> int:
             for run in found.as_dict()["runs"]
         ]
         write_rows(rows, list(dict.fromkeys(column for row in rows for column in row)), arguments.csv)
+    if arguments.plot:
+        from nsdyn.study.drawings import draw_refinement
+
+        picture(arguments.plot, lambda figure: draw_refinement(found, figure), PICTURE_SIZE)
     say_found(arguments, found)
     return 0
 
@@ -77,30 +82,35 @@ def compare_recordings(arguments: argparse.Namespace) -> int:
 def add_check(parser: argparse.ArgumentParser) -> None:
     """The options of ``nsdyn check``."""
     parser.add_argument(
-        "what", metavar="ROBOT|SCENE|RUN.h5",
+        "what",
+        metavar="ROBOT|SCENE|RUN.h5",
         help="a robot file (.urdf, .sdf, .xml, .mjcf), a scene by its name or its file (.py), a recording (.h5)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="parameter of the scene; may be repeated"
     )
     parser.add_argument("--base", choices=("fixed", "free"), help="of a URDF (default: fixed)")
     parser.add_argument("--keyframe", metavar="NAME", help="that an MJCF file starts from")
     parser.add_argument(
-        "-q", metavar="Q,Q,...",
+        "-q",
+        metavar="Q,Q,...",
         help="where a robot starts, Pinocchio's order, with commas between; -q=-1,2 if the first is negative",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--package-dir", metavar="DIR", action="append", type=Path,
+        "--package-dir",
+        metavar="DIR",
+        action="append",
+        type=Path,
         help="where the meshes of a robot are looked up; may be repeated",
-    )  # fmt: skip
+    )
     add_json(parser)
 
 
 def check_anything(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn check``: 0 only if all is well."""
     import nsdyn
+    from nsdyn.audit import checking, inspection
     from nsdyn.scene import settings
-    from nsdyn.study import checking, inspection
 
     what, ending = arguments.what, Path(arguments.what).suffix.lower()
     options: dict[str, Any] = {}

@@ -10,9 +10,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from nsdyn.cli.output import add_json, add_output, check_files, one_line, say, say_json, table, write_rows
-from nsdyn.cli.simulation import add_simulation, chosen_solver, chosen_steps
-from nsdyn.tools.files import STORE, TABLE
+from nsdyn.cli.output import (
+    PICTURE_SIZE,
+    add_json,
+    add_output,
+    check_files,
+    one_line,
+    picture,
+    say,
+    say_json,
+    table,
+    write_rows,
+)
+from nsdyn.cli.run import add_simulation, chosen_solver, chosen_steps
+from nsdyn.tools.files import PICTURE, STORE, TABLE
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -23,30 +34,46 @@ __all__ = ["add_sweep", "sweep_scene"]
 def add_sweep(parser: argparse.ArgumentParser) -> None:
     """The options of ``nsdyn sweep`` besides its scene."""
     parser.add_argument(
-        "--set", metavar="NAME=VALUE,...", action="append", default=[],
+        "--set",
+        metavar="NAME=VALUE,...",
+        action="append",
+        default=[],
         help="values of a parameter of the scene, with commas between; may be repeated",
-    )  # fmt: skip
+    )
     add_simulation(parser, "raise", "ignore")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: as many as cores)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster whose workers have nsdyn")
     add_output(
-        parser, "--store", kind=STORE, metavar="S.jsonl",
+        parser,
+        "--store",
+        kind=STORE,
+        metavar="S.jsonl",
         help="file to which every run is added when it is done; what it already has is not run again",
-    )  # fmt: skip
+    )
     add_output(parser, "--csv", kind=TABLE, metavar="F.csv", help="the table")
+    add_output(
+        parser,
+        "--plot",
+        kind=PICTURE,
+        metavar="F.png",
+        help="picture of displacement, energy and works over the parameter with the most values (png, pdf or svg)",
+    )
     add_json(parser)
 
 
 def sweep_scene(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn sweep``."""
     from nsdyn.scene import settings
+    from nsdyn.study import drawings
     from nsdyn.study import sweep as ensemble
 
     name = arguments.scene
     parameters = settings.lists(name, arguments.set)
     solver = chosen_solver(arguments)
     check_files(arguments)
+    if arguments.plot:
+        drawings.varied(parameters)
     with _executor(arguments) as executor:
         members = ensemble.sweep(
             name,
@@ -62,6 +89,9 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
     columns = list(dict.fromkeys(column for row in rows for column in row))  # a failed run has no figures
     if arguments.csv:
         write_rows(rows, columns, arguments.csv)
+    if arguments.plot:
+        size = PICTURE_SIZE[0], 2.0 * PICTURE_SIZE[1]
+        picture(arguments.plot, lambda figure: drawings.draw_sweep(parameters, members, figure), size)
     if arguments.json:
         say_json(arguments, {"scene": name, "runs": rows})
     else:

@@ -124,5 +124,6 @@ def carry(contacts: ContactSet, begin: Poses, end: Poses, normal: Array | None =
     """
     c, there = contacts, contacts.normal if normal is None else normal
     point, gap = np.empty_like(c.point), np.empty_like(c.gap)
-    advancement.carry(c.frame1, c.frame2, c.point, c.normal, c.gap, *begin, *end, there, point, gap)
+    old = c.frame1, c.frame2, c.point, c.normal, c.gap
+    advancement.carry(old, tuple(begin), tuple(end), there, point, gap)
     return c._replace(point=point, normal=there, gap=gap)

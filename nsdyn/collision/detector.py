@@ -17,12 +17,12 @@ import pinocchio as pin
 
 from nsdyn._kernels import sorting
 from nsdyn._kernels.collision import advancement, broadphase, keys, manifold, search
-from nsdyn._kernels.collision.geometry import Geometry
+from nsdyn._kernels.collision.geometry import Geometry, Placed
 from nsdyn._kernels.packing import pack
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches, carry
-from nsdyn.collision.distances import SHRINK, Batch, core, distance_request, empty_model, split
+from nsdyn.collision.distances import SHRINK, Batch, distance_request, empty_model, split
 from nsdyn.scene.bodies import Geom
-from nsdyn.scene.shapes import CAPSULE, HALFSPACE, SPHERE
+from nsdyn.scene.shapes import HALFSPACE, ROUND
 from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["Detector"]
@@ -48,9 +48,7 @@ ADVANCES = 200
 """Most advances of a pair along its motion; one that is still close then, and not past, counts as touching."""
 
 _NONE, _NOWHERE, _NOTHING = np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
-_NO_CONTACTS = ContactSet(
-    _NONE, _NONE, _NONE, _NONE, _NOWHERE, _NOWHERE, _NOTHING, _NOTHING, _NOTHING, _NONE
-)  # fmt: skip
+_NO_CONTACTS = ContactSet(_NONE, _NONE, _NONE, _NONE, _NOWHERE, _NOWHERE, _NOTHING, _NOTHING, _NOTHING, _NONE)
 
 
 class Detector:
@@ -88,13 +86,12 @@ class Detector:
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
         self._geometry = _flatten(geoms)
         self.fields = self._fields = tuple(self._geometry)
-        cores: dict[int, Any] = {id(g.shape): core(g.shape) for g in geoms}
+        cores: dict[int, Any] = {id(g.shape): g.shape.core(SHRINK) for g in geoms}
         self._solids = [g.shape.geometry for g in geoms]
         for solid in (*cores.values(), *self._solids):
             solid.computeLocalAABB()
         self._cores = [cores[id(g.shape)] for g in geoms]
-        rounded = (self._geometry.kind == SPHERE) | (self._geometry.kind == CAPSULE)
-        self._slack = np.where(rounded, 0.0, 2.0 * SHRINK * self._geometry.radius)
+        self._slack = np.where(np.isin(self._geometry.kind, ROUND), 0.0, 2.0 * SHRINK * self._geometry.radius)
         self.frame = self._frame = self._geometry.frame
         self._moving = self._frame >= 0
         self._R = self._geometry.placement_R.copy()
@@ -105,7 +102,7 @@ class Detector:
         self._reach = np.zeros(n)
         self._lower, self._upper = np.empty((n, 3)), np.empty((n, 3))
         for k in range(n):
-            broadphase.bound(self._geometry, k, self._R[k], self._t[k], self._lower, self._upper)
+            broadphase.bound(Placed._make((*self._geometry, self._R, self._t)), k, self._lower, self._upper)
         self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
         self._served = 0  # calls served by the present candidates
         self._batches: list[Batch] = []
@@ -183,7 +180,7 @@ class Detector:
         names, points, scalars = out
         if count != names.shape[1]:
             names, points, scalars = _room(count)
-            next_key = keys.collect(*self._found, memory.names, memory.points, memory.next_key, names, points, scalars)
+            next_key = keys.collect(*self._found, before, memory.next_key, (names, points, scalars))
         # By index: to unpack an array takes twice as long.
         found = ContactSet(
             names[0], names[1], names[2], names[3], points[0], points[1], scalars[0], scalars[1], scalars[2], names[4]
@@ -201,7 +198,7 @@ class Detector:
             return out
         pose, room = (poses.x, poses.R), (self._R, self._t)
         old, new = (c.geom1, c.geom2, c.normal, c.key), (found.geom1, found.geom2, found.key, found.gap)
-        keys.gaps(self._fields, *pose, *room, *old, *new, out)
+        keys.gaps(self._fields, pose, room, old, new, out)
         return out
 
     def carry(self, contacts: ContactSet, begin: Poses, end: Poses) -> tuple[ContactSet, Array]:
@@ -212,13 +209,17 @@ class Detector:
         """
         c, normal, apart = contacts, np.empty_like(contacts.normal), np.empty_like(contacts.gap)
         who, room = (c.frame1, c.frame2, c.geom1, c.geom2, c.normal), (self._R, self._t)
-        advancement.turn_normals(self._fields, *who, begin.R, *end, *room, normal, apart)
+        advancement.turn_normals(self._fields, who, begin.R, tuple(end), room, normal, apart)
         return carry(contacts, begin, end, normal), apart
 
     def touches(
-        self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet | None = None,
+        self,
+        begin: Poses,
+        end: Poses,
+        memory: ContactMemory,
+        known: ContactSet | None = None,
         least: Array | None = None,
-    ) -> Touches:  # fmt: skip
+    ) -> Touches:
         """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
 
         A pair is followed by conservative advancement [1]_: its distance over a bound of its approach speed is a time
@@ -243,13 +244,10 @@ class Detector:
         advancement.motions(self._frame, self._arm, *begin, *end, turn, reach)
         self._renew(begin.x, begin.R, reach)
         codes = _NONE if known is None else known.geom1 * len(self._cores) + known.geom2
-        pairs, boxes = np.empty(len(self._first), dtype=np.int64), (self._lower, self._upper)
-        candidates = self._first, self._second, codes
-        pose = self._R, self._t
-        count = advancement.may_touch(
-            self._fields, self._arm, np.zeros(len(self._arm)) if least is None else least, *candidates, begin.x, end.x,
-            turn, *pose, *boxes, pairs,
-        )  # fmt: skip
+        pairs, motion = np.empty(len(self._first), dtype=np.int64), (begin.x, end.x, turn)
+        candidates, placed = (self._first, self._second, codes), (self._R, self._t, self._lower, self._upper)
+        least = np.zeros(len(self._arm)) if least is None else least
+        count = advancement.may_touch(self._fields, self._arm, least, candidates, motion, placed, pairs)
         parts, fractions = [], []
         for p in pairs[:count].tolist():
             fraction = self._first_touch(p, begin, end, turn)
@@ -285,13 +283,13 @@ class Detector:
         R, t = np.empty((2, 3, 3)), np.empty((2, 3))
         request, s = distance_request(), 0.0
         for _ in range(ADVANCES):
-            advancement.place_at(*placements, begin.x, begin.R, end.x, turn, s, geoms, R, t)
+            advancement.place_at(placements, (begin.x, begin.R, end.x, turn), s, geoms, R, t)
             placed, result = [coal.Transform3s(R[k], t[k]) for k in (0, 1)], coal.DistanceResult()
             distance = coal.distance(self._solids[i], placed[0], self._solids[j], placed[1], request, result)
             n, points = result.normal, (result.getNearestPoint1(), result.getNearestPoint2())
             if not np.isfinite(n).all():  # deep inside each other
                 return s
-            bound, speed = advancement.approach(self._frame, self._arm, begin.x, end.x, turn, s, geoms, n, *points)
+            bound, speed = advancement.approach(self._frame, self._arm, (begin.x, end.x, turn), s, geoms, n, points)
             if distance <= near and speed > 0.0:
                 return s
             if bound * (1.0 - s) <= distance or bound == 0.0:
@@ -317,16 +315,23 @@ class Detector:
         point, normal = np.empty((self._max_points, 3)), np.empty((self._max_points, 3))
         gap, pair = np.empty(self._max_points), np.empty(self._max_points, dtype=np.int64)
         first, second = self._first[one], self._second[one]
-        count = manifold.manifolds(
-            self._fields, R, t, self._slack, first, second, slot, row, self._pair_base[one], np.zeros(len(R)),
-            self._max_points, *self._scratch, point, normal, gap, pair,
-        )  # fmt: skip
+        geoms = self._fields, R, t, np.zeros(len(R)), self._slack
+        pairs, room = (first, second, slot, row, self._pair_base[one]), (self._max_points, *self._scratch)
+        count = manifold.manifolds(geoms, pairs, room, (point, normal, gap, pair))
         mu, restitution = self._pair_material(first, second)
         each = np.zeros(count, dtype=np.int64)
         return ContactSet(
-            first[each], second[each], self._frame[first[each]], self._frame[second[each]], point[:count],
-            normal[:count], gap[:count], mu[each], restitution[each], each,
-        )  # fmt: skip
+            first[each],
+            second[each],
+            self._frame[first[each]],
+            self._frame[second[each]],
+            point[:count],
+            normal[:count],
+            gap[:count],
+            mu[each],
+            restitution[each],
+            each,
+        )
 
     def _remember(self, parts: list[ContactSet], fractions: list[Array], end: Poses, memory: ContactMemory) -> Touches:
         """Put contacts of several pairs together and give them keys."""
@@ -339,11 +344,8 @@ class Detector:
         R, t, reach = self._R.copy(), self._t.copy(), np.zeros(len(self._R))
         for g in np.unique(names[:2]).tolist():
             R[g], t[g] = self._placed(g, end)
-        next_key = keys.match(
-            self._geometry.radius, R, t, names[0], names[1], points[0], TOLERANCE, reach, memory.names[0],
-            memory.names[1], memory.names[4], memory.points[2], memory.points[3], memory.next_key, names[4], points[2],
-            points[3],
-        )  # fmt: skip
+        geoms, before = (self._geometry.radius, R, t, reach), (memory.names, memory.points)
+        next_key = keys.match(geoms, TOLERANCE, before, memory.next_key, names, points)
         n = len(self._R)
         known = np.empty(memory.names.shape[1], np.bool_)
         sorting.among(memory.names[0] * n + memory.names[1], names[0] * n + names[1], known)
@@ -358,15 +360,15 @@ class Detector:
         """Place the geoms, and ask Coal for the distances of the candidate pairs."""
         self._renew(x, R, reach)
         for batch in self._batches:
-            batch.run(self._fields, self._R, self._t, self._reach, self._lower, self._upper)
+            batch.run(self._fields, (self._R, self._t, self._reach), (self._lower, self._upper))
 
     def _renew(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and renew the candidate pairs if one has left its fat box."""
         fields, boxes = self._fields, (self._lower, self._upper)
-        fat = self._fat_lower, self._fat_upper
-        if broadphase.follow(fields, x, R, reach, self._base, self._R, self._t, self._reach, *boxes, *fat):
+        placed, fat = (self._R, self._t, self._reach), (self._fat_lower, self._fat_upper)
+        if broadphase.follow(fields, (x, R, reach), self._base, placed, boxes, fat):
             ahead = 1 + min(self._served, AHEAD)
-            broadphase.fatten(fields, self._base, self._reach, SKIN, ahead, *boxes, *fat)
+            broadphase.fatten(fields, self._base, self._reach, SKIN, ahead, boxes, fat)
             self._served = 0
             codes = broadphase.candidates(fields, self._R, self._t, *fat, self._excluded)
             if not np.array_equal(codes, self._codes):
@@ -378,8 +380,8 @@ class Detector:
         self._codes = codes
         first, second = np.divmod(codes, len(self._cores))
         kind1, kind2 = self._geometry.kind[first], self._geometry.kind[second]
-        round1, round2 = (kind1 == SPHERE) | (kind1 == CAPSULE), (kind2 == SPHERE) | (kind2 == CAPSULE)
-        asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | (round1 & round2))
+        both_round = np.isin(kind1, ROUND) & np.isin(kind2, ROUND)
+        asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | both_round)
         self._first, self._second, self._asked = first, second, asked
         slot = np.where(asked, np.cumsum(asked) - 1, -1)
         radius = np.where(self._moving, self._geometry.radius, np.inf)
@@ -388,7 +390,8 @@ class Detector:
         found, asks = (np.empty((room, 3)), np.empty((room, 3)), np.empty(room)), np.empty((int(asked.sum()), 10))
         floats, integers, f, i = pack([*found, asks, base, *material], [np.empty(room, np.int64), first, second, slot])
         self._search = (self._packed, (floats, integers), self._max_points, TOLERANCE)
-        self._found = i[0], first, second, self._frame, *material, *f[:3], *self._placed_geoms
+        geoms = self._frame, (self._geometry.radius, self._R, self._t, self._reach)
+        self._found = geoms, (first, second, *material), (*f[:3], i[0]), TOLERANCE
         self._coal, self._batches = f[3], []
         of_coal = first[asked], second[asked], base[asked]
         for k, (lo, hi) in enumerate(split(*of_coal[:2])):
@@ -410,7 +413,6 @@ class Detector:
         self._R, self._t, self._reach, self._slack, self._base = f[8:13]
         self._lower, self._upper, self._fat_lower, self._fat_upper = f[13:17]
         self._scratch = tuple(f[17:])
-        self._placed_geoms = g.radius, self._R, self._t, TOLERANCE, self._reach
 
 
 def _room(count: int) -> tuple[Index, Array, Array]:

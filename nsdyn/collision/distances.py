@@ -15,11 +15,9 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn._kernels.collision import broadphase as _broadphase
-from nsdyn.scene import shapes
-from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["SHRINK", "Batch", "core", "empty_model", "distance_request", "pose_views", "split"]
+__all__ = ["SHRINK", "Batch", "empty_model", "distance_request", "pose_views", "split"]
 
 SHRINK = 1e-3
 """Coal sees the shapes smaller by this fraction of their inscribed radius. At gap 0 its normals are wrong by anything
@@ -30,21 +28,6 @@ GJK_TOLERANCE = 1e-9
 
 SLOTS = 256
 """Geoms per call of Pinocchio: its GeometryModel needs time and memory that grow with the square of their number."""
-
-
-def core(shape: Shape) -> Any:
-    """Coal's geometry of a slightly smaller shape with the same normals; round ones need none."""
-    thinner = SHRINK * shape.inscribed_radius
-    match shape.kind:
-        case shapes.CYLINDER:
-            return coal.Cylinder(shape.size[0] - thinner, 2.0 * (shape.size[1] - thinner))
-        case shapes.ELLIPSOID:
-            return coal.Ellipsoid(*(shape.size - thinner))
-        case shapes.POLYTOPE if shape.size.any():
-            return coal.Box(*(shape.size - 2.0 * thinner))
-        case shapes.POLYTOPE:
-            return shapes.coal_convex(shape.vertices * (1.0 - SHRINK), shape.face_loop, shape.face_ptr)
-    return shape.geometry
 
 
 def split(first: Index, second: Index) -> list[tuple[int, int]]:
@@ -125,23 +108,22 @@ class Batch:
             requests[k] = request
         self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
 
-    def run(self, fields: tuple[Any, ...], R: Array, t: Array, reach: Array, lower: Array, upper: Array) -> None:
+    def run(self, fields: tuple[Any, ...], placed: tuple[Array, ...], boxes: tuple[Array, Array]) -> None:
         """Distances of all pairs, into the rows of `out`, inf where they are seen to be too far apart.
 
         Parameters
         ----------
         fields : tuple
             Of `Geometry`.
-        R, t : ndarray, shapes (geoms, 3, 3), (geoms, 3)
-            Poses, m.
-        reach : ndarray, shape (geoms,)
-            m.
-        lower, upper : ndarray, shape (geoms, 3)
-            Boxes about the geoms, m.
+        placed : tuple of ndarray
+            R, shape (geoms, 3, 3), t, shape (geoms, 3), and reach, shape (geoms,), m.
+        boxes : tuple of ndarray
+            About the geoms, lower and upper, shape (geoms, 3) each, m.
         """
+        R, t, _ = placed
         self._rotation[:] = R[self._geoms]
         self._translation[:] = t[self._geoms]
-        count = _broadphase.of_interest(fields, R, t, reach, lower, upper, *self._pairs, self._near, self._changed)
+        count = _broadphase.of_interest(fields, placed, boxes, self._pairs, self._near, self._changed)
         for k in self._changed[:count].tolist():
             if self._near[k]:
                 self._data.activateCollisionPair(k)

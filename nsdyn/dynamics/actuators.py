@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from nsdyn.dynamics.tree_values import Halfway, TreeLoads
-from nsdyn.scene.control import PD
+from nsdyn.scene.actuation import Actuation, Actuator
+from nsdyn.scene.control import PD, Axes
 from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["Actuators", "Control", "left_to_rows"]
@@ -49,38 +51,55 @@ class Actuators:
 
     Parameters
     ----------
-    name : str
-    scalar : ndarray of bool, shape (nv,)
-        Its revolute and prismatic coordinates.
+    axes : Axes
     effort : ndarray, shape (nv,)
         Most that a `PD` gives unless it says otherwise, N m or N.
     trees : sequence of slice
         Coordinates of each of its trees.
+    actuators : sequence of Actuator
+        Those of its file.
     """
 
-    def __init__(self, name: str, scalar: Bools, effort: Array, trees: Sequence[slice]) -> None:
-        self._name, self._scalar, self._effort, self._trees = name, scalar, effort, trees
-        self._none = Control.none(scalar.size).law
-        self._last: tuple[PD | None, tuple[Control, ...]] = None, ()
+    def __init__(self, axes: Axes, effort: Array, trees: Sequence[slice], actuators: Sequence[Actuator] = ()) -> None:
+        self._axes, self._effort, self._trees, self._actuators = axes, effort, trees, actuators
+        self._told = False
+        self._none = Control.none(axes.scalar.size).law
+        self._last: tuple[PD | Actuation | None, tuple[Control, ...]] = None, ()
 
     def controls(self, given: Any) -> tuple[Control, ...]:
         """What a controller returned, for each tree; ValueError if it does not fit."""
         if isinstance(given, PD):
             if given is not self._last[0]:
-                kp, kd, target, rate, feedforward, limit = given.on(self._name, self._scalar, self._effort)
+                kp, kd, target, rate, feedforward, limit = given.on(self._axes, self._effort)
                 law = np.array((kp, kd, target, feedforward + kd * rate, limit))
                 self._last = given, self._parts(law)
             return self._last[1]
-        n = self._scalar.size
+        if isinstance(given, Actuation):
+            if given is not self._last[0]:
+                self._last = given, self._parts(given.on(self._axes.owner, self._actuators, self._effort))
+                self._tell(given)
+            return self._last[1]
+        law = self._none.copy()
+        named, what = isinstance(given, Mapping), "joint forces of controller"
         try:
-            tau = np.array(given, dtype=float)
+            tau = np.array(list(given.values() if named else given), dtype=float)
         except (TypeError, ValueError):
             tau = np.array(np.nan)
-        if tau.shape != (n,) or not np.isfinite(tau).all():
-            raise ValueError(f"controller must give {n} finite joint forces for {self._name!r}, got {given!r}")
-        law = self._none.copy()
-        law[3] = tau
+        if tau.ndim != 1 or not np.isfinite(tau).all():
+            wanted = self._axes.wanted()
+            raise ValueError(f"{what} of {self._axes.owner!r} must be finite: {wanted}, got {given!r}")
+        law[3] = self._axes.spread(dict(zip(given, tau, strict=True)) if named else tau, 0.0, what)
         return self._parts(law)
+
+    def _tell(self, given: Actuation) -> None:
+        """Warn once of actuators that a controller does not name."""
+        named = given.by_name(self._axes.owner, self._actuators)
+        off = [a.name for a in self._actuators if a.name not in named]
+        if off and not self._told:
+            self._told = True
+            warnings.warn(
+                f"actuators of {self._axes.owner!r} that controller does not name are off: {off}", stacklevel=2
+            )
 
     def _parts(self, law: Array) -> tuple[Control, ...]:
         laws = [law] if len(self._trees) == 1 else [law[:, v].copy() for v in self._trees]

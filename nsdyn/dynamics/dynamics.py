@@ -28,9 +28,10 @@ from nsdyn.dynamics.tree_values import FreeMotion, Links, TreeEnd
 from nsdyn.dynamics.trees import Tree
 from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
 from nsdyn.problem.blocks import Blocks
+from nsdyn.scene.control import Axes
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array, Index
-from nsdyn.tools.naming import meant
+from nsdyn.tools.naming import choice, unknown
 
 __all__ = ["Controls", "Dynamics", "Wrenches"]
 
@@ -95,7 +96,8 @@ class Dynamics:
                 }
                 trees.append(Tree(part.articulation, self.gravity, joints, motions))
             scalar = np.concatenate([t.scalar for t in trees[planted:]])
-            self._forests[name] = planted, Actuators(name, scalar, a.effort, [part.v for part in forest])
+            axes = Axes.of(name, a.model, scalar, a.coordinates)
+            self._forests[name] = planted, Actuators(axes, a.effort, [part.v for part in forest], a.actuators)
         mass, J = np.array([b.mass for b in bodies]), np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
         radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
         m, minv = np.zeros((2, mass.size, 6, 6))
@@ -294,9 +296,14 @@ class Dynamics:
     # -- forces ------------------------------------------------------------------------------------------------
 
     def forces(
-        self, middle: Middle, t: float, h: float, wrenches: Wrenches | None = None, control: Controls = NOTHING,
+        self,
+        middle: Middle,
+        t: float,
+        h: float,
+        wrenches: Wrenches | None = None,
+        control: Controls = NOTHING,
         last: Array | None = None,
-    ) -> Forces:  # fmt: skip
+    ) -> Forces:
         """What acts in a step: M̃ (v_f - v⁻) = h f̃.
 
         Parameters
@@ -395,16 +402,7 @@ class Dynamics:
 
     def _refuse_body(self, name: str) -> None:
         """ValueError for a wrench on what does not move, naming what does."""
-        owner, _, body = str(name).partition("/")
-        if body and owner in self._forests:
-            known = [one.partition("/")[2] for one in self._bodies if one.startswith(f"{owner}/")]
-            raise ValueError(
-                f"{meant(body, known)}external_force: {owner!r} has no moving body {body!r}; it has {known}"
-            )
-        raise ValueError(
-            f"external_force names {name!r}, which is no free body and no 'articulation/body'; free bodies are "
-            f"{list(self.names)}, articulations {list(self._forests)}"
-        )
+        raise ValueError(unknown(name, [*self.names, *self._bodies], "body of external_force"))
 
     def controls(self, given: Mapping[str, Any]) -> Controls:
         """Laws of the joints by the index of the tree, from what a controller gives to articulations.
@@ -416,10 +414,7 @@ class Dynamics:
         """
         out: dict[int, Control] = {}
         for name, value in _mapping(given, "controller").items():
-            if name not in self._forests:
-                known = list(self._forests)
-                raise ValueError(f"{meant(name, known)}controller names {name!r}; articulations are {known}")
-            first, actuators = self._forests[name]
+            first, actuators = self._forests[choice(name, self._forests, "articulation of controller")]
             for k, control in enumerate(actuators.controls(value), first):
                 out[k] = control
         return out

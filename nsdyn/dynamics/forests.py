@@ -54,20 +54,29 @@ def _part(a: Articulation, joints: range) -> Part:
     own.lowerPositionLimit, own.upperPositionLimit = a.model.lowerPositionLimit[q], a.model.upperPositionLimit[q]
     links = [k for k, link in enumerate(a.links) if link.joint in joints]
     moved = replace(
-        a, model=own, q=a.q[q], v=a.v[v],
+        a,
+        model=own,
+        q=a.q[q],
+        v=a.v[v],
         **{name: getattr(a, name)[v] for name in ("friction", "damping", "armature", "stiffness", "rest", "effort")},
         links=tuple(a.links[k]._replace(joint=a.links[k].joint - shift) for k in links),
-        bodies=tuple(a.bodies[k] for k in links), materials=tuple(a.materials[k] for k in links),
+        bodies=tuple(a.bodies[k] for k in links),
+        materials=tuple(a.materials[k] for k in links),
         loops=tuple(
             replace(loop, joint1=max(0, loop.joint1 - shift), joint2=max(0, loop.joint2 - shift))
-            for loop in a.loops if {loop.joint1, loop.joint2} & set(joints)
+            for loop in a.loops
+            if {loop.joint1, loop.joint2} & set(joints)
         ),
         gears=tuple(
             replace(g, coordinate1=g.coordinate1 - v.start, coordinate2=g.coordinate2 - v.start)
-            for g in a.gears if v.start <= g.coordinate2 < v.stop
+            for g in a.gears
+            if v.start <= g.coordinate2 < v.stop
         ),
-        fixed=(), excluded=frozenset(),
-    )  # fmt: skip
+        actuators=(),
+        coordinates={},
+        fixed=(),
+        excluded=frozenset(),
+    )
     return Part(moved, q, v, joints)
 
 

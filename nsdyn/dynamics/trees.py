@@ -283,9 +283,13 @@ class Tree:
         return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
     def free_motion(
-        self, halfway: Halfway, t: float, control: Control | None, applied: tuple[Array, Array] | None,
+        self,
+        halfway: Halfway,
+        t: float,
+        control: Control | None,
+        applied: tuple[Array, Array] | None,
         last: Array | None = None,
-    ) -> FreeMotion:  # fmt: skip
+    ) -> FreeMotion:
         """Velocity after the forces of a step without contacts and joint rows.
 
         M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces for v' = v0. Damping, springs

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones as _cones
-from nsdyn._kernels.solvers import pgs as _pgs
+from nsdyn._kernels.problem import given as _given
 from nsdyn.problem.blocks import Blocks
 from nsdyn.tools.arrays import Array, Index
 
@@ -172,11 +172,20 @@ class FC3D:
         """Number of contacts."""
         return len(self.mu)
 
+    def islands(self) -> Index:
+        """Island of each contact, shape (nc,), from 0 in the order of their first contacts: islands share no block."""
+        label = np.empty(self.nc, np.int64)
+        if self.blocks is None:
+            _given.islands(*self.csr[:2], label)
+        else:
+            _blocks.islands(self.blocks.block, self.blocks.offset.size - 1, label)
+        return label
+
     def velocity(self, r: Array) -> Array:
         """u = W r + q, shape (3 nc,), m/s."""
         if self.blocks is None:
             u = np.empty_like(self.q)
-            _pgs.velocity(*self.csr, self.q, r, u)
+            _given.velocity(*self.csr, self.q, r, u)
             return u
         return self.blocks.relative_velocity(self.blocks.velocity_change(r)) + self.q
 

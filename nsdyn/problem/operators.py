@@ -3,26 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
+from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.linear import Ordered, contact_graph, elimination_order
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Local", "Operator", "Velocity"]
+if TYPE_CHECKING:
+    from nsdyn.problem.fc3d import FC3D
+
+__all__ = ["Local", "Operator", "Velocity", "operator"]
 
 
 class Operator(Protocol):
-    """W as the method needs it: products, and W (I + A W)⁻¹ for block-diagonal A."""
+    """W = Hᵀ M⁻¹ H as the methods need it, for block-diagonal A (nc, 3, 3); RuntimeError where I + A W is singular.
+
+    The velocity change y = M⁻¹ H r of an impulse has its own coordinates; those of a W given alone are relative
+    velocities, with H = I.
+    """
 
     def product(self, r: Array) -> Array:
         """W r."""
 
     def factor(self, A: Array) -> Callable[[Array], Array]:
-        """Function g ↦ W (I + A W)⁻¹ g for blocks A (nc, 3, 3); RuntimeError when that is singular."""
+        """Function g ↦ W (I + A W)⁻¹ g."""
+
+    def change(self, r: Array) -> Array:
+        """Velocity change y = M⁻¹ H r."""
+
+    def relative(self, y: Array) -> Array:
+        """Hᵀ y."""
+
+    def towards(self, A: Array, P: Array, y: Array) -> Array:
+        """The dy of (I + M⁻¹ Σ H_c A_c H_cᵀ) dy = M⁻¹ H P - y."""
 
 
 class Velocity:
@@ -33,12 +50,26 @@ class Velocity:
 
     def product(self, r: Array) -> Array:
         """W r."""
-        return self.blocks.relative_velocity(self.blocks.velocity_change(r))
+        return self.relative(self.change(r))
 
     def factor(self, A: Array) -> Callable[[Array], Array]:
         """Function g ↦ W (I + A W)⁻¹ g."""
         solve = self.graph.lu(self.blocks, A)
-        return lambda g: self.blocks.relative_velocity(solve(self.blocks.momentum(g)))
+        return lambda g: self.relative(solve(self.blocks.momentum(g)))
+
+    def change(self, r: Array) -> Array:
+        """Velocity change y = M⁻¹ H r."""
+        return self.blocks.velocity_change(r)
+
+    def relative(self, y: Array) -> Array:
+        """Hᵀ y."""
+        return self.blocks.relative_velocity(y)
+
+    def towards(self, A: Array, P: Array, y: Array) -> Array:
+        """(M + Σ H_c A_c H_cᵀ)⁻¹ (H P - M y)."""
+        missing = np.empty_like(y)
+        _blocks.block_product(self.blocks.offset, self.blocks.m_start, self.blocks.m, y, missing)
+        return self.graph.solve(self.blocks, A, self.blocks.momentum(P) - missing)
 
 
 class Local:
@@ -69,3 +100,22 @@ class Local:
         np.take(data, self._entry, out=self._ordered.K.data)
         solve = self._ordered.factor()
         return lambda g: self.product(solve(g))
+
+    def change(self, r: Array) -> Array:
+        """Velocity change y = W r."""
+        return self.product(r)
+
+    def relative(self, y: Array) -> Array:
+        """The y itself."""
+        return y
+
+    def towards(self, A: Array, P: Array, y: Array) -> Array:
+        """(I + W A)⁻¹ d = d - W (I + A W)⁻¹ A d for d = W P - y."""
+        d = self.product(P) - y
+        out: Array = d - self.factor(A)((A @ d.reshape(-1, 3, 1)).ravel())
+        return out
+
+
+def operator(problem: FC3D) -> Operator:
+    """W of a problem, by its factors where they are given."""
+    return Local(problem.W) if problem.blocks is None else Velocity(problem.blocks)

@@ -213,6 +213,11 @@ class Mechanism:
         parts = zip(self.data.oMi, self.model.inertias, self.data.v, strict=True)
         return np.array([place.act(body * twist).vector for place, body, twist in parts])[1:]
 
+    def twists(self, q: Array, v: Array) -> Array:
+        """Linear velocity at the world's origin and angular velocity of every link, (links, 6), m/s and rad/s."""
+        pin.forwardKinematics(self.model, self.data, q, v)
+        return np.array([place.act(twist).vector for place, twist in zip(self.data.oMi, self.data.v, strict=True)])[1:]
+
     def weights(self, q: Array) -> tuple[Array, Array]:
         """Gravity on every link, (links, 6), N and, about the world's origin, N·m; and origins of the joints, m."""
         pin.forwardKinematics(self.model, self.data, q)

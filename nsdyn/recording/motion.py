@@ -1,50 +1,84 @@
-"""Motion of the bodies of a page: where they begin, and keyframes of those that move."""
+"""How the bodies of a recording move: poses and velocities of free bodies, of links and of driven bodies."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from nsdyn.recording.commands import Json, set_property
-from nsdyn.recording.solids import body_path
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.recording import link_names
+from nsdyn.recording.series import BodyMotion, rotate
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import unknown
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["keys", "start_commands"]
-
-INVISIBLE = 1e-6
-"""Differences below this part of the scene, or of a unit quaternion."""
+__all__ = ["body", "moving", "twists"]
 
 
-def start_commands(trajectory: Trajectory, row: int) -> list[Json]:
-    """Commands that put all moving frames where they are in a row."""
-    commands = []
-    for name in trajectory.scene["frames"]:
-        motion, path = trajectory.body(name), body_path(name)
-        commands.append(set_property(path, "position", motion.position[row].tolist()))
-        commands.append(set_property(path, "quaternion", motion.quaternion[row].tolist()))
-    return commands
+def moving(trajectory: Trajectory) -> list[str]:
+    """Names of all bodies that move: free ones, links (in old recordings their joints), driven ones."""
+    scene = trajectory.scene
+    frames, free, joints = scene["frames"], scene["free"], set(link_names.joints(scene))
+    links = [link["name"] for link in scene.get("links", ()) if link["frame"] >= 0]
+    others = [name for name in frames[free:] if not links or name not in joints]
+    return [*frames[:free], *links, *others]
 
 
-def keys(trajectory: Trajectory, rows: Index, radius: float) -> dict[str, Array]:
-    """Keyframes in a scene of that radius.
+def body(trajectory: Trajectory, name: str) -> BodyMotion:
+    """Motion of a body, a link or a joint; see `nsdyn.Trajectory.body`."""
+    scene, columns = trajectory.scene, trajectory.columns
+    frames, links = scene["frames"], {link["name"]: link for link in scene.get("links", ())}
+    if name in frames and (k := frames.index(name)) < scene["free"]:
+        pose, twist = trajectory.q[:, 7 * k : 7 * k + 7], trajectory.v[:, 6 * k : 6 * k + 6]
+        quaternion = pose[:, 3:]
+        turned = rotate(quaternion, twist[:, :3]), rotate(quaternion, twist[:, 3:])
+        return BodyMotion(name, pose[:, :3], quaternion, lambda: turned)
+    if name in frames:
+        frame, position, quaternion = k, columns["frames/x"][:, k], columns["frames/quat"][:, k]
+    elif name in links:
+        frame, placement = links[name]["frame"], np.array(links[name]["placement"])
+        turn, one = Rotation.from_matrix(placement[:3, :3]), np.ones((trajectory.t.size, 1))
+        if frame < 0:
+            still = np.zeros((trajectory.t.size, 3))
+            return BodyMotion(name, one * placement[:3, 3], one * turn.as_quat(), lambda: (still, still))
+        carrier = columns["frames/quat"][:, frame]
+        position = columns["frames/x"][:, frame] + rotate(carrier, placement[:3, 3])
+        quaternion = (Rotation.from_quat(carrier) * turn).as_quat()
+    else:
+        raise ValueError(unknown(name, [*frames, *links], "moving body"))
+    return BodyMotion(name, position, quaternion, partial(_velocities, trajectory, frame, position, quaternion))
 
-    Returns
-    -------
-    dict of str to ndarray
-        position (k, len(rows), 3), m, and quaternion (m, len(rows), 4) xyzw of the frames that change theirs, rounded
-        to what can be seen; moving (k,) and turning (m,), which frames these are.
+
+def _velocities(trajectory: Trajectory, frame: int, position: Array, quaternion: Array) -> tuple[Array, Array]:
+    """Linear and angular velocity of what moves with a frame, by its joints or else as the slope of its poses."""
+    twist = trajectory.twists.get(frame)
+    if twist is not None:
+        return twist[:, :3] + np.cross(twist[:, 3:], position), twist[:, 3:]
+    turn = Rotation.from_quat(quaternion)
+    turned = np.cumsum((turn[1:] * turn[:-1].inv()).as_rotvec(), axis=0)
+    ways = np.stack([position, np.concatenate([np.zeros((1, 3)), turned])])
+    if trajectory.steps == 0:
+        return np.full_like(ways[0], np.nan), np.full_like(ways[1], np.nan)
+    slope = np.gradient(ways, trajectory.t, axis=1, edge_order=1 if trajectory.steps == 1 else 2)
+    return slope[0], slope[1]
+
+
+def twists(trajectory: Trajectory) -> dict[int, Array]:
+    """Velocity at the world's origin and angular velocity, (n + 1, 6), of the frames of links; none in old recordings.
+
+    They follow from q and v.
     """
-    out: dict[str, Array] = {}
-    motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
-    for name, which, scale in (("position", "moving", radius), ("quaternion", "turning", 1.0)):
-        grid = 2.0 ** np.floor(np.log2(INVISIBLE * scale))  # exact in binary: its multiples deflate well
-        values = [grid * np.round(getattr(motion, name)[rows] / grid) for motion in motions]
-        changing = [k for k, x in enumerate(values) if (x != x[0]).any()]
-        width = 3 if name == "position" else 4
-        out[name] = np.array([values[k] for k in changing]).reshape(-1, rows.size, width)
-        out[which] = np.array(changing, dtype=np.int64)
-    return out
+    if not trajectory.scene["articulations"]:
+        return {}
+    from nsdyn.recording.retrace import trees  # Pinocchio, which to read a recording does not need
+
+    found = trees(trajectory)
+    if isinstance(found, str):
+        return {}
+    states = range(trajectory.t.size)
+    by_tree = [np.array([m.twists(*found.state(i, k)) for k in states]) for i, m in enumerate(found.mechanisms)]
+    return {frame: by_tree[tree][:, joint - 1] for frame, (tree, joint) in found.links.items()}

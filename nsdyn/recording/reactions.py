@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.recording import links
-from nsdyn.recording.file import JOINTS, ON_LINKS
+from nsdyn.recording import link_names
+from nsdyn.recording.columns import JOINTS, ON_LINKS
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Trees, trees
 from nsdyn.recording.tables import left_out
@@ -47,13 +47,13 @@ def reactions(trajectory: Trajectory, steps: Index) -> dict[str, Array]:
     found, c = trees(trajectory), trajectory.columns
     untold = trajectory.meta.get("external_force", True) or left_out(trajectory)
     if isinstance(found, str) or not c.keys() >= {*JOINTS} or (untold and ON_LINKS not in c):
-        known = [*links.joints(trajectory.scene), *links.loops(trajectory.scene)]
+        known = [*link_names.joints(trajectory.scene), *link_names.loops(trajectory.scene)]
         return {name: np.full((steps.size, 6), np.nan) for name in known}
-    count = len(links.joints(trajectory.scene))
+    count = len(link_names.joints(trajectory.scene))
     outside = c[ON_LINKS].copy() if ON_LINKS in c else np.zeros((trajectory.steps, count, 6))
     if not left_out(trajectory):
         step = np.repeat(np.arange(trajectory.steps), np.diff(c["contacts/offset"]))
-        links.by_contacts(links.carriers(trajectory.scene), c, step, outside)
+        link_names.by_contacts(link_names.carriers(trajectory.scene), c, step, outside)
     out, first = dict[str, Array](), 0
     for i, m in enumerate(found.mechanisms):
         own = slice(first, first + len(m.joints))

@@ -18,22 +18,21 @@ import numpy as np
 import nsdyn
 from nsdyn.problem.solution import Status
 from nsdyn.recording import file as recording
-from nsdyn.recording import links
-from nsdyn.recording.file import (
+from nsdyn.recording import link_names
+from nsdyn.recording.columns import (
     ADDED_META,
     CONTACT,
     ENERGIES,
     FORMAT_VERSION,
-    GAUSS,
     JOINTS,
     ON_JOINTS,
     ON_LINKS,
     PIECES,
-    SOLVER,
+    STEP,
     WORKS,
     Columns,
-    Saved,
 )
+from nsdyn.recording.file import Saved
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
@@ -44,6 +43,7 @@ State = Callable[[], Columns]
 
 _FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %
 PIECE = -len(CONTACT) - 1
+PICTURES = {"visuals", "meshes"}
 """Where the pieces of a step stand in what is read of it, before them what acts on links."""
 
 _BLOCK_ROWS = 256  # rows kept as they are read before they are packed into arrays
@@ -51,17 +51,15 @@ _BLOCK_ROWS = 256  # rows kept as they are read before they are packed into arra
 # What is read of every state, and of every step besides, at once.
 _read_state = attrgetter("t", "q", "v", "frames_x", "frames_quat", "energy")
 _read_step = attrgetter(
-    *(f"gauss.{name}" for name in GAUSS),
-    *(f"solution.{name}" for name in SOLVER),
-    "created",
+    *(column.path for column in STEP.values()),
     "joints",
     "links",
     "pieces",
-    *(path for path, _, _ in CONTACT.values()),
+    *(column.path for column in CONTACT.values()),
 )
 
 
-_NO_CONTACTS = tuple(np.empty((0, n) if n > 1 else 0, kind) for _, kind, n in CONTACT.values())
+_NO_CONTACTS = tuple(np.empty((0, c.components) if c.components > 1 else 0, c.kind) for c in CONTACT.values())
 
 
 @cache
@@ -125,22 +123,30 @@ class Recorder:
     """
 
     def __init__(
-        self, path: str | Path | None, meta: Mapping[str, Any], scene: Mapping[str, Any], first: Any,
+        self,
+        path: str | Path | None,
+        meta: Mapping[str, Any],
+        scene: Mapping[str, Any],
+        first: Any,
         state: State | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         columns = _pack([_read_state(first)], [])
         columns |= {"contacts/offset": np.zeros(1, dtype=np.int64), "wall_time": np.empty(0)}
         if trees := scene["articulations"]:
             none = np.empty((0, sum(tree["nv"] for tree in trees)))
             columns |= dict.fromkeys(JOINTS, none) | _no_pieces(none) | {"pieces/offset": np.zeros(1, np.int64)}
             if _left_out({**ADDED_META, **meta}):
-                columns[ON_LINKS] = np.empty((0, len(links.joints(scene)), 6))
+                columns[ON_LINKS] = np.empty((0, len(link_names.joints(scene)), 6))
         self._begin(path, _full(meta, scene), scene, columns, None if state is None else (0, state()))
 
     def _begin(
-        self, path: str | Path | None, meta: Mapping[str, Any], scene: Mapping[str, Any], columns: Columns,
+        self,
+        path: str | Path | None,
+        meta: Mapping[str, Any],
+        scene: Mapping[str, Any],
+        columns: Columns,
         saved: Saved | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.meta, self.scene = dict(meta), dict(scene)
         if path is not None and files.is_special(path):
             raise ValueError(f"cannot record in {path}: it is no regular file, which rows could be added to")
@@ -156,7 +162,7 @@ class Recorder:
             with files.writing(self.path, files.RECORDING) as part:
                 recording.create(part, self.meta, self.scene, columns, grow=True, state=saved)
             self._blocks = []
-        self._carriers = links.carriers(scene) if scene["articulations"] and _left_out(meta) else None
+        self._carriers = link_names.carriers(scene) if scene["articulations"] and _left_out(meta) else None
         self._wall: list[float] = []
         self._clock = time.perf_counter()
         self._deadline = self._clock + _FLUSH_SECONDS
@@ -194,7 +200,8 @@ class Recorder:
         versions = [name for name in given if name.endswith("_version")]
         told = {*versions, "parameters", "command"}  # what they make of the scene and the options is compared
         _refuse(path, {k: v for k, v in found.items() if k not in told}, given, "option")
-        _refuse(path, described, json.loads(json.dumps(dict(scene))), "scene")
+        described, new = ({k: v for k, v in s.items() if k not in PICTURES} for s in (described, scene))
+        _refuse(path, described, json.loads(json.dumps(new)), "scene")
         for name in ("q", "v"):
             if columns[name][0].tobytes() != begun[name][0].tobytes():
                 raise ValueError(f"{path} cannot be resumed: its initial {name} is another")
@@ -243,7 +250,7 @@ class Recorder:
         if self.meta["every"] > 1 or not self.meta["contacts"]:
             columns = zip(CONTACT, zip(*(step[-len(CONTACT) :] for step in steps), strict=True), strict=True)
             found = {f"contacts/{name}": np.concatenate(parts) for name, parts in columns}
-            links.by_contacts(self._carriers, found, np.zeros(len(found["contacts/gap"]), np.int64), out[None])
+            link_names.by_contacts(self._carriers, found, np.zeros(len(found["contacts/gap"]), np.int64), out[None])
         return out
 
     def flush(self) -> None:
@@ -334,17 +341,14 @@ def _merged(
     states, steps, wall = zip(*parts, strict=True)
     *state, energy = states[-1]
     energy = {**energy, **{name: sum(s[-1][name] for s in states) for name in WORKS}}
-    gap, shift, bound, coulomb, error, residual, iterations, status, spent, created, joints, _, _ = zip(
-        *(step[: -len(CONTACT)] for step in steps), strict=True
-    )
-    fine = Status.CONVERGED, Status.LOOSE
+    told = dict(zip(STEP, zip(*(step[: len(STEP)] for step in steps), strict=True), strict=True))
+    fine, status, error = (Status.CONVERGED, Status.LOOSE), told["solver/status"], told["solver/error"]
     worst = max(range(len(steps)), key=lambda k: (status[k] not in fine, error[k]))
-    did = (
-        sum(gap), max(shift), max(bound), max(coulomb), error[worst], residual[worst], sum(iterations), status[worst],
-        sum(spent),
-    )  # fmt: skip
+    rules: dict[str, Callable[[Any], Any]] = {"sum": sum, "most": max, "worst": lambda values: values[worst]}
+    did = (rules[column.merged](told[name]) for name, column in STEP.items())
+    joints = [step[len(STEP)] for step in steps]
     total = None if joints[0] is None else sum(joints)
-    return (*state, energy), (*did, sum(created), total, None, None, *steps[-1][-len(CONTACT) :]), sum(wall)
+    return (*state, energy), (*did, total, None, None, *steps[-1][-len(CONTACT) :]), sum(wall)
 
 
 def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Columns:
@@ -359,11 +363,8 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
     columns: Iterator[Any] = zip(*steps, strict=True) if steps else repeat(())
     for name in WORKS:
         out[f"energy/{name}"] = np.array([energy[name] for energy in energies if steps], dtype=float)
-    for name in GAUSS:
-        out[f"gauss/{name}"] = np.array(next(columns), dtype=float)
-    for name, kind in SOLVER.items():
-        out[f"solver/{name}"] = np.array(next(columns), dtype=kind)
-    out["energy/created"] = np.array(next(columns), dtype=float)
+    for name, column in STEP.items():
+        out[name] = np.array(next(columns), dtype=column.kind)
     if (joints := next(columns)) and joints[0] is not None:
         out |= dict(zip(JOINTS, np.stack(joints, axis=1), strict=True)) | _no_pieces(np.empty((0, joints[0].shape[1])))
     if (on_links := next(columns, ())) and on_links[0] is not None:
@@ -373,9 +374,8 @@ def _pack(states: list[tuple[Any, ...]], steps: list[tuple[Any, ...]]) -> Column
         out |= {f"pieces/{name}": np.concatenate([getattr(p, name) for p in cut]) for name in own}
         parts = np.concatenate([p.joints for p in cut], axis=1)
         out |= {f"pieces/{name}": part for name, part in zip(ON_JOINTS, parts, strict=True)}
-    for name, (_, kind, components) in CONTACT.items():
-        empty = np.empty((0, components) if components > 1 else 0, dtype=kind)
-        out[f"contacts/{name}"] = np.concatenate([empty, *next(columns)], dtype=kind, casting="same_kind")
+    for name, empty in zip(CONTACT, _NO_CONTACTS, strict=True):
+        out[f"contacts/{name}"] = np.concatenate([empty, *next(columns)], dtype=empty.dtype, casting="same_kind")
     return out
 
 

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from nsdyn.recording.columns import ON_JOINTS, PIECES
 from nsdyn.recording.courses import Course, move, respond
-from nsdyn.recording.file import ON_JOINTS, PIECES
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array
@@ -215,9 +215,15 @@ class Trees:
         return Way(kicks, flows, q, v)
 
     def _kick(
-        self, m: Mechanism, at: Course, h: float, theta: float, touches: list[tuple[int, int, int]], given: Array,
+        self,
+        m: Mechanism,
+        at: Course,
+        h: float,
+        theta: float,
+        touches: list[tuple[int, int, int]],
+        given: Array,
         speeds: Array,
-    ) -> Kick:  # fmt: skip
+    ) -> Kick:
         """What impulses and the forces of h seconds do at a configuration."""
         c, pushed = self.trajectory.columns, np.zeros(m.nv)
         m.place(at.q)
@@ -265,12 +271,14 @@ def _grown(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         part["driven"] = {name: rate for name, rate in model["driven"].items() if name in names}
         part["loops"] = [
             loop | {"joints": [max(0, k - begin) for k in loop["joints"]]}
-            for loop in model["loops"] if begin < max(loop["joints"]) <= end
-        ]  # fmt: skip
+            for loop in model["loops"]
+            if begin < max(loop["joints"]) <= end
+        ]
         part["gears"] = [
             gear | {f"coordinate{side}": gear[f"coordinate{side}"] - low for side in (1, 2)}
-            for gear in model["gears"] if low <= gear["coordinate2"] < high
-        ]  # fmt: skip
+            for gear in model["gears"]
+            if low <= gear["coordinate2"] < high
+        ]
         yield {"name": told["name"], "joints": names, "sizes": told["sizes"][begin:end], "model": part}
 
 

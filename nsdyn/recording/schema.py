@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn.scene.materials import COMBINATION_RULES
+from nsdyn.tools.array_text import from_text
 from nsdyn.tools.datasets import dataset
 
 __all__ = ["check_meta", "column", "scene"]
@@ -18,16 +20,36 @@ TRIPLE = [float, float, float]
 PLACEMENT = [[float] * 4] * 4
 
 JOINT = {
-    "kind": str, "?parts": (dict,), "?placements": (PLACEMENT,), "?axis": TRIPLE, "?axis1": TRIPLE, "?axis2": TRIPLE,
-    "?pitch": float, "?radius_x": float, "?radius_y": float, "?radius_z": float, "parent": int, "placement": PLACEMENT,
-    "mass": float, "com": TRIPLE, "inertia": [TRIPLE, TRIPLE, TRIPLE],
-}  # fmt: skip
+    "kind": str,
+    "?parts": (dict,),
+    "?placements": (PLACEMENT,),
+    "?axis": TRIPLE,
+    "?axis1": TRIPLE,
+    "?axis2": TRIPLE,
+    "?pitch": float,
+    "?radius_x": float,
+    "?radius_y": float,
+    "?radius_z": float,
+    "parent": int,
+    "placement": PLACEMENT,
+    "mass": float,
+    "com": TRIPLE,
+    "inertia": [TRIPLE, TRIPLE, TRIPLE],
+}
 MODEL = {
-    "joints": (JOINT,), "armature": (float,), "friction": (float,), "damping": (float,), "stiffness": (float,),
-    "rest": (float,), "effort": (object,), "lower": (object,), "upper": (object,), "restitution": float,
+    "joints": (JOINT,),
+    "armature": (float,),
+    "friction": (float,),
+    "damping": (float,),
+    "stiffness": (float,),
+    "rest": (float,),
+    "effort": (object,),
+    "lower": (object,),
+    "upper": (object,),
+    "restitution": float,
     "loops": ({"name": str, "kind": str, "joints": [int, int], "placements": [PLACEMENT, PLACEMENT]},),
     "driven": dict,
-}  # fmt: skip
+}
 """What `nsdyn.scene.tree_description.describe_tree` returns."""
 
 # A type, a list of so many values, (pattern,) for a list of any number, {name: pattern}, or {"?name": ...} where the
@@ -35,16 +57,43 @@ MODEL = {
 SCENE: dict[str, Any] = {
     "name": str,
     "?gravity": TRIPLE,
+    "?friction_rule": str,
+    "?restitution_rule": str,
+    "?pairs": ({"first": str, "second": str, "mu": object, "restitution": object},),
     "geoms": (
         {
-            "name": str, "?body": str, "?link": str, "frame": int, "placement": PLACEMENT, "?mu": float,
-            "?restitution": float, "colour": object, "shape": str, "size": TRIPLE, "?offset": float,
-            "?vertices": (TRIPLE,), "?faces": ((int,),),
+            "name": str,
+            "?body": str,
+            "?link": str,
+            "frame": int,
+            "placement": PLACEMENT,
+            "?mu": float,
+            "?restitution": float,
+            "colour": object,
+            "shape": str,
+            "size": TRIPLE,
+            "?offset": float,
+            "?vertices": (TRIPLE,),
+            "?faces": ((int,),),
         },
     ),
     "?excluded": ([int, int],),
     "frames": (str,),
     "?links": ({"name": str, "frame": int, "placement": PLACEMENT},),
+    "?visuals": (
+        {
+            "link": str,
+            "frame": int,
+            "placement": PLACEMENT,
+            "colour": object,
+            "shape": str,
+            "size": TRIPLE,
+            "?vertices": (TRIPLE,),
+            "?faces": ((int,),),
+            "?mesh": int,
+        },
+    ),
+    "?meshes": ({"vertices": str, "triangles": str},),
     "?motions": dict,
     "free": int,
     "?masses": (float,),
@@ -52,12 +101,18 @@ SCENE: dict[str, Any] = {
     "?articulations": (
         {"name": str, "nq": int, "nv": int, "?joints": (str,), "?sizes": ([int, int],), "?model": MODEL},
     ),
-}  # fmt: skip
+}
 """What `nsdyn.Scene.describe` returns."""
 
 META = {
-    "dt": float, "theta": float, "every": int, "contacts": bool, "scene_name": str, "parameters": str, "command": str,
-}  # fmt: skip
+    "dt": float,
+    "theta": float,
+    "every": int,
+    "contacts": bool,
+    "scene_name": str,
+    "parameters": str,
+    "command": str,
+}
 
 
 def column(file: Any, name: str, rows: int | None, kind: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
@@ -97,12 +152,17 @@ def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     found: dict[str, Any] = out
     moving, free, trees = len(found["frames"]), found["free"], found.get("articulations", ())
     shapes = len(found["geoms"])
-    frames = [part["frame"] for part in (*found["geoms"], *found.get("links", ()))]
-    corners = [(g, k) for g in found["geoms"] for loop in g.get("faces", ()) for k in loop]
+    drawn = [*found["geoms"], *found.get("visuals", ())]
+    frames = [part["frame"] for part in (*drawn, *found.get("links", ()))]
+    corners = [(g, k) for g in drawn for loop in g.get("faces", ()) for k in loop]
     if not 0 <= free <= moving or any(not -1 <= k < moving for k in frames):
         raise ValueError("/meta/scene names moving bodies that it does not have")
     if any(not 0 <= k < len(g.get("vertices", ())) for g, k in corners):
         raise ValueError("/meta/scene has faces whose corners it does not have")
+    _check_meshes(found)
+    for rule in ("friction_rule", "restitution_rule"):
+        if found.get(rule, "max") not in COMBINATION_RULES:
+            raise ValueError(f"/meta/scene has the unknown {rule} {found[rule]!r}")
     if any(not 0 <= k < shapes for pair in found.get("excluded", ()) for k in pair):
         raise ValueError("/meta/scene has pairs of shapes that it does not have")
     if any(len(found[name]) != free for name in ("masses", "inertias") if name in found):
@@ -123,6 +183,21 @@ def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         raise ValueError("/frames is missing")
     _check_contacts(columns, shapes)
     return found
+
+
+def _check_meshes(found: Mapping[str, Any]) -> None:
+    """ValueError for visual meshes that are not there or have triangles without corners."""
+    meshes = found.get("meshes", ())
+    looks = [v for v in found.get("visuals", ()) if v["shape"] == "mesh"]
+    if any(not 0 <= v.get("mesh", -1) < len(meshes) for v in looks):
+        raise ValueError("/meta/scene has visual meshes that it does not have")
+    for k, mesh in enumerate(meshes):
+        try:
+            vertices, triangles = from_text(mesh["vertices"], "<f4", 3), from_text(mesh["triangles"], "<u4", 3)
+        except ValueError as failure:
+            raise ValueError(f"/meta/scene meshes[{k}] {failure}") from None
+        if not (triangles.max(initial=0) < len(vertices) and np.isfinite(vertices).all()):
+            raise ValueError(f"/meta/scene meshes[{k}] has triangles whose corners it does not have")
 
 
 def _check_contacts(columns: Mapping[str, NDArray[Any]], shapes: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording import shares
-from nsdyn.recording.file import CONTACT_STATES, ENERGIES, WORKS
+from nsdyn.recording.columns import CONTACT_STATES, ENERGIES, WORKS
 from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
 
@@ -130,7 +130,7 @@ class SolverLog:
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """Motion of one free body or link in the world frame.
+    """Motion of one body or link in the world frame.
 
     Attributes
     ----------
@@ -144,25 +144,28 @@ class BodyMotion:
     name: str
     position: Array
     quaternion: Array
-    _twist: Array | None
+    _velocity: Callable[[], tuple[Array, Array]]
 
     def __repr__(self) -> str:
         return f"<BodyMotion of {self.name!r}: {len(self.position)} states>"
 
+    @cached_property
+    def _velocities(self) -> tuple[Array, Array]:
+        return self._velocity()
+
     @property
     def linear_velocity(self) -> Array:
-        """Velocity of the centre of mass, shape (n + 1, 3), m/s; ValueError for a link."""
-        return self._velocity(0)
+        """Velocity of `position`, shape (n + 1, 3), m/s.
+
+        That of a driven body is the slope of its recorded positions, to second order in the time between them; so are
+        links in recordings before format 7, which do not tell their joints.
+        """
+        return self._velocities[0]
 
     @property
     def angular_velocity(self) -> Array:
-        """Angular velocity, shape (n + 1, 3), rad/s; ValueError for a link."""
-        return self._velocity(3)
-
-    def _velocity(self, start: int) -> Array:
-        if self._twist is None:
-            raise ValueError(f"velocities of link {self.name!r} are not recorded: they follow from q and v")
-        return rotate(self.quaternion, self._twist[:, start : start + 3])
+        """Angular velocity, shape (n + 1, 3), rad/s; found as `linear_velocity`."""
+        return self._velocities[1]
 
 
 def rotate(quaternion: Array, vector: Array) -> Array:

@@ -53,6 +53,7 @@ def write(file: Any, row: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         if len(group[name]) < values.size:
             group[name].resize(values.size, axis=0)
         group[name][: values.size] = values
+    file.flush()  # a head never stands before what it tells of
     group["head"][:] = [row, _checksum(parts), *(values.size for values in parts.values())]
 
 

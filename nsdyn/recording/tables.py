@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording import shares
-from nsdyn.recording.file import CONTACT_STATES
+from nsdyn.recording.columns import CONTACT_STATES
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice
 
@@ -21,12 +21,11 @@ if TYPE_CHECKING:
 __all__ = [
     "Pair",
     "body_names",
+    "contact_frames",
     "contact_rows",
-    "contact_table",
     "force",
     "impulses",
     "impulses_world",
-    "framed",
     "left_out",
     "need_contacts",
     "pair",
@@ -65,39 +64,6 @@ class Pair:
     def __repr__(self) -> str:
         touching = sum(state in ("stick", "slip") for state in self.state)
         return f"<Pair {self.a!r}, {self.b!r}: {len(self.state)} steps, {touching} of them pushing>"
-
-
-def contact_table(trajectory: Trajectory) -> Any:
-    """All contacts of all steps by columns; see `nsdyn.Trajectory.contact_table`."""
-    columns, names = trajectory.columns, body_names(trajectory)
-    row, step = contact_rows(trajectory)
-    frame, shown = _frames(columns), impulses(trajectory, row)
-    out: dict[str, NDArray[Any]] = {"step": step, "t": trajectory.t[step]}
-    for side in "12":
-        out[f"body{side}"] = names[columns[f"contacts/geom{side}"][row]]
-    states = np.array(CONTACT_STATES)[columns["contacts/status"][row]]
-    out |= {"state": states, "gap": columns["contacts/gap"][row]}
-    for name, vector in (
-        ("point", columns["contacts/point"]),
-        ("normal", columns["contacts/normal"]),
-        ("impulse", np.einsum("ci,cij->cj", shown, frame)),
-        ("impulse_raw", impulses_world(columns)),
-        ("velocity", np.einsum("ci,cij->cj", columns["contacts/u"], frame)),
-    ):
-        out |= {f"{name}_{axis}": vector[row, k] for k, axis in enumerate("xyz")}
-    for name, values in (("impulse", shown), ("u", columns["contacts/u"])):
-        out |= {f"{name}_N": values[:, 0], f"{name}_T": np.hypot(values[:, 1], values[:, 2])}
-    out |= {name: columns[f"contacts/{name}"][row] for name in ("mu", "restitution", "work_normal", "work_friction")}
-    return framed(out)
-
-
-def framed(columns: dict[str, NDArray[Any]]) -> Any:
-    """A pandas.DataFrame of columns, or the columns where pandas is not installed."""
-    try:
-        import pandas as pd
-    except ModuleNotFoundError:
-        return columns
-    return pd.DataFrame(columns)
 
 
 def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
@@ -172,7 +138,7 @@ def impulses(trajectory: Trajectory, row: Index) -> Array:
     return shares.shared(bodies, step[row], c)
 
 
-def _frames(columns: Mapping[str, NDArray[Any]]) -> Array:
+def contact_frames(columns: Mapping[str, NDArray[Any]]) -> Array:
     """Axes (n, t1, t2) of all contacts, shape (., 3, 3)."""
     normal, tangent = columns["contacts/normal"], columns["contacts/tangent"]
     return np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
@@ -180,7 +146,7 @@ def _frames(columns: Mapping[str, NDArray[Any]]) -> Array:
 
 def impulses_world(columns: Mapping[str, NDArray[Any]]) -> Array:
     """The solver's impulses on body 2 of all contacts in world axes, shape (., 3), N·s."""
-    out: Array = np.einsum("ci,cij->cj", columns["contacts/impulse"], _frames(columns))
+    out: Array = np.einsum("ci,cij->cj", columns["contacts/impulse"], contact_frames(columns))
     return out
 
 

@@ -11,20 +11,27 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
-from nsdyn.recording import breakdown, joints, tables
+from nsdyn.recording import breakdown, joint_tables, motion, tables
 from nsdyn.recording import file as recording
-from nsdyn.recording.file import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
-from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog, rotate
+from nsdyn.recording.columns import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
+from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog
+from nsdyn.recording.tabulated import tabulated
 from nsdyn.tools import files, notebook
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import meant
+from nsdyn.tools.table import Table
+from nsdyn.tools.units import with_unit
 
 if TYPE_CHECKING:
-    from nsdyn.recording.viewer import PageOptions
+    from nsdyn.view.viewer import PageOptions
 
 __all__ = ["Trajectory"]
+
+ROUND_OFF = 1e-16
+"""Of the largest energy: less than what is added to it and lost."""
+
+NEGLIGIBLE = 1e-9
+"""Energy that is nothing beside the largest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,32 +121,49 @@ class Trajectory:
         """Wall time of each step without its recording, shape (n,), s; NaN where a recording does not tell."""
         return self.columns["wall_time"]
 
+    def table(self, kind: str, pattern: str = "*") -> Table:
+        """Motion and forces as a table: for printing, `to_pandas`, `to_csv`, `to_parquet`. SI units, world axes.
+
+        Parameters
+        ----------
+        kind : {"bodies", "joints", "pairs", "contacts", "energy"}
+            What makes a row, by its columns besides step and t, the time at which the step ends; forces are the mean
+            of that step, NaN where none ends or contacts are not recorded.
+
+            bodies : a moving body or link in a state. x, y, z, quaternion qx to qw, v, omega, speed as of `body`, force
+                of all contacts on it.
+            joints : a coordinate of a joint, or a loop, in a state. unit of the position, position (angle), velocity,
+                torque, limit (force of it), friction, external, shift and the reaction on the child about the joint's
+                origin, of a loop on the link of its first frame, as of `joint` and `loop`.
+            pairs : two bodies that ever touch, in a step. state and gap as of `pair`, NaN where apart; slip, the
+                largest after the step of a contact that pushes; normal_force, the sum over the contacts;
+                friction_force, the size of their net friction; force on body 2; work on both.
+            contacts : a contact in a step. state, gap, point, normal, impulse on body 2, velocity of body 2 relative to
+                body 1 (and u, by normal and tangent), impulse_raw, mu, restitution, works; as of
+                `nsdyn.recording.series.ContactTable`.
+            energy : a state. Energies, and works of the step, as of `energy`.
+        pattern : str
+            Which bodies, joints, pairs or energies by their names, where * stands for anything: "robot/*knee*". A pair
+            has the name "a | b" and goes by those of its bodies too.
+
+        Raises
+        ------
+        ValueError
+            If nothing of that name is there, naming what is.
+        """
+        return tabulated(self, kind, pattern)
+
     def body(self, name: str) -> BodyMotion:
         """Motion of a body, or of a link or a joint ("arm/link2"); ValueError naming the known ones.
 
         Links whose joint carries no shape are not recorded.
         """
-        frames, links = self.scene["frames"], {link["name"]: link for link in self.scene.get("links", ())}
-        if name not in frames and name in links:
-            return self._link(name, links[name]["frame"], np.array(links[name]["placement"]))
-        if name not in frames:
-            known = [*frames, *links]
-            raise ValueError(f"{meant(name, known)}no moving body {name!r}; the recording has {known}")
-        k = frames.index(name)
-        if k < self.scene["free"]:
-            pose, twist = self.q[:, 7 * k : 7 * k + 7], self.v[:, 6 * k : 6 * k + 6]
-            return BodyMotion(name, pose[:, :3], pose[:, 3:], twist)
-        return BodyMotion(name, self.columns["frames/x"][:, k], self.columns["frames/quat"][:, k], None)
+        return motion.body(self, name)
 
-    def _link(self, name: str, frame: int, placement: Array) -> BodyMotion:
-        """Motion of a link that is placed, shape (4, 4), in a moving frame or in the world, -1."""
-        turn = Rotation.from_matrix(placement[:3, :3])
-        if frame < 0:
-            one = np.ones((self.t.size, 1))
-            return BodyMotion(name, one * placement[:3, 3], one * turn.as_quat(), None)
-        carrier = self.body(self.scene["frames"][frame])
-        position = carrier.position + rotate(carrier.quaternion, placement[:3, 3])
-        return BodyMotion(name, position, (Rotation.from_quat(carrier.quaternion) * turn).as_quat(), None)
+    @cached_property
+    def twists(self) -> dict[int, Array]:
+        """Of moving frames of links, (n + 1, 6): linear velocity at the world's origin, then angular velocity."""
+        return motion.twists(self)
 
     def contacts(self, k: int) -> ContactTable:
         """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError.
@@ -167,18 +191,6 @@ class Trajectory:
 
         return unique(self, step)
 
-    def contact_table(self) -> Any:
-        """All contacts of all steps, one a row, by columns; SI units, world axes.
-
-        Returns
-        -------
-        pandas.DataFrame, or dict of str to ndarray where pandas is not installed
-            step, t of its end, body1, body2, state, gap, point, normal, impulse on body 2, velocity of body 2 relative
-            to body 1, impulse_raw (each _x, _y, _z; impulse and velocity u also _N, _T), mu, restitution, work_normal,
-            work_friction; impulse and impulse_raw as in `nsdyn.recording.series.ContactTable`.
-        """
-        return tables.contact_table(self)
-
     def pair(self, a: str, b: str) -> tables.Pair:
         """What body `a` does to body `b` in each step: net force, torque, work, smallest gap, state.
 
@@ -204,37 +216,13 @@ class Trajectory:
         """
         return tables.force(self, name)
 
-    def joint(self, name: str) -> joints.JointMotion:
+    def joint(self, name: str) -> joint_tables.JointMotion:
         """Motion of a joint, "articulation/joint", and what acts in it; ValueError naming the known ones."""
-        return joints.joint(self, name)
+        return joint_tables.joint(self, name)
 
-    def loop(self, name: str) -> joints.LoopReaction:
+    def loop(self, name: str) -> joint_tables.LoopReaction:
         """Reaction in a closed loop, "articulation/loop"; ValueError naming the known ones."""
-        return joints.loop(self, name)
-
-    def joint_table(self, pattern: str = "*") -> Any:
-        """All joints and loops of all steps, one a row, by columns; SI units, world axes.
-
-        Parameters
-        ----------
-        pattern : str
-            Which, by "articulation/joint" or "articulation/loop", where * stands for anything: "robot/*knee*".
-
-        Returns
-        -------
-        pandas.DataFrame, or dict of str to ndarray where pandas is not installed
-            step, t of its end, joint; of its coordinates position, velocity at the end, torque, limit_impulse,
-            friction, external and shift (those after the first also _2, _3, ...; NaN where there are none, as of
-            loops); reaction_force, N, and reaction_torque, N m (each _x, _y, _z), on the child about the joint's
-            origin, of loops on the link of the first frame about its place. All of them as in
-            `nsdyn.recording.joints.JointMotion`.
-
-        Raises
-        ------
-        ValueError
-            If none matches, naming the known ones.
-        """
-        return joints.joint_table(self, pattern, np.arange(1, self.steps + 1))
+        return joint_tables.loop(self, name)
 
     @cached_property
     def reactions(self) -> dict[str, Array]:
@@ -261,45 +249,10 @@ class Trajectory:
         return cls(*recording.read(Path(path)))
 
     def to_html(self, path: str | Path, **options: Unpack[PageOptions]) -> None:
-        """Write a self-contained page that plays the recording; options as in `nsdyn.recording.viewer.html`."""
-        from nsdyn.recording.viewer import write_html
+        """Write a self-contained page that plays the recording; options as in `nsdyn.view.viewer.html`."""
+        from nsdyn.view.viewer import write_html
 
         write_html(self, path, **options)
-
-    def plot_energy(self, ax: Any = None) -> Any:
-        """Draw kinetic and potential energy, stacked, and over them the works done so far.
-
-        The axis of energy spans at least a millionth of the largest energy: what is smaller shows as rest.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            A new one by default.
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        if ax is None:
-            import matplotlib.pyplot as plt
-
-            ax = plt.subplots(layout="constrained")[1]
-        e = self.energy
-        potential = e.potential - e.potential.min()
-        labels, colours = ["kinetic", "potential, from its minimum"], ["#88bbdd", "#dde5ea"]
-        ax.stackplot(self.t, e.kinetic, potential, labels=labels, colors=colours)
-        for name in self._active_works():
-            ax.plot(self.t, self._cumulative(name), label=f"work: {name}")
-        ax.plot(self.t, e.kinetic + potential, "k", lw=1, label="kinetic + potential")
-        ax.set(xlabel="t [s]", ylabel="energy, work so far [J]", title=self.meta["scene_name"])
-        ax.margins(x=0)
-        low, high = ax.get_ylim()
-        least = 1e-6 * self.largest_energy or 1.0
-        if high - low < least:
-            ax.set_ylim(-0.1 * least, 0.9 * least)
-            ax.text(0.5, 0.5, "at rest", transform=ax.transAxes, ha="center", va="center", size="x-large")
-        ax.legend(loc="best", frameon=False)
-        return ax
 
     def ledger(self, rows: int = 10) -> dict[str, Array]:
         """Energies and works done so far, J, at about `rows` times "t" from the first to the last: physics, numerics.
@@ -311,21 +264,28 @@ class Trajectory:
         return out | {name: self._cumulative(name)[k] for name in [*self._active_works(), "defect"]}
 
     def energy_table(self, rows: int = 10) -> str:
-        """Text table of `ledger`, and the worst figures of all steps."""
-        ledger, worst = self.ledger(rows), self.worst()
+        """Text table of `ledger`, and the worst figures of all steps; of what is `at_rest` these alone."""
+        worst = self.worst()
+        figures = f"max |defect| {worst['defect']:.1e} J, max Gauss bound {worst['gauss_bound']:.1e} √J, "
+        figures += f"max residual {worst['residual']:.1e} m/s"
+        if self.at_rest:
+            return f"at rest: nothing of {with_unit(self.largest_energy, 'J')} moves\n{figures}"
+        ledger, largest = self.ledger(rows), max(self.at_play, 1e-300)
+        least = ROUND_OFF * self.largest_energy
         times, *energies = ledger.values()
         lines = [f"{'t [s]':>12}" + "".join(f"{name:>12}" for name in list(ledger)[1:])]
         for k, t in enumerate(times):
-            lines.append(f"{t:12.6g}" + "".join(f"{values[k]:12.4e}" for values in energies))
-        shares = self.shares()
+            shown = (values[k] if abs(values[k]) > least else 0.0 for values in energies)
+            lines.append(f"{t:12.6g}" + "".join(f"{x:12.4e}" if x else f"{0:12}" for x in shown))
         lines.append(f"{'':12}{'in all':>12}{'at most':>12}{'share':>12}  of the energy at play, {self.at_play:.4g} J")
-        for name, (total, most) in shares.items():
-            lines.append(f"{name:12}{total:12.4e}{most:12.4e}{most / max(self.at_play, 1e-300):12.1e}")
-        lines.append(
-            f"energies and works so far in J; max |defect| {worst['defect']:.1e} J, "
-            f"max Gauss bound {worst['gauss_bound']:.1e} √J, max residual {worst['residual']:.1e} m/s"
-        )
-        return "\n".join(lines)
+        for name, (total, most) in self.shares().items():
+            lines.append(f"{name:12}{total:12.4e}{most:12.4e}{most / largest:12.1e}")
+        return "\n".join([*lines, f"energies and works so far in J; {figures}"])
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves: no more than a billionth of the largest energy is at play."""
+        return self.at_play <= NEGLIGIBLE * self.largest_energy
 
     @property
     def at_play(self) -> float:
@@ -364,7 +324,8 @@ class Trajectory:
     def _active_works(self) -> list[str]:
         """Works of more than round-off, without the defect."""
         works = {name: np.abs(self._cumulative(name)).max() for name in WORKS if name != "defect"}
-        return [name for name, work in works.items() if work > 1e-9 * max(self.largest_energy, 1e-300, *works.values())]
+        least = NEGLIGIBLE * max(self.largest_energy, 1e-300, *works.values())
+        return [name for name, work in works.items() if work > least]
 
     def _cumulative(self, work: str) -> Array:
         """Work from 0 to t, shape (n + 1,)."""
@@ -377,16 +338,23 @@ class Trajectory:
         )
 
     def _repr_html_(self) -> str:
+        """Table of what matters and, in a frame, the page of `to_html`."""
+        from nsdyn.view.embedding import iframe
+
         total, worst, shares = self.energy.total, self.worst(), self.shares()
         status = Counter(self.solver.status_names)
-        return notebook.figures(repr(self).strip("<>"), [
-            ("simulated time [s]", float(self.t[-1])),
-            ("energy at the start, at the end [J]", (float(total[0]), float(total[-1]))),
-            ("works of physics, of numerics [J]", (shares["physics"][0], shares["numerics"][0])),
-            ("solves", ", ".join(f"{n} {name}" for name, n in status.most_common())),
-            ("largest residual [m/s]", worst["residual"]),
-            ("largest Gauss bound [√J]", worst["gauss_bound"]),
-        ])  # fmt: skip
+        table = notebook.figures(
+            repr(self).strip("<>"),
+            [
+                ("simulated time [s]", float(self.t[-1])),
+                ("energy at the start, at the end [J]", (float(total[0]), float(total[-1]))),
+                ("works of physics, of numerics [J]", (shares["physics"][0], shares["numerics"][0])),
+                ("solves", ", ".join(f"{n} {name}" for name, n in status.most_common())),
+                ("largest residual [m/s]", worst["residual"]),
+                ("largest Gauss bound [√J]", worst["gauss_bound"]),
+            ],
+        )
+        return table + iframe(self)
 
 
 def _largest(values: ArrayLike) -> float:

@@ -16,16 +16,26 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks
+from nsdyn.scene.actuation import Actuator
 from nsdyn.scene.bodies import Body
 from nsdyn.scene.gears import Gear
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
+from nsdyn.scene.visuals import Colour, Visual
 from nsdyn.tools.arrays import Array
 
 __all__ = [
-    "PLANAR", "WORLD", "Articulation", "ArticulationOptions", "Description", "Link", "Loop", "check_count",
-    "check_size", "describe_model",
-]  # fmt: skip
+    "PLANAR",
+    "WORLD",
+    "Articulation",
+    "ArticulationOptions",
+    "Description",
+    "Link",
+    "Loop",
+    "check_count",
+    "check_size",
+    "describe_model",
+]
 
 WORLD = "world"
 """Name of the body of an MJCF file that does not move."""
@@ -105,8 +115,15 @@ class Articulation:
         Most that a `nsdyn.PD` control gives unless it says otherwise, N m or N; infinite for none.
     loops : tuple of Loop
     gears : tuple of Gear
+    actuators : tuple of Actuator
+        Those of an MJCF file, which `nsdyn.Actuation` controls.
+    coordinates : mapping of str to int
+        Where the file tells them, the places in v of its hinges and slides by name: of several joints of one body
+        Pinocchio makes one.
     fixed : tuple of Body
         What the file holds besides its trees: the shapes of its world, which are bodies of the scene.
+    visuals : tuple of Visual
+        What pages show in place of the `links` of the same body.
     excluded : frozenset of (int, int)
         Pairs of `links` and, counted after them, `fixed`, by index, that are never tested for contact.
     missing : tuple of str
@@ -134,7 +151,10 @@ class Articulation:
     effort: Array
     loops: tuple[Loop, ...] = ()
     gears: tuple[Gear, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
+    coordinates: Mapping[str, int] = field(default_factory=dict)
     fixed: tuple[Body, ...] = ()
+    visuals: tuple[Visual, ...] = ()
     excluded: frozenset[tuple[int, int]] = frozenset()
     missing: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
@@ -170,6 +190,9 @@ class Description:
     stiffness, rest : ndarray, shape (nv,)
     loops : tuple of Loop
     gears : tuple of Gear
+    actuators : tuple of Actuator
+    coordinates : mapping of str to int
+        As of `Articulation`.
     excluded : frozenset of frozenset of str
         Pairs of bodies that are never tested for contact.
     filtered : frozenset of frozenset of str
@@ -185,6 +208,9 @@ class Description:
         What no body can have in the inertias.
     materials : mapping of str to Material
         Of the links, by name, whose material the file tells.
+    visuals : tuple of Visual
+    colours : mapping of str to (float, float, float, float)
+        Of the links, by name, to which the file gives one.
     """
 
     model: Any
@@ -195,6 +221,8 @@ class Description:
     rest: Array
     loops: tuple[Loop, ...] = ()
     gears: tuple[Gear, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
+    coordinates: Mapping[str, int] = field(default_factory=dict)
     excluded: frozenset[frozenset[str]] = frozenset()
     filtered: frozenset[frozenset[str]] = frozenset()
     world_touches: bool = False
@@ -204,6 +232,8 @@ class Description:
     unused: tuple[str, ...] = ()
     flaws: tuple[str, ...] = ()
     materials: Mapping[str, Material] = field(default_factory=dict)
+    visuals: tuple[Visual, ...] = ()
+    colours: Mapping[str, Colour] = field(default_factory=dict)
 
 
 class ArticulationOptions(TypedDict, total=False):
@@ -226,6 +256,28 @@ class ArticulationOptions(TypedDict, total=False):
     stiffness: ArrayLike | None
     rest: ArrayLike | None
     inertias: str
+
+
+DEFAULTS: ArticulationOptions = {
+    "position": (0.0, 0.0, 0.0),
+    "quaternion": (0.0, 0.0, 0.0, 1.0),
+    "q": None,
+    "v": None,
+    "material": None,
+    "collisions": True,
+    "self_collisions": True,
+    "srdf": None,
+    "limits": True,
+    "clip": False,
+    "restitution": 0.0,
+    "friction": None,
+    "damping": None,
+    "armature": None,
+    "stiffness": None,
+    "rest": None,
+    "inertias": "check",
+}
+"""What is not given is this."""
 
 
 def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str] = (), **more: Any) -> Description:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,19 +13,27 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks, exclusions
-from nsdyn.scene.articulations import PLANAR, WORLD, Articulation, Description, Link, Loop, check_size
+from nsdyn.scene.articulations import (
+    DEFAULTS,
+    PLANAR,
+    WORLD,
+    Articulation,
+    ArticulationOptions,
+    Description,
+    Link,
+    Loop,
+    check_size,
+)
 from nsdyn.scene.bodies import Body, BodyOptions, make_body
 from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.gears import GearGaps, gear
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import HALFSPACE, Shape, halfspace
+from nsdyn.scene.visuals import Colour
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 __all__ = ["assemble", "close_loop", "put_gear"]
-
-NORMALISED = 1e-6
-"""Error of norm of a quaternion or of a pair (cos, sin) in q that a user's rounding may leave."""
 
 UNBOUNDED = 1.01
 """What Pinocchio writes for no limit of a cosine, a sine or a part of a quaternion."""
@@ -36,82 +42,84 @@ SHOWN = 4
 """Most notes of what is left out that a warning shows."""
 
 
-def assemble(
-    name: str,
-    description: Description,
-    *,
-    position: ArrayLike = (0.0, 0.0, 0.0),
-    quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-    q: ArrayLike | None = None,
-    v: ArrayLike | None = None,
-    material: Material | Mapping[str, Material] | None = None,
-    collisions: bool | Mapping[str, Sequence[Any]] = True,
-    self_collisions: bool | str = True,
-    srdf: str | Path | None = None,
-    limits: bool = True,
-    clip: bool = False,
-    restitution: float = 0.0,
-    friction: ArrayLike | None = None,
-    damping: ArrayLike | None = None,
-    armature: ArrayLike | None = None,
-    stiffness: ArrayLike | None = None,
-    rest: ArrayLike | None = None,
-    inertias: str = "check",
-) -> Articulation:
-    """Articulation of a description, placed in the world; the parameters are those of `nsdyn.Scene.add_model`."""
+def assemble(name: str, description: Description, options: ArticulationOptions) -> Articulation:
+    """Articulation of a description, placed in the world; the options are those of `nsdyn.Scene.add_model`."""
+    o = DEFAULTS | options
     check_size(name, description.model)
-    model = description.model.copy()
+    model, limits = description.model.copy(), o["limits"]
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
-    unused = list(description.unused)
-    if description.flaws and choice(inertias, ("check", "trust"), f"inertias of {name!r}") == "check":
+    if description.flaws and choice(o["inertias"], ("check", "trust"), f"inertias of {name!r}") == "check":
         raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
-    dropped = [*description.dropped, *description.flaws]
 
     of_joints = partial(_of_joints, name, free)
-    _check_choices(name, limits, clip, self_collisions)
-    links, bodies = _collisions(name, description, collisions)
+    _check_choices(name, limits, o["clip"], o["self_collisions"])
+    links, bodies = _collisions(name, description, o["collisions"])
     at = pin.SE3(
-        checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),
-        checks.vector(position, 3, f"position of {name!r}"),
+        checks.rotation(checks.quaternion(o["quaternion"], f"quaternion of {name!r}")),
+        checks.vector(o["position"], 3, f"position of {name!r}"),
     )
-    q0 = _normalized(name, model, of_joints(q, "q", description.q, 7))
-    if clip:
+    q0 = _normalized(name, model, of_joints(o["q"], "q", description.q, 7))
+    if o["clip"]:
         _clip(model, q0)
     links, loops = _place(model, q0, links, description.loops, at)
-    excluded = set(description.excluded)
-    if srdf is not None:
-        excluded |= exclusions.disabled_pairs(name, checks.path(srdf, f"srdf of {name!r}"), model, unused)
-    in_joints = {
-        "friction": of_joints(friction, "friction", np.array(model.upperDryFrictionLimit), 6),
-        "damping": of_joints(damping, "damping", np.array(model.damping), 6),
-        "armature": of_joints(armature, "armature", np.array(model.armature), 6),
-        "stiffness": of_joints(stiffness, "stiffness", description.stiffness, 6),
-    }
-    _check_magnitudes(name, in_joints)
-    _check_friction(name, model, in_joints["friction"])
+    excluded, unused = set(description.excluded), list(description.unused)
+    if o["srdf"] is not None:
+        excluded |= exclusions.disabled_pairs(name, checks.path(o["srdf"], f"srdf of {name!r}"), model, unused)
+    in_joints = _in_joints(name, model, description, o, of_joints)
     model.armature = in_joints["armature"]
-    Material(restitution=restitution)
-    v0, rest0 = of_joints(v, "v", np.zeros(model.nv), 6), of_joints(rest, "rest", description.rest, 6)
-    materials = _materials(name, material, links, bodies, description.materials)
+    Material(restitution=o["restitution"])
+    v0, rest0 = of_joints(o["v"], "v", np.zeros(model.nv), 6), of_joints(o["rest"], "rest", description.rest, 6)
+    materials = _materials(name, o["material"], links, bodies, description.materials)
     _check_joints(name, model, q0, limits, in_joints["stiffness"])
     trees = [description.trees.get(body) for body in bodies]
     n = len(trees) - trees.count(WORLD)
     apart = exclusions.filtered(links, bodies, excluded, description.filtered, n)
     apart |= exclusions.joined(links[:n], exclusions.neighbours(model, loops, description.world_touches))
-    if not self_collisions:
-        apart |= {(i, j) for i, j in combinations(range(n), 2) if trees[i] == trees[j]}
-    if self_collisions == "apart":
-        overlaps = exclusions.overlapping(model, q0, links[:n], trees, apart)
-        pairs = [f"{links[i].name!r} and {links[j].name!r} ({d:.3g} m deep)" for (i, j), d in overlaps.items()]
-        dropped[:0] = [f"contact of {', '.join(pairs)}, which overlap at the start"] if pairs else []
-        apart |= overlaps.keys()
+    more, overlapping = exclusions.among_links(model, q0, links[:n], trees, apart, o["self_collisions"])
+    dropped = (*overlapping, *description.dropped, *description.flaws)
     _warn(name, [*description.missing, *dropped])
+    fixed = zip(links[n:], materials[n:], strict=True)
     return Articulation(
-        name, model, links[:n], bodies[:n], q0, v0, materials[:n], limits,
-        float(restitution), **in_joints, rest=rest0, effort=_effort(model), loops=loops, gears=description.gears,
-        fixed=tuple(_fixed(name, *each) for each in zip(links[n:], materials[n:], strict=True)),
-        excluded=apart, missing=description.missing, dropped=tuple(dropped), unused=tuple(unused),
-    )  # fmt: skip
+        name,
+        model,
+        links[:n],
+        bodies[:n],
+        q0,
+        v0,
+        materials[:n],
+        limits,
+        float(o["restitution"]),
+        **in_joints,
+        gears=description.gears,
+        actuators=description.actuators,
+        coordinates=description.coordinates,
+        missing=description.missing,
+        rest=rest0,
+        effort=_effort(model),
+        loops=loops,
+        fixed=tuple(_fixed(name, link, own, description.colours.get(link.name)) for link, own in fixed),
+        visuals=tuple(v if v.joint else v._replace(placement=at * v.placement) for v in description.visuals),
+        excluded=apart | more,
+        dropped=dropped,
+        unused=tuple(unused),
+    )
+
+
+def _in_joints(
+    name: str, model: Any, description: Description, options: ArticulationOptions, of_joints: Callable[..., Array]
+) -> dict[str, Array]:
+    """What acts in the joints, checked: as given, else of the model and its description."""
+    own = {
+        "friction": np.array(model.upperDryFrictionLimit),
+        "damping": np.array(model.damping),
+        "armature": np.array(model.armature),
+        "stiffness": description.stiffness,
+    }
+    given: Mapping[str, object] = options
+    out = {what: of_joints(given[what], what, default, 6) for what, default in own.items()}
+    _check_magnitudes(name, out)
+    _check_friction(name, model, out["friction"])
+    return out
 
 
 def _warn(name: str, notes: Sequence[str]) -> None:
@@ -121,10 +129,11 @@ def _warn(name: str, notes: Sequence[str]) -> None:
         warnings.warn(f"{name!r} leaves out: {'; '.join([*notes[:SHOWN], *more])}", stacklevel=5)
 
 
-def _fixed(name: str, link: Link, material: Material) -> Body:
+def _fixed(name: str, link: Link, material: Material, colour: Colour | None) -> Body:
     """A shape of the world of a file as a body of the scene."""
     x, quaternion = link.placement.translation, pin.Quaternion(link.placement.rotation).coeffs()
     options: BodyOptions = {"position": x, "quaternion": quaternion, "material": material, "fixed": True}
+    options["colour"] = colour
     return make_body(f"{name}/{link.name}", link.shape, None, options)
 
 
@@ -139,7 +148,7 @@ def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | 
 
 def _normalized(name: str, model: Any, q: Array) -> Array:
     """A configuration with quaternions and pairs (cos, sin) of norm 1; ValueError where they are far from it."""
-    if not pin.isNormalized(model, q, NORMALISED):
+    if not pin.isNormalized(model, q, checks.NORMALISED):
         raise ValueError(f"q of {name!r} must have unit quaternions and unit pairs (cos, sin), got {q.tolist()}")
     return np.array(pin.normalize(model, q))
 
@@ -210,8 +219,7 @@ def _collisions(
         if body not in collisions:
             kept.append((body, link))
     for body, given in collisions.items():
-        if body not in known:
-            raise ValueError(f"collisions of {name!r} names {body!r}, which is no body; they are {sorted(known)}")
+        choice(body, known, f"body in collisions of {name!r}")
         for k, item in enumerate(given):
             shape, placement = item if isinstance(item, tuple) else (item, pin.SE3.Identity())
             if not isinstance(shape, Shape) or not isinstance(placement, pin.SE3):
@@ -233,8 +241,8 @@ def _materials(
     of = material if isinstance(material, Mapping) else {}
     rest: Any = Material() if material is None or isinstance(material, Mapping) else material
     for body, given in [*of.items(), (None, rest)]:
-        if body is not None and body not in bodies:
-            raise ValueError(f"material of {name!r} names {body!r}; the bodies with shapes are {sorted(set(bodies))}")
+        if body is not None:
+            choice(body, dict.fromkeys(bodies), f"body with shapes in material of {name!r}")
         if not isinstance(given, Material):
             raise ValueError(f"material of {name!r} must be a nsdyn.Material, got {given!r}")
     if isinstance(material, Material):
@@ -349,8 +357,7 @@ def close_loop(
         raise ValueError(f"name must be unique among the loops of {articulation.name!r}, {name!r} is taken")
     known = {f.name: f for f in model.frames}
     for what, frame in (("frame1", frame1), ("frame2", frame2)):
-        if frame not in known:
-            raise ValueError(f"{what} of {name!r} must be a frame of {articulation.name!r}, got {frame!r}")
+        choice(frame, known, f"{what} of {name!r}, a frame of {articulation.name!r},")
     first, second = known[frame1], known[frame2]
     placement1 = first.placement * pin.SE3(
         checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),

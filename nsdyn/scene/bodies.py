@@ -108,9 +108,16 @@ class BodyOptions(TypedDict, total=False):
 
 
 DEFAULTS: dict[str, Any] = {
-    "position": (0, 0, 0), "quaternion": (0, 0, 0, 1), "linear_velocity": (0, 0, 0), "angular_velocity": (0, 0, 0),
-    "material": None, "fixed": False, "colour": None, "inertia": None, "com": (0, 0, 0),
-}  # fmt: skip
+    "position": (0, 0, 0),
+    "quaternion": (0, 0, 0, 1),
+    "linear_velocity": (0, 0, 0),
+    "angular_velocity": (0, 0, 0),
+    "material": None,
+    "fixed": False,
+    "colour": None,
+    "inertia": None,
+    "com": (0, 0, 0),
+}
 
 
 def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions) -> Body:
@@ -137,10 +144,18 @@ def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions)
             raise ValueError(f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous")
         J = checks.inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
     return Body(
-        name, shape, m, J, checks.vector(given["position"], 3, f"position of {name!r}"),
-        checks.quaternion(given["quaternion"], f"quaternion of {name!r}"), v, w, _material(given["material"], name),
-        _colour(given["colour"], name), centre,
-    )  # fmt: skip
+        name,
+        shape,
+        m,
+        J,
+        checks.vector(given["position"], 3, f"position of {name!r}"),
+        checks.quaternion(given["quaternion"], f"quaternion of {name!r}"),
+        v,
+        w,
+        _material(given["material"], name),
+        _colour(given["colour"], name),
+        centre,
+    )
 
 
 def _material(material: Material | None, name: str) -> Material:

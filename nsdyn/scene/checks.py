@@ -20,6 +20,11 @@ LARGEST, SMALLEST = 1e50, 1e-50
 """Sizes of numbers, and of masses and inertias, whose products stay in the range of floating-point numbers."""
 
 
+NORMALISED = 1e-6
+"""Error of norm of a quaternion or of a pair (cos, sin) that a user's rounding may leave; more is a mistake (w x y z,
+degrees)."""
+
+
 def _below(value: ArrayLike) -> str:
     return f" and at most {LARGEST:g} in size" if np.isfinite(value).all() else ""
 
@@ -72,7 +77,7 @@ def quaternion(value: ArrayLike, what: str) -> Array:
     """A unit quaternion x y z w."""
     out = vector(value, 4, what)
     norm = float(np.linalg.norm(out))
-    if abs(norm - 1.0) > 1e-6:  # what a user's own rounding may leave; more is a mistake (wxyz order, degrees)
+    if abs(norm - 1.0) > NORMALISED:
         raise ValueError(f"{what} must be a unit quaternion x y z w, got norm {norm:.9g}")
     return out / norm
 

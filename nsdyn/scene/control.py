@@ -2,14 +2,82 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.naming import choice
 
-__all__ = ["PD"]
+__all__ = ["PD", "Axes"]
+
+
+class Axes(NamedTuple):
+    """The coordinates of an articulation that control acts on.
+
+    Attributes
+    ----------
+    owner : str
+        The articulation.
+    joints : tuple of str
+        Its revolute and prismatic joints; "joint:0", "joint:1", ... of one that has several axes.
+    scalar : ndarray of bool, shape (nv,)
+        Their coordinates.
+    """
+
+    owner: str
+    joints: tuple[str, ...]
+    scalar: Bools
+
+    @classmethod
+    def of(cls, owner: str, model: Any, scalar: Bools, coordinates: Mapping[str, int] = MappingProxyType({})) -> Axes:
+        """Of an articulation with a pinocchio.Model, and places in v of joints that are parts of those of the model."""
+        places = zip(model.names, model.idx_vs, model.nvs, strict=True)
+        rows = [(f"{name}:{k}" if n > 1 else name, start + k) for name, start, n in places for k in range(n)]
+        told = {place: name for name, place in coordinates.items()}
+        return cls(owner, tuple(told.get(place, name) for name, place in rows if scalar[place]), scalar)
+
+    def spread(self, given: Any, rest: float | Array, what: str) -> Array:
+        """Values for all coordinates, shape (nv,).
+
+        Parameters
+        ----------
+        given : float, mapping of str to float, or array
+            For all joints, for some of them by name, for each of them, or for each coordinate.
+        rest : float or ndarray, shape (nv,)
+            Of coordinates that are not given.
+        what : str
+
+        Raises
+        ------
+        ValueError
+            Naming `what` and the joints, or how many values are expected.
+        """
+        nv, count = self.scalar.size, len(self.joints)
+        if isinstance(given, Mapping):
+            out = np.broadcast_to(rest, nv).astype(float)
+            places = dict(zip(self.joints, np.flatnonzero(self.scalar), strict=True))
+            for name, value in given.items():
+                out[places[choice(name, places, f"name in {what} of {self.owner!r}")]] = value
+            return out
+        values = np.asarray(given, dtype=float)
+        if values.shape == (nv,):
+            return values
+        if values.shape not in ((), (count,)):
+            raise ValueError(f"{what} of {self.owner!r} must be {self.wanted()}, got shape {values.shape}")
+        out = np.broadcast_to(rest, nv).astype(float)
+        out[self.scalar] = values
+        return out
+
+    def wanted(self) -> str:
+        """What can be given, in words."""
+        nv, count = self.scalar.size, len(self.joints)
+        more = f" or {nv} numbers, one for each coordinate," if nv > count else ""
+        return f"{{joint: number}}, or {count} numbers, one for each revolute and prismatic joint,{more}".rstrip(",")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,18 +95,21 @@ class PD:
     links by three quarters, and swings faster than 2.4/h die down. There it is of first order: as if the joint had the
     inertia h kd (β - ½) + h² kp (α - ½)² and the damping 2 h kp (α - ½) more.
 
-    One number serves all revolute and prismatic joints; arrays (nv,) must have no gain on other coordinates. The arrays
-    are copied: make a new control to change them, and return the same one as long as it holds.
+    Each parameter is one number for all revolute and prismatic joints, an array of one number for each of them in the
+    order of the model, or a mapping of some of them, {joint: number}. A joint that a mapping leaves out has no gain and
+    no feedforward; one that a mapping of targets leaves out is not controlled. Arrays of nv numbers, one for each
+    coordinate, are taken too: they must have no gain on free, ball and planar joints, but may have feedforward there.
+    What is given is copied: make a new control to change it, and return the same one as long as it holds.
 
     Parameters
     ----------
-    kp, kd : float or array, shape (nv,)
+    kp, kd : float, mapping or array
         Gains ≥ 0, N m/rad and N m s/rad, or N/m and N s/m.
-    target, target_velocity : float or array, shape (nv,)
+    target, target_velocity : float, mapping or array
         rad and rad/s, or m and m/s.
-    feedforward : float or array, shape (nv,)
+    feedforward : float, mapping or array
         N m or N.
-    limit : float or array, shape (nv,), optional
+    limit : float, mapping or array, optional
         Most |τ| of each joint, N m or N; infinite for none. Default: the efforts of the robot's file. It is never
         exceeded, whatever the gains and the step, pressed against a contact or not: a control at its limit is a row of
         the contact problem, like dry joint friction.
@@ -59,59 +130,53 @@ class PD:
     >>> hold = nd.PD(kp=50.0, kd=2.0, target=[0.3, -0.1])
     >>> hold.target.tolist()
     [0.3, -0.1]
+    >>> bend = nd.PD(kp=50.0, kd=2.0, target={"knee": 0.3})  # leaves the other joints alone
     """
 
-    kp: ArrayLike
-    kd: ArrayLike
-    target: ArrayLike
-    target_velocity: ArrayLike = 0.0
-    feedforward: ArrayLike = 0.0
-    limit: ArrayLike | None = None
+    kp: ArrayLike | Mapping[str, float]
+    kd: ArrayLike | Mapping[str, float]
+    target: ArrayLike | Mapping[str, float]
+    target_velocity: ArrayLike | Mapping[str, float] = 0.0
+    feedforward: ArrayLike | Mapping[str, float] = 0.0
+    limit: ArrayLike | Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
             given = getattr(self, field.name)
             if field.name == "limit" and given is None:
                 continue
+            named = isinstance(given, Mapping)
             try:
-                value = np.array(given, dtype=float)
+                value = np.array(list(given.values()) if named else given, dtype=float)
             except (TypeError, ValueError):
                 value = np.array(np.nan)
             unlimited = field.name == "limit" and (value > 0.0).all()
             if value.ndim > 1 or not (unlimited or np.isfinite(value).all()):
-                raise ValueError(f"{field.name} of a PD control must be one or nv finite numbers, got {given!r}")
+                wanted = "a finite number, one for each joint, or {joint: number}"
+                raise ValueError(f"{field.name} of a PD control must be {wanted}, got {given!r}")
             if field.name in ("kp", "kd") and (value < 0.0).any():
                 raise ValueError(f"{field.name} of a PD control must not be negative, got {given!r}")
             if field.name == "limit" and not unlimited:
                 raise ValueError(f"limit of a PD control must be positive, got {given!r}")
             value.flags.writeable = False
-            object.__setattr__(self, field.name, value)
+            kept = dict(zip(given, value.tolist(), strict=True)) if named else value
+            object.__setattr__(self, field.name, kept)
 
-    def on(
-        self, name: str, scalar: NDArray[np.bool_], effort: Array
-    ) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """(kp, kd, target, target_velocity, feedforward, limit) as arrays (nv,) for an articulation.
+    def on(self, axes: Axes, effort: Array) -> Array:
+        """kp, kd, target, target_velocity, feedforward and limit of an articulation, shape (6, nv).
 
         Parameters
         ----------
-        name : str
-        scalar : ndarray of bool, shape (nv,)
-            Its revolute and prismatic coordinates.
+        axes : Axes
         effort : ndarray, shape (nv,)
             The limit where none is given.
         """
-        out = []
-        for field in fields(self):
-            given = getattr(self, field.name)
-            value = effort if given is None else np.asarray(given)
-            if value.shape not in ((), scalar.shape):
-                raise ValueError(
-                    f"{field.name} of the PD control of {name!r} must be one or {scalar.size} numbers, "
-                    f"got shape {value.shape}"
-                )
-            out.append(value if value.ndim else np.where(scalar, value, np.inf if field.name == "limit" else 0.0))
-            if field.name in ("kp", "kd") and out[-1][~scalar].any():
-                raise ValueError(
-                    f"{field.name} of the PD control of {name!r} must be 0 on free, ball and planar joints"
-                )
-        return out[0], out[1], out[2], out[3], out[4], out[5]
+        out = np.empty((6, axes.scalar.size))
+        for row, field in zip(out, fields(self), strict=True):
+            given, what = getattr(self, field.name), f"{field.name} of the PD control"
+            row[:] = effort if given is None else axes.spread(given, np.inf if field.name == "limit" else 0.0, what)
+            if field.name in ("kp", "kd") and row[~axes.scalar].any():
+                raise ValueError(f"{what} of {axes.owner!r} must be 0 on free, ball and planar joints")
+        if isinstance(self.target, Mapping):
+            out[:2, axes.spread(dict.fromkeys(self.target, 1.0), 0.0, "target of the PD control") == 0.0] = 0.0
+        return out

@@ -9,11 +9,12 @@ import pinocchio as pin
 
 from nsdyn.scene import pairs
 from nsdyn.scene.tree_description import describe_tree
+from nsdyn.scene.visuals import describe_visuals
 
 if TYPE_CHECKING:
     from nsdyn.scene.scene import Scene
 
-__all__ = ["describe"]
+__all__ = ["describe", "describe_links"]
 
 
 def describe(scene: Scene) -> dict[str, Any]:
@@ -40,12 +41,17 @@ def describe(scene: Scene) -> dict[str, Any]:
         "gravity": scene.gravity.tolist(),
         "friction_rule": scene.friction_rule,
         "restitution_rule": scene.restitution_rule,
+        "pairs": [
+            {"first": min(bodies), "second": max(bodies), "mu": mu, "restitution": restitution}
+            for bodies, (mu, restitution) in scene.pairs.items()
+        ],
         "geoms": geoms,
         "excluded": sorted([min(pair), max(pair)] for pair in pairs.excluded(scene, scene.geoms())),
         "frames": [b.name for b in scene.free_bodies]
         + [f"{a}/{scene.articulations[a].model.names[j]}" for a, j in scene.link_frames()]
         + [b.name for b in scene.driven_bodies],
-        "links": _describe_links(scene),
+        "links": describe_links(scene),
+        **_visuals(scene),
         "motions": {name: motion.kind for name, motion in scene.motions.items()},
         "free": len(scene.free_bodies),
         "masses": [b.mass for b in scene.free_bodies],
@@ -64,10 +70,24 @@ def describe(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _describe_links(scene: Scene) -> list[dict[str, Any]]:
+def _frames(scene: Scene) -> dict[tuple[str, int], int]:
+    """Moving frames by articulation and joint, -1 for the world."""
+    first = len(scene.free_bodies)
+    moving = {key: first + k for k, key in enumerate(scene.link_frames())}
+    return moving | {(name, 0): -1 for name in scene.articulations}
+
+
+def _visuals(scene: Scene) -> dict[str, list[dict[str, Any]]]:
+    """Visual shapes of articulations and their meshes; nothing where there are none."""
+    frame_of = _frames(scene)
+    trees = scene.articulations.values()
+    placed = [(f"{a.name}/{v.body}", frame_of[a.name, v.joint], v) for a in trees for v in a.visuals]
+    return describe_visuals(placed) if placed else {}
+
+
+def describe_links(scene: Scene) -> list[dict[str, Any]]:
     """Bodies of articulations that a recording shows: name, moving frame (-1 for the world), pose in it."""
-    first, frames = len(scene.free_bodies), scene.link_frames()
-    frame_of = {key: first + k for k, key in enumerate(frames)} | {(name, 0): -1 for name in scene.articulations}
+    frame_of = _frames(scene)
     return [
         {"name": f"{a.name}/{f.name}", "frame": frame_of[key], "placement": f.placement.homogeneous.tolist()}
         for a in scene.articulations.values()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from nsdyn.scene.articulations import Link, Loop
 
 
-__all__ = ["FREE", "disabled_pairs", "filtered", "joined", "neighbours", "overlapping"]
+__all__ = ["FREE", "among_links", "disabled_pairs", "filtered", "joined", "neighbours", "overlapping"]
 
 FREE = "JointModelFreeFlyer"
 
@@ -98,3 +98,22 @@ def overlapping(
         if coal.collide(*pair, coal.CollisionRequest(), found):
             out[i, j] = -float(found.getContact(0).penetration_depth)
     return out
+
+
+def among_links(
+    model: Any,
+    q: Array,
+    links: Sequence[Link],
+    trees: Sequence[Any],
+    known: frozenset[tuple[int, int]],
+    self_collisions: bool | str,
+) -> tuple[set[tuple[int, int]], list[str]]:
+    """Pairs of links that self_collisions keeps apart besides those known, and a note of those that overlap."""
+    out: set[tuple[int, int]] = set()
+    if not self_collisions:
+        out = {(i, j) for i, j in combinations(range(len(links)), 2) if trees[i] == trees[j]}
+    if self_collisions != "apart":
+        return out, []
+    overlaps = overlapping(model, q, links, trees, known)
+    pairs = [f"{links[i].name!r} and {links[j].name!r} ({d:.3g} m deep)" for (i, j), d in overlaps.items()]
+    return out | overlaps.keys(), [f"contact of {', '.join(pairs)}, which overlap at the start"] if pairs else []

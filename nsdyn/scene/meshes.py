@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,9 +23,12 @@ from nsdyn.tools.files import is_file
 
 __all__ = ["READERS", "Surface", "read", "write_stl"]
 
-READERS: dict[str, Callable[[bytes], tuple[Array, Index]]] = {
-    ".stl": stl.read, ".obj": obj.read, ".ply": ply.read, ".dae": collada.read,
-}  # fmt: skip
+READERS: dict[str, Callable[[bytes], tuple[Any, ...]]] = {
+    ".stl": stl.read,
+    ".obj": obj.read,
+    ".ply": ply.read,
+    ".dae": collada.read,
+}
 """By the suffixes of their files."""
 
 
@@ -38,10 +41,13 @@ class Surface(NamedTuple):
         In the unit of the file; corners of triangles only.
     triangles : ndarray of int, shape (nt, 3)
         Corners, anticlockwise seen from outside.
+    colours : ndarray, shape (nt, 4), optional
+        Red, green, blue and alpha of the triangles in [0, 1], NaN where they have none; only COLLADA tells them.
     """
 
     vertices: Array
     triangles: Index
+    colours: Array | None = None
 
     @property
     def volume(self) -> float:
@@ -68,7 +74,7 @@ def read(path: Path) -> Surface:
         data = path.read_bytes()
         if not data:
             raise ValueError("it is empty")
-        vertices, triangles = reader(data)
+        vertices, triangles, *colours = reader(data)
         if not triangles.size:
             raise ValueError("it has no triangles")
         if triangles.min() < 0 or triangles.max() >= len(vertices):
@@ -79,9 +85,9 @@ def read(path: Path) -> Surface:
             raise ValueError("its corners must be finite, got NaN or infinity")
     except (ValueError, OverflowError, ElementTree.ParseError) as failure:
         raise ValueError(f"path: {path} could not be read as a mesh of triangles: {failure}") from None
-    return Surface(vertices, flat.reshape(-1, 3))
+    return Surface(vertices, flat.reshape(-1, 3), *colours)
 
 
 def write_stl(path: Path, surface: Surface) -> None:
     """Write a surface as a binary STL, whose numbers have seven digits."""
-    path.write_bytes(stl.binary(*surface))
+    path.write_bytes(stl.binary(surface.vertices, surface.triangles))

@@ -7,7 +7,7 @@ to those that come with nsdyn:
 2. ``scene(...) -> Scene`` with numbers as defaults: they are what ``--set`` changes;
 3. `DURATION` and `DT`, s;
 4. if it is driven, ``controller(scene)`` or ``external_force(scene)`` that return functions of (t, q, v);
-5. a test of the law that it shows; `tests/test_stepper.py` runs every named scene and closes its ledger.
+5. a test of the law that it shows; `tests/stepping/test_stepper.py` runs every named scene and closes its ledger.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Any
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.callbacks import called
 from nsdyn.tools.files import is_file
-from nsdyn.tools.naming import choice
+from nsdyn.tools.naming import choice, unknown
 
 __all__ = ["Setup", "folder", "load", "made", "module", "name_of", "names", "seconds", "setup", "template"]
 
@@ -69,7 +69,9 @@ def module(name: str) -> ModuleType:
         raise ValueError(
             f"{name} is no scene: give a name that 'nsdyn scenes' lists, or a scene file, which ends in .py"
         )
-    return _named(choice(name, names(), "scene"))
+    if not isinstance(name, str) or name not in names():
+        raise ValueError(f"{unknown(name, names(), 'scene')}; 'nsdyn scenes' lists them all")
+    return _named(name)
 
 
 @cache
@@ -200,7 +202,7 @@ class Setup:
 
 
 def setup(name: str, **parameters: Any) -> Setup:
-    """A named scene with some of its parameters, and what drives it.
+    """A named scene with some of its parameters, and what drives it; ValueError for parameters that it has not.
 
     Examples
     --------
@@ -211,6 +213,10 @@ def setup(name: str, **parameters: Any) -> Setup:
     10
     """
     source = module(name)
+    known = inspect.signature(source.scene).parameters
+    if not any(p.kind is p.VAR_KEYWORD for p in known.values()):
+        for parameter in parameters:
+            choice(parameter, known, f"parameter of scene {name}")
     scene = source.scene(**parameters)
     drives = [
         called(make, what, partial(_function, what), scene) if (make := getattr(source, what, None)) else None

@@ -23,7 +23,7 @@ from nsdyn.scene.prescribed import Motion, Velocity
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import check_known, choice, meant
+from nsdyn.tools.naming import check_known, choice, unknown
 
 __all__ = ["Scene"]
 
@@ -94,10 +94,16 @@ class Scene:
     def _repr_html_(self) -> str:
         head = ["body", "shape", "mass [kg]", "position [m]", "mu", "restitution"]
         rows: list[list[object]] = [
-            [b.name, b.shape.name, "fixed" if b.fixed else float(b.mass), b.position.tolist(),
-             float(b.material.mu), float(b.material.restitution)]
+            [
+                b.name,
+                b.shape.name,
+                "fixed" if b.fixed else float(b.mass),
+                b.position.tolist(),
+                float(b.material.mu),
+                float(b.material.restitution),
+            ]
             for b in self.bodies.values()
-        ]  # fmt: skip
+        ]
         trees = "".join(f"<p>{escape(repr(a).strip('<>'))}</p>" for a in self.articulations.values())
         return notebook.table(repr(self).strip("<>"), head, rows) + trees
 
@@ -369,7 +375,7 @@ class Scene:
     def _add_articulation(self, name: str, description: Description, keywords: ArticulationOptions) -> None:
         self._check_name(name)
         check_known(keywords, ArticulationOptions.__optional_keys__)
-        articulation = assembly.assemble(name, description, **keywords)
+        articulation = assembly.assemble(name, description, keywords)
         articulation.model.gravity = pin.Motion(self.gravity, np.zeros(3))
         self.articulations[name] = articulation
         self.bodies |= {body.name: body for body in articulation.fixed}
@@ -402,8 +408,7 @@ class Scene:
         owner, _, joint = name.partition("/")
         if name not in self.bodies and owner in self.articulations:
             a = self.articulations[owner]
-            if joint not in list(a.model.names)[1:]:
-                raise ValueError(f"{owner!r} has no joint {joint!r}; it has {list(a.model.names)[1:]}")
+            choice(name, [f"{owner}/{one}" for one in list(a.model.names)[1:]], "joint")
             if a.model.joints[a.model.getJointId(joint)].nv != 1:
                 raise ValueError(f"joint {name!r} must have one coordinate to be driven")
             if velocity is None:
@@ -413,8 +418,9 @@ class Scene:
         else:
             body = self.bodies.get(name)
             if body is None or not body.fixed:
-                known = [b.name for b in self.bodies.values() if b.fixed]
-                raise ValueError(f"motion needs a fixed body or 'articulation/joint', got {name!r}; fixed are {known}")
+                joints = [f"{a.name}/{one}" for a in self.articulations.values() for one in list(a.model.names)[1:]]
+                known = [*(b.name for b in self.bodies.values() if b.fixed), *joints]
+                raise ValueError(unknown(name, known, "fixed body or joint"))
             if velocity is not None and body.shape.kind == shapes.HALFSPACE:
                 raise ValueError(f"halfspace {name!r} cannot move: give it a surface_velocity, or take a box")
             if surface_velocity is not None:
@@ -436,8 +442,7 @@ class Scene:
         ]
         known = [*self.bodies, *self.articulations, *links]
         for name in (a, b):
-            if name not in known:
-                raise ValueError(f"{meant(name, known)}unknown body {name!r}; the scene has {sorted(known)}")
+            choice(name, known, "body")
         Material(0.0 if mu is None else mu, 0.0 if restitution is None else restitution)
         self.pairs[frozenset((a, b))] = (mu, restitution)
 
@@ -454,10 +459,11 @@ class Scene:
         return [b for b in self.bodies.values() if b.name in self.motions and self.motions[b.name].kind == "body"]
 
     def link_frames(self) -> list[tuple[str, int]]:
-        """(articulation name, joint) of every moving frame that carries geometry, in frame order."""
+        """(articulation name, joint) of every moving frame that carries shapes, visual ones too, in frame order."""
         frames = []
         for a in self.articulations.values():
-            frames += [(a.name, joint) for joint in sorted({joint for _, joint, _, _ in a.links if joint > 0})]
+            carriers = {link.joint for link in a.links} | {visual.joint for visual in a.visuals}
+            frames += [(a.name, joint) for joint in sorted(carriers - {0})]
         return frames
 
     def geoms(self) -> list[Geom]:
@@ -481,5 +487,5 @@ class Scene:
         return out
 
     def describe(self) -> dict[str, Any]:
-        """Everything needed to replay a recording, as nested lists (see `nsdyn.recording.file`)."""
+        """Everything needed to replay a recording, as nested lists (see `nsdyn.recording.columns`)."""
         return description.describe(self)

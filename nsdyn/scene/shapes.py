@@ -3,25 +3,14 @@
 A `Shape` carries what the three users need: Coal its geometry object, the contact kernels the exact features
 (vertices, faces, sizes), the dynamics the mass properties. Lengths in m, volumes in m³.
 
-To add one that is a polytope, return what `convex` makes of its corners. To add a curved one
-(`demos/guide/extending.md` has a table of what each file does):
-
-1. a kind here and in `nsdyn._kernels.collision.geometry`, a function that returns its `Shape`, and ``add_...`` in
-   `nsdyn.scene.scene`;
-2. in `nsdyn._kernels.collision` its bounding box (`broadphase`), the outermost point along a direction and the
-   curvature there (`support`), its faces, straight edges and rims if it has any (`faces`, `segments`, `clipping`), and
-   how contacts with others are found (`manifold`);
-3. the core that Coal sees in `nsdyn.collision.distances`, whether it is round in `nsdyn.collision.detector`;
-4. what is drawn in `nsdyn.recording.solids` and its radius in `stage`, and its distance from others, found another way,
-   in `nsdyn.recording.overlap` and `touching`, which vouch for it;
-5. an example in `nsdyn.compilation`; its name in the lists of `tests/test_shapes.py`, `tests/test_manifold.py` and
-   `tests/test_overlap.py`.
+To add one that is a polytope, return what `convex` makes of its corners. For a curved one
+`demos/guide/extending.md` has the recipe; here it is a kind, its line in `CURVED` and a function that returns it.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -36,11 +25,38 @@ from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array, Index
 
 __all__ = [
-    "CAPSULE", "CYLINDER", "ELLIPSOID", "HALFSPACE", "POLYTOPE", "SPHERE", "Shape", "box", "capsule", "convex",
-    "cylinder", "ellipsoid", "from_coal", "halfspace", "mesh", "sphere",
-]  # fmt: skip
+    "CAPSULE",
+    "CYLINDER",
+    "ELLIPSOID",
+    "HALFSPACE",
+    "POLYTOPE",
+    "ROUND",
+    "SPHERE",
+    "Shape",
+    "box",
+    "capsule",
+    "convex",
+    "cylinder",
+    "ellipsoid",
+    "from_coal",
+    "halfspace",
+    "mesh",
+    "sphere",
+]
 
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
+"""Kinds; `nsdyn._kernels.collision.kinds` has the same, and what each of them answers."""
+
+CURVED: dict[int, tuple[str, Callable[[Array], Any]]] = {
+    SPHERE: ("sphere", lambda size: coal.Sphere(size[0])),
+    CAPSULE: ("capsule", lambda size: coal.Capsule(size[0], 2.0 * size[1])),
+    CYLINDER: ("cylinder", lambda size: coal.Cylinder(size[0], 2.0 * size[1])),
+    ELLIPSOID: ("ellipsoid", lambda size: coal.Ellipsoid(*size)),
+}
+"""Name of each curved kind, and Coal's solid of its `Shape.size`."""
+
+ROUND = (SPHERE, CAPSULE)
+"""Kinds of all points within a radius of a point or a segment: contacts of two of them need no answer of Coal's."""
 
 CONCAVE = 1.02
 """A mesh whose hull has more than this times its volume is reported as not convex."""
@@ -94,8 +110,30 @@ class Shape:
     @property
     def name(self) -> str:
         """One of "halfspace", "box", "convex", "sphere", "capsule", "cylinder", "ellipsoid"."""
-        polytope = "box" if self.size.any() else "convex"
-        return ("halfspace", polytope, "sphere", "capsule", "cylinder", "ellipsoid")[self.kind]
+        if self.kind in CURVED:
+            return CURVED[self.kind][0]
+        return "halfspace" if self.kind == HALFSPACE else "box" if self.size.any() else "convex"
+
+    def core(self, fraction: float) -> Any:
+        """Coal's geometry of a shape smaller by a fraction of its inscribed radius, normals kept; round ones stay.
+
+        Parameters
+        ----------
+        fraction : float
+            In [0, 1).
+
+        Returns
+        -------
+        coal.ShapeBase
+        """
+        thinner = fraction * self.inscribed_radius
+        if self.kind == HALFSPACE or self.kind in ROUND:
+            return self.geometry
+        if self.kind in CURVED:
+            return CURVED[self.kind][1](self.size - thinner)
+        if self.size.any():
+            return coal.Box(*(self.size - 2.0 * thinner))
+        return coal_convex(self.vertices * (1.0 - fraction), self.face_loop, self.face_ptr)
 
     def inertia(self, mass: float) -> Array:
         """Inertia of the homogeneous solid about its centre of mass, shape axes, shape (3, 3), in kg m².
@@ -156,15 +194,20 @@ def _triple(value: ArrayLike, name: str) -> Array:
     return out
 
 
-def _smooth(kind: int, geometry: Any, size: Sequence[float], bounding: float, inscribed: float) -> Shape:
-    """A shape without faces."""
+def _without_corners(
+    kind: int, geometry: Any, size: Array, offset: float, volume: float, bounding: float, inscribed: float
+) -> Shape:
+    """A shape that is no polytope."""
     empty, none = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    volume = geometry.computeVolume()
-    size_array = np.array(size, dtype=float)
-    return Shape(
-        kind, geometry, size_array, empty, empty, np.zeros(0), np.zeros(1, dtype=np.int64), none, 0.0, volume, bounding,
-        inscribed,
-    )  # fmt: skip
+    faces = empty, empty, np.zeros(0), np.zeros(1, dtype=np.int64), none
+    return Shape(kind, geometry, size, *faces, offset, volume, bounding, inscribed)
+
+
+def _curved(kind: int, size: Sequence[float], bounding: float, inscribed: float) -> Shape:
+    """A shape of a kind of `CURVED`."""
+    array = np.array(size, dtype=float)
+    geometry = CURVED[kind][1](array)
+    return _without_corners(kind, geometry, array, 0.0, geometry.computeVolume(), bounding, inscribed)
 
 
 def halfspace(normal: ArrayLike, offset: float) -> Shape:
@@ -188,11 +231,7 @@ def halfspace(normal: ArrayLike, offset: float) -> Shape:
     if not np.isfinite(d):
         raise ValueError(f"offset must be finite, got {d:g}")
     n /= length
-    empty, none = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    return Shape(
-        HALFSPACE, coal.Halfspace(n, d), n, empty, empty, np.zeros(0), np.zeros(1, dtype=np.int64), none, d, np.inf,
-        np.inf, np.inf,
-    )  # fmt: skip
+    return _without_corners(HALFSPACE, coal.Halfspace(n, d), n, d, np.inf, np.inf, np.inf)
 
 
 def box(size: ArrayLike) -> Shape:
@@ -207,28 +246,38 @@ def box(size: ArrayLike) -> Shape:
     normals = np.repeat(np.eye(3), 2, axis=0)
     normals[::2] *= -1.0
     return Shape(
-        POLYTOPE, coal.Box(*lengths), lengths, vertices, normals, np.repeat(half, 2), np.arange(0, 25, 4),
-        loops.ravel(), 0.0, float(np.prod(lengths)), float(np.linalg.norm(half)), float(half.min()),
-    )  # fmt: skip
+        POLYTOPE,
+        coal.Box(*lengths),
+        lengths,
+        vertices,
+        normals,
+        np.repeat(half, 2),
+        np.arange(0, 25, 4),
+        loops.ravel(),
+        0.0,
+        float(np.prod(lengths)),
+        float(np.linalg.norm(half)),
+        float(half.min()),
+    )
 
 
 def sphere(radius: float) -> Shape:
     """Ball of the given radius in m."""
     r = _positive(radius, "radius")
-    return _smooth(SPHERE, coal.Sphere(r), (r, 0.0, 0.0), r, r)
+    return _curved(SPHERE, (r, 0.0, 0.0), r, r)
 
 
 def capsule(radius: float, length: float) -> Shape:
     """Points within `radius` of a segment of the given length along z (the distance of the two sphere centres), m."""
     r, full = _positive(radius, "radius"), _positive(length, "length")
-    return _smooth(CAPSULE, coal.Capsule(r, full), (r, 0.5 * full, 0.0), r + 0.5 * full, r)
+    return _curved(CAPSULE, (r, 0.5 * full, 0.0), r + 0.5 * full, r)
 
 
 def cylinder(radius: float, length: float) -> Shape:
     """Cylinder of full height `length` along z, in m."""
     r, full = _positive(radius, "radius"), _positive(length, "length")
     bounding = float(np.hypot(r, 0.5 * full))
-    return _smooth(CYLINDER, coal.Cylinder(r, full), (r, 0.5 * full, 0.0), bounding, min(r, 0.5 * full))
+    return _curved(CYLINDER, (r, 0.5 * full, 0.0), bounding, min(r, 0.5 * full))
 
 
 def ellipsoid(radii: ArrayLike) -> Shape:
@@ -236,7 +285,7 @@ def ellipsoid(radii: ArrayLike) -> Shape:
     r = _triple(radii, "radii")
     if (r <= 0.0).any():
         raise ValueError(f"radii must be positive, got {r.tolist()}")
-    return _smooth(ELLIPSOID, coal.Ellipsoid(*r), r.tolist(), float(r.max()), float(r.min()))
+    return _curved(ELLIPSOID, r.tolist(), float(r.max()), float(r.min()))
 
 
 def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
@@ -280,9 +329,19 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     offsets = np.array([(corners[flat[face_ptr[f] : face_ptr[f + 1]]] @ n).max() for f, n in enumerate(normals)])
     shape = Shape(
-        POLYTOPE, geometry, np.zeros(3), corners, normals, offsets, face_ptr, flat.astype(np.int64), 0.0,
-        float(geometry.computeVolume()), float(np.linalg.norm(corners, axis=1).max()), float(offsets.min()),
-    )  # fmt: skip
+        POLYTOPE,
+        geometry,
+        np.zeros(3),
+        corners,
+        normals,
+        offsets,
+        face_ptr,
+        flat.astype(np.int64),
+        0.0,
+        float(geometry.computeVolume()),
+        float(np.linalg.norm(corners, axis=1).max()),
+        float(offsets.min()),
+    )
     return shape, centroid
 
 

@@ -55,14 +55,16 @@ def describe_tree(a: Articulation, motions: Mapping[str, Motion]) -> dict[str, A
         "restitution": a.restitution,
         "loops": [
             {
-                "name": loop.name, "kind": loop.kind, "joints": [loop.joint1, loop.joint2],
+                "name": loop.name,
+                "kind": loop.kind,
+                "joints": [loop.joint1, loop.joint2],
                 "placements": [loop.placement1.homogeneous.tolist(), loop.placement2.homogeneous.tolist()],
             }
             for loop in a.loops
         ],
         "gears": [asdict(gear) for gear in a.gears],
         "driven": driven,
-    }  # fmt: skip
+    }
 
 
 def _joint(model: Any, k: int) -> dict[str, Any]:

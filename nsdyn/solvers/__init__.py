@@ -2,45 +2,50 @@
 
 To add one:
 
-1. a file here, or in `reference` for a method that is kept to compare: a frozen dataclass with `tol` and the options of
-   the method, whose docstring has its equations, its source, and where it fails;
+1. a file here, or in `nsdyn.literature` for a method that is kept to compare: a frozen dataclass with `tol` and the
+   options of the method, whose docstring has its equations, its source, and where it fails;
 2. ``__call__(problem, r0=None)`` that returns ``Solution.judge(problem, r, tol, iterations, seconds)``: what the solver
    believes is not asked, and what is not finite is told by the status;
-3. its name in `SOLVERS`, and the class in ``__all__``;
-4. `tests/test_solvers.py` and `tests/test_reference_solvers.py` run all of `SOLVERS`; what the method cannot solve is
-   named there;
+3. its name and its home in `HOMES`, for type checkers also among the imports above it;
+4. `tests/solvers/test_solvers.py` and `tests/literature/test_reference_solvers.py` run all of `SOLVERS`; what the
+   method cannot solve is named there;
 5. a line in `demos/guide/solvers.md`, and ``nsdyn profile DIR --solver NAME --solver auto`` to see where it stands.
 """
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from nsdyn._kernels.compiled import loading
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.solvers.auto import Auto
-from nsdyn.solvers.continuation import Continuation
-from nsdyn.solvers.impulse_newton import ImpulseNewton
-from nsdyn.solvers.interior import Interior
-from nsdyn.solvers.nesterov import Nesterov
-from nsdyn.solvers.newton import Newton
-from nsdyn.solvers.pgs import PGS
-from nsdyn.solvers.reference.aclm import ACLM
-from nsdyn.solvers.reference.admm import ADMM
-from nsdyn.solvers.reference.bundle import Bundle
-from nsdyn.solvers.reference.extragradient import Extragradient
-from nsdyn.solvers.reference.fixed_point import FixedPoint
-from nsdyn.solvers.reference.gauss_seidel import GaussSeidel
-from nsdyn.solvers.reference.hybrid import Hybrid
-from nsdyn.solvers.reference.interior_point import InteriorPoint
-from nsdyn.solvers.reference.panagiotopoulos import Panagiotopoulos
-from nsdyn.solvers.reference.proximal import Proximal
-from nsdyn.solvers.reference.relaxation import relaxed
-from nsdyn.solvers.reference.tresca import Tresca
-from nsdyn.solvers.reference.uzawa import Uzawa
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
+
+if TYPE_CHECKING:
+    from nsdyn.literature.aclm import ACLM
+    from nsdyn.literature.admm import ADMM
+    from nsdyn.literature.bundle import Bundle
+    from nsdyn.literature.extragradient import Extragradient
+    from nsdyn.literature.fixed_point import FixedPoint
+    from nsdyn.literature.gauss_seidel import GaussSeidel
+    from nsdyn.literature.hybrid import Hybrid
+    from nsdyn.literature.impulse_newton import ImpulseNewton
+    from nsdyn.literature.interior import Interior
+    from nsdyn.literature.interior_point import InteriorPoint
+    from nsdyn.literature.panagiotopoulos import Panagiotopoulos
+    from nsdyn.literature.pgs import PGS
+    from nsdyn.literature.proximal import Proximal
+    from nsdyn.literature.relaxation import relaxed
+    from nsdyn.literature.tresca import Tresca
+    from nsdyn.literature.uzawa import Uzawa
+    from nsdyn.solvers.auto import Auto
+    from nsdyn.solvers.continuation import Continuation
+    from nsdyn.solvers.nesterov import Nesterov
+    from nsdyn.solvers.newton import Newton
 
 __all__ = [
     "ACLM",
@@ -96,27 +101,57 @@ class Graded(Solver, Protocol):
 QUICK = 0.1
 """s of solving that may be spent again, at most, where loading kernels took longer."""
 
-SOLVERS: dict[str, type] = {
-    "aclm": ACLM,
-    "admm": ADMM,
-    "auto": Auto,
-    "bundle": Bundle,
-    "continuation": Continuation,
-    "extragradient": Extragradient,
-    "fixed_point": FixedPoint,
-    "gauss_seidel": GaussSeidel,
-    "hybrid": Hybrid,
-    "impulse_newton": ImpulseNewton,
-    "interior": Interior,
-    "interior_point": InteriorPoint,
-    "newton": Newton,
-    "panagiotopoulos": Panagiotopoulos,
-    "pgs": PGS,
-    "proximal": Proximal,
-    "tresca": Tresca,
-    "uzawa": Uzawa,
+HOMES = {
+    "aclm": ("literature.aclm", "ACLM"),
+    "admm": ("literature.admm", "ADMM"),
+    "auto": ("solvers.auto", "Auto"),
+    "bundle": ("literature.bundle", "Bundle"),
+    "continuation": ("solvers.continuation", "Continuation"),
+    "extragradient": ("literature.extragradient", "Extragradient"),
+    "fixed_point": ("literature.fixed_point", "FixedPoint"),
+    "gauss_seidel": ("literature.gauss_seidel", "GaussSeidel"),
+    "hybrid": ("literature.hybrid", "Hybrid"),
+    "impulse_newton": ("literature.impulse_newton", "ImpulseNewton"),
+    "interior": ("literature.interior", "Interior"),
+    "interior_point": ("literature.interior_point", "InteriorPoint"),
+    "newton": ("solvers.newton", "Newton"),
+    "panagiotopoulos": ("literature.panagiotopoulos", "Panagiotopoulos"),
+    "pgs": ("literature.pgs", "PGS"),
+    "proximal": ("literature.proximal", "Proximal"),
+    "tresca": ("literature.tresca", "Tresca"),
+    "uzawa": ("literature.uzawa", "Uzawa"),
 }
-"""The solvers by name."""
+"""Module and class of the solvers by name."""
+
+FUNCTIONS = {"Nesterov": "solvers.nesterov", "relaxed": "literature.relaxation"}
+"""Modules of what has no name."""
+
+
+class Known(Mapping[str, type]):
+    """The solvers by name, each loaded when it is asked for; without `nsdyn.literature`, those of this folder."""
+
+    def __getitem__(self, name: str) -> type:
+        home, made = HOMES[name]
+        out: type = getattr(import_module(f"nsdyn.{home}"), made)
+        return out
+
+    def __iter__(self) -> Iterator[str]:
+        there = find_spec("nsdyn.literature") is not None
+        return (name for name, (home, _) in HOMES.items() if there or home.startswith("solvers."))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+SOLVERS = Known()
+
+
+def __getattr__(name: str) -> Any:
+    """A class of solvers, loaded at its first use."""
+    home = {made: home for home, made in HOMES.values()} | FUNCTIONS
+    if name in home:
+        return getattr(import_module(f"nsdyn.{home[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def by_name(name: str, tol: float = 1e-8) -> Solver:
@@ -125,7 +160,7 @@ def by_name(name: str, tol: float = 1e-8) -> Solver:
     if not tol > 0.0:
         raise ValueError(f"tol must be positive, got {tol}")
     made = SOLVERS[name]
-    solver: Solver = made(tol=tol, loose=tol) if made is Auto else made(tol=tol)
+    solver: Solver = made(tol=tol, loose=tol) if name == "auto" else made(tol=tol)
     return solver
 
 

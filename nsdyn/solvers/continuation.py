@@ -8,17 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn._kernels.compiled import clock
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import smoothing as _kernels
-from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution, Status
-from nsdyn.solvers.means import ByFactors, ByMatrix, Means
-from nsdyn.solvers.newton import by_islands
+from nsdyn.problem.operators import Operator
+from nsdyn.problem.solution import Solution
+from nsdyn.solvers.newton import by_islands, newton
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Continuation", "continuation", "continued"]
+__all__ = ["Continuation", "continuation"]
 
 STRETCHES = 20.0, 5.0, 80.0
 """κ λ_max(W_cc) of the normal map z = r - κ u, by which paths differ: after one that ends or is `LONGEST` the next is
@@ -89,6 +87,7 @@ class Path:
 
     Attributes
     ----------
+    problem : FC3D
     W : Operator
     q, mu, scales, q_norm
         Of the problem: m/s, -, λ_max(W_cc) in kg⁻¹ and m/s.
@@ -99,17 +98,16 @@ class Path:
     t0 : float
         log τ_0.
     start : Point
-        Where the curve begins: at z_0 = 0, or at z_0 = r - κ u of an impulse, with τ_0 = speed² / λ_max(W_cc).
+        Where the curve begins: at z_0 = 0 with τ_0 = (max |q|)² / λ_max(W_cc).
     """
 
-    def __init__(self, means: Means, stretch: float, near: Array, speed: float) -> None:
-        p = means.problem
-        self.W, self.q, self.mu, self.scales, self.q_norm = means.operator, p.q, p.mu, p.scales, p.q_norm
+    def __init__(self, p: FC3D, W: Operator, stretch: float) -> None:
+        self.problem, self.W, self.q, self.mu, self.scales, self.q_norm = p, W, p.q, p.mu, p.scales, p.q_norm
         self.kappa = stretch / p.scales
         self.k = np.repeat(self.kappa, 3)
         self.G0 = np.zeros_like(p.q)
-        self.t0 = float(np.log(speed**2 / p.scales.mean()))
-        begin = np.append(near - self.k * p.velocity(near) if near.any() else near, self.t0)
+        self.t0 = float(np.log((np.abs(p.q).max() or 1.0) ** 2 / p.scales.mean()))
+        begin = np.append(np.zeros_like(p.q), self.t0)
         self.G0 = self.at(begin).defect
         self.start = self.at(begin)
 
@@ -193,7 +191,7 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
     return None, tangent, count
 
 
-def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, float]:
+def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tuple[int, float]:
     """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure).
 
     Where no point has a finite measure r stays what it is.
@@ -210,11 +208,10 @@ def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, fl
     Math. Oper. Res. 17, 1992.
     """
     count, best, x = 0, np.inf, np.empty_like(r)
-    nothing, speed = np.zeros_like(r), float(np.abs(means.problem.q).max()) or 1.0
     for stretch in STRETCHES:
         if best <= tol or count >= most:
             break
-        used, measure = _followed(Path(means, stretch, nothing, speed), means, x, tol, min(LONGEST, most - count))
+        used, measure = _followed(Path(problem, W, stretch), x, tol, min(LONGEST, most - count))
         count += used
         if measure < best:
             best = measure
@@ -222,20 +219,7 @@ def continuation(means: Means, r: Array, tol: float, most: int) -> tuple[int, fl
     return count, best
 
 
-def continued(means: Means, r: Array, speed: float, tol: float, most: int) -> tuple[int, float]:
-    """The same from an impulse r, in its place: a shorter path where r is near a solution.
-
-    It begins with a smoothing of that speed, m/s, which must be some hundred times what r misses for the path to go on
-    to a solution, and fails more often than that from nothing.
-    """
-    x = np.zeros_like(r)
-    count, best = _followed(Path(means, STRETCHES[0], r, speed), means, x, tol, most)
-    if best < np.inf:
-        r[:] = x
-    return count, best
-
-
-def _followed(path: Path, means: Means, r: Array, tol: float, most: int) -> tuple[int, float]:
+def _followed(path: Path, r: Array, tol: float, most: int) -> tuple[int, float]:
     """Follow one path from its start, the best impulse on it into r: (factorisations, its measure)."""
     here, scale = path.start, float(path.scales.mean())
     count, best, length, attempt, refusals = 1, np.inf, 1.0, ATTEMPT, 0
@@ -249,10 +233,10 @@ def _followed(path: Path, means: Means, r: Array, tol: float, most: int) -> tupl
             best = measure
             r[:] = x
 
-    def newton(penalty: float, steps: int) -> None:
+    def attempt_from_here(penalty: float, steps: int) -> None:
         nonlocal count
         x = here.r.copy()
-        used, measure = means.newton(x, tol, penalty, steps)
+        used, measure = newton(path.problem, path.W, x, tol, penalty, steps)
         count += used
         keep(x, measure)
 
@@ -279,18 +263,18 @@ def _followed(path: Path, means: Means, r: Array, tol: float, most: int) -> tupl
                     direction = new if path.metric(here.x[-1]) * new @ direction > 0.0 else -new
             if length < SHORTEST:
                 if smoothing() < ATTEMPT:
-                    newton(*LAST)
+                    attempt_from_here(*LAST)
                 break
             continue
         here, direction, refusals = there, new if cosine > 0.0 else -new, 0
         keep(here.r, path.measure(here))
         small = smoothing()
         if small < FLOOR:
-            newton(*LAST)
+            attempt_from_here(*LAST)
             break
         if small < attempt:
             attempt *= ATTEMPTS
-            newton(*NEWTON)
+            attempt_from_here(*NEWTON)
         if used == 1 and abs(cosine) > STRAIGHT:
             length *= GROWTH
         elif used == 2 and abs(cosine) > BENT:
@@ -324,17 +308,8 @@ class Continuation:
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem; of r0 is only asked whether it is the solution."""
-        start = clock()
-        r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
-        count = 0
-        if problem.nc and not problem.solved(r, self.tol)[0]:
-            if problem.blocks is None:
-                given = problem.csr, problem.q, problem.mu, problem.scales
-                count, _ = continuation(ByMatrix(*given), r, 0.9 * self.tol, self.max_iter)
-            else:
 
-                def solve(part: Blocks, q: Array, mu: Array, scales: Array, x: Array, tol: float) -> int:
-                    return continuation(ByFactors(part, q, mu, scales), x, tol, self.max_iter)[0]
+        def solve(part: FC3D, W: Operator, x: Array, tol: float) -> int:
+            return continuation(part, W, x, tol, self.max_iter)[0]
 
-                count = by_islands(problem, problem.blocks, r, self.tol, solve)
-        return Solution.judge(problem, r, self.tol, count, clock() - start, Status.MAX_ITERATIONS)
+        return by_islands(problem, r0, self.tol, solve)

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from nsdyn._kernels.compiled import clock
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import nesterov as _kernels
-from nsdyn._kernels.solvers import pgs as _pgs
-from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array
 
 CHECK = 10
 """Sweeps between two measurements."""
 
 
 class Sweeps:
-    """Sweeps with momentum on a problem of free bodies, which may be interrupted; the best impulse so far is in r.
+    """Sweeps with momentum, which may be interrupted; the best impulse so far is in r.
+
+    Free bodies are swept by their factors, others by W, which need not be symmetric.
 
     Attributes
     ----------
@@ -30,73 +31,37 @@ class Sweeps:
         Measure of r.
     """
 
-    def __init__(self, blocks: Blocks, q: Array, mu: Array, scales: Array, r: Array, q_norm: float) -> None:
-        self._best_r = r.reshape(-1, 3)
-        *given, self._y, self._v, self.best = _kernels.begin(
-            blocks.arrays, q.reshape(-1, 3), mu, scales, q_norm, self._best_r
-        )
-        self._given = *given, q_norm
-        self._x, self._t = self._y.copy(), np.ones(mu.size)
+    def __init__(self, problem: FC3D, r: Array) -> None:
+        q, mu, scales, q_norm, blocks = problem.q, problem.mu, problem.scales, problem.q_norm, problem.blocks
+        self._free = blocks is not None and bool((np.diff(blocks.offset) == 6).all())
+        if blocks is not None and self._free:
+            best_r = r.reshape(-1, 3)
+            *given, y, v, self.best = _kernels.begin(blocks.arrays, q.reshape(-1, 3), mu, scales, q_norm, best_r)
+            self._given = (*given, q_norm)
+            self._state: tuple[Any, ...] = (best_r, y, y.copy(), v, np.ones(mu.size))
+        else:
+            W = problem.csr
+            self.best = float(_cones.measure_at(scales, problem.velocity(r), r, mu, q_norm))
+            self._given = *W, _kernels.steps_of_matrix(*W, mu), q, mu, scales, q_norm
+            self._state = r, r.copy(), r.copy(), np.ones(mu.size)
         self.count, self._last, self._keep = 0, 0, 0.5
 
     def run(self, tol: float, most: int, patience: int) -> bool:
         """Go on to the tolerance, to so many sweeps in all or so many without gain; whether it is worth going on."""
+        solve = _kernels.solve if self._free else _kernels.solve_matrix
         self._last = self.count
-        self.count, self._last, self.best, self._keep = _kernels.solve(
-            *self._given, tol, self._best_r, self._y, self._x, self._v, self._t, self.count, self._last, self.best,
-            self._keep, most, CHECK, patience,
-        )  # fmt: skip
+        so_far, limits = (self.count, self._last, self.best, self._keep), (tol, most, CHECK, patience)
+        self.count, self._last, self.best, self._keep = solve(self._given, self._state, so_far, limits)
         return bool(self.best > tol and self.count - self._last < patience)
-
-
-class MatrixSweeps:
-    """`Sweeps` on a problem given by a block-sparse W, (indptr, indices, data)."""
-
-    def __init__(
-        self, W: tuple[Index, Index, Array], q: Array, mu: Array, scales: Array, r: Array, q_norm: float
-    ) -> None:
-        u = np.empty_like(q)
-        _pgs.velocity(*W, q, r, u)
-        self.best = float(_cones.measure_at(scales, u, r, mu, q_norm))
-        self._best_r, self._given = r, (*W, _kernels.steps_of_matrix(*W, mu), q, mu, scales, q_norm)
-        self._y, self._x, self._t = r.copy(), r.copy(), np.ones(mu.size)
-        self.count, self._last, self._keep = 0, 0, 0.5
-
-    def run(self, tol: float, most: int, patience: int) -> bool:
-        """Go on as `Sweeps.run` does."""
-        self._last = self.count
-        self.count, self._last, self.best, self._keep = _kernels.solve_matrix(
-            *self._given, tol, self._best_r, self._y, self._x, self._t, self.count, self._last, self.best,
-            self._keep, most, CHECK, patience,
-        )  # fmt: skip
-        return bool(self.best > tol and self.count - self._last < patience)
-
-
-def solve_free(
-    blocks: Blocks,
-    q: Array,
-    mu: Array,
-    scales: Array,
-    r: Array,
-    tol: float,
-    q_norm: float,
-    max_iter: int,
-    patience: int,
-) -> tuple[int, float]:
-    """Sweeps with momentum on a problem of free bodies, in place of r; (sweeps, measure)."""
-    sweeps = Sweeps(blocks, q, mu, scales, r, q_norm)
-    sweeps.run(tol, max_iter, patience)
-    return sweeps.count, sweeps.best
 
 
 @dataclass(frozen=True)
 class Nesterov:
-    """Gauss–Seidel sweeps with Nesterov's momentum that each contact loses by itself, for free bodies.
+    """Gauss–Seidel sweeps with Nesterov's momentum that each contact loses by itself.
 
     Good on random piles at loose tolerances: about 20 ns per contact and sweep, no factorisation, and momentum survives
     contacts that open, stick or slip one after the other, where combinations of past sweeps (`pgs`) stall. It fails
-    where bodies are stacked high or tolerances are tight, at a linear rate. It is not among the solvers by name, since
-    it takes only problems given by factors, without articulated bodies.
+    where bodies are stacked high or tolerances are tight, at a linear rate.
 
     Parameters
     ----------
@@ -106,11 +71,6 @@ class Nesterov:
         Sweeps.
     patience : int
         Sweeps without a better impulse after which the solve is called stalled.
-
-    Raises
-    ------
-    ValueError
-        For a problem given by W alone, or one with articulated bodies.
 
     References
     ----------
@@ -127,13 +87,11 @@ class Nesterov:
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         start = clock()
-        blocks = problem.blocks
-        if blocks is None or (np.diff(blocks.offset) != 6).any():
-            raise ValueError("problem must be given by factors of free bodies (6 coordinates each), use solver='pgs'")
-        r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
+        r = np.zeros_like(problem.q) if r0 is None else problem.impulse(r0).copy()
         count = 0
         if problem.nc:
-            given = problem.q, problem.mu, problem.scales
-            count, _ = solve_free(blocks, *given, r, self.tol, problem.q_norm, self.max_iter, self.patience)
+            sweeps = Sweeps(problem, r)
+            sweeps.run(self.tol, self.max_iter, self.patience)
+            count = sweeps.count
         otherwise = Status.STALLED if count < self.max_iter else Status.MAX_ITERATIONS
         return Solution.judge(problem, r, self.tol, count, clock() - start, otherwise)

@@ -63,7 +63,7 @@ def _plain(state: State) -> State:
     """The state without what is stored apart or found again."""
     i = state.instant
     i = i._replace(placement=i.placement._replace(links=()), warm=i.warm._replace(basis=None), energies=())
-    return state._replace(instant=i, opening=None)
+    return state._replace(instant=i, opening=None, last=None)
 
 
 def _children(value: tuple[Any, ...], name: str) -> Iterator[tuple[str, Any]]:

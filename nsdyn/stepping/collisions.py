@@ -83,7 +83,7 @@ def collide(
     if not (d.surfaces.count or _hits(s, at, h)):
         where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
         limit = s.solver.tol if s.elastic and _few.most(c.restitution) > 0.0 else s.slow / h
-        if _law.fastest(c.gap, s.closed, *where, *at.twists)[0] >= -limit:
+        if _law.fastest(c.gap, s.closed, where, at.twists)[0] >= -limit:
             return None
     contacts, joints = take(c, c.gap <= s.closed), d.limit_rows(at.placement, at.v)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn.collision.contacts import ContactSet
@@ -139,9 +140,9 @@ class Encounter(NamedTuple):
         u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
         Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
         after it would be one too many, and an elastic ball would lose m g h v.
-    stays, sticks, was : ndarrays of bool, bool and int8, shape (nc,)
+    stays, sticks, was : ndarrays of bool, bool and int8, shapes (rows,), (nc,), (nc,)
         What persists, and across its normal too; what contacts were: `nsdyn._kernels.stepping.persistence.persists`.
-    late : ndarray, shape (nc,)
+    late : ndarray, shape (rows,)
         How much faster than foreseen they part where the move ends, m/s, as far as that is known.
     slides : ndarray of bool, shape (nc,), optional
         Which contacts slide through the step, where that is foreseen already.
@@ -222,46 +223,80 @@ class Encounter(NamedTuple):
         transport = dynamics.surfaces.transport(contacts, frame, middle.position.driven_x, nr, *surfaces)
         carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
         _law.local_velocities(
-            full.arrays, (v_begin, middle.v, forces.v), (carried, *transport), rows.press,
-            (old.key, old.point, old.normal, place.x, *twists),
+            full.arrays,
+            (v_begin, middle.v, forces.v),
+            (carried, *transport, rows.press),
+            (old.key, old.point, old.normal, place.x, *twists, reach),
             (contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame, contacts.gap, there.x),
-            (warm.key, warm.force), reach, h, ahead, local, end_gap, where,
-        )  # fmt: skip
+            (warm.key, warm.force, h),
+            ahead,
+            (local, end_gap, where),
+        )
         mu, restitution = contacts.mu, contacts.restitution
         if joints is not None:
-            local[4, 3 * nc :] = h * warm.joints[joints.slot].ravel()
-            # As of springs, the law of actuators is on the velocity here, and that of what slips in axes that turn.
-            here = joints.actuated | (dynamics.joints.other[joints.slot] >= 0)
-            local[3, 3 * nc :].reshape(-1, 3)[here, 1:] = 0.0
-            end_gap[nc:] = joints.gap - 0.5 * ahead * local[3, 3 * nc :: 3]
+            _of_joints(dynamics, joints, warm, (h, ahead), local[:, 3 * nc :], end_gap[nc:])
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
         return cls(
-            contacts, joints, rows, frame, alike, mu, restitution, where, warm.status, local, end_gap, transport[0],
+            contacts,
+            joints,
+            rows,
+            frame,
+            alike,
+            mu,
+            restitution,
+            where,
+            warm.status,
+            local,
+            end_gap,
+            transport[0],
             transport[1] - transport[0],
-        )  # fmt: skip
+        )
 
     @classmethod
     def _posed(
-        cls, c: ContactSet, rows: Rows, frame: Array, velocities: tuple[Array, Array, Array], x: Array,
-        begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm], reach: Array, h: float,
+        cls,
+        c: ContactSet,
+        rows: Rows,
+        frame: Array,
+        velocities: tuple[Array, Array, Array],
+        x: Array,
+        begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
+        reach: Array,
+        h: float,
         closing: Closing,
-    ) -> Encounter:  # fmt: skip
+    ) -> Encounter:
         """Contacts alone of bodies that nothing constrains nor drives, with their problem."""
         old, _, place, twists, _, warm = begin
         full, nc = rows.full, c.gap.size
         scales, local, end_gap, b = np.empty(nc), np.empty((5, 3 * nc)), np.empty(nc), np.empty(3 * nc)
         where, slides = np.empty(nc, np.int64), np.empty(nc, np.bool_)
+        _blocks.delassus_scales(full.arrays, scales)
         norm, good = _law.pose(
-            full.arrays, (c.key, c.frame1, c.frame2, c.point, frame, c.gap, x),
-            (old.key, old.point, old.normal, place.x, *twists), velocities, (warm.key, warm.force, warm.status),
-            reach, (c.mu, c.restitution), h, tuple(closing), False, scales,
+            full.arrays,
+            (c.key, c.frame1, c.frame2, c.point, frame, c.gap, x),
+            (old.key, old.point, old.normal, place.x, *twists, reach),
+            velocities,
+            (warm.key, warm.force, h, warm.status),
+            (c.mu, c.restitution, tuple(closing)),
+            scales,
             (local, end_gap, where, slides, b),
-        )  # fmt: skip
+        )
         posed = FC3D.prepared(full, b, c.mu, scales, norm) if good else FC3D.from_blocks(full, b, c.mu)
         return cls(
-            c, None, rows, frame, None, c.mu, c.restitution, where, warm.status, local, end_gap, slides=slides,
+            c,
+            None,
+            rows,
+            frame,
+            None,
+            c.mu,
+            c.restitution,
+            where,
+            warm.status,
+            local,
+            end_gap,
+            slides=slides,
             posed=posed,
-        )  # fmt: skip
+        )
 
     def changed(self, dv: Array, struck: Bools) -> Encounter:
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
@@ -277,9 +312,8 @@ class Encounter(NamedTuple):
     def offsets(self, slides: Bools, closing: Closing) -> Array:
         """b, shape (3 rows,), m/s, where the contacts `slides` (nc,) slide through."""
         b = np.empty(self.local.shape[1])
-        _law.offsets(
-            self.local, self.end_gap, self.restitution, self.rebound, self.stays, self.late, slides, tuple(closing), b
-        )
+        laws = self.end_gap, self.restitution, self.rebound, self.late, tuple(closing)
+        _law.offsets(self.local, laws, self.stays, slides, b)
         return b
 
     def take(self, kept: Bools) -> Encounter:
@@ -288,25 +322,40 @@ class Encounter(NamedTuple):
         rows, contacts = np.repeat(kept, 3), ContactSet._make([column[kept[:nc]] for column in self.contacts])
         own = Rows(full._replace(block=full.block[kept], start=full.start[kept]), {}, *NO_CLUTCHES)
         return self._replace(
-            contacts=contacts, joints=self.joints and self.joints.take(kept[nc:]), rows=own, alike=None,
-            frame=self.frame[kept[:nc]], mu=self.mu[kept], restitution=self.restitution[kept],
-            place=self.place[kept[:nc]], local=self.local[:, rows], end_gap=self.end_gap[kept], slides=None, posed=None,
+            contacts=contacts,
+            joints=self.joints and self.joints.take(kept[nc:]),
+            rows=own,
+            alike=None,
+            frame=self.frame[kept[:nc]],
+            mu=self.mu[kept],
+            restitution=self.restitution[kept],
+            place=self.place[kept[:nc]],
+            local=self.local[:, rows],
+            end_gap=self.end_gap[kept],
+            slides=None,
+            posed=None,
             transport=self.transport[rows] if self.transport.size else NOTHING,
-            stays=self.stays[kept[:nc]], sticks=self.sticks[kept[:nc]], was=self.was[kept[:nc]],
-            late=self.late[kept[:nc]],
-        )  # fmt: skip
+            stays=self.stays[kept],
+            sticks=self.sticks[kept[:nc]],
+            was=self.was[kept[:nc]],
+            late=self.late[kept],
+        )
 
-    def lasting(self, pair: Index, warm: Warm, before: ContactSet, closed: float, h: float, struck: bool) -> Encounter:
-        """The same with what persists of contacts found `before` the move; nothing where others are `struck`.
+    def lasting(
+        self, pair: Index, warm: Warm, before: tuple[ContactSet, Array], closed: float, h: float, struck: bool
+    ) -> Encounter:
+        """The same with what persists of what there was `before`, contacts and gaps of joint rows; nothing if `struck`.
 
         The codes of their pairs are `pair` (nc,), what they were in the last move `warm` tells; this one takes h s.
         """
-        nc = self.contacts.gap.size
-        stays, sticks, was = np.empty(nc, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
-        last, begin = (warm.key, warm.pair, warm.status), (before.key, before.gap, closed)
-        given = self.local, self.end_gap, h, struck
-        some = _persistence.persists(self.contacts.key, pair, last, begin, *given, stays, sticks, was)
-        out = self._replace(stays=stays, sticks=sticks, was=was, late=np.zeros(nc))
+        contacts, limits = before
+        nc, rows = self.contacts.gap.size, self.end_gap.size
+        stays, sticks, was = np.empty(rows, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
+        last, begin = (warm.key, warm.pair, warm.status), (contacts.key, contacts.gap, closed, h)
+        pressed = NEVER if self.joints is None else (warm.joints[self.joints.slot, 0] > 0.0) & (self.joints.mu == 0.0)
+        names, given = (self.contacts.key, pair), ((limits, pressed), self.local, self.end_gap)
+        some = _persistence.persists(names, last, begin, *given, struck, (stays, sticks, was))
+        out = self._replace(stays=stays, sticks=sticks, was=was, late=np.zeros(rows))
         return out.otherwise() if some else out
 
     def turned(self, dv: Array, r: Array) -> Encounter:
@@ -318,19 +367,20 @@ class Encounter(NamedTuple):
         return self.otherwise()._replace(local=local)
 
     def corrected(
-        self, gap: Array, off: Bools, r: Array, closed: float, ahead: float, ended: tuple[Index, Array]
+        self, gap: Array, off: Bools, r: Array, closed: float, ahead: float, ended: tuple[Index, Array, Array]
     ) -> Encounter:
-        """The same with the gaps (nc,) that the contacts that are `off` end with, and impulses to start from.
+        """The same with the gaps (rows,) that the rows that are `off` end with, and impulses to start from.
 
-        The move takes `ahead` s after the impulses, and has `ended` with contacts of such names and normal speeds, m/s.
+        The move takes `ahead` s after the impulses, and has `ended` with contacts of such names and normal speeds, m/s,
+        and joint rows of such speeds.
         """
         end_gap, late, local = self.end_gap.copy(), self.late.copy(), self.local.copy()
-        _law.end_otherwise(off, gap, self.contacts.key, ended, self.local, ahead, closed, end_gap, late)
+        _law.end_otherwise(off, gap, self.contacts.key, ended, self.local, (ahead, closed), end_gap, late)
         local[4] = r
         return self.otherwise()._replace(end_gap=end_gap, late=late, local=local)
 
     def off(self, gap: Array, r: Array, most: Array, closed: float) -> Bools:
-        """Which contacts stay and are pressed by r, but end with a gap (nc,), of no more than `most`."""
+        """Which rows stay and are pressed by r, but end with a gap (rows,), of no more than `most`."""
         away, pressed = np.abs(gap), r[0 : 3 * gap.size : 3] > 0.0
         out: Bools = self.stays & pressed & (away > closed) & (away <= most)
         return out
@@ -340,15 +390,28 @@ class Encounter(NamedTuple):
         return self._replace(alike=self.posed or self.alike, posed=None)
 
 
+class Way(NamedTuple):
+    """How the problem of a move is posed and solved.
+
+    Attributes
+    ----------
+    closing : Closing
+    back : bool
+        Whether only contacts that stop are to be changed, of those that slip otherwise than foreseen.
+    most : int
+        Most solves more for them.
+    rough : bool
+        Whether what `Graded.roughly` gives is enough.
+    """
+
+    closing: Closing
+    back: bool
+    most: int
+    rough: bool = False
+
+
 def solve(
-    met: Encounter,
-    solver: Solver,
-    last: Solution | None,
-    closing: Closing,
-    slides: Bools,
-    back: bool,
-    most: int,
-    rough: bool = False,
+    met: Encounter, solver: Solver, last: Solution | None, slides: Bools, way: Way
 ) -> tuple[FC3D, Solution, bool]:
     """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
 
@@ -359,16 +422,11 @@ def solve(
     last : Solution, optional
         Of the same move with other contacts, or rough. Where it has not converged no more is asked for than
         `Graded.loosely` gives.
-    closing : Closing
     slides : ndarray of bool, shape (nc,)
         Which contacts slide through, as `foresee` says; changed to what the impulses show.
-    back : bool
-        Whether only those that stop are to be changed.
-    most : int
-        Most solves more for them.
-    rough : bool
-        Whether what `Graded.roughly` gives is enough.
+    way : Way
     """
+    closing, back, most, rough = way
     if met.posed is not None:
         problem = met.posed
     elif met.alike is not None:
@@ -402,6 +460,18 @@ def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, rough
     if last is not None and not last.converged and isinstance(solver, Graded):
         return solver.loosely(problem, r)
     return solver(problem, r)
+
+
+def _of_joints(
+    dynamics: Dynamics, joints: JointRows, warm: Warm, move: tuple[float, float], local: Array, end_gap: Array
+) -> None:
+    """Impulses to begin from, accelerations and gaps of joint rows in a move = (h, ahead), into local and end_gap."""
+    h, ahead = move
+    local[4] = h * warm.joints[joints.slot].ravel()
+    # As of springs, the law of actuators is on the velocity here, and that of what slips in axes that turn.
+    here = joints.actuated | (dynamics.joints.other[joints.slot] >= 0)
+    local[3].reshape(-1, 3)[here, 1:] = 0.0
+    end_gap[:] = joints.gap - 0.5 * ahead * local[3, ::3]
 
 
 def foresee(met: Encounter) -> Bools:

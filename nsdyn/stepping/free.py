@@ -26,20 +26,38 @@ def half(s: System, begin: Instant, h: float) -> tuple[Array, Array, Array, Arra
     """
     d, n, position = s.dynamics, s.dynamics.free, begin.position
     out = x, quaternion, v, R, v_free, rate, reach = (
-        np.empty((n, 3)), np.empty((n, 4)), np.empty(d.n), np.empty((n, 3, 3)), np.empty(d.n), np.empty(d.n),
+        np.empty((n, 3)),
+        np.empty((n, 4)),
+        np.empty(d.n),
+        np.empty((n, 3, 3)),
+        np.empty(d.n),
+        np.empty(d.n),
         np.empty(n),
-    )  # fmt: skip
+    )
     far, same = _free.half(
-        d.bodies, d.gravity, d.no_load, (position.x, position.quaternion), begin.v, h, s.theta, d.weight,
-        tuple(begin.looked), s.arm, STILL * s.closed, out,
-    )  # fmt: skip
+        d.bodies,
+        (d.gravity, d.no_load, d.weight),
+        (position.x, position.quaternion, begin.v),
+        h,
+        s.theta,
+        tuple(begin.looked),
+        (s.arm, STILL * s.closed),
+        out,
+    )
     return x, quaternion, v, R, v_free, rate, reach, far, same
 
 
 def meet(
-    s: System, contacts: ContactSet, looked: Looked, v: Array, v_free: Array, begin: Instant, reach: Array,
-    closing: Closing, h: float,
-) -> tuple[Rows, Array, Array, Array, Index, Bools, FC3D]:  # fmt: skip
+    s: System,
+    contacts: ContactSet,
+    looked: Looked,
+    v: Array,
+    v_free: Array,
+    begin: Instant,
+    reach: Array,
+    closing: Closing,
+    h: float,
+) -> tuple[Rows, Array, Array, Array, Index, Bools, FC3D]:
     """What a move meets at its contacts: (rows, frame, local, end_gap, place, slides, posed) of `Encounter`."""
     d, c, nc, warm, old = s.dynamics, contacts, contacts.gap.size, begin.warm, begin.contacts
     basis, again = warm.basis, False
@@ -52,11 +70,15 @@ def meet(
     local, end_gap, b = np.empty((5, 3 * nc)), np.empty(nc), np.empty(3 * nc)
     place, slides = np.empty(nc, np.int64), np.empty(nc, np.bool_)
     size, norm, good = _free.meet(
-        d.masses, (c.key, c.frame1, c.frame2, c.point, c.normal, c.gap, looked.x, looked.R),
-        (old.key, old.point, old.normal, begin.placement.x, *begin.twists), (begin.v, v, v_free),
-        (warm.key, warm.force, warm.status), reach, (c.mu, c.restitution), h, tuple(closing),
-        again, (frame, block, start, H, scales), (local, end_gap, place, slides, b),
-    )  # fmt: skip
+        d.masses,
+        (c.key, c.frame1, c.frame2, c.point, c.normal, c.gap, looked.x, looked.R),
+        (old.key, old.point, old.normal, begin.placement.x, *begin.twists, reach),
+        (begin.v, v, v_free),
+        (warm.key, warm.force, h, warm.status),
+        (c.mu, c.restitution, tuple(closing)),
+        (frame, block, start, H, scales, again),
+        (local, end_gap, place, slides, b),
+    )
     if not again:
         rows = d.free_rows(block, start, H[:size])
     problem = FC3D.prepared(rows.full, b, c.mu, scales, norm) if good else FC3D.from_blocks(rows.full, b, c.mu)
@@ -72,10 +94,14 @@ def end(
     """
     d, n = s.dynamics, s.dynamics.free
     out = v_plus, x_end, quaternion_end, v, R, linear, angular = (
-        np.empty(d.n), np.empty((n, 3)), np.empty((n, 4)), np.empty(d.n), np.empty((n, 3, 3)), np.empty((n, 3)),
+        np.empty(d.n),
         np.empty((n, 3)),
-    )  # fmt: skip
-    same = _free.end(
-        rows.full.arrays, r, v_free, d.bodies, (x, quaternion), h, tuple(looked), near, s.arm, STILL * s.closed, out
+        np.empty((n, 4)),
+        np.empty(d.n),
+        np.empty((n, 3, 3)),
+        np.empty((n, 3)),
+        np.empty((n, 3)),
     )
+    there = tuple(looked), near, s.arm, STILL * s.closed
+    same = _free.end(rows.full.arrays, r, v_free, d.bodies, (x, quaternion), h, there, out)
     return v_plus, x_end, quaternion_end, v, R, (linear, angular), same

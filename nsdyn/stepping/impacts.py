@@ -8,8 +8,8 @@ To add a law:
 1. a frozen dataclass of its options with the methods of `Law` and a docstring with its equations, its source, and when
    it creates energy; an object of it is an option of `nsdyn.Stepper`;
 2. an entry in `LAWS`: its name is then one too;
-3. its line in the docstring of `nsdyn.Stepper` and in `demos/guide/step.md`, its name in `nsdyn.compilation`;
-4. `tests/test_impacts.py` tries all of `LAWS` on single and multiple impacts: say there what it promises;
+3. its line in the docstring of `nsdyn.Stepper` and in `demos/guide/step.md`;
+4. `tests/stepping/test_impacts.py` tries all of `LAWS` on single and multiple impacts: say there what it promises;
 5. `python demos/bench/truth.py impacts` tries to prove that promise wrong.
 """
 
@@ -223,8 +223,11 @@ class Fremond:
 
 
 LAWS: dict[str, Callable[[], Law]] = {
-    "dissipative": Dissipative, "newton": Newton, "poisson": Poisson, "fremond": Fremond,
-}  # fmt: skip
+    "dissipative": Dissipative,
+    "newton": Newton,
+    "poisson": Poisson,
+    "fremond": Fremond,
+}
 """By the names that users give."""
 
 

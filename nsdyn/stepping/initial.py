@@ -1,22 +1,33 @@
-"""The initial instant of a scene, whose bodies do not overlap deeply."""
+"""The initial instant of a run, whose bodies do not overlap deeply."""
 
 from __future__ import annotations
 
 import warnings
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.values import Placement, Position
+from nsdyn.scene import checks
 from nsdyn.scene.bodies import Geom
 from nsdyn.stepping.encounter import Warm
 from nsdyn.stepping.instant import Instant, System
 from nsdyn.stepping.projection import place, project
+from nsdyn.tools.arrays import Array
 
 __all__ = ["begin"]
 
+ROUNDING = 1e-9
+"""rad or m, of the numbers of a user."""
 
-def begin(s: System, geoms: list[Geom], overlap: float, lift: bool) -> Instant:
-    """The instant in which a scene starts.
+
+def begin(
+    s: System, geoms: list[Geom], overlap: float, lift: bool, q: ArrayLike | None = None, v: ArrayLike | None = None
+) -> Instant:
+    """The instant in which a run starts.
 
     Parameters
     ----------
@@ -26,21 +37,26 @@ def begin(s: System, geoms: list[Geom], overlap: float, lift: bool) -> Instant:
         Deepest overlap that is taken, as a fraction of the inscribed radius of the smaller body.
     lift : bool
         Whether bodies that overlap are moved apart here; else the first step does, and a warning says so.
+    q, v : array, shapes (nq,) and (nv,), optional
+        Pinocchio's layout; by default those of the scene.
 
     Raises
     ------
     ValueError
-        Naming bodies that overlap more deeply, or that nothing moves apart, and the depth [m].
+        Naming bodies that overlap more deeply, or that nothing moves apart, and the depth [m]; for q and v that no
+        state has.
     """
     d = s.dynamics
-    position, v = d.start()
+    position, velocity = d.start() if q is None and v is None else _chosen(d, q, v)
     at = d.place(position)
+    if q is not None:
+        _check_limits(d, at)
     placed = place(d, s.detector, position, at, ContactMemory.empty(), Looked(at.x, at.R, np.zeros(d.frames)))
     where = _overlap(geoms, placed.contacts, overlap)
     if where and not lift:
         warnings.warn(f"{where}; the first step moves them apart", stacklevel=3)
     if lift:
-        placed = project(d, s.detector, placed, d.inertia(position, v), s.closed)
+        placed = project(d, s.detector, placed, d.inertia(position, velocity), s.closed)
         if not placed.clear:
             raise ValueError(f"{where}, and nothing moves them apart: they are squeezed")
     none = np.empty((0, 3))
@@ -48,9 +64,54 @@ def begin(s: System, geoms: list[Geom], overlap: float, lift: bool) -> Instant:
     warm = Warm(nobody, nobody, none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), None)
     at = placed.placement
     return Instant(
-        placed.position, v, at, placed.contacts, placed.limits, placed.memory, placed.looked, warm, d.twists(at, v),
-        d.tree_energies(placed.position, v),
-    )  # fmt: skip
+        placed.position,
+        velocity,
+        at,
+        placed.contacts,
+        placed.limits,
+        placed.memory,
+        placed.looked,
+        warm,
+        d.twists(at, velocity),
+        d.tree_energies(placed.position, velocity),
+    )
+
+
+def _chosen(d: Dynamics, q: ArrayLike | None, v: ArrayLike | None) -> tuple[Position, Array]:
+    """Position and velocity of a state in Pinocchio's layout; what is not given is that of the scene."""
+    start, _ = d.start()
+    q0, v0 = d.pinocchio_state(*d.start())
+    q = q0 if q is None else checks.vector(q, q0.size, "q")
+    v = v0 if v is None else checks.vector(v, v0.size, "v")
+    places = q[: 7 * d.free].reshape(-1, 7)
+    turned = np.array(
+        [checks.quaternion(place[3:], f"q of {name!r}") for name, place in zip(d.names, places, strict=True)]
+    )
+    velocity, row, trees = v.copy(), 7 * d.free, []
+    for k, quaternion in enumerate(turned):
+        velocity[6 * k : 6 * k + 3] = checks.rotation(quaternion) @ v[6 * k : 6 * k + 3]
+    for tree in d.trees:
+        own = q[row : row + tree.model.nq]
+        if not pin.isNormalized(tree.model, own, checks.NORMALISED):
+            raise ValueError(
+                f"q of {tree.name!r} must have unit quaternions and unit pairs (cos, sin), got {own.tolist()}"
+            )
+        place, velocity[tree.coordinates] = tree.start(np.array(pin.normalize(tree.model, own)), v[tree.coordinates])
+        trees.append(place)
+        row += tree.model.nq
+    x, quaternions = places[:, :3].copy(), turned.reshape(-1, 4)
+    return Position(x, quaternions, tuple(trees), start.driven_x, start.driven_quaternion), velocity
+
+
+def _check_limits(d: Dynamics, at: Placement) -> None:
+    """Refuse joints beyond their limits."""
+    for tree, links in zip(d.trees, at.links, strict=True):
+        lower, upper = tree.limits()
+        for k in np.flatnonzero((links.angle < lower - ROUNDING) | (links.angle > upper + ROUNDING)).tolist():
+            raise ValueError(
+                f"q must respect the limits: joint '{tree.name}/{tree.joint_of(k)}' is at {links.angle[k]:g}, "
+                f"its limits are {lower[k]:g} and {upper[k]:g}"
+            )
 
 
 def _overlap(geoms: list[Geom], contacts: ContactSet, most: float) -> str:

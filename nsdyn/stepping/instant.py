@@ -113,13 +113,13 @@ class System(NamedTuple):
 
     def unmoved(self, looked: Looked, now: Placement, reach: Array) -> bool:
         """Whether the contacts found somewhere are those of now, up to the gaps that `reach` (frames,) allows, m."""
-        same: bool = _law.unmoved(*looked, now.x, now.R, reach, self.arm, STILL * self.closed)
+        same: bool = _law.unmoved(tuple(looked), (now.x, now.R, reach), self.arm, STILL * self.closed)
         return same
 
     def look(self, looked: Looked, x: Array, R: Array, reach: Array) -> Looked:
         """Where to look for contacts now: where they were looked for, but for frames of which that is no longer so."""
         out = Looked(np.empty_like(x), np.empty_like(R), np.empty_like(reach))
-        _law.look(*looked, x, R, reach, self.arm, STILL * self.closed, *out)
+        _law.look(tuple(looked), (x, R, reach), self.arm, STILL * self.closed, tuple(out))
         return out
 
     def deep(self, contacts: ContactSet) -> Array:
@@ -144,7 +144,7 @@ class System(NamedTuple):
         """Free accelerations of both bodies of contacts along their normals, added up, shape (nc,), m/s²."""
         out = np.empty(contacts.gap.size)
         where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, there.x
-        _law.weights(*where, *self.dynamics.twists(there, rate), out)
+        _law.weights(where, self.dynamics.twists(there, rate), out)
         return out
 
     @property
@@ -178,9 +178,10 @@ class System(NamedTuple):
         out: Array = self.solver.tol + parting / np.where(restitution > 0.0, restitution, 1.0)
         return out
 
-    def near(self, contacts: ContactSet) -> Array:
-        """Gaps, m, up to which contacts that were pressed all through a move are held to be closed but for numerics."""
-        out: Array = FAST * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
+    def near(self, contacts: ContactSet, rows: int) -> Array:
+        """Gaps, m or rad, up to which rows that were pressed all through a move are closed but for numerics."""
+        out = np.full(rows, FAST * JOINT)
+        out[: contacts.gap.size] = FAST * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:
@@ -284,6 +285,19 @@ class Impulses(NamedTuple):
     begin: float = 0.0
     moves: Bools | None = None
 
+    @staticmethod
+    def joined(done: list[Impulses]) -> Impulses:
+        """All that acted in a step, one after the other."""
+        contacts = ContactSet._make(
+            np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True)
+        )
+        columns = list(zip(*done, strict=True))[1:8]
+        frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns)
+        joints, links = (np.sum([getattr(a, name) for a in done], axis=0) for name in ("joints", "links"))
+        time = np.concatenate([a.time for a in done])
+        created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
+        return Impulses(contacts, frame, u, r, status, couple, normal, friction, joints, links, created, time, duration)
+
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:
     """Some of the contacts."""
@@ -298,27 +312,57 @@ def among(x: Index, some: Index) -> Bools:
 
 
 def account(
-    s: System, met: Encounter, forces: Forces, velocities: tuple[Array, Array, Array], r: Array, h: float,
-    impact: Impact | None, problem: FC3D | None, couple: Couple, mass: Array,
-) -> tuple[Impulses, Works, Warm]:  # fmt: skip
-    """What the impulses r of a move, empty for none, and its impacts did, their works, and what they leave.
+    s: System,
+    met: Encounter,
+    forces: Forces,
+    velocities: tuple[Array, Array, Array],
+    r: Array,
+    h: float,
+    impact: Impact | None,
+    problem: FC3D | None,
+    couple: Couple,
+    mass: Array,
+) -> tuple[Impulses, Works, Warm]:
+    """What the impulses of a move and its impacts did, their works, and what they leave.
 
-    The velocities are those before the impacts, after them, and after r, which solves the problem. Gravity works on the
-    `mass` (nf,) of the free bodies.
+    Parameters
+    ----------
+    s : System
+    met : Encounter
+        What the impulses acted on.
+    forces : Forces
+    velocities : three ndarrays of shape (n,)
+        Before the impacts, after them, and after the impulses.
+    r : ndarray, shape (3 nr,)
+        Impulses of contacts and joint rows, N·s; empty for none.
+    h : float
+        The move, s; 0 of impacts alone.
+    impact : Impact, optional
+    problem : FC3D, optional
+        Which r solves.
+    couple : Couple
+    mass : ndarray, shape (free,)
+        Of the free bodies, on which gravity works, kg.
     """
     d, c, nc, nr = s.dynamics, met.contacts, met.frame.shape[0], met.mu.size
     external = beyond = normal_work = friction_work = rest = created = 0.0
     struck = NOTHING if impact is None else impact.r[0::3]
     if h > 0.0:
         out = status, normal, friction, u_end, world = (
-            np.empty(nc, np.int8), np.empty(nr), np.empty(nr), np.empty(3 * nr), np.empty((nc, 3))
-        )  # fmt: skip
-        bodies, loads = (mass, d.gravity), (forces.force, forces.torque)
+            np.empty(nc, np.int8),
+            np.empty(nr),
+            np.empty(nr),
+            np.empty(3 * nr),
+            np.empty((nc, 3)),
+        )
+        bodies = mass, d.gravity, forces.force, forces.torque
+        rows, lasting = (
+            (met.rows.full.arrays, met.transport, met.mu, met.local, met.frame),
+            (met.stays, met.sticks, couple.work, struck),
+        )
         external, beyond, normal_work, friction_work, rest = _account.account(
-            met.rows.full.arrays, bodies, loads, h, s.theta, velocities, r, met.mu, met.transport,
-            (met.stays, met.sticks, couple.work), struck,
-            met.local, met.frame, s.solver.tol, out,
-        )  # fmt: skip
+            bodies, (h, s.theta), velocities, rows, r, lasting, s.solver.tol, out
+        )
         total = r
     else:
         status, normal, friction, world = np.empty(nc, np.int8), np.zeros(nr), np.zeros(nr), np.zeros((nc, 3))

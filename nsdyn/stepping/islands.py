@@ -68,7 +68,7 @@ class Islands:
         d = self.whole.dynamics.during(state.next_t - state.dt, state.dt)
         # Islands may come to them in pieces: what is prescribed is a function of the time alone.
         x, quaternion = d.surfaces.ahead(begin.driven_x, begin.driven_quaternion, self.whole.theta)
-        return out._replace(end=driven(d, out.end, x, quaternion))
+        return out._replace(end=driven(out.end, x, quaternion))
 
     def _step(self, state: State, loads: Loads) -> Passage:
         if self.count < 2:
@@ -173,7 +173,7 @@ class Islands:
         lower, upper = s.detector.boxes(*path[0][:2])
         wide = np.zeros(s.dynamics.frames)
         for one, other in pairwise(path):
-            _islands.sweep(s.detector.fields, one[:2], other[:2], s.arm, free, BENT, lower, upper, wide)
+            _islands.sweep(s.detector.fields, one[:2], other[:2], s.arm, (free, BENT), (lower, upper), wide)
         more = np.where(frame >= 0, wide[frame], 0.0)[:, None]
         return lower - more, upper + more
 
@@ -248,9 +248,11 @@ class Islands:
         contacts = ContactSet._make([column[there] for column in a.moved.contacts])
         rows, blocks = np.repeat(kept, 3), a.met.rows.blocks
         problem = FC3D.from_blocks(
-            blocks._replace(block=blocks.block[kept], start=blocks.start[kept]), a.problem.q[rows], a.problem.mu[kept],
+            blocks._replace(block=blocks.block[kept], start=blocks.start[kept]),
+            a.problem.q[rows],
+            a.problem.mu[kept],
             a.problem.scales[kept],
-        )  # fmt: skip
+        )
         r, *_, count, time = a.solution
         solution = Solution.judge(problem, r[rows], s.solver.tol, count, time, Status.LOOSE)
         turned = a.couple
@@ -258,9 +260,14 @@ class Islands:
             of_contacts = kept[: a.met.contacts.gap.size]
             turned = turned._replace(impulse=turned.impulse[of_contacts], work=turned.work[of_contacts])
         response = a._replace(
-            couple=turned, met=a.met.take(kept), impact=None, kick=0.0, problem=problem, solution=solution,
+            couple=turned,
+            met=a.met.take(kept),
+            impact=None,
+            kick=0.0,
+            problem=problem,
+            solution=solution,
             moved=a.moved._replace(contacts=contacts, limits=limits),
-        )  # fmt: skip
+        )
         forces, free = tried.half.forces, left[: d.free, None]
         forces = forces._replace(force=free * forces.force, torque=free * forces.torque)
         return tried._replace(half=tried.half._replace(forces=forces), response=response)

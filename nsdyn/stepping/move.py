@@ -16,7 +16,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free as _free
 from nsdyn.stepping.collisions import caught_impacts
-from nsdyn.stepping.encounter import SOLVES, Encounter, foresee
+from nsdyn.stepping.encounter import SOLVES, Closing, Encounter, Way, foresee
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Impulses, Instant, System, account, among, take
@@ -81,6 +81,21 @@ class Seen(NamedTuple):
     contacts: ContactSet
     memory: ContactMemory
     looked: Looked
+
+
+class Reach(NamedTuple):
+    """What the second half of a move may need of what was `seen`.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    joints : JointRows or None
+    seen : Seen
+    """
+
+    contacts: ContactSet
+    joints: JointRows | None
+    seen: Seen
 
 
 class Response(NamedTuple):
@@ -188,23 +203,24 @@ def trial(
         Where it is known.
     """
     half = half or first_half(s, begin, t, h, callbacks)
-    contacts, joints, seen = _reachable(s, begin, half, barred)
+    reach = _reachable(s, begin, half, barred)
+    _, joints, seen = reach
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
     rough = barred is None
-    half, response = _respond(s, begin, half, contacts, joints, seen, barred, None, rough)
+    half, response = _respond(s, begin, half, reach, barred, None, rough)
     missed = NO_SLOTS
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
         places = half.middle.placement, response.moved.placement
         found = response.moved.contacts
         real, memory, missed = shown(
             s, response.met, response.solution.r, found, seen.memory, places, half.fast, missed
-        )  # fmt: skip
+        )
         seen = seen._replace(memory=memory)
         same = real is response.met.contacts and not response.otherwise
         if same and (response.solution.converged or not rough):
             break
         rough = not same and left > 0
-        half, response = _respond(s, begin, half, real, joints, seen, barred, response, rough)
+        half, response = _respond(s, begin, half, Reach(real, joints, seen), barred, response, rough)
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return trial(s, begin, t, h, None, barred, again)
     unmet, until, turned = None, h, h
@@ -232,7 +248,7 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: 
     contacts, joints, seen = _reachable(s, begin, half, NO_SLOTS)
     if skip.any():
         contacts = take(contacts, ~skip[s.nodes(contacts)])
-    half, response = _respond(s, begin, half, contacts, joints, seen, NO_SLOTS, None, False, label)
+    half, response = _respond(s, begin, half, Reach(contacts, joints, seen), NO_SLOTS, None, False, label)
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return attempt(s, begin, again, None, label, skip)
     slots, moved = NO_SLOTS if joints is None else joints.slot, response.moved
@@ -240,9 +256,7 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: 
     return Trial(half, joints, seen, response, unmet, half.h, half.h)
 
 
-def _reachable(
-    s: System, begin: Instant, half: Half, barred: Index | None
-) -> tuple[ContactSet, JointRows | None, Seen]:
+def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> Reach:
     """Contacts and joint rows that the second half may need, but for what is to be left alone; all that was found."""
     middle, v = half.middle, half.forces.foreseen
     x, R, _ = middle.placement
@@ -256,61 +270,83 @@ def _reachable(
         if half.fast:
             contacts, memory = reached(s, contacts, begin, middle.placement, seen.memory)
             seen = seen._replace(memory=memory)
-        return contacts, joints, seen
+        return Reach(contacts, joints, seen)
     contacts = caught(s, contacts, begin, middle.placement, v, half.ahead, barred)
     if joints is not None:
         joints = caught_limits(s, joints, begin, v, half.ahead, barred)
-    return contacts, joints, seen
+    return Reach(contacts, joints, seen)
+
+
+def _meet(s: System, begin: Instant, half: Half, reach: Reach, closing: Closing) -> Encounter:
+    """What the impulses of a move act on."""
+    d, middle, forces, (contacts, joints, (_, _, looked)) = s.dynamics, half.middle, half.forces, reach
+    if not d.alone:
+        start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
+        every, moving = d.with_actuators(joints, forces), half.surfaces[1:]
+        return Encounter.of(
+            d, contacts, every, middle.seen(looked), forces, start, half.reach, moving, half.h, half.ahead, closing
+        )
+    rows, frame, local, end_gap, place_of, slides, posed = _free.meet(
+        s, contacts, looked, middle.v, forces.v, begin, half.reach, closing, half.h
+    )
+    return Encounter(
+        contacts,
+        None,
+        rows,
+        frame,
+        None,
+        contacts.mu,
+        contacts.restitution,
+        place_of,
+        begin.warm.status,
+        local,
+        end_gap,
+        slides=slides,
+        posed=posed,
+    )
 
 
 def _respond(
-    s: System, begin: Instant, half: Half, contacts: ContactSet, joints: JointRows | None, seen: Seen,
-    barred: Index | None, last: Response | None, rough: bool, label: Index | None = None,
-) -> tuple[Half, Response]:  # fmt: skip
+    s: System,
+    begin: Instant,
+    half: Half,
+    reach: Reach,
+    barred: Index | None,
+    last: Response | None,
+    rough: bool,
+    label: Index | None = None,
+) -> tuple[Half, Response]:
     """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
 
     The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve,
     as do contacts that slide otherwise than foreseen: not where nodes have a label (nodes,), that of their island. Then
     nothing is done to an island because of another, and that is left to see who asks.
     """
-    d, middle, forces, closing = s.dynamics, half.middle, half.forces, s.closing(half.h, barred is None)
-    if d.alone:
-        where = seen.looked, middle.v, forces.v
-        rows, frame, local, end_gap, place_of, slides, posed = _free.meet(
-            s, contacts, *where, begin, half.reach, closing, half.h
-        )
-        met = Encounter(
-            contacts, None, rows, frame, None, contacts.mu, contacts.restitution, place_of, begin.warm.status, local,
-            end_gap, slides=slides, posed=posed,
-        )  # fmt: skip
-    else:
-        start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-        every, moving = d.with_actuators(joints, forces), half.surfaces[1:]
-        met = Encounter.of(
-            d, contacts, every, middle.seen(seen.looked), forces, start, half.reach, moving, half.h, half.ahead, closing
-        )
+    d, middle, forces, (contacts, _, seen) = s.dynamics, half.middle, half.forces, reach
+    closing = s.closing(half.h, barred is None)
+    met = _meet(s, begin, half, reach, closing)
     impact: Impact | None = None
     kick: Array | float = 0.0
     if label is None:
         met, impact, kick = caught_impacts(s, met, middle.placement, half.rate, half.h)
     pair = s.detector.codes(contacts)
-    met = met.lasting(pair, begin.warm, begin.contacts, s.closed, half.h, impact is not None)
+    before = begin.contacts, _limits(s, met.joints, begin.placement)
+    met = met.lasting(pair, begin.warm, before, s.closed, half.h, impact is not None)
     slides = foresee(met)
     if last is not None:
         met = met.otherwise()
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES if label is None else 0, last is not None)
-    before = None if last is None else last.solution
+    way = Way(closing, back, most, rough)
+    known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     impulse: Array | None = None
     trees: tuple[TreeEnd, ...] = ()
-    alone, couple, off = met, NO_COUPLE, None
+    alone, couple = met, NO_COUPLE
     apart = None if label is None else Apart(_of_rows(s, met, label), slides.copy(), np.zeros(slides.size, np.bool_))
     for left in reversed(range(GAPS + 1 if barred is not None else 1)):
-        met, problem, solution, otherwise, couple = solve_workless(
-            s, alone, middle, forces, half.h, before, closing, slides, back, most, rough, couple, apart, off
-        )
+        met, problem, solution, otherwise, couple = solve_workless(s, alone, half, known, slides, way, couple, apart)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if impact is None else v + kick
         if d.alone:
@@ -322,7 +358,7 @@ def _respond(
         else:
             impulse, v = met.rows.response(solution.r, v)
             if label is None and (limited := d.within_limits(middle, forces, v)) is not forces:
-                return _respond(s, begin, half._replace(forces=limited), contacts, joints, seen, barred, last, rough)
+                return _respond(s, begin, half._replace(forces=limited), reach, barred, last, rough)
             if impact is not None:
                 impulse = met.rows.full.momentum(solution.r + impact.r)
             end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
@@ -334,16 +370,28 @@ def _respond(
         if not left or not met.stays.any():
             break
         gap = s.detector.gaps(contacts, moved.contacts, Poses(there.x, there.R))
-        off = alone.off(gap, solution.r, s.near(contacts), s.closed)
+        if met.joints is not None:
+            gap = np.concatenate((gap, _limits(s, met.joints, there)))
+        off = alone.off(gap, solution.r, s.near(contacts, gap.size), s.closed)
         if not off.any():
             break
-        ended = moved.contacts.key, parting(d, moved.contacts, there, v_end, end.driven_x, half.surfaces[2])
-        closer = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended)
-        alone, before = closer, solution
+        apart = apart and apart._replace(off=off)
+        parts = parting(d, moved.contacts, there, v_end, end.driven_x, half.surfaces[2])
+        rates = NOTHING if met.joints is None else d.joints.rates(met.joints.slot, v_end)
+        ended = moved.contacts.key, parts, rates
+        alone, known = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended), solution
     slides = slides if apart is None else apart.switched
     return half, Response(
         met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved
     )
+
+
+def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:
+    """The gaps of joint rows somewhere, rad or m; infinite for friction and actuators."""
+    if joints is None:
+        return NOTHING
+    gaps = s.dynamics.joints.gaps(joints.slot, s.dynamics.angles(there))
+    return np.where(joints.mu > 0.0, np.inf, gaps)
 
 
 def _of_rows(s: System, met: Encounter, label: Index) -> Index:
@@ -378,7 +426,7 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
     impulses, own, warm = account(s, a.met, half.forces, velocities, r, h, a.impact, a.problem, a.couple, mass)
     # What has just closed its gap approaches: where it would become deep in the next move it strikes before.
     sinks = s.dt / half.ahead * a.met.end_gap[: warm.status.size] > s.deep(a.met.contacts)
-    arrived = sinks & ~a.met.stays
+    arrived = sinks & ~a.met.stays[: sinks.size]
     if arrived.any():
         warm = warm._replace(status=np.where(arrived, OPEN, warm.status))
     works = []
@@ -395,16 +443,32 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
     end = Instant(
-        placed.position, v_end, placed.placement, placed.contacts, placed.limits, placed.memory, placed.looked, warm,
-        twists, energies,
-    )  # fmt: skip
+        placed.position,
+        v_end,
+        placed.placement,
+        placed.contacts,
+        placed.limits,
+        placed.memory,
+        placed.looked,
+        warm,
+        twists,
+        energies,
+    )
     return Move(end, impulses, [own, *works], a.problem, a.solution, placed.clear, half.rate)
 
 
 def tree_works(
-    s: System, begin: Instant, half: Half, v: Array, ends: tuple[TreeEnd, ...], impulse: Array, lifted: Position,
-    acted: Impulses, own: Works, left: Bools | None = None,
-) -> tuple[Works, Energies]:  # fmt: skip
+    s: System,
+    begin: Instant,
+    half: Half,
+    v: Array,
+    ends: tuple[TreeEnd, ...],
+    impulse: Array,
+    lifted: Position,
+    acted: Impulses,
+    own: Works,
+    left: Bools | None = None,
+) -> tuple[Works, Energies]:
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
     Trees that are not among the nodes `left` are passed over.

@@ -13,7 +13,7 @@ import numpy as np
 
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
-from nsdyn.dynamics.dynamics import Controls, Dynamics, Wrenches
+from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.encounter import Warm
 from nsdyn.stepping.half import Callbacks, Given, Loads
@@ -66,8 +66,9 @@ class Part:
         self.system = whole._replace(
             dynamics=d.only(self._bodies, self._trees),
             detector=whole.detector.only(self.geoms, self._frame[frame_of_geom[self.geoms]]),
-            inscribed=whole.inscribed[self.geoms], arm=whole.arm[frames],
-        )  # fmt: skip
+            inscribed=whole.inscribed[self.geoms],
+            arm=whole.arm[frames],
+        )
 
     def _has(self, frame1: Index, frame2: Index) -> Bools:
         """Which contacts of such frames are of the part."""
@@ -79,15 +80,20 @@ class Part:
         """The instant of the part, whose new contacts get names from a number on."""
         p, place, w, frames, trees = at.position, at.placement, at.warm, self._frames[:-1], self._trees.tolist()
         position = Position(
-            p.x[self._bodies], p.quaternion[self._bodies], tuple([p.trees[k] for k in trees]), p.driven_x,
+            p.x[self._bodies],
+            p.quaternion[self._bodies],
+            tuple([p.trees[k] for k in trees]),
+            p.driven_x,
             p.driven_quaternion,
-        )  # fmt: skip
+        )
         kept = self._has(at.contacts.frame1, at.contacts.frame2)
         c = ContactSet._make([column[kept] for column in at.contacts])
         c = c._replace(
-            geom1=self._geom[c.geom1], geom2=self._geom[c.geom2], frame1=self._frame[c.frame1],
+            geom1=self._geom[c.geom1],
+            geom2=self._geom[c.geom2],
+            frame1=self._frame[c.frame1],
             frame2=self._frame[c.frame2],
-        )  # fmt: skip
+        )
         kept = self._has(at.memory.names[2], at.memory.names[3])
         names = at.memory.names[:, kept]
         names[:2], names[2:4] = self._geom[names[:2]], self._frame[names[2:4]]
@@ -100,10 +106,17 @@ class Part:
         )
         there = Placement(place.x[frames], place.R[frames], tuple([place.links[k] for k in trees]))
         return Instant(
-            position, at.v[self.coordinates], there, c, at.limits[self._limits], memory,
-            Looked._make([column[frames] for column in at.looked]), warm,
-            (at.twists[0][frames], at.twists[1][frames]), tuple([at.energies[k] for k in trees]),
-        )  # fmt: skip
+            position,
+            at.v[self.coordinates],
+            there,
+            c,
+            at.limits[self._limits],
+            memory,
+            Looked._make([column[frames] for column in at.looked]),
+            warm,
+            (at.twists[0][frames], at.twists[1][frames]),
+            tuple([at.energies[k] for k in trees]),
+        )
 
     def given(self, wrenches: Wrenches | None, controls: Controls) -> tuple[Wrenches | None, Controls]:
         """What the user's functions gave, of the part."""
@@ -141,9 +154,11 @@ class Part:
     def contacts(self, c: ContactSet) -> ContactSet:
         """Contacts of the part as those of the whole."""
         return c._replace(
-            geom1=self.geoms[c.geom1], geom2=self.geoms[c.geom2], frame1=self._frames[c.frame1],
+            geom1=self.geoms[c.geom1],
+            geom2=self.geoms[c.geom2],
+            frame1=self._frames[c.frame1],
             frame2=self._frames[c.frame2],
-        )  # fmt: skip
+        )
 
     def memory(self, m: ContactMemory) -> Index:
         """The names of contacts of the part as those of the whole."""
@@ -208,14 +223,16 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
     next_key = max(base.memory.next_key, *(end.memory.next_key for _, end in parts))
     key, pair, force, status = [np.concatenate(columns) for columns in zip(*warm, strict=True)]
     return out._replace(
-        position=out.position._replace(trees=p), placement=out.placement._replace(links=links), energies=energies,
+        position=out.position._replace(trees=p),
+        placement=out.placement._replace(links=links),
+        energies=energies,
         contacts=ContactSet._make([column[order] for column in c]),
         memory=ContactMemory(all_names[:, ranks].copy(), all_points[:, ranks].copy(), next_key),
         warm=Warm(key, pair, force, status, out.warm.joints, None),
-    )  # fmt: skip
+    )
 
 
-def driven(d: Dynamics, at: Instant, x: Array, quaternion: Array) -> Instant:
+def driven(at: Instant, x: Array, quaternion: Array) -> Instant:
     """The instant with the driven bodies at such poses (nd, 3), (nd, 4)."""
     out, own = _copied(at), slice(-len(x), None)
     out.placement.x[own] = x
@@ -233,8 +250,11 @@ def _copied(at: Instant) -> Instant:
     """The same with arrays of its own where parts put theirs."""
     p, w = at.position, at.warm
     return at._replace(
-        position=p._replace(x=p.x.copy(), quaternion=p.quaternion.copy()), v=at.v.copy(), limits=at.limits.copy(),
+        position=p._replace(x=p.x.copy(), quaternion=p.quaternion.copy()),
+        v=at.v.copy(),
+        limits=at.limits.copy(),
         placement=at.placement._replace(x=at.placement.x.copy(), R=at.placement.R.copy()),
-        looked=Looked._make([column.copy() for column in at.looked]), warm=w._replace(joints=w.joints.copy()),
+        looked=Looked._make([column.copy() for column in at.looked]),
+        warm=w._replace(joints=w.joints.copy()),
         twists=(at.twists[0].copy(), at.twists[1].copy()),
-    )  # fmt: skip
+    )

@@ -41,6 +41,9 @@ all pieces as short have no more than `WORK` contacts."""
 LOOKS = 30
 """Most moves by which an impact is located."""
 
+JUMP = 1e-9
+"""Fraction of a move in which a gap changes its sign so abruptly that it jumps."""
+
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
@@ -172,9 +175,16 @@ def _quietly(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks
 
 
 def _moves(
-    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, half: Half | None,
-    path: list[Placement], effort: Effort,
-) -> tuple[Moves, bool]:  # fmt: skip
+    s: System,
+    loads: Loads,
+    begin: Instant,
+    end: float,
+    h: float,
+    rate: Array,
+    half: Half | None,
+    path: list[Placement],
+    effort: Effort,
+) -> tuple[Moves, bool]:
     """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
 
     Where they were goes into the path.
@@ -219,9 +229,15 @@ def _later(acted: Impulses, begun: float) -> Impulses:
 
 
 def _until_event(
-    s: System, loads: Loads, begin: Instant, t: float, h: float, soon: float, effort: Effort,
+    s: System,
+    loads: Loads,
+    begin: Instant,
+    t: float,
+    h: float,
+    soon: float,
+    effort: Effort,
     half: Half | None = None,
-) -> tuple[float, Trial]:  # fmt: skip
+) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
     Or to where a slip turns round, but not `soon`, s. The first half of a move of h seconds may be known. Too long take
@@ -262,35 +278,42 @@ def _until_event(
             moves[time] = _try(s, loads, begin, t, time, barred)
         return least(moves[time].unmet)
 
-    low, high, length = 0.0, h, h
+    low, high, length, misses = 0.0, h, h, 0
     for _ in range(LOOKS):
-        # Newton's method from the nearest: in free flight it is exact.
-        time = _first_touch(s, moves[length], barred)
+        # Newton's method from the nearest as long as it gains: in free flight it is exact.
+        time = h if misses else _first_touch(s, begin, moves[length], barred)
         time = time if low < time < high else 0.5 * (low + high)
-        found = gap(time)
+        nearest, found = abs(gap(length)), gap(time)
+        misses = 0 if abs(found) <= 0.5 * nearest else misses + 1
         low, high = (time, high) if found > 0.0 else (low, time)
-        length = min(moves, key=lambda time: abs(gap(time)))
-        # Where another feature is the first to touch the gap jumps, and has no root.
-        if found == 0.0 or high - low <= 1e-15 * h:
+        length = length if abs(found) > nearest else time
+        # Beyond what the solver leaves of velocities nothing is gained. A gap that jumps, where another feature is the
+        # first to touch, has no root.
+        if found == 0.0 or high - low <= JUMP * h or (misses > 1 and abs(gap(length)) <= limit):
             break
     best, located = moves[length], abs(gap(length)) <= limit
     return (length, best) if located else capture()
 
 
-def _first_touch(s: System, m: Trial, barred: Index) -> float:
-    """When a move first touches what is barred, s: by parabolas of gaps that end as it does, under its free forces.
+def _first_touch(s: System, begin: Instant, m: Trial, barred: Index) -> float:
+    """When a move first touches what is barred, s: by parabolas of gaps that end as it does.
 
-    It may be past its end; infinite where nothing tells.
+    They accelerate as they did on the way, whatever else pressed there; under the free forces where they were not seen
+    at the beginning. The time may be past the end of the move; infinite where nothing tells.
     """
     d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
     pressed = a.met.contacts.key[a.normal > 0.0]
     c = take(c, among(s.detector.codes(c), barred) & ~among(c.key, pressed))
-    there, joints = a.moved.placement, d.joints
+    there, joints, before = a.moved.placement, d.joints, begin.contacts
     slots = joints.limits[-1 - barred[barred < 0]]
     gap = np.concatenate((c.gap, joints.gaps(slots, d.angles(there)) if slots.size else NOTHING))
-    u, fall = (
-        np.concatenate((approach(d, c, there, w), joints.rates(slots, w))) for w in (a.v_end, rate)
-    )  # fmt: skip
+    u, fall = (np.concatenate((approach(d, c, there, w), joints.rates(slots, w))) for w in (a.v_end, rate))
+    began = np.concatenate((np.full(c.gap.size, np.nan), joints.rates(slots, begin.v)))
+    _, here, was = np.intersect1d(c.key, before.key, return_indices=True)
+    began[here] = approach(d, before, begin.placement, begin.v)[was]
+    change = np.where(np.isnan(began), m.half.h * fall, u - began)
+    # Bodies go θ of the way as fast as they end.
+    u, fall = u + (2.0 * s.theta - 1.0) * change, 2.0 * s.theta / m.half.h * change
     # gap(h - x) = gap - u x + fall x²/2 = 0, where gap is negative: its least positive root
     root = np.sqrt(np.maximum(u * u - 2.0 * fall * gap, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -20,13 +20,13 @@ import numpy as np
 
 from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn.collision.contacts import ContactSet, Looked, Poses
-from nsdyn.dynamics.values import Forces, Middle
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.stepping.encounter import Closing, Encounter, solve
+from nsdyn.stepping.encounter import Encounter, Way, solve
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
+    from nsdyn.stepping.half import Half
     from nsdyn.stepping.instant import System
 
 __all__ = ["NO_COUPLE", "Apart", "Couple", "solve_workless", "unfinished"]
@@ -67,11 +67,14 @@ class Apart(NamedTuple):
         Which contacts slide through, as foreseen.
     switched : ndarray of bool, shape (nc,)
         Which have been found to do otherwise, and wait for a solve of their island.
+    off : ndarray of bool, shape (rows,), optional
+        Rows that end otherwise than they should: of islands without one nothing changes.
     """
 
     label: Index
     slides: Bools
     switched: Bools
+    off: Bools | None = None
 
     def keep(self, slides: Bools) -> None:
         """Let contacts slide as foreseen, and note which would not."""
@@ -85,27 +88,55 @@ class Apart(NamedTuple):
 
 
 def unfinished(
-    s: System, met: Encounter, begun: Looked, ended: Looked, moved: ContactSet, R: Array, h: float, mean: Array,
-    r: Array, slides: Bools,
-) -> Bools | None:  # fmt: skip
+    s: System,
+    met: Encounter,
+    begun: Looked,
+    ended: Looked,
+    moved: ContactSet,
+    R: Array,
+    h: float,
+    mean: Array,
+    r: Array,
+    slides: Bools,
+) -> Bools | None:
     """Which contacts that persist do work, or have gaps where a move without couples ends; None if none does.
 
-    Contacts were looked for where it `begun` and `ended`, and `moved` were found there: what has not moved since rests.
-    `mean` (n,) is the mean of the velocities before and after the impulses r, R (frames, 3, 3) turns frames to the
-    world.
+    Parameters
+    ----------
+    s : System
+    met : Encounter
+        What the impulses acted on.
+    begun, ended : Looked
+        Where contacts were looked for as the impulses act and at the end: what has not moved since rests.
+    moved : ContactSet
+        What was found at the end.
+    R : ndarray, shape (frames, 3, 3)
+        From the frames to the world.
+    h : float
+        The move, s.
+    mean : ndarray, shape (n,)
+        Mean of the velocities before and after the impulses.
+    r : ndarray, shape (3 nc,)
+        Impulses, N·s.
+    slides : ndarray of bool, shape (nc,)
     """
     if ended is begun or not met.stays.any():
         return None
     d, c = s.dynamics, met.contacts
     gap = s.detector.gaps(c, moved, Poses(ended.x, ended.R))
-    out = met.off(gap, r, s.near(c), s.closed)
+    out = met.off(gap, r, s.near(c, gap.size), s.closed)
     if d.free:
         other = np.empty(c.gap.size, np.bool_)
+        found = np.zeros((gap.size, 3)), np.empty(d.n), np.full(gap.size, np.inf), other
         _persistence.couples(
-            met.rows.full.arrays, (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), mean, R, d.inverse_J, s.arm, h, r,
-            met.mu, (met.stays, met.sticks, slides), np.zeros((gap.size, 3)), np.empty(d.n),
-            np.full(gap.size, np.inf), other,
-        )  # fmt: skip
+            met.rows.full.arrays,
+            (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),
+            mean,
+            (R, d.inverse_J, s.arm, h),
+            (r, met.mu),
+            (met.stays, met.sticks, slides),
+            found,
+        )
         out |= other
     if out.any():
         went = np.append((begun.x != ended.x).any(axis=1) | (begun.R != ended.R).any(axis=(1, 2)), False)
@@ -114,27 +145,33 @@ def unfinished(
 
 
 def solve_workless(
-    s: System, met: Encounter, middle: Middle, forces: Forces, h: float, last: Solution | None, closing: Closing,
-    slides: Bools, back: bool, most: int, rough: bool, start: Couple, apart: Apart | None = None,
-    off: Bools | None = None,
-) -> tuple[Encounter, FC3D, Solution, bool, Couple]:  # fmt: skip
+    s: System,
+    met: Encounter,
+    half: Half,
+    last: Solution | None,
+    slides: Bools,
+    way: Way,
+    start: Couple,
+    apart: Apart | None,
+) -> tuple[Encounter, FC3D, Solution, bool, Couple]:
     """`solve`, and couples with which contacts that persist do no work, from `start`; what is met with these.
 
-    Of islands `apart` only those of which a contact is `off`, or has another couple, change.
+    Of islands `apart` only those of which a contact is off, or has another couple, change.
     """
-    alone, R, couple = met, middle.placement.R, start
+    middle, forces, alone, R, couple = half.middle, half.forces, met, half.middle.placement.R, start
     if start.dv.size:
         met = alone.turned(start.dv, alone.local[4])
-    problem, solution, otherwise = solve(met, s.solver, last, closing, slides, back, most, rough)
+    problem, solution, otherwise = solve(met, s.solver, last, slides, way)
     if apart is not None:
         apart.keep(slides)
-        solution = solution if last is None or off is None else apart.thawed(last, solution, off)
+        solution = solution if last is None or apart.off is None else apart.thawed(last, solution, apart.off)
     if not s.dynamics.free or not met.stays.any():
         return met, problem, solution, otherwise, couple
     nc = met.contacts.gap.size
     d, c, full = s.dynamics, met.contacts, met.rows.full.arrays
-    pairs, where = (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), (R, d.inverse_J, s.arm, h)
-    flags, gaps = (met.stays, met.sticks, slides), (met.end_gap, met.restitution, met.rebound, met.late)
+    pairs, bodies = (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), (R, d.inverse_J, s.arm, half.h)
+    flags = met.stays, met.sticks, slides
+    laws = met.end_gap, met.restitution, met.rebound, met.late, tuple(way.closing)
     left = np.full(nc, np.inf)
     for _ in range(PASSES):
         if not solution.accepted:
@@ -142,26 +179,11 @@ def solve_workless(
         velocities = middle.v, forces.v, couple.dv, met.rows.velocity_change(solution.r)
         turned, other = couple.impulse.copy() if couple.dv.size else np.zeros((nc, 3)), np.empty(nc, np.bool_)
         dv, local, b = np.empty(d.n), alone.local.copy(), np.empty(solution.r.size)
-        if not _persistence.turn(
-            full,
-            pairs,
-            velocities,
-            *where,
-            solution.r,
-            met.mu,
-            flags,
-            gaps,
-            tuple(closing),
-            turned,
-            dv,
-            local,
-            b,
-            left,
-            other,
-        ):
+        pressed, found = (solution.r, met.mu), (turned, dv, left, other)
+        if not _persistence.turn(full, pairs, velocities, bodies, pressed, flags, laws, found, (local, b)):
             break
         couple, met = Couple(turned, NO_COUPLE.work, dv), alone._replace(local=local, posed=problem.with_velocity(b))
-        problem, again, changed = solve(met, s.solver, solution, closing, slides, True, most, rough)
+        problem, again, changed = solve(met, s.solver, solution, slides, way._replace(back=True))
         otherwise = otherwise or changed
         if apart is None:
             solution = again

@@ -60,9 +60,13 @@ class Placed(NamedTuple):
 
 
 def place(
-    dynamics: Dynamics, detector: Detector, position: Position, placement: Placement, memory: ContactMemory,
+    dynamics: Dynamics,
+    detector: Detector,
+    position: Position,
+    placement: Placement,
+    memory: ContactMemory,
     looked: Looked,
-) -> Placed:  # fmt: skip
+) -> Placed:
     """The contacts and limits at a position, whatever overlaps, where they are `looked` for."""
     contacts, memory = detector.find(*looked, memory)
     return Placed(position, placement, contacts, dynamics.limits(placement), memory, looked, True)

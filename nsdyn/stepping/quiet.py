@@ -17,7 +17,7 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free
-from nsdyn.stepping.encounter import Basis, Encounter, Warm, foresee, solve
+from nsdyn.stepping.encounter import Basis, Encounter, Warm, Way, foresee, solve
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
 from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, System, account
@@ -43,7 +43,7 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     if not d.alone:
         return None
     where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
-    approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
+    approach, all_closed = _law.fastest(old.gap, s.closed, where, begin.twists)
     if not all_closed or approach < -s.slow / h:
         return None
     x, quaternion, v, R, v_free, rate, reach, far, same = free.half(s, begin, h)
@@ -63,9 +63,15 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     pair = last.pair if basis is not None and basis.contacts is contacts else s.detector.codes(contacts)
     stays, sticks = np.empty(nc, np.bool_), np.empty(nc, np.bool_)
     if not _reversal.goes_on(
-        (r, solution.u, problem.q), mu, local, slides, contacts.key, pair, (last.key, last.pair, last.status),
-        (old.key, old.gap, s.closed), end_gap, h, stays, sticks,
-    ):  # fmt: skip
+        (r, solution.u, problem.q, mu),
+        local,
+        slides,
+        (contacts.key, pair),
+        (last.key, last.pair, last.status),
+        (old.key, old.gap, s.closed, h),
+        end_gap,
+        (stays, sticks),
+    ):
         return None
     v_plus, x, quaternion, v_end, R_end, twists, same = free.end(
         s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
@@ -76,25 +82,57 @@ def quiet(s: System, begin: Instant, h: float) -> Moves | None:
     found, memory, looked = seen
     if looked is not begun:
         met = Encounter(
-            contacts, None, rows, frame, None, mu, contacts.restitution, place, last.status, local, end_gap,
-            stays=stays, sticks=sticks,
-        )  # fmt: skip
+            contacts,
+            None,
+            rows,
+            frame,
+            None,
+            mu,
+            contacts.restitution,
+            place,
+            last.status,
+            local,
+            end_gap,
+            stays=stays,
+            sticks=sticks,
+        )
         if unfinished(s, met, begun, looked, found, R, h, 0.5 * (v + v_plus), r, slides) is not None:
             return None
     out = status, normal, friction, u, world = (
-        np.empty(nc, np.int8), np.empty(nc), np.empty(nc), np.empty(3 * nc), np.empty((nc, 3))
-    )  # fmt: skip
+        np.empty(nc, np.int8),
+        np.empty(nc),
+        np.empty(nc),
+        np.empty(3 * nc),
+        np.empty((nc, 3)),
+    )
     external, beyond, normal_work, friction_work, rest = _account.account(
-        rows.full.arrays, (d.mass, d.gravity), (d.no_load, d.no_load), h, s.theta, (v, v, v_plus), r, mu, NOTHING,
-        (stays, sticks, NOTHING), NOTHING, local, frame, s.solver.tol, out,
-    )  # fmt: skip
+        (d.mass, d.gravity, d.no_load, d.no_load),
+        (h, s.theta),
+        (v, v, v_plus),
+        (rows.full.arrays, NOTHING, mu, local, frame),
+        r,
+        (stays, sticks, NOTHING, NOTHING),
+        s.solver.tol,
+        out,
+    )
     slots, on_joints = d.no_impulses
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
     impulses = Impulses(
-        contacts, frame, u.reshape(-1, 3), r.reshape(-1, 3), status, np.zeros((nc, 3)), normal, friction, on_joints,
-        d.no_push, 0.0, time, h,
-    )  # fmt: skip
+        contacts,
+        frame,
+        u.reshape(-1, 3),
+        r.reshape(-1, 3),
+        status,
+        np.zeros((nc, 3)),
+        normal,
+        friction,
+        on_joints,
+        d.no_push,
+        0.0,
+        time,
+        h,
+    )
     warm = Warm(contacts.key, pair, world, status, slots, Basis(contacts, rows, frame, problem))
     position, there = begin.position.moved(x, quaternion), Placement(x, R_end, ())
     end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
@@ -115,7 +153,7 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     if s.elastic and _bounces(s, begin, (forces.foreseen - begin.v) / h):
         return None
     where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
-    approach, all_closed = _law.fastest(old.gap, s.closed, *where, *begin.twists)
+    approach, all_closed = _law.fastest(old.gap, s.closed, where, begin.twists)
     if not all_closed or approach < -s.slow / h:
         return None
     if d.with_actuators(d.joint_rows(there, v, forces.v, h), forces) is not None:
@@ -128,9 +166,9 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     closing = s.closing(h, False)
     start = old, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     met = Encounter.of(d, contacts, None, middle.seen(looked), forces, start, reach, still, h, half.ahead, closing)
-    met = met.lasting(s.detector.codes(contacts), begin.warm, old, s.closed, h, False)
+    met = met.lasting(s.detector.codes(contacts), begin.warm, (old, NOTHING), s.closed, h, False)
     slides = foresee(met)
-    problem, solution, otherwise = solve(met, s.solver, None, closing, slides, False, 0)
+    problem, solution, otherwise = solve(met, s.solver, None, slides, Way(closing, False, 0))
     if otherwise or reversal(met, s.solver, problem, solution) < 1.0:
         return None
     r = solution.r

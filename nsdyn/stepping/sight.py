@@ -63,19 +63,23 @@ def caught(
     c, before, rate = contacts, begin.contacts, s.theta / ahead * (v - begin.v)
     gap = before.gap
     if s.elastic and _few.any_below(gap, s.closed) and _few.most(before.restitution) > 0.0:
-        gap, where = np.empty(gap.size), (before.frame1, before.frame2, before.point, before.normal)
-        motion = [s.dynamics.twists(begin.placement, w) for w in (begin.v, rate)]
-        own = *where, before.gap, before.restitution
-        _sight.parting(own, begin.placement.x, *motion, s.closed, s.solver.tol, s.bounces, gap)
+        gap, there = np.empty(gap.size), begin.placement
+        where = before.frame1, before.frame2, before.point, before.normal, there.x
+        motion = s.dynamics.twists(there, begin.v), s.dynamics.twists(there, rate)
+        _sight.parting(where, before.gap, before.restitution, motion, (s.closed, s.solver.tol, s.bounces), gap)
     if _law.all_known(c.key, before.key, gap, s.closed):
         return contacts
     out, warm = np.empty(c.gap.size, np.bool_), begin.warm
     _sight.caught(
-        (c.key, c.frame1, c.frame2, c.geom1, c.geom2, c.point, c.normal, c.gap, c.restitution), s.detector.codes(c),
-        placement.x, tuple([s.dynamics.twists(placement, w) for w in (begin.v, v, rate)]), (before.key, gap), s.closed,
-        (warm.key, warm.pair, warm.status), s.inscribed, (ahead, ahead / s.theta, s.depth, s.solver.tol), barred,
-        s.bounces, out,
-    )  # fmt: skip
+        (c.key, s.detector.codes(c), s.deep(c), c.gap, c.restitution),
+        (c.frame1, c.frame2, c.point, c.normal, placement.x),
+        tuple([s.dynamics.twists(placement, w) for w in (begin.v, v, rate)]),
+        (before.key, gap, s.closed),
+        (warm.key, warm.pair, warm.status),
+        (ahead, ahead / s.theta, s.solver.tol, s.bounces),
+        barred,
+        out,
+    )
     return take(contacts, out)
 
 
@@ -130,7 +134,7 @@ def approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) 
     """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s; driven bodies at rest."""
     out = np.empty(contacts.gap.size)
     where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, placement.x
-    _law.approach(*where, *d.twists(placement, v), out)
+    _law.approach(where, d.twists(placement, v), out)
     return out
 
 
@@ -182,9 +186,15 @@ def touched(
 
 
 def shown(
-    s: System, met: Encounter, r: Array, found: ContactSet, memory: ContactMemory, places: tuple[Placement, Placement],
-    fast: bool, kept: Index,
-) -> tuple[ContactSet, ContactMemory, Index]:  # fmt: skip
+    s: System,
+    met: Encounter,
+    r: Array,
+    found: ContactSet,
+    memory: ContactMemory,
+    places: tuple[Placement, Placement],
+    fast: bool,
+    kept: Index,
+) -> tuple[ContactSet, ContactMemory, Index]:
     """Contacts that the motion of a move shows, of those met with impulses r and those missed, and what to keep.
 
     What ends deep with features that were not met is met with those, where they were in the middle: the projection of

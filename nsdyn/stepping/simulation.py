@@ -15,8 +15,9 @@ from nsdyn.scene import settings
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Solver
 from nsdyn.stepping import checkpoint
+from nsdyn.stepping.functions import Callback
 from nsdyn.stepping.impacts import Law
-from nsdyn.stepping.stepper import Callback, Stepper
+from nsdyn.stepping.stepper import Stepper
 
 __all__ = ["Options", "RunOptions", "command", "simulate"]
 
@@ -84,13 +85,14 @@ def simulate(
         Show a progress bar on stderr when it is a terminal.
     every : int
         Record only every so many steps. Works are summed over the steps between, so that the ledger closes; contacts,
-        with their impulses, are those of the step recorded: see `nsdyn.recording.file`.
+        with their impulses, are those of the step recorded: see `nsdyn.recording.columns`.
     contacts : bool
         Whether contacts are recorded.
     resume : path, optional
         Recording, in place of `record`, of a run of the same arguments that ended or was killed. It goes on from the
         last state there, about half a second of computing before a kill, and the rows after it are added to the file:
-        the same bits as if it had never stopped. Controllers and external forces must be functions of (t, q, v) alone.
+        the same bits as if it had never stopped. Controllers and external forces must be functions of (t, q, v) alone,
+        without memory.
 
     Returns
     -------
@@ -124,9 +126,20 @@ def simulate(
     if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
         raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
     stepper = Stepper(
-        scene, dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift,
+        scene,
+        dt,
+        theta,
+        solver,
+        controller,
+        external_force,
+        on_fail,
+        max_points,
+        dump_on_fail,
+        impact,
+        overlap,
+        lift,
         polish,
-    )  # fmt: skip
+    )
     if duration < 0.5 * stepper.dt:
         raise ValueError(f"duration must be at least half a step of dt = {stepper.dt:g} s, got {duration:g} s")
     if isinstance(every, bool) or not isinstance(every, int) or every < 1:
@@ -149,12 +162,20 @@ def _recorder(
 ) -> Recorder:
     """What records a stepper, which is set to the last state of a recording to resume."""
     scene = stepper.scene
+    if resume is not None and stepper.functions.take_last:
+        raise ValueError("resume must be None where a function takes the last step, which a recording does not hold")
     meta = {
-        "dt": stepper.dt, "theta": stepper.theta, "solver": repr(stepper.solver), "impact": repr(stepper.system.impact),
-        "controller": stepper.controller is not None, "external_force": stepper.external_force is not None,
-        "checksums": json.dumps(checkpoint.checksums(scene)), **kept,
-        "parameters": settings.as_json(scene.parameters), "command": command.get(),
-    }  # fmt: skip
+        "dt": stepper.dt,
+        "theta": stepper.theta,
+        "solver": repr(stepper.solver),
+        "impact": repr(stepper.system.impact),
+        "controller": stepper.controller is not None,
+        "external_force": stepper.external_force is not None,
+        "checksums": json.dumps(checkpoint.checksums(scene)),
+        **kept,
+        "parameters": settings.as_json(scene.parameters),
+        "command": command.get(),
+    }
     begin = stepper.get_state()
     if resume is None:
         return Recorder(record, meta, scene.describe(), stepper.start(), partial(checkpoint.pack, begin))

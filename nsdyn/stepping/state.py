@@ -11,11 +11,13 @@ from nsdyn.collision.contacts import ContactSet
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
+from nsdyn.scene import checks
 from nsdyn.stepping.energy import Ledger
-from nsdyn.stepping.instant import Instant
+from nsdyn.stepping.instant import Impulses, Instant
+from nsdyn.stepping.names import Names
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Pieces", "Start", "State", "Step"]
+__all__ = ["Pieces", "Start", "State", "Step", "Touch"]
 
 
 class State(NamedTuple):
@@ -33,6 +35,8 @@ class State(NamedTuple):
         Kinetic and potential, J.
     opening : gauss.Opening, optional
         Direction that the last certificate rests on.
+    last : Step, optional
+        The last step, where a callback takes it.
     """
 
     origin: float
@@ -42,6 +46,7 @@ class State(NamedTuple):
     rate: Array
     energies: tuple[float, float]
     opening: gauss.Opening | None = None
+    last: Step | None = None
 
     @property
     def t(self) -> float:
@@ -78,6 +83,39 @@ class Pieces(NamedTuple):
     contacts: NDArray[np.int64]
     moves: NDArray[np.int8]
     joints: Array
+
+    @staticmethod
+    def of(done: list[Impulses], first: int) -> Pieces:
+        """The parts of a step with trees, whose coordinates begin at `first`."""
+        begin, duration = np.array([(a.begin, a.duration) for a in done]).T
+        contacts, every = np.array([a.contacts.gap.size for a in done]), np.ones(done[0].joints.shape[1], np.bool_)
+        moves = np.stack([(every if a.moves is None else a.moves)[first:] for a in done]).astype(np.int8)
+        return Pieces(begin, duration, contacts, moves, np.stack([a.joints[:, first:] for a in done], axis=1))
+
+
+class Touch(NamedTuple):
+    """The m contacts of two bodies in a step, world axes.
+
+    Attributes
+    ----------
+    point, normal : ndarray, shape (m, 3)
+        m, and from the first body to the second.
+    gap : ndarray, shape (m,)
+        At the end of the step, m; negative inside.
+    velocity : ndarray, shape (m, 3)
+        Of the second body relative to the first at the end of the step, m/s.
+    force : ndarray, shape (m, 3)
+        On the second body, mean of the step, N. Of redundant contacts only the sum is unique.
+    status : ndarray of int8, shape (m,)
+        0 open, 1 stick, 2 slip, 3 jam, as `Step.contact_status`.
+    """
+
+    point: Array
+    normal: Array
+    gap: Array
+    velocity: Array
+    force: Array
+    status: NDArray[np.int8]
 
 
 class Step(NamedTuple):
@@ -129,6 +167,13 @@ class Step(NamedTuple):
         Of the last problem solved, or of the worst where any missed its tolerance; its status is OVERLAP where shapes
         are left in each other by more than what counts as closed, JAM where bodies jam, and SEVERAL where another
         velocity is found to obey Coulomb's law as well (`nsdyn.problem.paradox`).
+    twists : two ndarrays of shape (frames, 3)
+        Of all moving frames at the end of the step: velocities of their origins, m/s, and angular velocities, rad/s,
+        world axes.
+    dt : float
+        Length of the step h, s.
+    names : Names
+        What `force`, `between` and `velocity` find their bodies by.
     """
 
     t: float
@@ -154,6 +199,9 @@ class Step(NamedTuple):
     gauss: gauss.Certificate
     problem: FC3D
     solution: Solution
+    twists: tuple[Array, Array]
+    dt: float
+    names: Names
 
     def __repr__(self) -> str:
         return f"<Step to t = {self.t:.6g} s: {self.gap.size} contacts, {self.solution.status.name}>"
@@ -170,6 +218,43 @@ class Step(NamedTuple):
         if self.joints is not None:
             out[self.v.size - self.joints.shape[1] :] = self.joints[1] + self.joints[2]
         return out
+
+    def force(self, name: str) -> Array:
+        """Net contact force on a body, "articulation/body" or articulation, mean of the step, (3,), N, world axes.
+
+        Between the links of one articulation it cancels. ValueError naming the known ones.
+        """
+        on = self.names.members(name)
+        sign = 1.0 * on[self.contacts.geom2] - 1.0 * on[self.contacts.geom1]
+        out: Array = np.einsum("c,ci,cij->j", sign, self.r, self.frame) / self.dt
+        return out
+
+    def between(self, a: str, b: str) -> Touch:
+        """The contacts of two bodies, as seen from `a`; names as of `force`. ValueError naming the known ones."""
+        on_a, on_b = self.names.members(a), self.names.members(b)
+        first, second = self.contacts.geom1, self.contacts.geom2
+        sign = 1.0 * (on_a[first] & on_b[second]) - 1.0 * (on_b[first] & on_a[second])
+        k = np.flatnonzero(sign)
+        push, slip = (sign[k, None] * np.einsum("ci,cij->cj", x[k], self.frame[k]) for x in (self.r, self.u))
+        return Touch(
+            self.contacts.point[k],
+            sign[k, None] * self.frame[k, 0],
+            self.gap[k],
+            slip,
+            push / self.dt,
+            self.contact_status[k],
+        )
+
+    def velocity(self, name: str) -> tuple[Array, Array]:
+        """Velocity of a free body or "articulation/body" at the end of the step: (3,) m/s, (3,) rad/s, world axes.
+
+        The linear one is that of its centre of mass, or of the origin of the link's frame. ValueError naming the known.
+        """
+        frame, origin = self.names.place(name)
+        linear, angular = (twist[frame].copy() for twist in self.twists)
+        if self.frames_quat is not None:
+            linear += np.cross(angular, checks.rotation(self.frames_quat[frame]) @ origin)
+        return linear, angular
 
     @property
     def energy(self) -> dict[str, float]:

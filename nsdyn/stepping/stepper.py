@@ -8,49 +8,37 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
-from nsdyn.dynamics.dynamics import Controls, Dynamics, Wrenches
-from nsdyn.dynamics.values import Position
+from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.problem import gauss, polished
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.scene import pairs
-from nsdyn.scene.bodies import Geom
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Auto, Solver, as_solver
+from nsdyn.stepping.contradictions import Prescribed
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
-from nsdyn.stepping.half import Callbacks
+from nsdyn.stepping.functions import Callback, Functions
 from nsdyn.stepping.impacts import Law, as_law
 from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
-from nsdyn.stepping.instant import Impulses, System
+from nsdyn.stepping.instant import Impulses
 from nsdyn.stepping.islands import Islands
-from nsdyn.stepping.prescribed import Prescribed
+from nsdyn.stepping.names import Names
 from nsdyn.stepping.state import Pieces, Start, State, Step
+from nsdyn.stepping.system import check_options, system_of
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Callback", "Stepper"]
-
-Callback = Callable[[float, Array, Array], Mapping[str, Any]]
-
-CLOSED = 1e-9
-"""Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
-that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
-body at rest in every step."""
-
-SLOW = 0.01
-"""m/s. In a step in which a body at this speed moves farther than its size a contact may sink only for as long as that
-takes: grains of 1e-5 m gained 1e-6 of their energy from gaps that counted as closed."""
+__all__ = ["Stepper"]
 
 
 class Stepper:
@@ -81,12 +69,14 @@ class Stepper:
         A name of `nsdyn.solvers.SOLVERS`, then at a tolerance of 1e-8, or a solver object. Default and "auto":
         ``Auto(tol=1e-8, loose=1e-4)``.
     controller : callable, optional
-        ``controller(t, q, v)`` returns {articulation: joint forces (nv,) or `PD`}. It is called twice a step, at the
+        ``controller(t, q, v)`` returns {articulation: `PD`, or joint forces by name or as an array, N m or N, or
+        an `Actuation` of the actuators of its file}. It is called twice a step, at the
         time and the configuration q~ where forces and impulses act: first with the velocity v⁻ before them, then with
         the mean velocity ½ (v⁻ + v⁺) of the motion so found. If it says something else there, that acts, and the
         motion is found again: laws of the velocity are of second order for θ = ½, as is their work. A step that is cut,
         at impacts or because it is too coarse, calls so in each move that is tried, at its own times. Layout as
-        Pinocchio's, for q and for v.
+        Pinocchio's, for q and for v. A function that has a fourth argument `last` is given the last `Step`, with its
+        contacts and forces; None before the first.
     external_force : callable, optional
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's
@@ -149,54 +139,34 @@ class Stepper:
         lift: bool = False,
         polish: bool = False,
     ) -> None:
-        if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
-            raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
-        if not 0.5 <= theta <= 1.0:
-            raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
-        if not isinstance(scene, Scene):
-            raise ValueError(f"scene must be a nsdyn.Scene, got {scene!r}; nsdyn.scenes.load(name)() makes a named one")
-        for what, given in (("controller", controller), ("external_force", external_force)):
-            if given is not None and not callable(given):
-                raise ValueError(f"{what} must be a function of (t, q, v) or None, got {given!r}")
+        check_options(scene, dt, theta, overlap, {"lift": lift, "polish": polish})
         law = as_law(impact)
-        if isinstance(overlap, bool) or not isinstance(overlap, (int, float)) or not 0.0 <= overlap <= 1.0:
-            raise ValueError(f"overlap must be a fraction in [0, 1], got {overlap!r}")
-        for name, value in (("lift", lift), ("polish", polish)):
-            if not isinstance(value, bool):
-                raise ValueError(f"{name} must be True or False, got {value!r}")
         self._certificate = polished.certify if polish else gauss.certify
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
         solver = Auto() if solver in (None, "auto") else as_solver(solver)
-        self.controller, self.external_force = controller, external_force
+        self.functions = Functions(controller, external_force)
         geoms = scene.geoms()
         self.failures = Failures(on_fail, dump_on_fail, [g.name for g in geoms])
         self.dynamics = Dynamics(scene)
         # Pairs that only prescribed motion moves exert no impulses: no velocity could obey them.
         apart = pairs.excluded(scene, geoms) | pairs.among(geoms, self.dynamics.held)
         self.detector = Detector(geoms, pairs.pair_material(scene, geoms), apart, max_points)
-        # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
-        size = min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
-        # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
-        self.closed = max(CLOSED * size, solver.tol * min(self.dt, size / SLOW))
-        inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
-        rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
-        elastic = any(e > 0.0 for e in rebounds) or bool(self.dynamics.joints.restitution.any())
-        self.system = System(
-            self.dynamics, self.detector, solver, self.theta, self.dt, self.closed, inscribed,
-            float(inscribed.min(initial=np.inf)), _arms(geoms, self.dynamics.frames), law, elastic,
-        )  # fmt: skip
+        self.system = system_of(scene, geoms, self.dynamics, self.detector, solver, (self.theta, self.dt), law)
+        self.closed = self.system.closed
         own = (mu for mu, _ in scene.pairs.values() if mu is not None)
         steepest = max([0.0, *(g.material.mu for g in geoms), *own])
         self._paradoxes = Paradoxes(self.dynamics, solver, self.system.arm, steepest)
+        servos = [f"{a.name}/{one.name}" for a in scene.articulations.values() for one in a.actuators if one.servo]
+        if servos and controller is None:
+            warnings.warn(f"without a controller these servos are off: {', '.join(servos)}", stacklevel=2)
         if not (scene.free_bodies or scene.articulations or scene.driven_bodies):
             warnings.warn("the scene has nothing that moves: all its bodies are fixed, if any", stacklevel=2)
         self._prescribed = None
         if self.dynamics.prescribed:
             self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
         self._islands = Islands(self.system)
-        instant, d = begin(self.system, geoms, float(overlap), lift), self.dynamics
-        energies = d.energies(instant.position, instant.v, instant.energies)
-        self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies)
+        self._names, self._begin = Names(scene, geoms), partial(begin, self.system, geoms, float(overlap), lift)
+        self.reset()
 
     def __repr__(self) -> str:
         return f"<Stepper of {self.scene.name!r} at t = {self.t:.6g} s, dt = {self.dt:g} s>"
@@ -212,6 +182,35 @@ class Stepper:
     def solver(self) -> Solver:
         """Of the contact problems."""
         return self.system.solver
+
+    @property
+    def controller(self) -> Callback | None:
+        """What controls the joints."""
+        return self.functions["controller"]
+
+    @property
+    def external_force(self) -> Callback | None:
+        """What pushes the bodies."""
+        return self.functions["external_force"]
+
+    def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
+        """Begin anew at t = 0, from a state of one's own.
+
+        Parameters
+        ----------
+        q, v : array, shapes (nq,) and (nv,), optional
+            Pinocchio's layout, as of `Step.q` and `Step.v`; by default those of the scene. Loops are closed from there,
+            joints whose motion is prescribed have its velocity.
+
+        Raises
+        ------
+        ValueError
+            For other shapes, quaternions that are not of norm 1, joints beyond their limits, and deep overlaps, naming
+            them; the state is left as it was.
+        """
+        instant, d = self._begin(q, v), self.dynamics
+        energies = d.energies(instant.position, instant.v, instant.energies)
+        self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies)
 
     def get_state(self) -> State:
         """State after the last step; with `set_state` a run goes on bit for bit, warm start included."""
@@ -308,7 +307,9 @@ class Stepper:
 
     def _advance(self) -> Step:
         s = self._state
-        now, rate, clear, done, solved, works, _ = self._islands.step(s, self._loads)
+        now, rate, clear, done, solved, works, _ = self._islands.step(
+            s, lambda t: self.functions.at(t, self.dynamics, s.last)
+        )
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.placement, now.placement, s.t + s.dt)
             clear = clear and depth <= self.closed
@@ -332,22 +333,10 @@ class Stepper:
         ledger = Ledger.of(s.energies, energies, total)
         if solution.accepted and not clear:
             solution = solution._replace(status=Status.OVERLAP)
-        return self._record(done, ledger, certificate, problem, solution)
-
-    def _loads(self, t: float) -> Callbacks:
-        """What the user's functions say at a time; None without any."""
-        if self.external_force is None and self.controller is None:
-            return None
-        return partial(self._callbacks, t)
-
-    def _callbacks(self, t: float, middle: Position, v: Array) -> tuple[Wrenches | None, Controls]:
-        """What the user's functions say at a time, a position and a velocity."""
-        d, push, drive = self.dynamics, self.external_force, self.controller
-        at = t, *d.pinocchio_state(middle, v)
-        return (
-            callbacks.called(push, "external_force", partial(d.wrenches, middle), *at) if push else None,
-            callbacks.called(drive, "controller", d.controls, *at) if drive else {},
-        )
+        step = self._record(done, ledger, certificate, problem, solution)
+        if self.functions.take_last:
+            self._state = self._state._replace(last=step)
+        return step
 
     def _certify(
         self, solved: list[tuple[FC3D, Solution]], opening: gauss.Opening | None
@@ -367,7 +356,7 @@ class Stepper:
     ) -> Step:
         """What the moves and impacts of a step did."""
         d, end = self.dynamics, self._state.instant
-        acted = done[0] if len(done) == 1 else _joined(done)
+        acted = done[0] if len(done) == 1 else Impulses.joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
         gap = acted.contacts.gap
@@ -376,37 +365,32 @@ class Stepper:
         joints = pieces = None
         if d.trees:
             joints = acted.joints[:, 6 * d.free :]
-            pieces = _pieces(done, 6 * d.free) if len(done) > 1 else None
+            pieces = Pieces.of(done, 6 * d.free) if len(done) > 1 else None
         return Step(
-            self.t, q, v, x, quaternion, acted.contacts, gap, acted.frame, acted.u, acted.r, acted.couple, acted.status,
-            acted.time, acted.normal, acted.friction, joints, acted.links, pieces, acted.created, ledger, certificate,
-            problem, solution,
-        )  # fmt: skip
-
-
-def _joined(done: list[Impulses]) -> Impulses:
-    """All that acted in a step, one after the other."""
-    contacts = ContactSet._make(np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True))
-    columns = list(zip(*done, strict=True))[1:8]
-    frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns)
-    joints, links = (np.sum([getattr(a, name) for a in done], axis=0) for name in ("joints", "links"))
-    time = np.concatenate([a.time for a in done])
-    created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
-    return Impulses(contacts, frame, u, r, status, couple, normal, friction, joints, links, created, time, duration)
-
-
-def _pieces(done: list[Impulses], first: int) -> Pieces:
-    """The parts of a step with trees, whose coordinates begin at `first`."""
-    begin, duration = np.array([(a.begin, a.duration) for a in done]).T
-    contacts, every = np.array([a.contacts.gap.size for a in done]), np.ones(done[0].joints.shape[1], np.bool_)
-    moves = np.stack([(every if a.moves is None else a.moves)[first:] for a in done]).astype(np.int8)
-    return Pieces(begin, duration, contacts, moves, np.stack([a.joints[:, first:] for a in done], axis=1))
-
-
-def _arms(geoms: list[Geom], frames: int) -> Array:
-    """How far shapes reach from the origins of the moving frames, m."""
-    out = np.zeros(frames)
-    for g in geoms:
-        if g.frame >= 0:
-            out[g.frame] = max(out[g.frame], float(np.linalg.norm(g.placement_t)) + g.shape.bounding_radius)
-    return out
+            self.t,
+            q,
+            v,
+            x,
+            quaternion,
+            acted.contacts,
+            gap,
+            acted.frame,
+            acted.u,
+            acted.r,
+            acted.couple,
+            acted.status,
+            acted.time,
+            acted.normal,
+            acted.friction,
+            joints,
+            acted.links,
+            pieces,
+            acted.created,
+            ledger,
+            certificate,
+            problem,
+            solution,
+            end.twists,
+            self.dt,
+            self._names,
+        )

@@ -7,20 +7,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Unpack
 
-import numpy as np
 from scipy.optimize import brentq
 
-from nsdyn.recording.comparison import differences
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import RunOptions, simulate
+from nsdyn.study.comparison import differences
 from nsdyn.tools.naming import check_known
 
 __all__ = ["Refinement", "Row", "order", "refine"]
 
 ERRORS = {"position": "m", "rotation": "rad", "velocity": "m/s, rad/s", "energy": "J"}
-"""What is compared, by `nsdyn.recording.comparison.differences`, and its unit."""
+"""What is compared, by `nsdyn.study.comparison.differences`, and its unit."""
 
 LARGEST_ORDER = 16.0
 """Of those looked for."""
@@ -87,9 +86,13 @@ class Refinement:
 
 
 def refine(
-    scene: str | Callable[[], Scene], dts: Sequence[float], duration: float, parameters: dict[str, Any] | None = None,
-    progress: bool = False, **options: Unpack[RunOptions],
-) -> Refinement:  # fmt: skip
+    scene: str | Callable[[], Scene],
+    dts: Sequence[float],
+    duration: float,
+    parameters: dict[str, Any] | None = None,
+    progress: bool = False,
+    **options: Unpack[RunOptions],
+) -> Refinement:
     """Simulate a scene at several steps and compare with the finest.
 
     Parameters
@@ -167,19 +170,17 @@ def order(e1: float, e2: float, h1: float, h2: float, h0: float) -> float:
 
 
 def _run(
-    scene: str | Callable[[], Scene], dt: float, duration: float, parameters: dict[str, Any], progress: bool,
+    scene: str | Callable[[], Scene],
+    dt: float,
+    duration: float,
+    parameters: dict[str, Any],
+    progress: bool,
     options: RunOptions,
-) -> Trajectory:  # fmt: skip
+) -> Trajectory:
     if isinstance(scene, str):
         setup = scenes.setup(scene, **parameters)
         return simulate(setup.scene, duration, **setup.options(**options | {"dt": dt, "progress": progress}))
     return simulate(scenes.made(scene, **parameters), duration, dt=dt, progress=progress, **options)
-
-
-def _time(run: Trajectory) -> float:
-    """Wall time of the steps, s; the first one without what it loads or compiles."""
-    each = run.wall_time
-    return float(each.sum() - max(0.0, each[0] - np.median(each)))
 
 
 def _errors(run: Trajectory, finest: Trajectory) -> dict[str, float]:

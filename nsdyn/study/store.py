@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -30,7 +31,8 @@ class Store:
     Raises
     ------
     ValueError
-        If the file cannot be written, is no store, or that of another sweep, naming the difference.
+        If the file cannot be written, another process writes it, it is no store, or that of another sweep, naming the
+        difference.
     OSError
         Naming the file, of a full disk, then or when a point is added.
     """
@@ -41,15 +43,31 @@ class Store:
         if files.is_special(self.path):
             raise ValueError(f"cannot store a sweep in {path}: it is no regular file, which lines could be added to")
         self._sweep = _read(_write({"sweep": sweep}))["sweep"]
+        with self._told():
+            self._file = open(self.path, "a+b")  # closed by __exit__
+        try:
+            self._begin(sweep)
+        except BaseException:
+            with suppress(OSError):  # it tries once more what a full disk did not take
+                self._file.close()
+            raise
+
+    def _begin(self, sweep: Mapping[str, Any]) -> None:
+        """Lock the file until it is closed, read it, and cut off a line that is not whole."""
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{self.path} is being written by another process, which runs this sweep") from None
         self._points, whole = self._found()
-        with self._told(), open(self.path, "a+b") as file:
-            file.truncate(whole)
+        with self._told():
+            self._file.truncate(whole)
             if not whole:
-                file.write(_write({"sweep": sweep}))
+                self._file.write(_write({"sweep": sweep}))
+            self._file.flush()
 
     def _found(self) -> tuple[dict[str, dict[str, Any]], int]:
         """Points of a file by their parameters, and the bytes of its whole lines."""
-        if not self.path.exists() or not (lines := self.path.read_bytes().splitlines(keepends=True)):
+        if not (lines := self.path.read_bytes().splitlines(keepends=True)):
             return {}, 0
         lines = lines if lines[-1].endswith(b"\n") else lines[:-1]
         try:
@@ -89,7 +107,6 @@ class Store:
             raise OSError(error.errno, f"cannot store the sweep in {self.path}: {error.strerror}") from None
 
     def __enter__(self) -> Store:
-        self._file = open(self.path, "ab")  # closed by __exit__
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

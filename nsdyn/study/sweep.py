@@ -146,15 +146,20 @@ def _gathered(
     missing = {k: task for k, task in enumerate(tasks) if k not in members}
     refused, disable = 0, None if progress else True
     with tqdm(total=len(tasks), initial=len(members), unit="run", disable=disable) as bar:
-        for k, outcome, lost in gather(_run, missing, executor):
-            chosen = tasks[k][1]
-            result, failure, wrong = outcome if outcome else (None, lost, True)
-            if wrong:
-                refused += 1
-            elif kept:
-                result = kept.add({"parameters": chosen, "result": result, "failure": failure})["result"]
-            members[k] = Member(chosen, result, failure)
-            bar.update()
+        try:
+            for k, outcome, lost in gather(_run, missing, executor):
+                chosen = tasks[k][1]
+                result, failure, wrong = outcome if outcome else (None, lost, True)
+                if wrong:
+                    refused += 1
+                elif kept:
+                    result = kept.add({"parameters": chosen, "result": result, "failure": failure})["result"]
+                members[k] = Member(chosen, result, failure)
+                bar.update()
+        except KeyboardInterrupt:
+            done = f"{len(members) - refused} of {len(tasks)} done"
+            goes = "the same command goes on" if kept else "without a store they are lost"
+            raise KeyboardInterrupt(f"{done}; {goes}") from None
     return [members[k] for k in range(len(tasks))], refused
 
 
@@ -165,10 +170,16 @@ def _opened(
     if store is None:
         return nullcontext()
     source = Path(scenes.module(scene).__file__ or "").read_bytes() if isinstance(scene, str) else b""
-    return Store(store, {
-        "scene": _told(scene), "checksum of the scene": zlib.crc32(source), "duration": duration, "keep": _told(keep),
-        "options": {name: _told(value) for name, value in sorted(options.items())},
-    })  # fmt: skip
+    return Store(
+        store,
+        {
+            "scene": _told(scene),
+            "checksum of the scene": zlib.crc32(source),
+            "duration": duration,
+            "keep": _told(keep),
+            "options": {name: _told(value) for name, value in sorted(options.items())},
+        },
+    )
 
 
 def _told(value: Any) -> str:

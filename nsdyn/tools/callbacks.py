@@ -9,7 +9,7 @@ from pathlib import Path
 from types import CodeType, TracebackType
 from typing import Any, TypeVar
 
-__all__ = ["below", "called", "line", "text"]
+__all__ = ["below", "called", "line", "takes", "text"]
 
 T = TypeVar("T")
 
@@ -37,6 +37,14 @@ def called(function: Callable[..., Any], what: str, fit: Callable[[Any], T], *gi
         return fit(returned)
     except ValueError as error:
         raise ValueError(f"{_place(function)}: {error}") from None
+
+
+def takes(function: Callable[..., Any], argument: str) -> bool:
+    """Whether a function of the user has an argument of that name."""
+    try:
+        return argument in inspect.signature(function).parameters
+    except (TypeError, ValueError):  # of what is written in C nothing may be known
+        return False
 
 
 def below(error: BaseException) -> TracebackType | None:

@@ -16,6 +16,7 @@ __all__ = [
     "FILM",
     "FRAME",
     "PAGE",
+    "PARQUET",
     "PICTURE",
     "PROBLEM",
     "RECORDING",
@@ -44,12 +45,14 @@ class Kind:
 RECORDING, PROBLEM = Kind("recording", ("h5", "hdf5")), Kind("contact problem", ("hdf5", "h5"))
 PAGE, FILM = Kind("page", ("html", "htm")), Kind("film", ("mp4",))
 PICTURE, FRAME = Kind("picture", ("png", "pdf", "svg")), Kind("picture", ("png",))
-TABLE, STORE, SCENE = Kind("table", ("csv", "txt")), Kind("store", ("jsonl",)), Kind("scene file", ("py",))
+TABLE, PARQUET = Kind("table", ("csv", "txt")), Kind("Parquet table", ("parquet",))
+STORE, SCENE = Kind("store", ("jsonl",)), Kind("scene file", ("py",))
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _BEGIN = {
     "picture": rb"\x89PNG|%PDF|\s*<\?xml.*<svg|\s*<svg",
     "film": rb".{4}ftyp",
+    "Parquet table": rb"PAR1",
     "page": rb"(?i:\s*<(!doctype )?html)",
     "store": rb'\{"sweep"',
 }

@@ -39,12 +39,7 @@ def open_to_read(path: Path) -> Iterator[Any]:
     """Open an HDF5 file, also one that is being written or whose writer was killed; OSError for a damaged one."""
     deadline = time.perf_counter() + PATIENCE
     while True:
-        try:
-            file = h5py.File(path, "r", locking=False)
-        except OSError:
-            if not _is_marked(path):
-                raise
-        else:
+        if (file := _opened(path)) is not None:
             with file:
                 yield file
             return
@@ -53,6 +48,15 @@ def open_to_read(path: Path) -> Iterator[Any]:
         time.sleep(0.01)
     with _Unmarked(path) as unmarked, h5py.File(unmarked, "r") as file:
         yield file
+
+
+def _opened(path: Path) -> Any:
+    """The file, None where it is marked as open for writing."""
+    try:
+        return h5py.File(path, "r", locking=False)
+    except OSError:
+        # Where this process has it open with locks, as xarray does, so it must be opened once more.
+        return None if _is_marked(path) else h5py.File(path, "r")
 
 
 def _is_marked(path: Path) -> bool:

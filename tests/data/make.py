@@ -40,9 +40,13 @@ def main() -> None:
     """Write all files."""
     note = "Written by tests/data/make.py of nsdyn, from its scene of that name."
     files = {
-        "stack": problem("stack", 5, height=4), "arch": problem("arch", 3), "pile": problem("pile", 120),
-        "quadruped": problem("quadruped", 60), "capstan": alone(problem("capstan", 10)), "rod": rod(),
-    }  # fmt: skip
+        "stack": problem("stack", 5, height=4),
+        "arch": problem("arch", 3),
+        "pile": problem("pile", 120),
+        "quadruped": problem("quadruped", 60),
+        "capstan": alone(problem("capstan", 10)),
+        "rod": rod(),
+    }
     for name, made in files.items():
         dimension = 2 if name == "rod" else 3
         path = HERE / f"{name}.hdf5"

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from nsdyn._kernels.collision.broadphase import at_least_apart, contains
-from nsdyn._kernels.collision.geometry import Geometry, place
-from nsdyn._kernels.collision.support import gap_along
+from nsdyn._kernels.collision.geometry import Geometry, Placed, place
+from nsdyn._kernels.collision.separation import gap_along
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
@@ -78,21 +78,22 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
 
 
 @in_place
-def may_touch(fields, arm, least, first, second, known, x0, x1, turn, R, t, lower, upper, out):
+def may_touch(fields, arm, least, pairs, motion, placed, out):
     """Candidate pairs whose relative motion is longer than their distance, as indices into out; returns their number.
 
     Left out are pairs of the sorted codes `known`, and those whose relative motion is no longer than the smaller of
-    their `least`. R, t, lower and upper are poses and bounds of the geoms at the beginning, the other arguments as in
-    `motions`; `fields` are those of `Geometry`.
+    their `least`. `fields` are those of `Geometry`, `pairs` (first, second, known), `motion` (x0, x1, turn) as in
+    `motions`, `placed` (R, t, lower, upper), poses and bounds of the geoms at the beginning.
     """
-    geometry = Geometry(*fields)
+    (first, second, known), (x0, x1, turn), (R, t, lower, upper) = pairs, motion, placed
+    geometry = Placed(*fields, R, t)
     count = 0
     for p in range(first.size):
         i, j = first[p], second[p]
         if contains(known, i * geometry.kind.size + j):
             continue
         way = relative_motion(geometry.frame[i], geometry.frame[j], arm[i], arm[j], x0, x1, turn)
-        if way > min(least[i], least[j]) and way > at_least_apart(geometry, i, j, R, t, lower, upper):
+        if way > min(least[i], least[j]) and way > at_least_apart(geometry, i, j, lower, upper):
             out[count] = p
             count += 1
     return count
@@ -110,8 +111,12 @@ def carried(f, p, x0, R0, x1, R1):
 
 
 @in_place
-def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, there, point_out, gap_out):
-    """Contacts whose points are fixed in both bodies, from poses 0 to poses 1, where they have the normals `there`."""
+def carry(contacts, begin, end, there, point_out, gap_out):
+    """Contacts whose points are fixed in both bodies, from poses to others, where they have the normals `there`.
+
+    `contacts` are (frame1, frame2, point, normal, gap), `begin` and `end` (x, R) of the frames.
+    """
+    (frame1, frame2, point, normal, gap), (x0, R0), (x1, R1) = contacts, begin, end
     for c in range(gap.size):
         p, n = row(point, c), row(normal, c)
         a = carried(frame1[c], along(p, -0.5 * gap[c], n), x0, R0, x1, R1)
@@ -121,20 +126,22 @@ def carry(frame1, frame2, point, normal, gap, x0, R0, x1, R1, there, point_out, 
 
 
 @in_place
-def turn_normals(fields, frame1, frame2, geom1, geom2, normal, R0, x1, R1, R, t, out, apart):
+def turn_normals(fields, contacts, R0, end, room, out, apart):
     """Normals of contacts of poses 0 at poses 1, into out: along which the geoms are farthest apart, and how far.
 
-    Of those that stay in space, turn with frame 1 and turn with frame 2. R, t are room for the poses of the geoms.
+    Of those that stay in space, turn with frame 1 and turn with frame 2. `contacts` are (frame1, frame2, geom1, geom2,
+    normal), `end` the poses (x, R) of the frames, `room` is for those (R, t) of the geoms.
     """
-    geometry = Geometry(*fields)
-    place(geometry, x1, R1, R, t)
+    (frame1, frame2, geom1, geom2, normal), (x1, R1), (R, t) = contacts, end, room
+    place(Geometry(*fields), x1, R1, R, t)
+    geometry = Placed(*fields, R, t)
     for c in range(geom1.size):
         apart[c] = -math.inf
         for f in (-1, frame1[c], frame2[c]):
             n = row(normal, c)
             if f >= 0:
                 n = to_world(R1, f, to_local(R0, f, n))
-            gap = gap_along(geometry, geom1[c], geom2[c], R, t, n)
+            gap = gap_along(geometry, geom1[c], geom2[c], n)
             if gap > apart[c]:
                 apart[c] = gap
                 put(out, c, n)
@@ -152,8 +159,12 @@ def turned(w, s, p):
 
 
 @in_place
-def place_at(frame, placement_R, placement_t, x0, R0, x1, turn, s, geoms, R, t):
-    """World poses of two geoms at the fraction s of the way, into rows 0 and 1 of R and t."""
+def place_at(placements, motion, s, geoms, R, t):
+    """World poses of two geoms at the fraction s of the way, into rows 0 and 1 of R and t.
+
+    `placements` are (frame, R, t) of the geoms, `motion` is (x0, R0, x1, turn) of the frames.
+    """
+    (frame, placement_R, placement_t), (x0, R0, x1, turn) = placements, motion
     for k in range(2):
         g = geoms[k]
         f = frame[g]
@@ -170,15 +181,17 @@ def place_at(frame, placement_R, placement_t, x0, R0, x1, turn, s, geoms, R, t):
 
 
 @in_place
-def approach(frame, arm, x0, x1, turn, s, geoms, normal, point1, point2):
+def approach(frame, arm, motion, s, geoms, normal, points):
     """(bound of the approach speed, approach speed) of two geoms at their nearest points, m per way.
 
     The bound is that of their separation along n: of the rotations only what turns n moves the support points along n.
+    `motion` is (x0, x1, turn) of the frames.
     """
+    x0, x1, turn = motion
     n = (normal[0], normal[1], normal[2])
     forward, turning, speed = 0.0, 0.0, 0.0
     for k in range(2):
-        g, sign, p = geoms[k], 1.0 - 2.0 * k, point1 if k == 0 else point2
+        g, sign, p = geoms[k], 1.0 - 2.0 * k, points[k]
         f = frame[g]
         if f >= 0:
             v, e = minus(row(x1, f), row(x0, f)), cross(n, row(turn, f))

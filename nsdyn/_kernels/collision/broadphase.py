@@ -4,56 +4,46 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, ELLIPSOID, HALFSPACE, POLYTOPE, SPHERE, Geometry, place
-from nsdyn._kernels.collision.support import gap_along
+from nsdyn._kernels.collision.geometry import Geometry, Placed, place
+from nsdyn._kernels.collision.kinds import HALFSPACE, support
+from nsdyn._kernels.collision.separation import gap_along
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.sorting import place_of
-from nsdyn._kernels.vectors import dot, minus, row
+from nsdyn._kernels.vectors import dot, minus, row, times
+
+AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @in_place
-def bound(geometry, g, R, t, lower, upper):
-    """Smallest axis-aligned box of geom g at the pose (R, t), from its supports along the axes, into rows g."""
-    kind, a, h = geometry.kind[g], geometry.size[g, 0], geometry.size[g, 1]
+def bound(geometry, g, lower, upper):
+    """Smallest axis-aligned box of geom g, from its supports along the axes, into rows g; a half-space has none."""
+    if geometry.kind[g] == HALFSPACE:
+        lower[g], upper[g] = -math.inf, math.inf
+        return
     for i in range(3):
-        if kind == POLYTOPE:
-            low, high = math.inf, -math.inf
-            for k in range(geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]):
-                v = geometry.vertices[k]
-                s = R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]
-                low, high = min(low, s), max(high, s)
-            lower[g, i], upper[g, i] = t[i] + low, t[i] + high
-            continue
-        if kind == SPHERE:
-            e = a
-        elif kind == CAPSULE:
-            e = a + h * abs(R[i, 2])
-        elif kind == CYLINDER:
-            e = a * math.sqrt(R[i, 0] ** 2 + R[i, 1] ** 2) + h * abs(R[i, 2])
-        elif kind == ELLIPSOID:
-            s = geometry.size[g]
-            e = math.sqrt((R[i, 0] * s[0]) ** 2 + (R[i, 1] * s[1]) ** 2 + (R[i, 2] * s[2]) ** 2)
-        else:
-            e = math.inf
-        lower[g, i], upper[g, i] = t[i] - e, t[i] + e
+        axis = AXES[i]
+        lower[g, i] = support(geometry, g, times(-1.0, axis))[i]
+        upper[g, i] = support(geometry, g, axis)[i]
 
 
 @in_place
-def follow(fields, x, R_frames, frame_reach, base, R, t, reach, lower, upper, fat_lower, fat_upper):
-    """World poses, reaches and bounds of the geoms on moving frames, into R, t, reach, lower and upper.
+def follow(fields, frames, base, placed, boxes, fat):
+    """World poses, reaches and bounds of the geoms on moving frames, into `placed` and `boxes`.
 
     Returns whether one of them, inflated by its base and its reach, leaves its fat box. `fields` are those of
-    `Geometry`, a plain tuple: from Python that is handed over in half the time.
+    `Geometry`, a plain tuple: from Python that is handed over in half the time. `frames` are (x, R, reach), `placed`
+    (R, t, reach), `boxes` and `fat` (lower, upper).
     """
-    geometry = Geometry(*fields)
-    place(geometry, x, R_frames, R, t)
+    (x, R_frames, frame_reach), (R, t, reach), (lower, upper), (fat_lower, fat_upper) = frames, placed, boxes, fat
+    geometry = Placed(*fields, R, t)
+    place(Geometry(*fields), x, R_frames, R, t)
     out = False
     for g in range(geometry.kind.size):
         if geometry.frame[g] >= 0:
             reach[g] = frame_reach[geometry.frame[g]]
             need = base[g] + reach[g]
-            bound(geometry, g, R[g], t[g], lower, upper)
+            bound(geometry, g, lower, upper)
             for i in range(3):
                 inside = fat_lower[g, i] <= lower[g, i] - need and upper[g, i] + need <= fat_upper[g, i]
                 out = out or not inside
@@ -66,9 +56,10 @@ def bounds(fields, x, R_frames, lower, upper):
     geometry = Geometry(*fields)
     R, t = np.empty((geometry.kind.size, 3, 3)), np.empty((geometry.kind.size, 3))
     place(geometry, x, R_frames, R, t)
+    placed = Placed(*fields, R, t)
     for g in range(geometry.kind.size):
         if geometry.frame[g] >= 0:
-            bound(geometry, g, R[g], t[g], lower, upper)
+            bound(placed, g, lower, upper)
 
 
 @in_place
@@ -100,11 +91,12 @@ def append(codes, count, code):
 
 
 @in_place
-def fatten(fields, base, reach, skin, ahead, lower, upper, fat_lower, fat_upper):
+def fatten(fields, base, reach, skin, ahead, boxes, fat):
     """Boxes that serve for several steps, into fat_lower and fat_upper; `fields` as in `follow`.
 
     They are grown by the base, `skin` times the bounding radius and `ahead` times the reach; fixed geoms need none.
     """
+    (lower, upper), (fat_lower, fat_upper) = boxes, fat
     geometry = Geometry(*fields)
     for g in range(geometry.kind.size):
         more = 0.0
@@ -177,30 +169,31 @@ def candidates(fields, R, t, lower, upper, excluded):
 
 
 @in_place
-def at_least_apart(geometry, i, j, R, t, lower, upper):
+def at_least_apart(geometry, i, j, lower, upper):
     """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
     if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
-        return gap_along(geometry, i, j, R, t, (0.0, 0.0, 1.0))
+        return gap_along(geometry, i, j, (0.0, 0.0, 1.0))
     square = 0.0
     for k in range(3):
         d = max(lower[j, k] - upper[i, k], lower[i, k] - upper[j, k], 0.0)
         square += d * d
-    d = minus(row(t, j), row(t, i))
+    d = minus(row(geometry.t, j), row(geometry.t, i))
     return max(math.sqrt(square), math.sqrt(dot(d, d)) - geometry.radius[i] - geometry.radius[j])
 
 
 @in_place
-def of_interest(fields, R, t, reach, lower, upper, first, second, margin, near, changed):
+def of_interest(fields, placed, boxes, pairs, near, changed):
     """Which pairs may be within their margin and the reach of both, into near; the number of those it changes.
 
-    Their indices come first in `changed`. R, t, reach, lower and upper are of the geoms, as `follow` leaves them, the
-    arguments from `first` on have an element for each pair; lengths in m.
+    Their indices come first in `changed`. `placed` and `boxes` are of the geoms, as `follow` leaves them, `pairs` are
+    (first, second, margin); lengths in m.
     """
-    geometry = Geometry(*fields)
+    (R, t, reach), (lower, upper), (first, second, margin) = placed, boxes, pairs
+    geometry = Placed(*fields, R, t)
     count = 0
     for p in range(first.size):
         i, j = first[p], second[p]
-        now = at_least_apart(geometry, i, j, R, t, lower, upper) <= margin[p] + reach[i] + reach[j]
+        now = at_least_apart(geometry, i, j, lower, upper) <= margin[p] + reach[i] + reach[j]
         if now != near[p]:
             near[p], changed[count] = now, p
             count += 1

@@ -1,14 +1,36 @@
 """Points of one shape clipped to a face of another."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn._kernels.collision.faces import corners, dipping, face_normal, incident, next_feature, other_feature
-from nsdyn._kernels.collision.geometry import CYLINDER, POLYTOPE
-from nsdyn._kernels.collision.support import INSIDE
+from nsdyn._kernels.collision.faces import dipping, next_feature
+from nsdyn._kernels.collision.kinds import (
+    HALFSPACE,
+    POLYTOPE,
+    corners,
+    disk_radius,
+    face_level,
+    face_normal,
+    has_rim,
+    incident,
+    other_feature,
+)
+from nsdyn._kernels.collision.separation import INSIDE
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
+
+
+class Room(NamedTuple):
+    """How many contacts a pair may have, as many points stand for a circle, and scratch for polygons and heights."""
+
+    limit: int
+    poly: np.ndarray
+    other: np.ndarray
+    values: np.ndarray
+    points: np.ndarray
+    heights: np.ndarray
 
 
 @in_place
@@ -35,14 +57,14 @@ def cut(poly, count, heights, tol, out):
 
 
 @in_place(forceinline=True)
-def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
+def clip_to_face(geometry, g, face, n, poly, count, other, heights):
     """Clip a polygon by the sides of a polytope face of world normal n; returns its new number of points."""
-    first, tol, c = geometry.vertex_ptr[g], INSIDE * geometry.radius[g], row(t, g)
+    first, tol, c = geometry.vertex_ptr[g], INSIDE * geometry.radius[g], row(geometry.t, g)
     f = geometry.face_ptr[g] + face
     begin, end = geometry.loop_ptr[f], geometry.loop_ptr[f + 1]
-    a = to_world(R, g, row(geometry.vertices, first + geometry.loop[end - 1]))
+    a = to_world(geometry.R, g, row(geometry.vertices, first + geometry.loop[end - 1]))
     for p in range(begin, end):
-        b = to_world(R, g, row(geometry.vertices, first + geometry.loop[p]))
+        b = to_world(geometry.R, g, row(geometry.vertices, first + geometry.loop[p]))
         side, _ = unit(cross(minus(b, a), n))
         corner = along(c, 1.0, a)
         outside = False
@@ -58,11 +80,12 @@ def clip_to_face(geometry, g, face, R, t, n, poly, count, other, heights):
 
 
 @in_place
-def on_border(geometry, g, face, R, t, p, tol):
+def on_border(geometry, g, face, p, tol):
     """Whether a point that is over a face or cap is not farther than tol from its border."""
-    q = to_local(R, g, minus(p, row(t, g)))
-    if geometry.kind[g] == CYLINDER:
-        return math.hypot(q[0], q[1]) >= geometry.size[g, 0] - tol
+    q = to_local(geometry.R, g, minus(p, row(geometry.t, g)))
+    radius = disk_radius(geometry, g)
+    if radius > 0.0:
+        return math.hypot(q[0], q[1]) >= radius - tol
     if geometry.kind[g] != POLYTOPE:
         return False
     first, f = geometry.vertex_ptr[g], geometry.face_ptr[g] + face
@@ -78,16 +101,17 @@ def on_border(geometry, g, face, R, t, p, tol):
 
 
 @kernel
-def clip_to_disk(radius, g, R, t, poly, count, rim, other):
+def clip_to_disk(geometry, g, poly, count, rim, other):
     """Points that span the part of a polygon, segment or point above or below a disk about the z axis of geom g.
 
     They are the corners over the disk, the points of the edges over its circle, and those of `rim` points of the
     circle that lie under the polygon, lifted to its plane. Returns their number, in poly.
     """
-    tol, c = INSIDE * radius, row(t, g)
+    radius, c = disk_radius(geometry, g), row(geometry.t, g)
+    tol = INSIDE * radius
     flat = np.empty((count, 3))  # the polygon in the frame of the disk
     for k in range(count):
-        put(flat, k, to_local(R, g, minus(row(poly, k), c)))
+        put(flat, k, to_local(geometry.R, g, minus(row(poly, k), c)))
     kept = 0
     for k in range(count):
         u = row(flat, k)
@@ -122,7 +146,7 @@ def clip_to_disk(radius, g, R, t, poly, count, rim, other):
                 inside = inside and turn * n[2] > 0.0
             if inside:
                 z = flat[0, 2] - (n[0] * (x - flat[0, 0]) + n[1] * (y - flat[0, 1])) / n[2]
-                put(other, kept, along(c, 1.0, to_world(R, g, (x, y, z))))
+                put(other, kept, along(c, 1.0, to_world(geometry.R, g, (x, y, z))))
                 kept += 1
     for k in range(kept):
         put(poly, k, row(other, k))
@@ -130,27 +154,23 @@ def clip_to_disk(radius, g, R, t, poly, count, rim, other):
 
 
 @in_place(forceinline=True)
-def over_face(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, other, values, points, heights):
-    """Contacts of a face of geom i (or, if face1 < 0, of geom j) with the other geom, into points and heights.
+def over_face(geometry, i, j, margin, face1, face2, room):
+    """Contacts of a face of geom i (if face1 < 0, of geom j) with the other geom, into points and heights of `room`.
 
     Returns their number and the normal from 1 to 2.
     """
     g, o, face, sign = (i, j, face1, 1.0) if face1 >= 0 else (j, i, face2, -1.0)
-    kind, c = geometry.kind[g], row(t, g)
-    n = to_world(R, g, face_normal(geometry, g, face))
-    if kind == CYLINDER:
-        level = geometry.size[g, 1]
-    elif kind == POLYTOPE:
-        level = geometry.face_offsets[geometry.face_ptr[g] + face]
-    else:
-        level = geometry.offset[g]
-    count, radius, main = incident(geometry, o, R, t, n, whole, rim, poly)
+    kind, c = geometry.kind[g], row(geometry.t, g)
+    poly, other, points, heights = room.poly, room.other, room.points, room.heights
+    n = to_world(geometry.R, g, face_normal(geometry, g, face))
+    level = face_level(geometry, g, face)
+    count, radius, main = incident(geometry, o, n, kind == HALFSPACE, room.limit, poly)
     kept, following = 0, geometry.face_ptr[o]
     while count > 0:
-        if kind == CYLINDER:
-            count = clip_to_disk(geometry.size[g, 0], g, R, t, poly, count, rim, other)
+        if disk_radius(geometry, g) > 0.0:
+            count = clip_to_disk(geometry, g, poly, count, room.limit, other)
         elif kind == POLYTOPE:
-            count = clip_to_face(geometry, g, face, R, t, n, poly, count, other, values)
+            count = clip_to_face(geometry, g, face, n, poly, count, other, room.values)
         for k in range(count):
             p = row(poly, k)
             height = dot(n, minus(p, c)) - level - radius
@@ -160,16 +180,16 @@ def over_face(geometry, i, j, R, t, whole, rim, margin, face1, face2, poly, othe
                 kept += 1
         # Of a tilted geom other features reach below the margin too.
         count = 0
-        if main >= 0 or geometry.kind[o] == CYLINDER:
-            m, above = to_local(R, o, n), dot(n, minus(row(t, o), c)) - level
+        if main >= 0 or has_rim(geometry, o):
+            m, above = to_local(geometry.R, o, n), dot(n, minus(row(geometry.t, o), c)) - level
             if main < 0:
                 if following == geometry.face_ptr[o]:
                     following += 1
-                    count = other_feature(geometry, o, R, t, m, margin - above, rim, poly)
+                    count = other_feature(geometry, o, m, margin - above, room.limit, poly)
             elif following > geometry.face_ptr[o] or dipping(geometry, o, main, m, margin - above):
                 following = next_feature(geometry, o, following, main, m, margin - above)
                 if following < geometry.face_ptr[o + 1]:
-                    count = corners(geometry, o, R, t, following, poly)
+                    count = corners(geometry, o, following, poly)
                 following += 1
     return kept, times(sign, n)
 

@@ -2,82 +2,93 @@
 
 import math
 
-from nsdyn._kernels.collision.geometry import CYLINDER
-from nsdyn._kernels.collision.support import INSIDE, curvature, separation
+from nsdyn._kernels.collision.geometry import smaller
+from nsdyn._kernels.collision.kinds import curvature, has_rim
+from nsdyn._kernels.collision.separation import INSIDE, separation
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, times, unit
 
 
 @in_place
-def curvatures(geometry, k, R, m, e1, e2):
+def curvatures(geometry, k, m, e1, e2):
     """`curvature` of the support point of a geom in the direction m, in two tangents: (e1 e1, e1 e2, e2 e2)."""
     return (
-        curvature(geometry, k, R, m, e1, e1),
-        curvature(geometry, k, R, m, e1, e2),
-        curvature(geometry, k, R, m, e2, e2),
+        curvature(geometry, k, m, e1, e1),
+        curvature(geometry, k, m, e1, e2),
+        curvature(geometry, k, m, e2, e2),
     )
 
 
 @in_place
-def smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, valid2, point, normal, gap, at):
+def newton(geometry, i, j, m, axes, start, valid):
+    """Newton's step of m, in two tangents, to where the separation is stationary; `start` is the point of a segment."""
+    e1, e2 = axes
+    _, a, b = separation(geometry, i, j, m)
+    a11, a12, a22 = 0.0, 0.0, 0.0
+    if valid[0]:
+        a = start
+    else:
+        c11, c12, c22 = curvatures(geometry, i, m, e1, e2)
+        a11, a12, a22 = a11 + c11, a12 + c12, a22 + c22
+    if valid[1]:
+        b = start
+    else:
+        c11, c12, c22 = curvatures(geometry, j, times(-1.0, m), e1, e2)
+        a11, a12, a22 = a11 + c11, a12 + c12, a22 + c22
+    delta = minus(b, a)
+    f1, f2, width, trace = dot(e1, delta), dot(e2, delta), dot(m, delta), a11 + a22
+    # Where the separation is not concave enough, step as if it were.
+    if not (a11 + width > 0.0 and (a11 + width) * (a22 + width) - a12 * a12 > 1e-10 * trace * trace):
+        width = abs(width) + 1e-5 * trace + INSIDE * smaller(geometry, i, j)
+    a11, a22 = a11 + width, a22 + width
+    det = a11 * a22 - a12 * a12
+    return along(times((a22 * f1 - a12 * f2) / det, e1), (a11 * f2 - a12 * f1) / det, e2)
+
+
+@in_place
+def smooth(geometry, i, j, n, lines, out, at):
     """Write the contact of two geoms of which one at least is an ellipsoid or touches with the rim of a cylinder.
 
-    The other may be a segment p, q with a radius (`valid`). From the given n on, Newton's method maximises the
-    separation: where it is stationary, the support points a and b differ by a multiple of the normal.
+    The other may be a segment with a radius: `lines` has what `segment` gives of each geom. From the given n on,
+    Newton's method maximises the separation: where it is stationary, the support points a and b differ by a multiple of
+    the normal.
     """
-    size = min(geometry.radius[i], geometry.radius[j])
-    if valid1 and valid2:  # not as segments, then: a cylinder touches with its rim
-        valid1 = geometry.kind[i] != CYLINDER
-        valid2 = geometry.kind[j] != CYLINDER and not valid1
+    size = smaller(geometry, i, j)
+    (p1, q1, radius1, valid1), (p2, q2, radius2, valid2) = lines
+    if valid1 and valid2:  # not as segments, then: what has a rim touches with it
+        valid1 = not has_rim(geometry, i)
+        valid2 = not (has_rim(geometry, j) or valid1)
     start, end, radius, side = (p1, q1, radius1, 1.0) if valid1 else (p2, q2, radius2, -1.0)
     d, length = unit(minus(end, start))
     if not (valid1 or valid2):
         length = 0.0
     m = n
     for _ in range(20):
-        best, a, b = separation(geometry, i, j, R, t, m)
+        best, a, b = separation(geometry, i, j, m)
         if length > 0.0:
             s = dot(d, minus(b if valid1 else a, start))
             if not (s > 0.0 and s < length):  # opposite the other geom is an end
                 if s > 0.0:
                     start = end
                 length = 0.0
-                # A cylinder does not end in a ball: its rim is meant.
-                valid1 = valid1 and geometry.kind[i] != CYLINDER
-                valid2 = valid2 and geometry.kind[j] != CYLINDER
+                # What does not end in a ball: its rim is meant.
+                valid1 = valid1 and not has_rim(geometry, i)
+                valid2 = valid2 and not has_rim(geometry, j)
         if length > 0.0:  # turn about the line only
             m, _ = unit(along(m, -dot(m, d), d))
             e1, e2 = cross(d, m), (0.0, 0.0, 0.0)
         else:
             e1 = perpendicular(m)
             e2 = cross(m, e1)
-        best, a, b = separation(geometry, i, j, R, t, m)
-        a11, a12, a22 = 0.0, 0.0, 0.0
-        if valid1:
-            a = start
-        else:
-            c11, c12, c22 = curvatures(geometry, i, R, m, e1, e2)
-            a11, a12, a22 = a11 + c11, a12 + c12, a22 + c22
-        if valid2:
-            b = start
-        else:
-            c11, c12, c22 = curvatures(geometry, j, R, times(-1.0, m), e1, e2)
-            a11, a12, a22 = a11 + c11, a12 + c12, a22 + c22
-        delta = minus(b, a)
-        f1, f2, width, trace = dot(e1, delta), dot(e2, delta), dot(m, delta), a11 + a22
-        # Where the separation is not concave enough, step as if it were.
-        if not (a11 + width > 0.0 and (a11 + width) * (a22 + width) - a12 * a12 > 1e-10 * trace * trace):
-            width = abs(width) + 1e-5 * trace + INSIDE * size
-        a11, a22 = a11 + width, a22 + width
-        det = a11 * a22 - a12 * a12
-        turn = along(times((a22 * f1 - a12 * f2) / det, e1), (a11 * f2 - a12 * f1) / det, e2)
+        best, _, _ = separation(geometry, i, j, m)
+        turn = newton(geometry, i, j, m, (e1, e2), start, (valid1, valid2))
         step = math.sqrt(dot(turn, turn))
         if step < 1e-15:
             break
         scale = min(1.0, 0.2 / step)
         for _ in range(10):
             trial, _ = unit(along(m, scale, turn))
-            value, _, _ = separation(geometry, i, j, R, t, trial)
+            value, _, _ = separation(geometry, i, j, trial)
             # Close to the maximum round-off decides which value is larger.
             if step < 1e-7 or value > best:
                 break
@@ -85,16 +96,16 @@ def smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, va
         else:
             break
         m = trial
-    value, a, b = separation(geometry, i, j, R, t, m)
-    given, _, _ = separation(geometry, i, j, R, t, n)
+    value, a, b = separation(geometry, i, j, m)
+    given, _, _ = separation(geometry, i, j, n)
     if value < given - INSIDE * size:
         m = n
-        value, a, b = separation(geometry, i, j, R, t, m)
+        value, a, b = separation(geometry, i, j, m)
     elif valid1 or valid2:
         # The support point of a segment is any of its points: take the one opposite the other geom.
         s = min(max(dot(d, minus(b if valid1 else a, start)), 0.0), length)
         foot = along(along(start, s, d), side * radius, m)
         a, b = (foot, b) if valid1 else (a, foot)
-    put(normal, at, m)
-    put(point, at, times(0.5, along(a, 1.0, b)))
-    gap[at] = value
+    put(out.normal, at, m)
+    put(out.point, at, times(0.5, along(a, 1.0, b)))
+    out.gap[at] = value

@@ -6,8 +6,6 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place
 
-HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
-
 
 class Geometry(NamedTuple):
     """Shapes of all geoms (see `nsdyn.scene.shapes.Shape`) as flat arrays, and how they hang on the frames.
@@ -30,6 +28,24 @@ class Geometry(NamedTuple):
     frame: np.ndarray
     placement_R: np.ndarray
     placement_t: np.ndarray
+
+
+Placed = NamedTuple("Placed", [*Geometry.__annotations__.items(), ("R", np.ndarray), ("t", np.ndarray)])
+"""The same at poses in the world: R, shape (ngeoms, 3, 3), and t, shape (ngeoms, 3), m."""
+
+
+class Found(NamedTuple):
+    """Room for contacts: their points, m, normals and gaps, m, a row each."""
+
+    point: np.ndarray
+    normal: np.ndarray
+    gap: np.ndarray
+
+
+@in_place(forceinline=True)
+def smaller(geometry, i, j):
+    """The smaller bounding radius of two geoms, m."""
+    return min(geometry.radius[i], geometry.radius[j])
 
 
 @in_place

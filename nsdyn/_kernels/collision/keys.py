@@ -2,24 +2,25 @@
 
 import numpy as np
 
-from nsdyn._kernels.collision.geometry import Geometry, place
-from nsdyn._kernels.collision.support import gap_along
+from nsdyn._kernels.collision.geometry import Geometry, Placed, place
+from nsdyn._kernels.collision.separation import gap_along
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.vectors import dot, minus, put, row, to_local
 
 
 @kernel
-def match(
-    radius, R, t, first, second, point, tolerance, slack, old1, old2, old_key, old_local1, old_local2, next_key,
-    key, local1, local2,
-):  # fmt: skip
+def match(geoms, tolerance, memory, next_key, names, points):
     """Give contacts the keys of those they continue; new ones count up from next_key, which is returned.
 
-    Both lists are sorted by pair. Within a pair the closest old and new points are matched first, by the smaller of
-    the distances seen from geom 1 and from geom 2, up to `tolerance` times the radius of the smaller geom and the
-    `slack` (ngeoms,) of both, by which they may have moved; the only contact of a pair continues the only one before.
+    Both lists, (names, points) as of `collect`, are sorted by pair. Within a pair the closest old and new points are
+    matched first, by the smaller of the distances seen from geom 1 and from geom 2, up to `tolerance` times the radius
+    of the smaller geom and the `slack` (ngeoms,) of both, by which they may have moved; the only contact of a pair
+    continues the only one before. `geoms` are (radius, R, t, slack).
     """
+    radius, R, t, slack = geoms
+    first, second, key, point, local1, local2 = names[0], names[1], names[4], points[0], points[2], points[3]
+    old1, old2, old_key, old_local1, old_local2 = memory[0][0], memory[0][1], memory[0][4], memory[1][2], memory[1][3]
     count = first.size
     used = np.zeros(old1.size, dtype=np.bool_)
     o = 0
@@ -63,27 +64,42 @@ def match(
 
 
 @in_place
-def collect(
-    pair, first, second, frame, mu, restitution, point, normal, gap, radius, R, t, tolerance, slack, old_names,
-    old_points, next_key, names, points, scalars,
-):  # fmt: skip
-    """What `manifolds` found and what contacts have from pairs and geoms, into arrays of their number; then `match`.
+def collect(geoms, pairs, found, tolerance, memory, next_key, out):
+    """What `manifolds` found and what contacts have from pairs and geoms, into `out`; then `match`.
 
-    Rows of the arrays: `names` (5, nc), both geoms, both frames, key; `points` (4, nc, 3), point, normal, the point in
-    the frames of both geoms; `scalars` (3, nc), gap, mu, restitution. Returns the next key.
+    Parameters
+    ----------
+    geoms : tuple
+        frame, and what `match` takes.
+    pairs : tuple
+        first, second, mu and restitution.
+    found : tuple
+        As of `manifolds`.
+    tolerance : float
+    memory : tuple
+        (names, points) of the contacts before.
+    next_key : int
+    out : tuple
+        names, shape (5, nc), both geoms, both frames, key; points, shape (4, nc, 3), point, normal, the point in the
+        frames of both geoms; scalars, shape (3, nc), gap, mu, restitution.
+
+    Returns
+    -------
+    int
+        The next key.
     """
-    geom1, geom2, key, local1, local2 = names[0], names[1], names[4], points[2], points[3]
-    for c in range(key.size):
+    frame, shapes = geoms
+    first, second, mu, restitution = pairs
+    point, normal, gap, pair = found
+    names, points, scalars = out
+    for c in range(names.shape[1]):
         p = pair[c]
         i, j = first[p], second[p]
-        geom1[c], geom2[c], names[2, c], names[3, c] = i, j, frame[i], frame[j]
+        names[0, c], names[1, c], names[2, c], names[3, c] = i, j, frame[i], frame[j]
         scalars[0, c], scalars[1, c], scalars[2, c] = gap[c], mu[p], restitution[p]
         put(points[0], c, row(point, c))
         put(points[1], c, row(normal, c))
-    return match(
-        radius, R, t, geom1, geom2, points[0], tolerance, slack, old_names[0], old_names[1], old_names[4],
-        old_points[2], old_points[3], next_key, key, local1, local2,
-    )  # fmt: skip
+    return match(shapes, tolerance, memory, next_key, names, points)
 
 
 @in_place
@@ -99,17 +115,25 @@ def kept(key, found_key, found_gap, out):
 
 
 @kernel
-def gaps(
-    fields, x, R_frames, R, t, geom1, geom2, normal, key, found1, found2, found_key, found_gap, out
-):  # fmt: skip
+def gaps(fields, frames, room, contacts, found, out):
     """Gaps of contacts at a later configuration, into out: of the same key there, else between the whole geoms.
 
     The latter is their separation along the normal of the contact, but no less than the least gap found between them,
-    which is their distance, or than 0 if none was: the normal may have turned with the body that it left. `found1`,
-    `found2` are sorted. `fields` are those of `Geometry`; x, R_frames are the poses of the frames, R, t room for those
-    of the geoms.
+    which is their distance, or than 0 if none was: the normal may have turned with the body that it left.
+
+    Parameters
+    ----------
+    fields : tuple
+        Of `Geometry`.
+    frames, room : tuple
+        (x, R), poses of the frames, and room for (R, t) of the geoms.
+    contacts, found : tuple
+        (geom1, geom2, normal, key), and (geom1, geom2, key, gap), which is sorted.
+    out : ndarray
     """
-    geometry = Geometry(*fields)
+    (x, R_frames), (R, t) = frames, room
+    geom1, geom2, normal, key = contacts
+    found1, found2, found_key, found_gap = found
     order = order_of(found_key)
     placed = False
     for c in range(key.size):
@@ -124,7 +148,7 @@ def gaps(
             out[c] = found_gap[order[low]]
         else:
             if not placed:
-                place(geometry, x, R_frames, R, t)
+                place(Geometry(*fields), x, R_frames, R, t)
                 placed = True
             low, high = 0, found1.size
             while low < high:
@@ -137,5 +161,5 @@ def gaps(
             while low < found1.size and found1[low] == geom1[c] and found2[low] == geom2[c]:
                 least = min(least, found_gap[low])
                 low += 1
-            apart = gap_along(geometry, geom1[c], geom2[c], R, t, row(normal, c))
+            apart = gap_along(Placed(*fields, R, t), geom1[c], geom2[c], row(normal, c))
             out[c] = max(apart, least if least < np.inf else 0.0)

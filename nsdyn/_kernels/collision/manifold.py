@@ -15,160 +15,184 @@ With n the unit normal from geom 1 to geom 2 that separates the pair best, and a
    of the face, or so near that it may move there, meets an edge, along the normal of 2., and that is the way out for
    what is below the face already. Bodies that overlap leave that way: what is above the face rises with them.
 
-Vectors are tuples of three floats: they live in registers. R (n, 3, 3) and t (n, 3) are the poses of all geoms.
+Vectors are tuples of three floats: they live in registers. The geoms are `Placed`, contacts go into `out`, a `Found`,
+from index `at` on.
 """
 
 import math
+from typing import NamedTuple
 
-from nsdyn._kernels.collision.clipping import merge, on_border, over_face
+from nsdyn._kernels.collision.clipping import Room, merge, on_border, over_face
 from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
-from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, HALFSPACE, SPHERE, Geometry
+from nsdyn._kernels.collision.geometry import Found, Placed, smaller
+from nsdyn._kernels.collision.kinds import HALFSPACE, POLYTOPE, SPHERE, has_ends, is_round
 from nsdyn._kernels.collision.reduction import reduce
-from nsdyn._kernels.collision.segments import edge, ends, segments, touch
-from nsdyn._kernels.collision.support import SAME, SHARP, separation
+from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, crossing, edge, ends, segments, touch
+from nsdyn._kernels.collision.separation import SAME, SHARP, separation
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import along, dot, minus, put, row, times, to_world, unit
 
-ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
-WIDE = 1.0  # |difference| of the normals of tilted bodies and of a face that may still hold points of interest
-RESCUE = 1e-5  # a face is preferred to what Coal found if it separates better by this fraction of the size
-NEAR = 1e-2  # a point within the margin, and this fraction of the size, of one found more exactly adds nothing
+
+class Given(NamedTuple):
+    """What is known of a pair: the normal of its cores, and lengths in m.
+
+    The normal is to be relied on if it is `trusted`. The surfaces are no more than `slack` from those of the cores.
+    Gaps up to `margin` are of interest, at rest up to `base`.
+    """
+
+    n: tuple
+    trusted: bool
+    slack: float
+    base: float
+    margin: float
 
 
 @in_place(forceinline=True)
-def apart(geometry, i, j, R, t, margin):
+def apart(geometry, i, j, margin):
     """Whether the bounding spheres (or a sphere and a half-space) are farther apart than margin."""
-    d = minus(row(t, j), row(t, i))
+    d = minus(row(geometry.t, j), row(geometry.t, i))
     for h, g, sign in ((i, j, 1.0), (j, i, -1.0)):
         if geometry.kind[h] == HALFSPACE:
-            height = sign * dot(to_world(R, h, row(geometry.size, h)), d) - geometry.offset[h]
+            height = sign * dot(to_world(geometry.R, h, row(geometry.size, h)), d) - geometry.offset[h]
             return height - geometry.radius[g] > margin
     reach = geometry.radius[i] + geometry.radius[j] + margin
     return dot(d, d) > reach * reach
 
 
 @in_place
-def of_features(geometry, i, j, R, t, known, n, angle, margin, near, point, normal, gap, at):
+def of_features(geometry, i, j, n, angle, margin, out, at):
     """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number.
 
     The first one has the least gap. Ends of round segments that the margin holds follow.
     """
-    count = closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, at)
-    kind1, kind2 = geometry.kind[i], geometry.kind[j]
-    if kind1 == CAPSULE or kind1 == CYLINDER or kind2 == CAPSULE or kind2 == CYLINDER:
-        wide = min(max(ANGLE, margin / min(geometry.radius[i], geometry.radius[j])), WIDE)
-        count = ends(geometry, i, j, R, t, row(normal, at), wide, margin, near, point, normal, gap, at, count)
+    count = closest_features(geometry, i, j, n, angle, out, at)
+    if has_ends(geometry, i) or has_ends(geometry, j):
+        count = ends(geometry, i, j, row(out.normal, at), margin, out, at, count)
     return count
 
 
 @in_place
-def closest_features(geometry, i, j, R, t, known, n, angle, point, normal, gap, at):
-    """Contacts of the features that are outermost along n, where they are closest; returns their number."""
-    size = min(geometry.radius[i], geometry.radius[j])
-    flat1, flat2 = geometry.kind[i] == CYLINDER, geometry.kind[j] == CYLINDER
-    p1, q1, radius1, valid1 = edge(geometry, i, R, t, n, angle)
-    p2, q2, radius2, valid2 = edge(geometry, j, R, t, times(-1.0, n), angle)
-    if valid1 and valid2:
-        count = segments(
-            p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, point, normal, gap, at
-        )  # fmt: skip
-        if not known or count == 2:
+def closest_features(geometry, i, j, n, angle, out, at):
+    """Contacts of the features that are outermost along n, where they are closest; returns their number.
+
+    It is 0 if no edges of two polytopes separate as well as n does.
+    """
+    lines = edge(geometry, i, n, angle), edge(geometry, j, times(-1.0, n), angle)
+    if lines[0][3] and lines[1][3]:
+        count = segments(geometry, i, j, lines, n, out, at)
+        if count == 2 or (is_round(geometry, i) and is_round(geometry, j)):
             return count
         if count == 1:
             # The distance is the largest separation: the right features reach it.
-            own, _, _ = separation(geometry, i, j, R, t, row(normal, at))
-            given, _, _ = separation(geometry, i, j, R, t, n)
-            if own > given - SAME * size and abs(own - gap[at]) < SAME * size:
+            own, _, _ = separation(geometry, i, j, row(out.normal, at))
+            given, _, _ = separation(geometry, i, j, n)
+            same = SAME * smaller(geometry, i, j)
+            if own > given - same and abs(own - out.gap[at]) < same:
                 return 1
-    smooth(geometry, i, j, R, t, n, p1, q1, radius1, valid1, p2, q2, radius2, valid2, point, normal, gap, at)
+    if geometry.kind[i] == POLYTOPE and geometry.kind[j] == POLYTOPE:
+        return 1 if crossing(geometry, i, j, n, out, at) else 0
+    smooth(geometry, i, j, n, lines, out, at)
     return 1
 
 
 @in_place
-def pair_contacts(
-    geometry, i, j, R, t, slack, known, trusted, n, base, margin, limit, poly, other, values, points, heights, point,
-    normal, gap, at,
-):  # fmt: skip
-    """Contacts of one pair, into point, normal, gap from index `at` on; returns their number.
-
-    n is the normal of the cores, if `known`, and to be relied on if `trusted`. At rest the margin is `base`.
-    """
-    size = min(geometry.radius[i], geometry.radius[j])
+def begin(geometry, i, j, given, out, at):
+    """Contacts of features where no face separates best: (their number, whether so, n, the reference of each geom)."""
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
-    whole = kind1 == HALFSPACE or kind2 == HALFSPACE
-    face1, face2 = 0 if kind1 == HALFSPACE else -1, 0 if kind2 == HALFSPACE else -1
-    found = n
+    n, face1, face2 = given.n, 0 if kind1 == HALFSPACE else -1, 0 if kind2 == HALFSPACE else -1
+    if face1 == 0 or face2 == 0:
+        return 0, False, n, face1, face2
+    known = not (is_round(geometry, i) and is_round(geometry, j))
     if known:
-        face1, face2 = reference_face(geometry, i, j, R, n, ANGLE)
-        # Cores that overlap give no reliable normal, and rounding off a sliver of contact beside an edge turns it.
-        if not trusted or (face1 < 0 and face2 < 0 and separation(geometry, i, j, R, t, n)[0] <= slack):
-            n = best_normal(geometry, i, j, R, t, n, RESCUE * size if trusted else 0.0)
-            face1, face2 = reference_face(geometry, i, j, R, n, ANGLE)
-    first, count, m, tilted = 0, 0, n, face1 < 0 and face2 < 0
-    near, deepest = min(NEAR * size, margin), -math.inf
-    if tilted:
-        first = of_features(
-            geometry, i, j, R, t, known, found if trusted else n, ANGLE, margin, near, point, normal, gap, at
-        )  # fmt: skip
-        deepest = gap[at]
-        if kind1 != SPHERE and kind2 != SPHERE and deepest <= margin:
-            face1, face2 = reference_face(geometry, i, j, R, row(normal, at), WIDE)
+        if not given.trusted:  # cores that overlap give no reliable normal
+            n = best_normal(geometry, i, j, n)
+        face1, face2 = reference_face(geometry, i, j, n, ANGLE)
+        if face1 >= 0 or face2 >= 0:
+            return 0, False, n, face1, face2
+    first = max(1, of_features(geometry, i, j, n, ANGLE, given.margin, out, at))
+    exact = row(out.normal, at)
+    if known and given.trusted and out.gap[at] <= given.slack:
+        # Rounding off a sliver of contact beside an edge turns the normal: a face may separate better.
+        best = best_normal(geometry, i, j, exact)
+        if best != exact:
+            n = best
+            face1, face2 = reference_face(geometry, i, j, n, ANGLE)
+            if face1 >= 0 or face2 >= 0:
+                return 0, False, n, face1, face2
+    if kind1 != SPHERE and kind2 != SPHERE and out.gap[at] <= given.margin:
+        face1, face2 = reference_face(geometry, i, j, exact, WIDE)
+    return first, True, n, face1, face2
+
+
+@in_place
+def pair_contacts(geometry, i, j, given, room, out, at):
+    """Contacts of one pair; returns their number."""
+    first, tilted, n, face1, face2 = begin(geometry, i, j, given, out, at)
+    count, m, margin = 0, n, given.margin
     if face1 >= 0 or face2 >= 0:
-        count, m = over_face(
-            geometry, i, j, R, t, whole, limit, margin, face1, face2, poly, other, values, points, heights
-        )  # fmt: skip
-    if not (tilted or whole):
+        count, m = over_face(geometry, i, j, margin, face1, face2, room)
+    if not (tilted or geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE):
         lowest = math.inf
         for k in range(count):
-            lowest = min(lowest, heights[k])
+            lowest = min(lowest, room.heights[k])
         # What is deepest is not over the face: beside one the features are seen more sharply.
-        if lowest > separation(geometry, i, j, R, t, m)[0] + SAME * size:
-            first = of_features(
-                geometry, i, j, R, t, known, found if trusted else n, SHARP, margin, near, point, normal, gap, at
-            )  # fmt: skip
-            deepest = gap[at]
-    overlap = min(deepest, 0.0) if first > 0 else 0.0
-    if first > 0:
-        kept = 0
-        for k in range(count):
-            new = heights[k] >= 0.0 or deepest < 0.0
-            for c in range(first):
-                d = minus(row(points, k), row(point, at + c))
-                new = new and dot(d, d) > near * near
-            if new:
-                put(points, kept, row(points, k))
-                # No point is deeper than the bodies overlap: that is along the normal of the features.
-                heights[kept] = max(heights[k], overlap)
-                kept += 1
-        count = kept
-    count = merge(points, heights, count, SAME * size)
-    if count > limit - first:
-        count = reduce(points, heights, count, m, limit - first, margin, base)
+        if lowest > separation(geometry, i, j, m)[0] + SAME * smaller(geometry, i, j):
+            first = of_features(geometry, i, j, n, SHARP, margin, out, at)
+            if first == 0:  # another face separates better
+                face1, face2 = reference_face(geometry, i, j, best_normal(geometry, i, j, m), WIDE)
+                count, m = over_face(geometry, i, j, margin, face1, face2, room)
     g, face = (i, face1) if face1 >= 0 else (j, face2)
+    near = min(NEAR * smaller(geometry, i, j), margin)
+    deepest = out.gap[at] if first > 0 else math.inf
+    overlap = min(deepest, 0.0)
+    if first > 0:
+        count = new(room, count, first, near, out, at)
+    count = merge(room.points, room.heights, count, SAME * smaller(geometry, i, j))
+    if count > room.limit - first:
+        count = reduce(room.points, room.heights, count, m, room.limit - first, margin, given.base)
     for k in range(count):
-        p, height, n = row(points, k), heights[k], m
-        if first > 0 and (height < 0.0 or on_border(geometry, g, face, R, t, p, near)):
-            n = row(normal, at)
+        p, height, n = row(room.points, k), room.heights[k], m
+        if first > 0 and (height < 0.0 or on_border(geometry, g, face, p, near)):
+            n = row(out.normal, at)
             height = min(height, height * dot(n, m))
         elif overlap < 0.0:
-            height -= overlap * dot(row(normal, at), m)
-        put(point, at + first + k, p)
-        put(normal, at + first + k, n)
-        gap[at + first + k] = height
+            height -= overlap * dot(row(out.normal, at), m)
+        put(out.point, at + first + k, p)
+        put(out.normal, at + first + k, n)
+        out.gap[at + first + k] = height
     return first + count
 
 
+@in_place
+def new(room, count, first, near, out, at):
+    """Of the points over a face those that the `first` contacts of features do not stand for; returns their number.
+
+    No point is deeper than the bodies overlap: that is along the normal of the features.
+    """
+    kept, deepest = 0, out.gap[at]
+    for k in range(count):
+        more = room.heights[k] >= 0.0 or deepest < 0.0
+        for c in range(first):
+            d = minus(row(room.points, k), row(out.point, at + c))
+            more = more and dot(d, d) > near * near
+        if more:
+            put(room.points, kept, row(room.points, k))
+            room.heights[kept] = max(room.heights[k], min(deepest, 0.0))
+            kept += 1
+    return kept
+
+
 @in_place(forceinline=True)
-def ball_contact(geometry, i, j, R, t, point, normal, gap, at):
+def ball_contact(geometry, i, j, out, at):
     """What `pair_contacts` gives of two balls, or of one and a half-space, without a look at features; else False."""
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
-    radius1, radius2, a, b = geometry.size[i, 0], geometry.size[j, 0], row(t, i), row(t, j)
+    radius1, radius2, a, b = geometry.size[i, 0], geometry.size[j, 0], row(geometry.t, i), row(geometry.t, j)
     if kind1 == SPHERE and kind2 == SPHERE:
         d = minus(b, a)
         if dot(d, d) <= (SAME * min(radius1, radius2)) ** 2:
             return False
-        touch(a, radius1, b, radius2, d, point, normal, gap, at)
+        touch(a, radius1, b, radius2, d, out, at)
         return True
     if kind1 == HALFSPACE and kind2 == SPHERE:
         c, radius, h, sign = b, radius2, i, 1.0
@@ -176,26 +200,34 @@ def ball_contact(geometry, i, j, R, t, point, normal, gap, at):
         c, radius, h, sign = a, radius1, j, -1.0
     else:
         return False
-    n = to_world(R, h, row(geometry.size, h))
-    gap[at] = dot(n, minus(c, row(t, h))) - geometry.offset[h] - radius
-    put(point, at, along(c, -radius, n))
-    put(normal, at, times(sign, n))
+    n = to_world(geometry.R, h, row(geometry.size, h))
+    out.gap[at] = dot(n, minus(c, row(geometry.t, h))) - geometry.offset[h] - radius
+    put(out.point, at, along(c, -radius, n))
+    put(out.normal, at, times(sign, n))
     return True
 
 
 @in_place
-def manifolds(
-    fields, R, t, slack, first, second, slot, coal, base, reach, limit, poly, other, values, points, heights, point,
-    normal, gap, pair,
-):  # fmt: skip
-    """Contacts of all candidate pairs (first, second), into point, normal, gap and pair; returns their number.
+def manifolds(geoms, pairs, room, found):
+    """Contacts of all candidate pairs; returns their number. The arguments are plain tuples.
 
-    `fields` are those of `Geometry`, a plain tuple: from Python that is handed over in half the time.
-    ``coal[slot[p]]`` is the distance and normal of the cores of pair p, where slot[p] ≥ 0; ``slack[g]`` bounds how
-    far the surface of geom g is from that of its core. ``base[p]`` plus the reach of both geoms is the largest gap
-    of interest. The outputs have room for `limit` contacts per pair; what comes before them is scratch.
+    Parameters
+    ----------
+    geoms : tuple
+        Fields of `Geometry`, R, t, reach and slack: how far a point of a geom may still move, and its surface is from
+        that of its core.
+    pairs : tuple
+        first, second, slot, coal and base: ``coal[slot[p]]`` is the distance and normal of the cores of pair p, where
+        slot[p] ≥ 0; ``base[p]`` plus the reach of both geoms is the largest gap of interest.
+    room : tuple
+        Of `Room`.
+    found : tuple
+        point, normal, gap and pair, with room for `room.limit` contacts per pair.
     """
-    geometry = Geometry(*fields)
+    fields, R, t, reach, slack = geoms
+    first, second, slot, coal, base = pairs
+    point, normal, gap, pair = found
+    geometry, scratch, out = Placed(*fields, R, t), Room(*room), Found(point, normal, gap)
     total = 0
     for p in range(first.size):
         i, j = first[p], second[p]
@@ -208,15 +240,12 @@ def manifolds(
             direction, length = unit((coal[k, 1], coal[k, 2], coal[k, 3]))
             trusted = coal[k, 0] > 0.0
             n = direction if length > 0.5 and length < 2.0 else n
-        elif apart(geometry, i, j, R, t, margin):
+        elif apart(geometry, i, j, margin):
             continue
-        if not known and ball_contact(geometry, i, j, R, t, point, normal, gap, total):
+        if not known and ball_contact(geometry, i, j, out, total):
             count = 1
         else:
-            count = pair_contacts(
-                geometry, i, j, R, t, both, known, trusted, n, base[p], margin, limit, poly, other, values, points,
-                heights, point, normal, gap, total,
-            )  # fmt: skip
+            count = pair_contacts(geometry, i, j, Given(n, trusted, both, base[p], margin), scratch, out, total)
         kept = total
         for k in range(total, total + count):
             if gap[k] <= margin:

@@ -10,8 +10,31 @@ LEFT = -1
 """Instead of a number of contacts: a geom has left its fat box, and the pairs are to be renewed first."""
 
 # The arrays of floats and of integers that `Detector` packs, of the geoms and of the candidate pairs, in their order.
-(SIZE, OFFSET, RADIUS, VERTICES, NORMALS, OFFSETS, PLACEMENT_R, PLACEMENT_T, ROTATION, ORIGIN, REACH, SLACK, BASE,
- LOWER, UPPER, FAT_LOWER, FAT_UPPER, POLY, OTHER, VALUES, POINTS, HEIGHTS, GEOMS) = range(23)  # fmt: skip
+(
+    SIZE,
+    OFFSET,
+    RADIUS,
+    VERTICES,
+    NORMALS,
+    OFFSETS,
+    PLACEMENT_R,
+    PLACEMENT_T,
+    ROTATION,
+    ORIGIN,
+    REACH,
+    SLACK,
+    BASE,
+    LOWER,
+    UPPER,
+    FAT_LOWER,
+    FAT_UPPER,
+    POLY,
+    OTHER,
+    VALUES,
+    POINTS,
+    HEIGHTS,
+    GEOMS,
+) = range(23)
 KIND, VERTEX_PTR, FACE_PTR, LOOP_PTR, LOOP, FRAME = range(6)
 POINT, NORMAL, GAP, COAL, MARGIN, MU, RESTITUTION, PAIRS = range(8)
 PAIR, FIRST, SECOND, SLOT = range(4)
@@ -26,30 +49,40 @@ def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out)
     (names, points) and out = (names, points, scalars).
     """
     f, i = geoms
-    radius, frame = numbers(f, i, RADIUS), indices(i, FRAME, GEOMS)
-    R, t, reach = matrices(f, i, ROTATION), triples(f, i, ORIGIN), numbers(f, i, REACH)
+    frame, R, t, reach = indices(i, FRAME, GEOMS), matrices(f, i, ROTATION), triples(f, i, ORIGIN), numbers(f, i, REACH)
     fields = (
-        indices(i, KIND, GEOMS), triples(f, i, SIZE), numbers(f, i, OFFSET), radius, indices(i, VERTEX_PTR, GEOMS),
-        triples(f, i, VERTICES), indices(i, FACE_PTR, GEOMS), triples(f, i, NORMALS), numbers(f, i, OFFSETS),
-        indices(i, LOOP_PTR, GEOMS), indices(i, LOOP, GEOMS), frame, matrices(f, i, PLACEMENT_R),
+        indices(i, KIND, GEOMS),
+        triples(f, i, SIZE),
+        numbers(f, i, OFFSET),
+        numbers(f, i, RADIUS),
+        indices(i, VERTEX_PTR, GEOMS),
+        triples(f, i, VERTICES),
+        indices(i, FACE_PTR, GEOMS),
+        triples(f, i, NORMALS),
+        numbers(f, i, OFFSETS),
+        indices(i, LOOP_PTR, GEOMS),
+        indices(i, LOOP, GEOMS),
+        frame,
+        matrices(f, i, PLACEMENT_R),
         triples(f, i, PLACEMENT_T),
-    )  # fmt: skip
-    if not placed and follow(
-        fields, poses[0], poses[1], poses[2], numbers(f, i, BASE), R, t, reach, triples(f, i, LOWER),
-        triples(f, i, UPPER), triples(f, i, FAT_LOWER), triples(f, i, FAT_UPPER),
-    ):  # fmt: skip
+    )
+    boxes, fat = (triples(f, i, LOWER), triples(f, i, UPPER)), (triples(f, i, FAT_LOWER), triples(f, i, FAT_UPPER))
+    if not placed and follow(fields, poses, numbers(f, i, BASE), (R, t, reach), boxes, fat):
         return LEFT, next_key
     p, j = pairs
-    point, normal, gap, pair = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)
+    found = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)
     first, second, coal = indices(j, FIRST, PAIRS), indices(j, SECOND, PAIRS), numbers(p, j, COAL)
-    count = manifolds(
-        fields, R, t, numbers(f, i, SLACK), first, second, indices(j, SLOT, PAIRS), coal.reshape((coal.size // 10, 10)),
-        numbers(p, j, MARGIN), reach, limit, triples(f, i, POLY), triples(f, i, OTHER), numbers(f, i, VALUES),
-        triples(f, i, POINTS), numbers(f, i, HEIGHTS), point, normal, gap, pair,
-    )  # fmt: skip
+    asked = indices(j, SLOT, PAIRS), coal.reshape((coal.size // 10, 10)), numbers(p, j, MARGIN)
+    room = (
+        triples(f, i, POLY),
+        triples(f, i, OTHER),
+        numbers(f, i, VALUES),
+        triples(f, i, POINTS),
+        numbers(f, i, HEIGHTS),
+    )
+    count = manifolds((fields, R, t, reach, numbers(f, i, SLACK)), (first, second, *asked), (limit, *room), found)
     if count == out[0].shape[1]:
-        next_key = collect(
-            pair, first, second, frame, numbers(p, j, MU), numbers(p, j, RESTITUTION), point, normal, gap, radius, R, t,
-            tolerance, reach, memory[0], memory[1], next_key, out[0], out[1], out[2],
-        )  # fmt: skip
+        material = numbers(p, j, MU), numbers(p, j, RESTITUTION)
+        shapes = numbers(f, i, RADIUS), R, t, reach
+        next_key = collect((frame, shapes), (first, second, *material), found, tolerance, memory, next_key, out)
     return count, next_key

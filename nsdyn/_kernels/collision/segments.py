@@ -1,13 +1,11 @@
 """Edges, corners, spheres, capsules and sides of cylinders: segments with a radius, and where two touch."""
 
-import math
-
-from nsdyn._kernels.collision.geometry import CAPSULE, CYLINDER, POLYTOPE, SPHERE
-from nsdyn._kernels.collision.support import INSIDE, SAME, deepest_vertex
+from nsdyn._kernels.collision.geometry import smaller
+from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_rim, is_round, segment
+from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, separation
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import (
     along,
-    axis,
     cross,
     dot,
     minus,
@@ -21,50 +19,19 @@ from nsdyn._kernels.vectors import (
 )
 
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
+ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
+WIDE = 1.0  # |difference| of the normals of tilted bodies and of a face that may still hold points of interest
+NEAR = 1e-2  # a point within the margin, and this fraction of the size, of one found more exactly adds nothing
 OBLIQUE = 0.8  # cosine of the angle below which round segments curve away from each other too fast to touch at ends
 
 
-@in_place(forceinline=True)
-def segment(geometry, g, R, t, n, angle):
-    """Segment (or point) of geom g that is outermost along n: (its ends p, q, its radius, valid)."""
-    kind, s, c, z = geometry.kind[g], row(geometry.size, g), row(t, g), axis(R, g)
-    if kind == SPHERE:
-        return c, c, s[0], True
-    if kind == CAPSULE or kind == CYLINDER:
-        side = kind == CAPSULE or abs(dot(n, z)) < angle
-        return along(c, -s[1], z), along(c, s[1], z), s[0], side
-    if kind != POLYTOPE:
-        return c, c, 0.0, False
-    m = to_local(R, g, n)
-    first, last = geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]
-    top = row(geometry.vertices, deepest_vertex(geometry, g, m))
-    # The edge: the two outermost corners among those seen from the topmost one under less than `angle`.
-    p, q = top, top
-    for _ in range(2):
-        p, q = q, p
-        farthest = 0.0
-        for k in range(first, last):
-            v = row(geometry.vertices, k)
-            d, e = minus(v, top), minus(v, p)
-            if -dot(d, m) <= angle * math.sqrt(dot(d, d)) and dot(e, e) > farthest:
-                farthest, q = dot(e, e), v
-    edge = minus(q, p)
-    valid = True
-    for k in range(first, last):
-        v = row(geometry.vertices, k)
-        d, e = minus(v, top), cross(edge, minus(v, p))
-        if -dot(d, m) <= angle * math.sqrt(dot(d, d)) and math.sqrt(dot(e, e)) > 1e-3 * dot(edge, edge):
-            valid = False  # a face
-    return along(c, 1.0, to_world(R, g, p)), along(c, 1.0, to_world(R, g, q)), 0.0, valid
-
-
 @in_place
-def edge(geometry, g, R, t, n, angle):
+def edge(geometry, g, n, angle):
     """`segment` at `angle`, or of a polytope at a smaller one: a diagonal of a face tilts less than the face."""
-    p, q, radius, valid = segment(geometry, g, R, t, n, angle)
+    p, q, radius, valid = segment(geometry, g, n, angle)
     while not valid and geometry.kind[g] == POLYTOPE and angle > INSIDE:
         angle *= 0.5
-        p, q, radius, valid = segment(geometry, g, R, t, n, angle)
+        p, q, radius, valid = segment(geometry, g, n, angle)
     return p, q, radius, valid
 
 
@@ -90,27 +57,30 @@ def closest(p, d, length1, q, e, length2):
 
 
 @in_place(forceinline=True)
-def touch(a, radius1, b, radius2, n, point, normal, gap, at):
+def touch(a, radius1, b, radius2, n, out, at):
     """Write the contact of two balls (or of two points, with the known normal n) at index `at`."""
     if radius1 + radius2 > 0.0:
         n, _ = unit(minus(b, a))
-    gap[at] = dot(n, minus(b, a)) - radius1 - radius2
-    put(normal, at, n)
-    put(point, at, times(0.5, along(along(along(a, radius1, n), 1.0, b), -radius2, n)))
+    out.gap[at] = dot(n, minus(b, a)) - radius1 - radius2
+    put(out.normal, at, n)
+    put(out.point, at, times(0.5, along(along(along(a, radius1, n), 1.0, b), -radius2, n)))
 
 
 @in_place(forceinline=True)
-def segments(p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, point, normal, gap, at):
-    """Contacts of two segments with radii, into the outputs from index `at` on; returns their number.
+def segments(geometry, i, j, lines, n, out, at):
+    """Contacts of two segments with radii, one of each geom, into `out` from index `at` on; returns their number.
 
-    n is the normal found by Coal, if `known`. A segment with flat ends (the side of a cylinder) touches with its
-    side only. 0 means that the segments are not the features that touch.
+    n is the normal found by Coal, which is not asked about two round geoms. A segment with flat ends (the side of a
+    cylinder) touches with its side only. 0 means that the segments are not the features that touch.
     """
+    (p1, q1, radius1, _), (p2, q2, radius2, _) = lines
+    flat1, flat2 = has_rim(geometry, i), has_rim(geometry, j)
+    known = not (is_round(geometry, i) and is_round(geometry, j))
     d, length1 = unit(minus(q1, p1))
     e, length2 = unit(minus(q2, p2))
     common = cross(d, e)
     common, sine = unit(common)
-    rounded, tiny = radius1 + radius2 > 0.0, SAME * size
+    rounded, tiny = radius1 + radius2 > 0.0, SAME * smaller(geometry, i, j)
     if length1 > 0.0 and length2 > 0.0 and sine < PARALLEL:
         # Both ends of the overlap, as arc lengths on segment 1.
         low, high = dot(d, minus(p2, p1)), dot(d, minus(q2, p1))
@@ -121,9 +91,9 @@ def segments(p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, poi
             for s in (low, high):
                 a = along(p1, s, d)
                 b = along(p2, dot(e, minus(a, p2)), e)
-                touch(a, radius1, b, radius2, across, point, normal, gap, at + count)
-                apart = not rounded or gap[at + count] + radius1 + radius2 > tiny
-                if apart and (not known or dot(row(normal, at + count), n) > 0.5):
+                touch(a, radius1, b, radius2, across, out, at + count)
+                apart = not rounded or out.gap[at + count] + radius1 + radius2 > tiny
+                if apart and (not known or dot(row(out.normal, at + count), n) > 0.5):
                     count += 1
             if count == 2:
                 return 2
@@ -135,29 +105,90 @@ def segments(p1, q1, radius1, flat1, p2, q2, radius2, flat2, n, known, size, poi
         if known:
             return 0
         m = common if sine >= PARALLEL else perpendicular(d if length1 > 0.0 else e)
-        put(normal, at, m)
-        put(point, at, a)
-        gap[at] = -radius1 - radius2
+        put(out.normal, at, m)
+        put(out.point, at, a)
+        out.gap[at] = -radius1 - radius2
         return 1
     m = n
     if s > 0.0 and s < length1 and r > 0.0 and r < length2:
         m = common if dot(common, n) >= 0.0 else times(-1.0, common)
     elif distance > tiny:
         m = direction
-    touch(a, radius1, b, radius2, m, point, normal, gap, at)
-    m = row(normal, at)
+    touch(a, radius1, b, radius2, m, out, at)
+    m = row(out.normal, at)
     return 0 if (flat1 and abs(dot(m, d)) > INSIDE) or (flat2 and abs(dot(m, e)) > INSIDE) else 1
 
 
 @in_place
-def ends(geometry, i, j, R, t, n, angle, margin, near, point, normal, gap, at, count):
+def has_corner(geometry, face, corner):
+    """Whether a face (a row) has the corner, counted from the first vertex of its geom."""
+    for k in range(geometry.loop_ptr[face], geometry.loop_ptr[face + 1]):
+        if geometry.loop[k] == corner:
+            return True
+    return False
+
+
+@in_place
+def side(geometry, g, face, k):
+    """The ends (shape frame) of the edge of geom g that begins at entry k of the loop of a face (a row)."""
+    first, after = geometry.vertex_ptr[g], k + 1 if k + 1 < geometry.loop_ptr[face + 1] else geometry.loop_ptr[face]
+    return row(geometry.vertices, first + geometry.loop[k]), row(geometry.vertices, first + geometry.loop[after])
+
+
+@in_place
+def crossing(geometry, i, j, n, out, at):
+    """Write the contact of those edges of two polytopes that cross and part them best; False if n does so better.
+
+    The edges are those of the faces around the corners that are outermost along n. Without them the contact of these
+    corners is written.
+    """
+    tiny = INSIDE * smaller(geometry, i, j)
+    least, a, b = separation(geometry, i, j, n)
+    touch(a, 0.0, b, 0.0, n, out, at)
+    least -= tiny
+    found, c1, c2 = False, row(geometry.t, i), row(geometry.t, j)
+    own, other = to_local(geometry.R, i, n), to_local(geometry.R, j, times(-1.0, n))
+    top1 = deepest_vertex(geometry, i, own) - geometry.vertex_ptr[i]
+    top2 = deepest_vertex(geometry, j, other) - geometry.vertex_ptr[j]
+    for f in range(geometry.face_ptr[i], geometry.face_ptr[i + 1]):
+        if not has_corner(geometry, f, top1):
+            continue
+        for k in range(geometry.loop_ptr[f], geometry.loop_ptr[f + 1]):
+            u, v = side(geometry, i, f, k)
+            p = along(c1, 1.0, to_world(geometry.R, i, u))
+            d, length1 = unit(to_world(geometry.R, i, minus(v, u)))
+            for g in range(geometry.face_ptr[j], geometry.face_ptr[j + 1]):
+                if not has_corner(geometry, g, top2):
+                    continue
+                for l in range(geometry.loop_ptr[g], geometry.loop_ptr[g + 1]):
+                    u, v = side(geometry, j, g, l)
+                    q = along(c2, 1.0, to_world(geometry.R, j, u))
+                    e, length2 = unit(to_world(geometry.R, j, minus(v, u)))
+                    m, sine = unit(cross(d, e))
+                    if sine < SHARP:
+                        continue
+                    m = m if dot(m, n) > 0.0 else times(-1.0, m)
+                    s, r = closest(p, d, length1, q, e, length2)
+                    if s > 0.0 and s < length1 and r > 0.0 and r < length2:
+                        value, a, b = separation(geometry, i, j, m)[0], along(p, s, d), along(q, r, e)
+                        # Between outermost edges the gap is the separation: others have the same directions.
+                        if value > least and dot(m, minus(b, a)) < value + tiny:
+                            least, found = value, True
+                            touch(a, 0.0, b, 0.0, m, out, at)
+    return found
+
+
+@in_place
+def ends(geometry, i, j, n, margin, out, at, count):
     """Further contacts of two segments with radii: their ends opposite the other segment, up to the margin.
 
-    They follow the `count` contacts from index `at` on; those within `near` of one of them add nothing. Returns the new
+    They follow the `count` contacts from index `at` on; those near one of them add nothing. Returns the new
     number. Corners and edges of polytopes take part, but not with each other: these are found over faces.
     """
-    p1, q1, radius1, valid1 = segment(geometry, i, R, t, n, angle)
-    p2, q2, radius2, valid2 = segment(geometry, j, R, t, times(-1.0, n), angle)
+    size = smaller(geometry, i, j)
+    near, angle = min(NEAR * size, margin), min(max(ANGLE, margin / size), WIDE)
+    p1, q1, radius1, valid1 = segment(geometry, i, n, angle)
+    p2, q2, radius2, valid2 = segment(geometry, j, times(-1.0, n), angle)
     if not (valid1 and valid2) or radius1 + radius2 == 0.0:
         return count
     d, length1 = unit(minus(q1, p1))
@@ -167,10 +198,10 @@ def ends(geometry, i, j, R, t, n, angle, margin, near, point, normal, gap, at, c
     for k in range(4):
         # An end a of one segment (radius, kind), and the other from c on along f.
         if k < 2:
-            a, radius, flat, opposite, sign = p1 if k == 0 else q1, radius1, geometry.kind[i] == CYLINDER, length1, 1.0
+            a, radius, flat, opposite, sign = p1 if k == 0 else q1, radius1, has_rim(geometry, i), length1, 1.0
             c, f, length, other = p2, e, length2, radius2
         else:
-            a, radius, flat, opposite, sign = p2 if k == 2 else q2, radius2, geometry.kind[j] == CYLINDER, length2, -1.0
+            a, radius, flat, opposite, sign = p2 if k == 2 else q2, radius2, has_rim(geometry, j), length2, -1.0
             c, f, length, other = p1, d, length1, radius1
         if flat:  # its end is a circle, not a ball
             m = minus(along(c, dot(f, minus(a, c)), f), a)
@@ -185,11 +216,11 @@ def ends(geometry, i, j, R, t, n, angle, margin, near, point, normal, gap, at, c
         middle = times(0.5, along(along(a, radius, m), 1.0, along(foot, -other, m)))
         new = height <= margin
         for q in range(count):
-            away = minus(middle, row(point, at + q))
+            away = minus(middle, row(out.point, at + q))
             new = new and dot(away, away) > near * near
         if new:
-            put(point, at + count, middle)
-            put(normal, at + count, times(sign, m))
-            gap[at + count] = height
+            put(out.point, at + count, middle)
+            put(out.normal, at + count, times(sign, m))
+            out.gap[at + count] = height
             count += 1
     return count

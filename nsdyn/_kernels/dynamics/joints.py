@@ -58,6 +58,28 @@ def append_rows(slots, coordinate, other, tree, sign, blocks):
     return offset, new_block, new_start, new_H, m_start, m, minv
 
 
+@in_place
+def reduce_jacobian(blocks, where, z, sizes, block, start, out):
+    """Rows of Hᵀ Z, into out, of blocks of such sizes whose Z begins at `where` in z (-1: it is I); 1 of clutches."""
+    offset, _, old, H = blocks[:4]
+    for c in range(block.shape[0]):
+        for s in range(2):
+            k, b = block[c, s], start[c, s]
+            if k >= where.size:
+                out[b] = 1.0
+                if sizes[k] == 2:
+                    out[b + 3] = -1.0
+            elif k >= 0:
+                a, n, ny = old[c, s], offset[k + 1] - offset[k], sizes[k]
+                for i in range(3):
+                    for j in range(ny):
+                        if where[k] < 0:
+                            out[b + i * ny + j] = H[a + i * n + j]
+                        else:
+                            for l in range(n):
+                                out[b + i * ny + j] += H[a + i * n + l] * z[where[k] + l * ny + j]
+
+
 @kernel
 def reduce_rows(blocks, bases, z_start, z, pressed, clutch):
     """The factors in the coordinates y that constraints leave, v = Z y, and those of clutches after them.
@@ -112,22 +134,7 @@ def reduce_rows(blocks, bases, z_start, z, pressed, clutch):
             if new_block[c, s] >= 0:
                 size += 3 * sizes[new_block[c, s]]
     new_H = np.zeros(size)
-    for c in range(nc):
-        for s in range(2):
-            k, b = new_block[c, s], new_start[c, s]
-            if k >= nb:
-                new_H[b] = 1.0
-                if sizes[k] == 2:
-                    new_H[b + 3] = -1.0
-            elif k >= 0:
-                a, n, ny = start[c, s], offset[k + 1] - offset[k], sizes[k]
-                for i in range(3):
-                    for j in range(ny):
-                        if where[k] < 0:
-                            new_H[b + i * ny + j] = H[a + i * n + j]
-                        else:
-                            for l in range(n):
-                                new_H[b + i * ny + j] += H[a + i * n + l] * z[where[k] + l * ny + j]
+    reduce_jacobian(blocks, where, z, sizes, new_block, new_start, new_H)
     return (new_offset, new_block, new_start, new_H, new_m_start[:-1], new_m, new_minv), where, velocity
 
 

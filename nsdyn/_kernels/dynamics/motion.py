@@ -57,7 +57,15 @@ def place(x, quaternion, x_out, R):
 
 @in_place
 def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out, x_frames, R):
-    """`rotation.flow` of free bodies, and `place` where it ends."""
+    """`rotation.flow` of free bodies, and `place` where it ends.
+
+    Parameters
+    ----------
+    moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out
+        As of `rotation.flow`.
+    x_frames, R : ndarray, shapes (frames, 3), (frames, 3, 3)
+        Poses of the frames, written.
+    """
     rotation.flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out)
     place(x_out, quaternion_out, x_frames, R)
 
@@ -226,6 +234,19 @@ def surface_velocities(geom, motion_of_geom, origin, linear, angular, slides, po
 
     Motion m has the velocity linear[m] + angular[m] x (p - origin[m]); where it slides in itself (a conveyor), only
     the tangential part counts.
+
+    Parameters
+    ----------
+    geom : ndarray of int, shape (nc,)
+        Of each contact, on one side.
+    motion_of_geom : ndarray of int, shape (geoms,)
+        -1 where nothing is prescribed.
+    origin, linear, angular : ndarray, shape (motions, 3)
+        m, m/s, rad/s.
+    slides : ndarray of bool, shape (motions,)
+    point, normal : ndarray, shape (nc, 3)
+    sign : float
+    w : ndarray, shape (nc, 3)
     """
     for c in range(geom.size):
         m = motion_of_geom[geom[c]]

@@ -306,6 +306,22 @@ def unite(parent, a, b):
         parent[a] = b
 
 
+@in_place
+def number(parent, label):
+    """Number the components of a union-find forest of `unite` by their first members, into label; how many."""
+    found = 0
+    for k in range(label.size):
+        root = k
+        while parent[root] != root:
+            root = parent[root]
+        if root == k:
+            label[k] = found
+            found += 1
+        else:
+            label[k] = label[root]
+    return found
+
+
 @kernel
 def islands(block, count, label):
     """Connected components of the graph of blocks and contacts; contacts are connected when they share a block.

@@ -1,4 +1,4 @@
-"""The matrix K = M + Σ H_c A_c H_cᵀ of `newton` in compressed columns: its pattern, its entries, its elimination."""
+"""The matrix K = M + Σ H_c A_c H_cᵀ of `newton` in compressed columns: its pattern and its entries."""
 
 import numpy as np
 
@@ -61,59 +61,6 @@ def pattern(offset, block):
                 if block[c, s] >= 0 and block[c, t] >= 0:
                     slot[c, s, t] = place[place_of(codes, block[c, t] * nb + block[c, s])]
     return indptr, indices, slot, diagonal
-
-
-@kernel
-def elimination_work(offset, block):
-    """Multiplications that eliminating K takes in breadth-first order from a far end of the graph, about.
-
-    The sum over blocks of n w², w the coordinates in the front: a bound for the better orders that factorisations use,
-    and like them it grows with the square of the pile's cross section.
-    """
-    nb = offset.size - 1
-    pointer = np.zeros(nb + 1, np.int64)
-    for c in range(block.shape[0]):
-        if block[c, 0] >= 0 and block[c, 1] >= 0:
-            pointer[block[c, 0] + 1] += 1
-            pointer[block[c, 1] + 1] += 1
-    for k in range(nb):
-        pointer[k + 1] += pointer[k]
-    near, fill = np.empty(pointer[-1], np.int64), pointer[:-1].copy()
-    for c in range(block.shape[0]):
-        a, b = block[c, 0], block[c, 1]
-        if a >= 0 and b >= 0:
-            near[fill[a]], near[fill[b]] = b, a
-            fill[a] += 1
-            fill[b] += 1
-    order, width = np.zeros(nb, np.int64), np.zeros(nb + 1, np.int64)
-    for _ in range(2):  # the last block of the first search is a far end
-        seen = np.zeros(nb, np.bool_)
-        seen[order[0]] = True
-        found = 1
-        width[:] = 0
-        for e in range(nb):
-            if e == found:  # another component
-                order[e] = np.argmin(seen)
-                seen[order[e]] = True
-                found += 1
-            k = order[e]
-            for p in range(pointer[k], pointer[k + 1]):
-                l = near[p]
-                if not seen[l]:
-                    seen[l] = True
-                    # In the front from now until its own turn
-                    width[e] += offset[l + 1] - offset[l]
-                    width[found] -= offset[l + 1] - offset[l]
-                    order[found] = l
-                    found += 1
-        order[0] = order[nb - 1]
-    work, front = 0.0, 0
-    for e in range(nb):
-        front += width[e]
-        # The average of a block's own coordinates is about enough: which block has its turn does not matter here.
-        n = offset[nb] / nb
-        work += n * (front + n) ** 2
-    return work
 
 
 @in_place

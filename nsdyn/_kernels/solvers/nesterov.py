@@ -7,6 +7,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.lanes import dot
 from nsdyn._kernels.problem.cones import measure_at, project
+from nsdyn._kernels.problem.given import velocity, velocity_of
 from nsdyn._kernels.problem.unit_mass import (
     CONTACT,
     PAIR,
@@ -18,7 +19,6 @@ from nsdyn._kernels.problem.unit_mass import (
     room,
     rows_in_unit_mass,
 )
-from nsdyn._kernels.solvers.pgs import velocity, velocity_of
 
 ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
 CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
@@ -43,8 +43,20 @@ def local_steps(rows, mu):
 def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
     """One sweep over the contacts that are awake, in place of r = y and of v = Ĥ y.
 
-    x is the last sweep's result; t shrinks to `keep` of itself where momentum was wrong. A contact takes its normal
-    impulse exactly and its friction by a projected gradient step.
+    A contact takes its normal impulse exactly and its friction by a projected gradient step.
+
+    Parameters
+    ----------
+    awake : ndarray of uint, shape (any,)
+    rows, body, steps : ndarray
+        As of `begin`.
+    q, r, x : ndarray, shape (nc, 3)
+        Free velocity, y, and the last sweep's result.
+    mu, t : ndarray, shape (nc,)
+        Friction, and the momentum's t, which shrinks to `keep` of itself where momentum was wrong.
+    v : ndarray
+        Ĥ y.
+    keep : float
     """
     for c in awake:
         # Unsigned: the compiler need not ask whether an index counts from the end.
@@ -146,10 +158,7 @@ def wake(u, last, r, x, awake):
 
 
 @kernel
-def solve(
-    order, rows, body, steps, q, mu, scales, q_norm, tol, best_r, y, x, v, t, count, last, best, keep, most, check,
-    patience,
-):  # fmt: skip
+def solve(given, state, so_far, limits):
     """Sweeps with Nesterov's momentum, which every contact loses by itself, from where the last call stopped.
 
     x' = sweep(y), y = P_K(x' + b (x' - x)) with b = (t - 1)/(t + 1), t growing by 1/2 a sweep. A contact whose
@@ -158,7 +167,22 @@ def solve(
     the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested, and which
     contacts are worth the next ones; best_r keeps the best, all else is in the `order` of the contacts. Stops after
     `most` sweeps in all, or `patience` without a better one. Returns (sweeps, the one of the best, its measure, keep).
+
+    Parameters
+    ----------
+    given : tuple
+        order, rows, body, steps, q, mu, scales and q_norm, as of `begin`.
+    state : tuple of ndarray
+        best_r, y, x and v = Ĥ y, and t (nc,) of each contact; all are changed.
+    so_far : tuple
+        What the last call returned.
+    limits : tuple
+        tol, most, check and patience.
     """
+    order, rows, body, steps, q, mu, scales, q_norm = given
+    best_r, y, x, v, t = state
+    count, last, best, keep = so_far
+    tol, most, check, patience = limits
     u, before = np.full((mu.size, 3), -np.inf), np.empty((mu.size, 3))
     index, rough = np.arange(mu.size).astype(np.uint64), mu.any()
     awake = index
@@ -242,11 +266,15 @@ def sweep_matrix(indptr, indices, data, steps, q, mu, r, x, t, keep):
 
 
 @kernel
-def solve_matrix(
-    indptr, indices, data, steps, q, mu, scales, q_norm, tol, best_r, y, x, t, count, last, best, keep, most, check,
-    patience,
-):  # fmt: skip
-    """`solve` for a block-sparse W, which need not be symmetric; all contacts are awake."""
+def solve_matrix(given, state, so_far, limits):
+    """`solve` for a block-sparse W, which need not be symmetric; all contacts are awake.
+
+    `given` are (indptr, indices, data) of W, steps, q, mu, scales and q_norm, `state` best_r, y, x and t.
+    """
+    indptr, indices, data, steps, q, mu, scales, q_norm = given
+    best_r, y, x, t = state
+    count, last, best, keep = so_far
+    tol, most, check, patience = limits
     u = np.empty(y.size)
     while best > tol and count < most and count - last < patience:
         count += 1

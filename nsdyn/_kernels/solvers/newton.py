@@ -19,14 +19,21 @@ from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velo
 from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
 
-PATIENCE = 5  # Newton steps without settling after which a penalty is called too large
-PART = 1e-4  # of the square of the multiplier step that the square of the defect is where few bodies have settled
+PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
+SHRINKAGE, LEAST = 0.3, 1e-3  # what is left of such a penalty, and at which no more is tried
+PART = 1e-2  # of the square of the multiplier step that the square of the defect is where F has settled
 
 
 @in_place
 def grown(penalty, inner):
     """Next penalty after settling in `inner` steps: twice as large after a quick success."""
     return min(2.0 * penalty, 1e8) if inner <= 2 else penalty
+
+
+@in_place
+def failed(inner, left, before):
+    """Whether a penalty is too large, after so many steps and with the squares of the defect now and before."""
+    return inner >= PATIENCE or not left <= DIVERGED * before
 
 
 @in_place
@@ -164,29 +171,20 @@ def measures_of_islands(label, scales, norms, u, r, mu, out):
 
 
 @in_place
-def settled(blocks, scales, y, P, estimate, part, F, work, change):
-    """Whether F(y) is small beside the multiplier step P - estimate, in the norm of M⁻¹ (sqrt(J)), and its square.
+def settled(scales, u, shown, own, P, estimate):
+    """Whether u is at the velocity `shown` of P, beside the multiplier step P - estimate, and the square of the rest.
 
-    Its square is at most a `part` of that of the momentum H (P - estimate), or F is 1e-5 of the step weighed by
-    lambda_max(W_cc) contact by contact: redundant contacts exchange impulses without any momentum. F, work and change
-    are for work.
+    `own` is the velocity of the estimate. Velocities are weighed by 1/lambda_max(W_cc), J. The rest is at most a PART
+    of the step's, or 1e-5 of the step weighed as an impulse: redundant contacts exchange impulses without any
+    velocity.
     """
-    offset, _, _, _, m_start, _, minv = blocks
-    defect(blocks, y, P, F, work)
-    block_product(offset, m_start, minv, F, work)
-    left = 0.0
-    for i in range(F.size):
-        left += F[i] * work[i]
-    for i in range(change.size):
-        change[i] = P[i] - estimate[i]
-    momentum(blocks, change, F)
-    block_product(offset, m_start, minv, F, work)
-    total, weighed = 0.0, 0.0
-    for i in range(F.size):
-        total += F[i] * work[i]
-    for i in range(change.size):
-        weighed += scales[i // 3] * change[i] ** 2
-    return left <= max(part * total, 1e-10 * weighed), left
+    left, total, weighed = 0.0, 0.0, 0.0
+    for i in range(u.size):
+        scale = scales[i // 3]
+        left += (u[i] - shown[i]) ** 2 / scale
+        total += (shown[i] - own[i]) ** 2 / scale
+        weighed += scale * (P[i] - estimate[i]) ** 2
+    return left <= max(PART * total, 1e-10 * weighed), left
 
 
 @kernel
@@ -194,22 +192,23 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
 
     Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and where F
-    has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, doubles with
-    every quick success and falls tenfold after a failure, which starts again from the estimate. The loop is that of
+    has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, doubles with every quick
+    success and falls after a failure, which goes back to where F had settled last. The loop is that of
     `nsdyn.solvers.newton`, compiled: 2 us a step for one body, and 25 for ten bodies, where that takes 35 and 60.
     """
-    offset = blocks[0]
-    n, nr = offset[-1], q.size
-    y, u, F, work = np.empty(n), np.empty(nr), np.empty(n), np.empty(n)
-    P, own_y, own_u = np.empty(nr), np.empty(n), np.empty(nr)
+    n, nr = blocks[0][-1], q.size
+    y, kept, F, work, own_y = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    u, own, shown, P = np.empty(nr), np.empty(nr), np.empty(nr), np.empty(nr)
     A, K = np.empty((mu.size, 3, 3)), np.empty((n, n))
     pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     best = measure_of(blocks, q, mu, scales, q_norm, r, y, u, work)
     estimate = r.copy()
-    count, inner = 0, 0
+    kept[:] = y
+    own[:] = u
+    count, inner, before = 0, 0, np.inf
     rho = penalty / scales
     projected(u, estimate, rho, mu, P)
-    while best > tol and count < max_iter and penalty > 1e-3:
+    while best > tol and count < max_iter and penalty > LEAST:
         defect(blocks, y, P, F, work)
         stiffness(u, estimate, rho, mu, A)
         assemble_dense(blocks, A, K)
@@ -222,20 +221,25 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
         relative_velocity(blocks, y, u)
         u += q
         projected(u, estimate, rho, mu, P)
-        measure = measure_of(blocks, q, mu, scales, q_norm, P, own_y, own_u, work)
+        measure = measure_of(blocks, q, mu, scales, q_norm, P, own_y, shown, work)
         if measure < best:
             best = measure
             r[:] = P
-        if settled(blocks, scales, y, P, estimate, PART, F, work, own_u)[0]:
+        done, left = settled(scales, u, shown, own, P, estimate)
+        if done:
             penalty = grown(penalty, inner)
             estimate[:] = P
-            inner = 0
-        elif inner >= PATIENCE:
-            penalty *= 0.1
-            inner = 0
-            velocity_of(blocks, q, estimate, y, u, work)
+            own[:] = shown
+            kept[:] = y
+        elif failed(inner, left, before):
+            penalty *= SHRINKAGE
+            y[:] = kept
+            relative_velocity(blocks, y, u)
+            u += q
         else:
+            before = left
             continue
+        inner, before = 0, np.inf
         rho = penalty / scales
         projected(u, estimate, rho, mu, P)
     return count, best

@@ -4,11 +4,14 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn._kernels.problem import cones
-from nsdyn._kernels.solvers import local, newton, pgs
+from nsdyn._kernels.problem import cones, given
+from nsdyn._kernels.solvers import nesterov, newton
 
 POLISHED = 0.5
 """Measure after a step over that before, from which on it is round-off, as it is of a heap before it is `enough`."""
+
+CHECK = 5
+"""Sweeps between two measurements of a W that is given."""
 
 NEARLY, CLOSE = 2.0, 0.9
 """What nearly is enough, and what is left of it, both in `enough`."""
@@ -112,7 +115,7 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits
             else:
                 used, measures[k] = part(
                     blocks, label, k, q, mu, scales, r, measures[k], enough, good, norms[k], limits
-                )  # fmt: skip
+                )
                 count += used
             changed = True
         if measures[k] <= good:
@@ -123,44 +126,32 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits
     return found, left, count, top, residual
 
 
-@in_place
-def alone(W, q, mu, scales, q_norm, r, u):
-    """The only contact of a problem in closed form, W (1, 3, 3), into r and u (3,); its error and residual."""
-    closed_form(W[0], q, mu, r, u)
-    top, residual = cones.measures(scales, u, r, mu)
-    return top / q_norm, residual
+@kernel
+def by_matrix(W, q, mu, scales, q_norm, r, u, tol, most):
+    """Solve a block-sparse W = (indptr, indices, data) in place of r: lone contacts in closed form, others by sweeps.
 
-
-@in_place
-def opening(q):
-    """Whether all contacts open without impulses."""
-    for i in range(0, q.size, 3):
-        if not q[i] >= 0.0:
-            return False
-    return True
-
-
-@in_place
-def by_matrix(W, q, mu, scales, r, u, tol, margin, q_norm, limits):
-    """Small islands of a block-sparse W by `local.solve_small` to `margin` in place of r, unless r meets `tol`.
-
-    Returns the iterations, the literature's error and the residual; u = W r + q into u.
+    These are at most so many, with momentum, and on all islands at once. Returns their number, the error of the
+    literature and the residual of r; its u = W r + q is in u.
     """
-    count, top, residual = 0, np.inf, np.inf
-    if r.any() or opening(q):
-        pgs.velocity(W[0], W[1], W[2], q, r, u)
+    indptr, indices, data = W
+    nc, count = mu.size, 0
+    if nc == 1:
+        closed_form(data[0], q, mu, r, u)
         top, residual = cones.measures(scales, u, r, mu)
-    if not (top / q_norm <= tol and residual <= tol):
-        count = local.solve_small(W, (q, mu, scales), r, margin, q_norm, limits)
-        pgs.velocity(W[0], W[1], W[2], q, r, u)
-        top, residual = cones.measures(scales, u, r, mu)
+        return 1, top / q_norm, residual
+    given.velocity(indptr, indices, data, q, r, u)
+    best = cones.measure_at(scales, u, r, mu, q_norm)
+    if not best <= tol:
+        for c in range(nc):
+            if indptr[c + 1] == indptr[c] + 1:
+                at = slice(3 * c, 3 * c + 3)
+                closed_form(data[indptr[c]], q[at], mu[c : c + 1], r[at], u[at])
+        given.velocity(indptr, indices, data, q, r, u)
+        best = cones.measure_at(scales, u, r, mu, q_norm)
+        steps = nesterov.steps_of_matrix(indptr, indices, data, mu)
+        begun, state = (*W, steps, q, mu, scales, q_norm), (r, r.copy(), r.copy(), np.ones(nc))
+        so_far, limits = (0, 0, best, 0.5), (tol, most, CHECK, most)
+        count, _, best, _ = nesterov.solve_matrix(begun, state, so_far, limits)
+        given.velocity(indptr, indices, data, q, r, u)
+    top, residual = cones.measures(scales, u, r, mu)
     return count, top / q_norm, residual
-
-
-@in_place
-def left_by_matrix(W, q, mu, scales, r, u, label, islands):
-    """Islands of W into label (nc,), their measures and norms of q into islands (2, nc); how many."""
-    found = local.islands(W[0], W[1], label)
-    newton.norms_of_islands(label, q, islands[1, :found])
-    newton.measures_of_islands(label, scales, islands[1, :found], u, r, mu, islands[0, :found])
-    return found

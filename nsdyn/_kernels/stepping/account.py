@@ -6,15 +6,14 @@ from nsdyn._kernels.stepping.law import outcome
 
 
 @in_place
-def account(
-    blocks, bodies, loads, h, theta, velocities, r, mu, transport, lasting, struck, local, frame, slow, out
-):  # fmt: skip
-    """`free_works` of bodies = (mass, gravity) under loads = (force, torque), (external, beyond), then `outcome`.
+def account(bodies, move, velocities, rows, r, lasting, slow, out):
+    """`free_works` of bodies = (mass, gravity, force, torque) in a move = (h, theta), (external, beyond), `outcome`.
 
     With forces for the impulses in world axes.
     """
-    external, beyond = free_works(bodies[0], bodies[1], loads[0], loads[1], h, theta, *velocities)
-    normal, friction, rest = outcome(blocks, velocities[2], transport, r, mu, lasting, struck, local, frame, slow, out)
+    external, beyond = free_works(*bodies, *move, *velocities)
+    normal, friction, rest = outcome(rows, velocities[2], r, lasting, slow, out)
+    h, _ = move
     world = out[4]
     for c in range(world.shape[0]):
         for i in range(3):

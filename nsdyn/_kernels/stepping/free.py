@@ -13,53 +13,57 @@ from nsdyn._kernels.stepping import law
 
 
 @in_place
-def half(bodies, gravity, load, position, v, h, theta, fall, looked, arm, tol, out):
+def half(bodies, loads, position, h, theta, looked, near, out):
     """The first half of a move: a free flow, the velocity after the forces there, how far it reaches.
 
     Into out = (x, quaternion, v, R, v_free, its rate, reach). Returns the longest reach, and whether the contacts that
-    were `looked` for, (x, R, reach), are those of there.
+    were `looked` for, (x, R, reach), are those of there, with near = (arm, tol). The loads are (gravity, load, how fast
+    bodies fall), the position is (x, quaternion, v).
     """
+    (gravity, load, fall), (x_begin, quaternion_begin, v), (arm, tol) = loads, position, near
     moments, axes, inverse_mass, inverse_J, radius = bodies
     x, quaternion, v_there, R, v_free, rate, reach = out
-    flow(moments, axes, position[0], position[1], v, (1.0 - theta) * h, x, quaternion, v_there)
+    flow(moments, axes, x_begin, quaternion_begin, v, (1.0 - theta) * h, x, quaternion, v_there)
     motion.rotations(quaternion, R)
     motion.accelerate(inverse_mass, inverse_J, gravity, load, load, h, v_there, v_free)
     for i in range(v_free.size):
         rate[i] = (v_free[i] - v_there[i]) / h
     motion.reach(v_free, theta * h, theta * h * h * fall, radius, reach)
-    same = law.unmoved(looked[0], looked[1], looked[2], x, R, reach, arm, tol)
+    same = law.unmoved(looked, (x, R, reach), arm, tol)
     return most(reach), same
 
 
 @in_place
-def meet(masses, here, begin, velocities, warm, reach, materials, h, closing, again, rows, out):
+def meet(masses, here, begin, velocities, warm, laws, rows, out):
     """What a move meets at its contacts and the problem that it poses; the size of H, the norm of b and its validity.
 
     masses = (block_of_frame, offset, m_start, m, minv); here = (key, frame1, frame2, point, normal, gap, x, R) where
-    the impulses act; all others as in `law.pose`, and out. Into rows = (frame, block, start, H, scales), H with room
-    for two free bodies a contact, unless they are those of the same contacts met `again`.
+    the impulses act; all others as in `law.pose`, and out. Into rows = (frame, block, start, H, scales, again), H with
+    room for two free bodies a contact, unless they are those of the same contacts met `again`.
     """
     block_of_frame, offset, m_start, m, minv = masses
     key, frame1, frame2, point, normal, gap, x, R = here
-    frame, block, start, H, scales = rows
+    frame, block, start, H, scales, again = rows
     size = H.size
     if not again:
         size = motion.contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block, start)
         motion.free_rows(frame1, frame2, point, frame, x, R, x.shape[0], start, H)
     blocks = (offset, block, start, H[:size], m_start, m, minv)
-    norm, good = law.pose(
-        blocks, (key, frame1, frame2, point, frame, gap, x), begin, velocities, warm, reach, materials, h, closing,
-        again, scales, out,
-    )  # fmt: skip
+    if not again:
+        _blocks.delassus_scales(blocks, scales)
+    there = key, frame1, frame2, point, frame, gap, x
+    norm, good = law.pose(blocks, there, begin, velocities, warm, laws, scales, out)
     return size, norm, good
 
 
 @in_place
-def end(blocks, r, v_free, bodies, position, h, looked, reach, arm, tol, out):
+def end(blocks, r, v_free, bodies, position, h, looked, out):
     """The second half of a move: v⁺ = v_f + M⁻¹ H r and a free flow; whether what was `looked` for is found there too.
 
-    Into out = (v⁺, x, quaternion, v, R, linear, angular).
+    Into out = (v⁺, x, quaternion, v, R, linear, angular). looked = ((x, R, reach), reach, arm, tol), as of
+    `law.unmoved`.
     """
+    begun, reach, arm, tol = looked
     v_plus, x, quaternion, v, R, linear, angular = out
     _blocks.velocity_change(blocks, r, v_plus)
     for i in range(v_plus.size):
@@ -67,4 +71,4 @@ def end(blocks, r, v_free, bodies, position, h, looked, reach, arm, tol, out):
     flow(bodies[0], bodies[1], position[0], position[1], v_plus, h, x, quaternion, v)
     motion.rotations(quaternion, R)
     motion.twists(R, v, x.shape[0], linear, angular)
-    return law.unmoved(looked[0], looked[1], looked[2], x, R, reach, arm, tol)
+    return law.unmoved(begun, (x, R, reach), arm, tol)

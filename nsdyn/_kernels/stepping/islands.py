@@ -6,7 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.collision.broadphase import bounds
 from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.problem.blocks import unite
+from nsdyn._kernels.problem.blocks import number, unite
 from nsdyn._kernels.sorting import order as order_of
 
 
@@ -35,26 +35,17 @@ def islands(lower, upper, node, first, second, label):
             apart = lower[j, 1] > upper[i, 1] or lower[i, 1] > upper[j, 1]
             if not (apart or lower[j, 2] > upper[i, 2] or lower[i, 2] > upper[j, 2]):
                 unite(parent, node[i], node[j])
-    found = 0
-    for k in range(label.size):
-        root = k
-        while parent[root] != root:
-            root = parent[root]
-        if root == k:
-            label[k] = found
-            found += 1
-        else:
-            label[k] = label[root]
-    return found
+    return number(parent, label)
 
 
 @kernel
-def sweep(fields, one, other, arm, free, bent, lower, upper, wide):
-    """Boxes about geoms at poses one = (x, R) and others, lower and upper (geoms, 3), with those about others too.
+def sweep(fields, one, other, arm, frames, boxes, wide):
+    """Boxes about geoms at poses one = (x, R) and others, (lower, upper), (geoms, 3), with those about others too.
 
     Into wide (frames,) how far off the straight way geoms may be in between, by `arm` (frames,), and `bent` of their
-    way in frames that are not `free`. `fields` are those of `Geometry`.
+    way in frames that are not free. `fields` are those of `Geometry`; frames = (how many are free, bent).
     """
+    (free, bent), (lower, upper) = frames, boxes
     low, high = lower.copy(), upper.copy()
     bounds(fields, *other, low, high)
     for g in range(lower.shape[0]):

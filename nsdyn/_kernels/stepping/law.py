@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem.blocks import delassus_scales, in_range, relative_velocity, size_of
+from nsdyn._kernels.problem.blocks import in_range, relative_velocity, size_of
 from nsdyn._kernels.sorting import order, place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, row
 
@@ -59,17 +59,17 @@ def warm_start(place, force, h, frame, r):
 
 
 @in_place
-def begin_velocities(
-    place, old_point, old_normal, x_old, linear, angular, carried, reach, frame1, frame2, point, frame, x, transport, u
-):  # fmt: skip
+def begin_velocities(place, begin, here, carried, transport, u):
     """Relative velocities of the contacts where the step begins, with the rows that they have there, into u (3 nc,).
 
     Frame f moves there with linear[f] + angular[f] x (p - x_old[f]). A contact that was found there too, at a point
     from which the motion may have carried it here, has that point and that normal, and its tangents are those of here
-    turned by the least rotation from normal to normal; any other one has the arms and the frame of here. `reach` is how
-    far points of the frames move in about half a step. Surfaces that move add `carried` (old contacts, 3) there, in
-    world axes, and `transport` (3 nc,) here, in the frames; both are empty where none do.
+    turned by the least rotation from normal to normal; any other one has the arms and the frame of here. Surfaces that
+    move add `carried` (old contacts, 3) there, in world axes, and `transport` (3 nc,) here, in the frames; both are
+    empty where none do. `begin` and `here` are those of `local_velocities`.
     """
+    _, old_point, old_normal, x_old, linear, angular, reach = begin
+    _, frame1, frame2, point, frame, _, x = here
     for c in range(place.size):
         f1, f2, n = frame1[c], frame2[c], row(frame[c], 0)
         p, k = row(point, c), place[c]
@@ -96,8 +96,12 @@ def begin_velocities(
 
 
 @in_place
-def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
-    """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far."""
+def unmoved(looked, now, arm, tol):
+    """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far.
+
+    `looked` and `now` are (x, R, reach).
+    """
+    (x, R, reach), (x_now, R_now, reach_now) = looked, now
     for f in range(arm.size):
         shift, turn = 0.0, 0.0
         for i in range(3):
@@ -110,16 +114,16 @@ def unmoved(x, R, reach, x_now, R_now, reach_now, arm, tol):
 
 
 @in_place
-def look(x, R, reach, x_now, R_now, reach_now, arm, tol, x_out, R_out, reach_out):
+def look(looked, now, arm, tol, out):
     """Where contacts are looked for: each frame where it was until it moves by tol, or must see farther.
 
-    What is found of a pair so depends on its two frames alone. As in `unmoved`, into (x, R, reach)_out.
+    What is found of a pair so depends on its two frames alone. As in `unmoved`, into out = (x, R, reach).
     """
+    (x, R, reach), (x_now, R_now, reach_now), (x_out, R_out, reach_out) = looked, now, out
     for f in range(arm.size):
         own = slice(f, f + 1)
-        same = unmoved(
-            x[own], R[own], reach[own], x_now[own], R_now[own], reach_now[own], arm[own], tol
-        )  # fmt: skip
+        there, here = (x[own], R[own], reach[own]), (x_now[own], R_now[own], reach_now[own])
+        same = unmoved(there, here, arm[own], tol)
         for i in range(3):
             x_out[f, i] = x[f, i] if same else x_now[f, i]
             for j in range(3):
@@ -128,8 +132,12 @@ def look(x, R, reach, x_now, R_now, reach_now, arm, tol, x_out, R_out, reach_out
 
 
 @in_place
-def approach_of(c, frame1, frame2, point, normal, x, linear, angular):
-    """Normal velocity of contact c whose frames move as in `begin_velocities`, m/s."""
+def approach_of(c, where, twists):
+    """Normal velocity of contact c, m/s, of where = (frame1, frame2, point, normal, x) and twists = (linear, angular).
+
+    The frames are at x, and move as in `begin_velocities`.
+    """
+    (frame1, frame2, point, normal, x), (linear, angular) = where, twists
     p, w = row(point, c), (0.0, 0.0, 0.0)
     for s in range(2):
         f = frame1[c] if s == 0 else frame2[c]
@@ -140,15 +148,16 @@ def approach_of(c, frame1, frame2, point, normal, x, linear, angular):
 
 
 @in_place
-def approach(frame1, frame2, point, normal, x, linear, angular, out):
+def approach(where, twists, out):
     """`approach_of` of all contacts, into out (nc,)."""
     for c in range(out.size):
-        out[c] = approach_of(c, frame1, frame2, point, normal, x, linear, angular)
+        out[c] = approach_of(c, where, twists)
 
 
 @in_place
-def weight_of(c, frame1, frame2, point, normal, x, linear, angular):
+def weight_of(c, where, rates):
     """`weights` of contact c."""
+    (frame1, frame2, point, normal, x), (linear, angular) = where, rates
     p, n, total = row(point, c), row(normal, c), 0.0
     for f in (frame1[c], frame2[c]):
         if f >= 0:
@@ -157,23 +166,23 @@ def weight_of(c, frame1, frame2, point, normal, x, linear, angular):
 
 
 @in_place
-def weights(frame1, frame2, point, normal, x, linear, angular, out):
+def weights(where, rates, out):
     """How much faster free accelerations would make each contact approach, |a1·n| + |a2·n|, into out (nc,), m/s².
 
-    Of frames whose accelerations are those fields. Not their difference: what two bodies that fall together rest by is
-    nothing, but one of them is borne.
+    Of frames whose accelerations are those fields; as in `approach_of`. Not their difference: what two bodies that fall
+    together rest by is nothing, but one of them is borne.
     """
     for c in range(out.size):
-        out[c] = weight_of(c, frame1, frame2, point, normal, x, linear, angular)
+        out[c] = weight_of(c, where, rates)
 
 
 @in_place
-def fastest(gap, closed, frame1, frame2, point, normal, x, linear, angular):
+def fastest(gap, closed, where, twists):
     """The least normal velocity of contacts that are closed, m/s, 0 if none is negative; whether all are closed."""
     least, all_closed = 0.0, True
     for c in range(gap.size):
         if gap[c] <= closed:
-            least = min(least, approach_of(c, frame1, frame2, point, normal, x, linear, angular))
+            least = min(least, approach_of(c, where, twists))
         else:
             all_closed = False
     return least, all_closed
@@ -200,40 +209,49 @@ def known(key, old_key, old_gap, closed, out):
 
 
 @in_place
-def local_velocities(
-    blocks, velocities, surfaces, press, begin, here, warm, reach, h, ahead, out, end_gap, place
-):  # fmt: skip
+def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out):
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
-    (u_begin, u, u_free, drift, warm start) into out (5, 3 rows): of the `velocities` (v_begin, v, v_free), u_begin with
-    the rows of the beginning; `drift` = u - u_begin, by which rows change though nothing acts. To them add the
-    `surfaces` that move, (carried, transport) as in `begin_velocities`, all of these at the twists of the impulses, and
-    transport with those of the end, and the normal velocities of joint friction (`press`, empty for none). end_gap =
-    gap - ahead/2 drift_N, but for what the twists change: the parabola whose speed at the end of the step, `ahead`
-    seconds later, is 0; of bodies that turn by more than `TURNS` nothing is foreseen.
+    Of the `velocities`, u_begin has the rows of the beginning; `drift` = u - u_begin, by which rows change though
+    nothing acts. end_gap = gap - ahead/2 drift_N, but for what the twists change: the parabola whose speed at the end
+    of the step, `ahead` seconds later, is 0; of bodies that turn by more than `TURNS` nothing is foreseen.
 
-    `begin` has the keys, points and normals of the contacts found where the step begins, and the places and twists of
-    the frames there, `here` the keys, frames, points, directions and gaps where the impulses act, and the places of the
-    frames. The places of the contacts among those of `warm`, (keys, forces in world axes), whose impulses in h s start
-    the solver, into place (nc,); they need not be those found where the step begins.
+    Parameters
+    ----------
+    blocks : tuple
+        Factors of W.
+    velocities : tuple
+        v_begin, v, v_free.
+    surfaces : tuple
+        What surfaces that move add: carried and transport as in `begin_velocities`, all of these at the twists of the
+        impulses; transport with those of the end; normal velocities of joint friction. Each is empty for none.
+    begin : tuple
+        Keys, points and normals of the contacts found where the step begins, places and twists of the frames there, and
+        how far points of the frames move in about half a step.
+    here : tuple
+        Keys, frames, points, directions and gaps where the impulses act, and the places of the frames.
+    warm : tuple
+        Keys, forces in world axes, h: forces whose impulses in h s start the solver; they need not be those found where
+        the step begins.
+    ahead : float
+    out : tuple
+        local, shape (5, 3 rows): u_begin, u, u_free, drift, warm start; end_gap, shape (rows,); and the places of the
+        contacts among those of `warm`, shape (nc,).
     """
+    local, end_gap, place = out
     v_begin, v, v_free = velocities
-    carried, transport, transport_end = surfaces
-    begin_key, begin_point, begin_normal, x_begin, linear, angular = begin
-    key, frame1, frame2, point, frame, gap, x = here
+    carried, transport, transport_end, press = surfaces
+    angular, key, frame1, frame2, frame, gap = begin[5], here[0], here[1], here[2], here[4], here[5]
     nc = key.size
-    u_begin, u, u_free, drift, guess = out[0], out[1], out[2], out[3], out[4]
+    u_begin, u, u_free, drift, guess = local[0], local[1], local[2], local[3], local[4]
     relative_velocity(blocks, v, u)
     relative_velocity(blocks, v_free, u_free)
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(blocks, v_begin, u_begin)
-    places(begin_key, key, place)
-    begin_velocities(
-        place, begin_point, begin_normal, x_begin, linear, angular, carried, reach, frame1, frame2, point, frame, x,
-        transport, u_begin,
-    )  # fmt: skip
+    places(begin[0], key, place)
+    begin_velocities(place, begin, here, carried, transport, u_begin)
     places(warm[0], key, place)
-    warm_start(place, warm[1], h, frame, guess)
+    warm_start(place, warm[1], warm[2], frame, guess)
     for i in range(transport.size):
         u[i] += transport[i]
         u_free[i] += transport[i]
@@ -304,38 +322,43 @@ def left_open(gap, u, ahead, closed):
 
 
 @kernel
-def end_otherwise(off, gap, key, ended, local, ahead, closed, end_gap, late):
-    """Correct G (rows,) and `late` (nc,) of contacts that are `off` (nc,): they end with other gaps (nc,) and speeds.
+def end_otherwise(off, gap, key, ended, local, sizes, end_gap, late):
+    """Correct G and `late` (rows,) of rows that are `off` (rows,): they end with other gaps (rows,) and speeds.
 
-    Contacts with the names `key` (nc,) have the speeds of ended = (names, speeds) there; `late` is by how much these
-    are more than foreseen, m/s.
+    Of ended = (names, speeds, speeds of joint rows) contacts with the names `key` (nc,) have the first there; `late` is
+    by how much these are more than foreseen, m/s. sizes = (h₂, what counts as closed).
     """
-    place = np.empty(key.size, np.int64)
+    ahead, closed = sizes
+    nc = key.size
+    place = np.empty(nc, np.int64)
     places(ended[0], key, place)
-    for c in range(key.size):
+    for c in range(off.size):
         if off[c]:
             left = left_open(end_gap[c], local[0, 3 * c] - late[c], ahead, closed)
             foreseen = (left - end_gap[c]) / ahead
             end_gap[c] += gap[c] - left
-            if place[c] >= 0:
+            if c >= nc:
+                late[c] = ended[2][c - nc] - foreseen
+            elif place[c] >= 0:
                 late[c] = ended[1][place[c]] - foreseen
             else:  # it rolls away: nothing is left open
                 late[c] = local[0, 3 * c] + end_gap[c] / ahead
 
 
 @in_place
-def offsets(local, end_gap, restitution, rebound, stays, late, slides, closing, b):
+def offsets(local, laws, stays, slides, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
     Normal: u_free + drift, plus the speed at which a gap closes where it is open, or of either sign but for what is
-    `left_open` where a contact `stays` (nc,), empty for none, minus what is kept of an impact (`rebound`, empty for
+    `left_open` where a row `stays` (rows,), empty for none, minus what is kept of an impact (`rebound`, empty for
     none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip without impulses,
-    where a contact slides through. `local` is what `local_velocities` gives, `closing` = (closed, shallow, ahead,
-    until) as of `Closing`: gaps up to `closed` count as none, those up to `shallow` close just when the next impulses
-    act, `until` seconds later, and others, and those that may rebound, within the step; `late` is that of `Encounter`.
+    where a contact slides through. `local` is what `local_velocities` gives; laws = (end_gap, restitution, rebound,
+    late, closing), closing = (closed, shallow, ahead, until) as of `Closing`: gaps up to `closed` count as none, those
+    up to `shallow` close just when the next impulses act, `until` seconds later, and others, and those that may
+    rebound, within the step; `late` is that of `Encounter`.
     """
     u, u_free, drift = local[1], local[2], local[3]
-    closed, shallow, ahead, until = closing
+    end_gap, restitution, rebound, late, (closed, shallow, ahead, until) = laws
     for c in range(end_gap.size):
         i = 3 * c
         b[i] = u_free[i] + drift[i]
@@ -354,24 +377,19 @@ def offsets(local, end_gap, restitution, rebound, stays, late, slides, closing, 
 
 
 @in_place
-def pose(blocks, here, begin, velocities, warm, reach, materials, h, closing, scaled, scales, out):
+def pose(blocks, here, begin, velocities, warm, laws, scales, out):
     """The problem that a move poses at its contacts: the norm of b, and its validity.
 
-    here, begin, velocities and warm = (keys, forces, status) as in `local_velocities`; materials = (mu,
-    restitution); closing as in `offsets`. Into scales (nc,), unless they are `scaled` already, and out =
-    (velocities, end_gap, place, slides, b).
+    here, begin, velocities and warm = (keys, forces, h, status) as in `local_velocities`; laws = (mu, restitution,
+    closing), closing as in `offsets`; scales (nc,) are those of W. Into out = (local, end_gap, place, slides, b).
     """
     local, end_gap, place, slides, b = out
-    (mu, restitution), ahead = materials, closing[2]
+    mu, restitution, closing = laws
     none = scales[:0]
-    if not scaled:
-        delassus_scales(blocks, scales)
-    local_velocities(
-        blocks, velocities, (here[3][:0], none, none), none, begin, here, (warm[0], warm[1]), reach, h, ahead,
-        local, end_gap, place,
-    )  # fmt: skip
-    foresee(blocks, mu, place, warm[2], local, slides)
-    offsets(local, end_gap, restitution, none, slides[:0], none, slides, closing, b)
+    surfaces, found = (here[3][:0], none, none, none), (local, end_gap, place)
+    local_velocities(blocks, velocities, surfaces, begin, here, warm[:3], closing[2], found)
+    foresee(blocks, mu, place, warm[3], local, slides)
+    offsets(local, (end_gap, restitution, none, none, closing), slides[:0], slides, b)
     norm, good = size_of(b, mu)
     return norm, good and in_range(scales)
 
@@ -418,18 +436,20 @@ def states(r, mu, out):
 
 
 @in_place
-def outcome(blocks, v_plus, transport, r, mu, lasting, struck, local, frame, slow, out):
+def outcome(rows, v_plus, r, lasting, slow, out):
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
 
     Into out = (status, normal, friction, u_end, world), from what is `lasting`, (stays, sticks, works of couples) as of
-    `persistence`, `struck`, the normal impulses of impacts (empty for none), and what `local_velocities` gives. The
+    `persistence` and the normal impulses of impacts (empty for none). `rows` are the factors of W, the transport of
+    surfaces that move, mu, what `local_velocities` gives and the directions of the contacts. The
     states are those of `states`, but what ends no faster than `slow` sticks: impulses that redundant contacts share may
     lie anywhere in their cones. The works (rows,) are those of the impulses at the one configuration where they act,
     ½ (u + u⁺)·r. Returns the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is
     the work of a contact that stays closed, with its couple, or was struck, normal, and sticks, tangential; joint rows
     always do work.
     """
-    stays, sticks, turned = lasting
+    blocks, transport, mu, local, frame = rows
+    stays, sticks, turned, struck = lasting
     u, drift = local[1], local[3]
     status, normal, friction, u_end, world = out
     nc = status.size

@@ -7,7 +7,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import relative_velocity
 from nsdyn._kernels.stepping.law import offsets, places
-from nsdyn._kernels.vectors import along, dot, put, row, times
+from nsdyn._kernels.vectors import along, dot, put, row, times, to_local
 
 STILL = 1e-3
 """Fraction of what forces change a velocity by in a move below which a closed contact neither approaches nor slips; and
@@ -47,35 +47,43 @@ def last_status(key, pair, warm_key, warm_pair, warm_status, out):
 
 
 @kernel
-def persists(key, pair, warm, begin, local, end_gap, h, struck, stays, sticks, was):
-    """Which contacts persist, into stays and sticks (nc,): those that then do no work along and across their normals.
+def persists(names, warm, begin, limits, local, end_gap, struck, out):
+    """Which rows persist, into out = (stays, sticks, was): those that do no work along and across their normals.
 
-    What pressed in the last move, by warm = (keys, pairs, status), or was closed where this one begins, by
-    begin = (keys, gaps, what counts as closed), and did not approach, stays; what stuck, or did not slip there, sticks.
-    Not what is squeezed, so that it overlaps, strikes or parts: an approach in h s faster than `JOLT` drifts of the
-    rows is one of the bodies, and no error. Gaps that count as closed, of rows that do not turn, are set to 0. Returns
-    whether others are left of what stays. What they were in the last move goes into was (nc,).
+    What pressed in the last move, by warm = (keys, pairs, status), or was closed where this one begins, by begin =
+    (keys, gaps, what counts as closed, h), and did not approach, stays, as do joint limits, of which `limits` has
+    (gaps, whether they pressed), (rows - nc,) each; what stuck, or did not slip there, sticks. Not what is squeezed, so
+    that it overlaps, strikes or parts: an approach in h s faster than `JOLT` drifts of the rows is one of the bodies,
+    and no error. Gaps that count as closed, of rows that do not turn, are set to 0. Returns whether others are left of
+    what stays. What contacts were in the last move goes into was (nc,). names = (keys, pairs).
     """
-    begin_key, begin_gap, closed = begin
+    (key, pair), (begin_key, begin_gap, closed, h), (stays, sticks, was) = names, begin, out
     some = False
     u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
     before = np.empty(key.size, np.int64)
     places(begin_key, key, before)
     last_status(key, pair, warm[0], warm[1], warm[2], was)
-    for c in range(key.size):
+    nc = key.size
+    for c in range(stays.size):
         i = 3 * c
-        stays[c] = sticks[c] = False
+        stays[c] = False
+        if c < nc:
+            sticks[c] = False
         if struck:
             continue
-        gap = begin_gap[before[c]] if before[c] >= 0 else 0.0
+        if c < nc:
+            known, gap, old = before[c] >= 0, begin_gap[before[c]] if before[c] >= 0 else 0.0, was[c]
+        else:
+            known, gap, old = True, limits[0][c - nc], 2 if limits[1][c - nc] else 0
         speed = math.sqrt(u_begin[i] ** 2 + u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
         bent = math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)
-        still, old = STILL * abs(u_free[i] - u[i]) - LEFT * (speed + bent), was[c]
-        if gap < -2.0 * closed or (old == 0 and (before[c] < 0 or gap > closed or abs(u_begin[i]) >= still)):
+        still = STILL * abs(u_free[i] - u[i]) - LEFT * (speed + bent)
+        if gap < -2.0 * closed or (old == 0 and (not known or gap > closed or abs(u_begin[i]) >= still)):
             continue
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
-        slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
-        sticks[c] = stays[c] and (old == 1 or (old == 0 and slip <= still))
+        if c < nc:
+            slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
+            sticks[c] = stays[c] and (old == 1 or (old == 0 and slip <= still))
         if stays[c] and abs(end_gap[c]) <= closed and abs(drift[i]) * h <= STILL * closed:
             end_gap[c] = 0.0
         some = some or (stays[c] and end_gap[c] != 0.0)
@@ -92,8 +100,18 @@ def spin_of(f, free, R, v):
     return dot(row(R[f], 0), w), dot(row(R[f], 1), w), dot(row(R[f], 2), w)
 
 
+@in_place
+def add_couple(f, sign, couple, R, inverse_J, dv):
+    """Add to dv what a couple in world axes does to frame f, unless that stands still."""
+    if f >= 0:
+        own = to_local(R, f, couple)
+        for i in range(3):
+            for j in range(3):
+                dv[6 * f + 3 + i] += sign * inverse_J[f, i, j] * own[j]
+
+
 @kernel
-def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, dv, left, other):
+def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     """Couples that make contacts of free bodies that persist do no work, and the change of v by them.
 
     With w = Σ r·ū of the contacts of a pair of shapes, normal and, of those that stick, tangential, and ω̄ how body 2
@@ -108,21 +126,17 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
     contacts : (geom1, geom2, frame1, frame2, normal)
     mean : ndarray, shape (n,)
         Mean v̄ of the velocities before and after the impulses r (3 rows,).
-    R, inverse_J : ndarray, shapes (frames, 3, 3), (nf, 3, 3)
-    arm : ndarray, shape (frames,)
-        How far bodies reach from their centres of mass, m.
-    h : float
-    mu : ndarray, shape (rows,)
+    bodies : tuple
+        R, inverse_J, shapes (frames, 3, 3), (nf, 3, 3); how far bodies reach from their centres, (frames,), m; and h.
+    pressed : tuple
+        r and mu, shape (rows,).
     flags : three ndarrays of bool, shape (nc,)
         Contacts that stay, stick, and slide through.
-    couple : ndarray, shape (nc, 3)
-        On body 2, world axes, N·m·s: those that act, changed where others would have done no work.
-    dv : ndarray, shape (n,)
-        Change of v by them.
-    left : ndarray, shape (nc,)
-        Work that the couples that act leave, J, changed from that of those before; infinite if none was looked for.
-    other : ndarray of bool, shape (nc,)
-        Whether they differ from those that act by more than round-off.
+    found : tuple
+        couple, shape (nc, 3), on body 2, world axes, N·m·s: those that act, changed where others would do no work; dv,
+        shape (n,), the change of v by them; left, shape (nc,), the work that the couples that act leave, J, changed
+        from that of those before, infinite if none was looked for; other, shape (nc,), whether they differ from those
+        that act by more than round-off.
 
     Returns
     -------
@@ -130,6 +144,7 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
         Whether any does.
     """
     geom1, geom2, frame1, frame2, normal = contacts
+    (R, inverse_J, arm, h), (r, mu), (couple, dv, left, other) = bodies, pressed, found
     stays, sticks, slides = flags
     free, nc, some = inverse_J.shape[0], geom1.size, False
     u = np.empty(r.size)
@@ -175,14 +190,8 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
                 total = (0.0, 0.0, 0.0)
                 for c in range(first, last):
                     total = along(total, 1.0, row(couple, c))
-                for side in range(2):
-                    f, sign = (a, -1.0) if side == 0 else (b, 1.0)
-                    if f < 0:
-                        continue
-                    for i in range(3):
-                        for j in range(3):
-                            own = R[f, 0, j] * total[0] + R[f, 1, j] * total[1] + R[f, 2, j] * total[2]
-                            dv[6 * f + 3 + i] += sign * inverse_J[f, i, j] * own
+                add_couple(a, -1.0, total, R, inverse_J, dv)
+                add_couple(b, 1.0, total, R, inverse_J, dv)
             else:
                 for c in range(first, last):
                     put(couple, c, (0.0, 0.0, 0.0))
@@ -194,27 +203,38 @@ def couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, 
 
 
 @kernel
-def turn(
-    blocks, contacts, velocities, R, inverse_J, arm, h, r, mu, flags, gaps, closing, couple, dv, local, b, left, other
-):  # fmt: skip
+def turn(blocks, contacts, velocities, bodies, pressed, flags, laws, found, out):
     """`couples` at the mean of v⁻ and v_f + dv + change, velocities = (v⁻, v_f, dv, change), and what they then meet.
 
-    velocities has the change of v by the couples that act and that by the impulses r. Where other couples do, `local`
-    and the offsets b are those with these: gaps = (end_gap, restitution, rebound, late) and closing as of `offsets`.
+    Parameters
+    ----------
+    blocks, contacts, bodies, pressed, flags, found : tuple
+        As of `couples`.
+    velocities : tuple
+        v⁻, v_f, the change of v by the couples that act and that by the impulses r.
+    laws : tuple
+        end_gap, restitution, rebound, late and closing, as of `offsets`.
+    out : tuple
+        local and the offsets b: those with the couples, where others do than those that act.
+
+    Returns
+    -------
+    bool
+        Whether others do.
     """
+    local, b = out
     before, free, acting, change = velocities
     mean = np.empty(before.size)
     for i in range(mean.size):
         after = free[i] + acting[i] if acting.size else free[i]
         mean[i] = 0.5 * (before[i] + after + change[i])
-    if not couples(blocks, contacts, mean, R, inverse_J, arm, h, r, mu, flags, couple, dv, left, other):
+    if not couples(blocks, contacts, mean, bodies, pressed, flags, found):
         return False
-    relative_velocity(blocks, dv, b)
+    relative_velocity(blocks, found[1], b)
     for i in range(b.size):
         local[2, i] += b[i]
-        local[4, i] = r[i]
-    end_gap, restitution, rebound, late = gaps
-    offsets(local, end_gap, restitution, rebound, flags[0], late, flags[2], closing, b)
+        local[4, i] = pressed[0][i]
+    offsets(local, laws, flags[0], flags[2], b)
     return True
 
 

@@ -52,14 +52,15 @@ def ending(r, y, b, mu, local, was, slid, out):
 
 
 @kernel
-def goes_on(shown, mu, local, slides, key, pair, warm, begin, end_gap, h, stays, sticks):
+def goes_on(shown, local, slides, names, warm, begin, end_gap, out):
     """Whether contacts slide on, or rest, as was foreseen, and none that persists leaves a gap of which b knew nothing.
 
-    shown = (r, y, b); what persists, by warm = (keys, pairs, status), is found as in `persists`.
+    shown = (r, y, b, mu); what persists, into out = (stays, sticks), is found as in `persists`.
     """
-    if reconsider(*shown, mu, local, slides, False):
+    (r, y, b, mu), (stays, sticks) = shown, out
+    if reconsider(r, y, b, mu, local, slides, False):
         return False
     was, ends = np.empty(mu.size, np.int8), np.empty(mu.size, np.int8)
-    if persists(key, pair, warm, begin, local, end_gap, h, False, stays, sticks, was):
+    if persists(names, warm, begin, (end_gap[:0], slides[:0]), local, end_gap, False, (stays, sticks, was)):
         return False
-    return not ending(*shown, mu, local, was, stays[:0], ends)
+    return not ending(r, y, b, mu, local, was, stays[:0], ends)

@@ -16,46 +16,60 @@ def rests_of(weight, e, bounces):
 
 
 @in_place
-def parting(contacts, x, velocity, rate, closed, tol, bounces, out):
-    """Gaps of contacts = (frame1, frame2, point, normal, gap, restitution), into out (nc,).
+def parting(where, gap, restitution, twists, sizes, out):
+    """Gaps, into out (nc,), infinite of elastic contacts that are closed, but part faster than what rests.
 
-    Infinite of elastic ones that are closed, but part faster than what rests. velocity and rate are twists.
+    `where` and twists, those of the velocity and of the free acceleration, as of `law.approach_of`; sizes = (what
+    counts as closed, tolerance, bounces).
     """
-    frame1, frame2, point, normal, gap, restitution = contacts
-    where = frame1, frame2, point, normal, x
+    (velocity, rate), (closed, tol, bounces) = twists, sizes
     for c in range(out.size):
         out[c] = gap[c]
         if restitution[c] > 0.0 and gap[c] <= closed:
-            rests = rests_of(weight_of(c, *where, *rate), restitution[c], bounces)
-            if approach_of(c, *where, *velocity) > tol + rests:
+            rests = rests_of(weight_of(c, where, rate), restitution[c], bounces)
+            if approach_of(c, where, velocity) > tol + rests:
                 out[c] = math.inf
 
 
 @kernel
-def caught(contacts, pair, x, twists, before, closed, warm, inscribed, sizes, barred, bounces, out):
-    """Which contacts a move need not leave alone, into out (nc,): those `known` of before = (keys, gaps), and others.
+def caught(contacts, where, twists, before, warm, sizes, barred, out):
+    """Which contacts a move need not leave alone, into out (nc,): those `known` of those before, and others.
 
-    Those are shallow, neither of a pair barred nor elastic and striking. contacts = (keys, frame1, frame2, geom1,
-    geom2, point, normal, gap, restitution); twists are those of the velocity where the move begins, of the free one and
-    of the free acceleration, warm = (keys, pairs, status), sizes = (second half, move, depth, tolerance).
+    Those are shallow, neither of a pair barred nor elastic and striking.
+
+    Parameters
+    ----------
+    contacts : tuple
+        keys, pairs, depth at which each is deep, gaps and restitution.
+    where : tuple
+        As of `law.approach_of`.
+    twists : tuple
+        Those of the velocity where the move begins, of the free one and of the free acceleration.
+    before : tuple
+        keys, gaps and what counts as closed, of the contacts there.
+    warm : tuple
+        keys, pairs, status.
+    sizes : tuple
+        Second half of the move, the move, s; tolerance, m/s; bounces as of `rests_of`.
+    barred : ndarray of int
+    out : ndarray of bool
     """
-    key, frame1, frame2, geom1, geom2, point, normal, gap, restitution = contacts
-    ahead, h, depth, tol = sizes
+    key, pair, deep, gap, restitution = contacts
+    ahead, h, tol, bounces = sizes
     begin, free, rate = twists
-    where = frame1, frame2, point, normal, x
     status, place = np.empty(out.size, np.int8), np.empty(out.size, np.int64)
-    known(key, *before, closed, out)
+    known(key, before[0], before[1], before[2], out)
     places(before[0], key, place)
     last_status(key, pair, *warm, status)
     for c in range(out.size):
         if out[c] or (place[c] >= 0 and before[1][place[c]] == math.inf):  # the latter part
             continue
-        weight, e = weight_of(c, *where, *rate), restitution[c]
-        u = approach_of(c, *where, *begin)
+        weight, e = weight_of(c, where, rate), restitution[c]
+        u = approach_of(c, where, begin)
         if not status[c] > 0:
             # What bears one of two bodies that fall together is not known here: it might be as if the other fell alone.
-            u = min(approach_of(c, *where, *free), u - h * weight)
-        shallow = gap[c] + ahead * u > -(depth * min(inscribed[geom1[c]], inscribed[geom2[c]]))
+            u = min(approach_of(c, where, free), u - h * weight)
+        shallow = gap[c] + ahead * u > -deep[c]
         for b in barred:
             shallow = shallow and b != pair[c]
         out[c] = shallow and (e == 0.0 or u > -(tol + rests_of(weight, e, bounces) / e))

@@ -7,7 +7,7 @@ M. Barnes, E. Levy Finch, COLLADA: digital asset schema release 1.4.1, The Khron
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -21,9 +21,12 @@ __all__ = ["read"]
 DEEPEST = 100
 """Nodes of a scene inside each other: deeper ones go in a circle."""
 
+NONE = np.full(4, np.nan)
+"""No colour."""
 
-def read(data: bytes) -> tuple[Array, Index]:
-    """Vertices (nv, 3) and triangles (nt, 3); ParseError of what is no XML."""
+
+def read(data: bytes) -> tuple[Array, Index, Array]:
+    """Vertices (nv, 3), triangles (nt, 3), their colours (nt, 4), NaN where none; ParseError of what is no XML."""
     root = ElementTree.fromstring(data)
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # without the name space
@@ -40,6 +43,7 @@ def read(data: bytes) -> tuple[Array, Index]:
 
     vertices: list[Array] = [np.empty((0, 3))]
     triangles: list[Index] = [np.empty((0, 3), np.int64)]
+    colours: list[Array] = [np.empty((0, 4))]
     count, spent = 0, 0
 
     def add(node: Element, pose: Array, depth: int) -> None:
@@ -53,7 +57,9 @@ def read(data: bytes) -> tuple[Array, Index]:
             elif child.tag == "instance_node":
                 add(named(child, "url", "node"), pose, depth + 1)
             elif child.tag == "instance_geometry":
-                for points, corners in _of_geometry(named(child, "url", "geometry"), named):
+                paints = {e.get("symbol"): _diffuse(e, known) for e in child.iter("instance_material")}
+                for points, corners, symbol in _of_geometry(named(child, "url", "geometry"), named):
+                    colours.append(np.tile(paints.get(symbol, NONE), (len(corners), 1)))
                     vertices.append(points @ pose[:3, :3].T + pose[:3, 3])
                     triangles.append(corners + count)
                     count, spent = count + len(points), spent + points.size + corners.size
@@ -62,7 +68,16 @@ def read(data: bytes) -> tuple[Array, Index]:
 
     for instance in root.iterfind("scene/instance_visual_scene"):
         add(named(instance, "url", "visual_scene"), np.eye(4), 0)
-    return np.concatenate(vertices), np.concatenate(triangles)
+    return np.concatenate(vertices), np.concatenate(triangles), np.concatenate(colours)
+
+
+def _diffuse(bound: Element, known: Mapping[str | None, Element]) -> Array:
+    """Diffuse red, green, blue and alpha of an <instance_material>, NaN where it has none that can be read."""
+    material = known.get((bound.get("target") or "").removeprefix("#"), bound)
+    effect = material.find("instance_effect")
+    source = known.get(("" if effect is None else effect.get("url") or "").removeprefix("#"), bound)
+    rgba = numbers(next((e.text for e in source.iterfind(".//diffuse/color")), ""), "<color>")
+    return np.clip(rgba, 0.0, 1.0) if rgba.shape == (4,) and np.isfinite(rgba).all() else NONE
 
 
 def _pose(node: Element) -> Array:
@@ -95,8 +110,8 @@ def _pose(node: Element) -> Array:
 
 def _of_geometry(
     geometry: Element, named: Callable[[Element, str, str], Element]
-) -> Iterator[tuple[Array, Index]]:  # fmt: skip
-    """(vertices, triangles) of each list of faces of a geometry."""
+) -> Iterator[tuple[Array, Index, str | None]]:
+    """(vertices, triangles, symbol of their material) of each list of faces of a geometry."""
     mesh = geometry.find("mesh")
     for faces in () if mesh is None else mesh:
         if faces.tag not in ("triangles", "polylist", "polygons"):
@@ -128,7 +143,7 @@ def _of_geometry(
                 sizes = np.array([size for p in lists if (size := p.size // stride)], np.int64)
         if sizes.sum() != corners.size:
             raise ValueError(f"<{faces.tag}> must have as many corners as its faces, got {corners.size}")
-        yield points, fans(corners, sizes)
+        yield points, fans(corners, sizes), faces.get("material")
 
 
 def _points(vertices: Element, named: Callable[[Element, str, str], Element]) -> Array:

@@ -23,8 +23,10 @@ import pinocchio as pin
 from nsdyn.scene import meshes
 from nsdyn.scene.articulations import WORLD, Description, check_count, check_size, describe_model
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
+from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, SHARED, actuators_of
 from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
 from nsdyn.scene.robot_files.mjcf_geoms import POSE, Geoms, mesh_name
+from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
 from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse
 from nsdyn.tools import noise
@@ -39,8 +41,12 @@ SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
 MACROS = {"attach", "composite", "flexcomp", "frame", "plugin", "replicate"}
 """Elements inside bodies that MuJoCo's compiler replaces by others."""
 
-COMPILER = {"settotalmass": "missing", "inertiagrouprange": "missing", "balanceinertia": "dropped",
-            "fitaabb": "dropped"}  # fmt: skip
+COMPILER = {
+    "settotalmass": "missing",
+    "inertiagrouprange": "missing",
+    "balanceinertia": "dropped",
+    "fitaabb": "dropped",
+}
 """Attributes of the compiler that are not read, and where that is told."""
 
 OPTIONS = {"density": "0", "viscosity": "0", "wind": "0 0 0", "gravity": "0 0 -9.81"}
@@ -56,14 +62,46 @@ NUMBERS = {*POSE, "axis", "size", "fromto", "ref", "scale", "vertex"}
 """Attributes that are numbers: Pinocchio takes what is none for anything."""
 
 ATTRIBUTES = {
-    "joint": {"name", "type", "pos", "axis", "range", "limited", "ref", "stiffness", "springref", "springdamper",
-              "damping", "armature", "frictionloss", "margin", "actuatorfrcrange", "actuatorfrclimited"},
-    "geom": {"name", "type", "size", "fromto", "mesh", "mass", "density", "contype", "conaffinity", "friction",
-             "condim", "hfield", *POSE},
+    "joint": {
+        "name",
+        "type",
+        "pos",
+        "axis",
+        "range",
+        "limited",
+        "ref",
+        "stiffness",
+        "springref",
+        "springdamper",
+        "damping",
+        "armature",
+        "frictionloss",
+        "margin",
+        "actuatorfrcrange",
+        "actuatorfrclimited",
+    },
+    "geom": {
+        "name",
+        "type",
+        "size",
+        "fromto",
+        "mesh",
+        "mass",
+        "density",
+        "contype",
+        "conaffinity",
+        "friction",
+        "condim",
+        "hfield",
+        "rgba",
+        "group",
+        "material",
+        *POSE,
+    },
     "connect": {"name", "active", "body1", "body2", "site1", "site2", "anchor"},
     "weld": {"name", "active", "body1", "body2", "site1", "site2", "relpose"},
     "mesh": {"name", "file", "scale", "vertex"},
-}  # fmt: skip
+}
 """What is used of the attributes of an element, or warned of."""
 
 
@@ -75,6 +113,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     report = Report()
     try:
         _write_out_defaults(root)
+        driven = root.findall("actuator/*")
         geoms, trees = _simplify(root, report)
         flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
         # Before Pinocchio builds it: of several joints of one body it makes one, whose tables are as large as that.
@@ -86,7 +125,11 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         loops = tuple(loops_of(root, model, q, report.missing))
         places = {e.get("name", ""): (a.start, b.start) for e, kind, a, b in _joints(root) if SIZES[kind] == (1, 1)}
         gears = tuple(gears_of(root, model, places, report.missing))
+        autolimits = all(e.get("autolimits", "true") == "true" for e in root.iterfind("compiler"))
+        actuators = actuators_of(driven, model, places, autolimits, report.dropped)
         links, bodies = links_of(model, geometry.geometryObjects, report.dropped)
+        drawn = [k for k, body in enumerate(bodies) if trees[body] != WORLD or not any(geoms.masks[links[k].name])]
+        visuals = visuals_of(geoms, [(links[k], bodies[k]) for k in drawn], geometry, path.parent, report.unused)
         excluded = frozenset(frozenset((e.get("body1", ""), e.get("body2", ""))) for e in root.iter("exclude"))
         solid = [k for k, link in enumerate(links) if any(geoms.masks[link.name])]
         links, bodies = [links[k] for k in solid], [bodies[k] for k in solid]
@@ -96,10 +139,26 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     except (ValueError, RuntimeError, LookupError) as failure:  # all of them Pinocchio raises
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
     return describe_model(
-        model, links, bodies, q=q, stiffness=stiffness, rest=rest, loops=loops, gears=gears, excluded=excluded,
-        filtered=filtered, world_touches=True, trees=_of_joints(trees, model) | trees, flaws=tuple(flaws),
-        materials=geoms.materials, **report.told(),
-    )  # fmt: skip
+        model,
+        links,
+        bodies,
+        q=q,
+        stiffness=stiffness,
+        rest=rest,
+        loops=loops,
+        gears=gears,
+        actuators=actuators,
+        coordinates={joint: v for joint, (_, v) in places.items()},
+        excluded=excluded,
+        filtered=filtered,
+        world_touches=True,
+        trees=_of_joints(trees, model) | trees,
+        flaws=tuple(flaws),
+        materials=geoms.materials,
+        visuals=visuals,
+        colours={label: look.colour for label, look in geoms.looks.items() if look.colour},
+        **report.told(),
+    )
 
 
 # -- a simpler file --------------------------------------------------------------------------------------------
@@ -145,7 +204,11 @@ def _write_out_defaults(root: Element) -> None:
         if name not in classes:
             raise ValueError(f"class {name!r} of a <{element.tag}> is not defined")
         tag = "tendon" if element.tag in ("fixed", "spatial") else element.tag
-        element.attrib.update(classes[name].get(tag, {}) | element.attrib)
+        own = dict(classes[name].get(tag, {}))
+        if tag in ACTUATORS:
+            of_others = (given for other, given in classes[name].items() if other in ACTUATORS)
+            own = {k: v for given in of_others for k, v in given.items() if k in SHARED} | own
+        element.attrib.update(own | element.attrib)
         for child in element:
             apply(child, inherited)
 
@@ -163,9 +226,6 @@ def _note(root: Element, world: Element, report: Report) -> None:
     for attribute, notes in COMPILER.items():
         if compiler is not None and compiler.get(attribute):
             getattr(report, notes).append(f"compiler: {attribute}")
-    for element in root.iterfind("actuator/*"):
-        driven = next((element.attrib[a] for a in ("joint", "tendon", "site", "body") if a in element.attrib), None)
-        dropped.append(f"<actuator> {element.get('name', driven)!r}")
     for element in root.iterfind("tendon/*"):
         (missing if PASSIVE & element.attrib.keys() else dropped).append(f"<tendon> {element.get('name')!r}")
     missing += [f"<{tag}>" for tag in ("deformable",) if root.find(tag) is not None]
@@ -197,6 +257,19 @@ def _trees(world: Element, moving: set[str]) -> dict[str, str]:
     return out
 
 
+def _meshes(root: Element) -> dict[str, Element]:
+    """The mesh assets as the file has them, by name; all are named, and their files from the folder of the main one."""
+    compiler, out = root.find("compiler"), {}
+    settings = {} if compiler is None else compiler.attrib
+    folder = settings.pop("meshdir", settings.pop("assetdir", ""))
+    for element in root.iterfind("asset/mesh"):
+        element.set("name", mesh_name(element))
+        if "file" in element.attrib:
+            element.set("file", str(Path(folder) / element.attrib["file"]))
+        out[element.attrib["name"]] = Element("mesh", dict(element.attrib))
+    return out
+
+
 def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     """Keep what Pinocchio reads, all of it named and under one body; returns the geoms and the trees of the bodies."""
     world = root.find("worldbody")
@@ -208,7 +281,8 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     world.set("name", WORLD)
     carriers = [b for b in world.iter("body") if any(e.tag in ("joint", "freejoint") for e in b)]
     moving = {e.get("name", "") for carrier in carriers for e in carrier.iter("body")}
-    trees, geoms = _trees(world, moving), Geoms({mesh_name(e) for e in root.iterfind("asset/mesh")})
+    paints = {e.get("name", ""): e for e in root.iterfind("asset/material")}
+    trees, geoms = _trees(world, moving), Geoms(_meshes(root), paints)
     # What is fixed is a body of the scene, whose name no link and no joint has.
     taken = {name for name, tree in trees.items() if tree != WORLD} | {e.get("name", "") for e in world.iter("joint")}
     for body in [world, *world.iter("body")]:
@@ -251,11 +325,10 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
     compiler = root.find("compiler")
     if compiler is None:
         compiler = ElementTree.SubElement(root, "compiler")
-    folder = compiler.attrib.pop("meshdir", compiler.attrib.pop("assetdir", ""))
     bare = Element("mujoco", root.attrib)
     bare.extend(e for e in root if e.tag in ("compiler", "asset", "worldbody"))
     with tempfile.TemporaryDirectory() as scratch:
-        _copy_meshes(bare, path.parent, folder, Path(scratch))
+        _copy_meshes(bare, path.parent, Path(scratch))
         file = Path(scratch) / path.with_suffix(".xml").name
         ElementTree.ElementTree(bare).write(file)
         with noise.caught():
@@ -263,18 +336,17 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
             return model, pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
 
 
-def _copy_meshes(root: Element, home: Path, folder: str, scratch: Path) -> None:
+def _copy_meshes(root: Element, home: Path, scratch: Path) -> None:
     """Have the meshes of a file in `scratch`, as Pinocchio reads them without doubt; ValueError names their geom."""
     users = {geom.get("mesh"): geom.get("name") for geom in root.iter("geom")}
     for number, element in enumerate(root.iter("mesh")):
-        name = mesh_name(element)
-        element.set("name", name)
+        name = element.get("name")
         if "vertex" in element.attrib:
             continue
         try:
             if "file" not in element.attrib:
                 raise ValueError(f"mesh {name!r} has neither a file nor vertices")
-            surface = meshes.read(mesh_file(str(Path(folder) / element.attrib["file"]), [home], ""))
+            surface = meshes.read(mesh_file(element.attrib["file"], [home], ""))
         except ValueError as failure:
             raise ValueError(f"geom {users[name]!r}: {failure}") from None
         element.set("file", f"mesh{number}.stl")

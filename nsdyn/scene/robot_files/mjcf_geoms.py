@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -10,6 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from nsdyn.scene.materials import Material
+from nsdyn.scene.robot_files.mjcf_visuals import Look, look_of
 from nsdyn.scene.robot_files.xml import Notes, Report, numbers
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
@@ -39,15 +41,18 @@ class Geoms:
 
     Attributes
     ----------
-    meshes : set of str
-        Those that the file has.
+    meshes, paints : dict of str to Element
+        The meshes that the file has, and the materials that give colours.
+    looks : dict of str to Look
     masks : dict of str to (int, int)
         Their contype and conaffinity.
     materials : dict of str to Material
         Of those that tell one.
     """
 
-    meshes: set[str]
+    meshes: dict[str, Element]
+    paints: dict[str, Element]
+    looks: dict[str, Look] = field(default_factory=dict)
     masks: dict[str, tuple[int, int]] = field(default_factory=dict)
     materials: dict[str, Material] = field(default_factory=dict)
 
@@ -58,7 +63,6 @@ class Geoms:
         """
         where = body.get("name", "")
         for number, geom in enumerate(body.findall("geom")):
-            geom.attrib.pop("material", None)
             if geom.get("name") in taken:
                 del geom.attrib["name"]
             label = geom.attrib.setdefault("name", f"{where}_{number}")
@@ -72,17 +76,21 @@ class Geoms:
                 body.remove(geom)
                 continue
             _check_mesh(geom, kind, label, self.meshes)
+            self.looks[label] = look_of(geom, label, self.meshes, self.paints)
+            geom.attrib.pop("material", None)
             _write_size(geom, kind, label)
             if material := _material(geom, label):
                 self.materials[label] = material
             if geom.get("condim") in ("4", "6"):
                 report.dropped.append(f"geom {label!r}: friction of spinning and rolling")
             self.masks[label] = masks
-            if kind != "mesh":
-                # Pinocchio leaves the mass of a geom that touches nothing out; that of a mesh it never counts.
-                geom.attrib |= {"contype": "1", "conaffinity": "1"}
-            elif not any(masks):
-                body.remove(geom)
+            if kind == "mesh" and any(masks):
+                continue
+            if kind == "mesh":  # where it is is that of a ball without mass
+                geom.attrib |= {"type": "sphere", "size": "1", "mass": "0"}
+                del geom.attrib["mesh"]
+            # Pinocchio leaves the mass of a geom that touches nothing out; that of a mesh it never counts.
+            geom.attrib |= {"contype": "1", "conaffinity": "1"}
 
     def collide(self, a: str, b: str) -> bool:
         """Whether the masks of two geoms let them touch."""
@@ -106,7 +114,7 @@ def _mask(geom: Element, attribute: str, label: str) -> int:
     return int(numbers(geom.get(attribute), 1, (1.0,), f"{attribute} of geom {label!r}")[0])
 
 
-def _check_mesh(geom: Element, kind: str, label: str, meshes: set[str]) -> None:
+def _check_mesh(geom: Element, kind: str, label: str, meshes: Mapping[str, Element]) -> None:
     """ValueError for a mesh that is not among the assets, and one that another shape is fitted to."""
     if kind == "mesh":
         choice(geom.get("mesh", ""), sorted(meshes), f"mesh of geom {label!r}")

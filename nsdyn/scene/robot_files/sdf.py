@@ -24,13 +24,21 @@ from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.xml import Report, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
+from nsdyn.scene.visuals import MeshFile, Visual, mesh_visual
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 
 __all__ = ["read_sdf"]
 
-AXES = {"fixed": (), "ball": (), "revolute": ("axis",), "continuous": ("axis",), "prismatic": ("axis",),
-        "universal": ("axis", "axis2"), "revolute2": ("axis", "axis2")}  # fmt: skip
+AXES = {
+    "fixed": (),
+    "ball": (),
+    "revolute": ("axis",),
+    "continuous": ("axis",),
+    "prismatic": ("axis",),
+    "universal": ("axis", "axis2"),
+    "revolute2": ("axis", "axis2"),
+}
 """Axes of the types of joints that are read."""
 
 BEHAVIOUR = {"gravity": "true", "kinematic": "false", "enable_wind": "false", "velocity_decay": None}
@@ -101,13 +109,14 @@ class _Reader:
         self.shapes: list[Link] = []
         self.bodies: list[str] = []
         self.materials: dict[str, Material] = {}
+        self.visuals: list[Visual] = []
 
     def _note_unused(self, joints: Sequence[Element]) -> None:
         missing, dropped, unused = self.report.missing, self.report.dropped, self.report.unused
         links = list(self.links.values())
         used = {"link", "joint", "frame", "pose", "static", "self_collide", "enable_wind"}
         unused.of_children([self.element], used, "model")
-        unused.of_children(links, {"pose", "inertial", "collision", *BEHAVIOUR}, "link")
+        unused.of_children(links, {"pose", "inertial", "collision", "visual", *BEHAVIOUR}, "link")
         unused.of_children([i for e in links for i in e.findall("inertial")], {"pose", "mass", "inertia"}, "inertial")
         unused.of_children(joints, {"parent", "child", "pose", "axis", "axis2"}, "joint")
         collisions = [c for e in links for c in e.findall("collision")]
@@ -208,10 +217,20 @@ class _Reader:
         if self.element.findtext("self_collide", "false").strip() not in ("true", "1"):
             apart = frozenset(frozenset(pair) for pair in combinations(self.links, 2))
         return describe_model(
-            model, self.shapes, self.bodies, q=following(model, gears := tuple(self._gears()), q), stiffness=stiffness,
-            rest=rest, loops=tuple(self.loops), gears=gears, excluded=apart, flaws=tuple(self.flaws),
-            materials=self.materials, **self.report.told(),
-        )  # fmt: skip
+            model,
+            self.shapes,
+            self.bodies,
+            q=following(model, gears := tuple(self._gears()), q),
+            stiffness=stiffness,
+            rest=rest,
+            loops=tuple(self.loops),
+            gears=gears,
+            excluded=apart,
+            flaws=tuple(self.flaws),
+            materials=self.materials,
+            visuals=tuple(self.visuals),
+            **self.report.told(),
+        )
 
     def _gears(self) -> Iterator[Gear]:
         """Gears of <mimic>: multiplier times the other's position beyond a reference, and an offset."""
@@ -330,6 +349,29 @@ class _Reader:
             mu = collision.findtext("surface/friction/ode/mu")
             if mu is not None:
                 self.materials[label] = Material(float(numbers(mu, 1, None, f"mu of link {link!r}")[0]))
+        for visual in element.findall("visual"):
+            try:
+                self.visuals += self._visual(link, joint, pose, visual)
+            except ValueError as failure:
+                self.report.unused.append(f"visual of link {link!r}: {failure}")
+
+    def _visual(self, link: str, joint: int, pose: Any, visual: Element) -> Iterator[Visual]:
+        """Visual shape of a link, if it is bounded; ValueError for one that is not read."""
+        colour, shift, mesh = None, np.zeros(3), visual.find("geometry/mesh")
+        if (paint := visual.findtext("material/diffuse", visual.findtext("material/ambient"))) is not None:
+            r, g, b, *a = np.clip(numbers(paint, None, None, "colour"), 0.0, 1.0).tolist()
+            colour = (r, g, b, a[0] if a else 1.0)
+        shape: Shape | MeshFile
+        if mesh is None:
+            found = self._shape(visual.find("geometry"))
+            if found is None or found[0].kind == shapes.HALFSPACE:
+                return
+            shape, shift = found
+        else:
+            scale = numbers(mesh.findtext("scale"), 3, (1, 1, 1), "scale of <mesh>")
+            shape = mesh_visual(mesh_file(mesh.findtext("uri", "").strip(), self.folders), scale)
+        placement = pose * _pose(visual.find("pose")) * pin.SE3(np.eye(3), shift)
+        yield Visual(link, joint, placement, shape, colour)
 
     def _close(self, joint: _Joint, index: int) -> None:
         """Weld the part of a link that a further parent carries to the link."""

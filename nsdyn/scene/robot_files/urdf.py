@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,14 +17,28 @@ from nsdyn.scene.gears import Gear, following, gear
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.xml import XACRO, Report, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
+from nsdyn.scene.visuals import Colour, MeshFile, Visual, mesh_visual
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 __all__ = ["read_urdf"]
 
-GAZEBO = {"dampingFactor", "fdir1", "gravity", "kinematic", "maxVel", "minDepth", "mu1", "mu2", "springReference",
-          "springStiffness", "stopCfm", "stopErp", "turnGravityOff"}  # fmt: skip
+GAZEBO = {
+    "dampingFactor",
+    "fdir1",
+    "gravity",
+    "kinematic",
+    "maxVel",
+    "minDepth",
+    "mu1",
+    "mu2",
+    "springReference",
+    "springStiffness",
+    "stopCfm",
+    "stopErp",
+    "turnGravityOff",
+}
 """Elements of <gazebo> that change how a link or joint moves."""
 
 
@@ -42,27 +56,13 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
     if any("xacro" in e.tag or "${" in "".join(e.attrib.values()) for e in root.iter()):
         raise ValueError(f"path of {name!r}: {path} {XACRO}")
     report = Report()
-    missing, dropped, unused = report.missing, report.dropped, report.unused
+    dropped, unused = report.dropped, report.unused
     elements, joints = list(root.iter("link")), [e for e in root if e.tag == "joint"]
-    missing += [
-        f"joint {joint.get('name')!r}: <{e.tag}> of a {joint.get('type')} joint"
-        for joint in joints
-        for e in joint
-        if joint.get("type") in ("planar", "floating") and e.tag in ("limit", "dynamics", "mimic")
-    ]
-    for tag, used in (("limit", {"lower", "upper", "effort", "velocity"}), ("dynamics", {"damping", "friction"})):
-        unused.of_attributes([e for joint in joints for e in joint.iter(tag)], used, tag)
-    for e in root.findall("gazebo"):
-        physics = sorted({child.tag for child in e} & GAZEBO)
-        dropped += [f"gazebo {e.get('reference')!r}: <{tag}>" for tag in physics]
-    fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if e.get("velocity", "0").strip("0.")]
-    if fast:
-        dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
-    unused.of_children([root], {"link", "joint"}, "robot")
-    unused.of_children(elements, {"inertial", "collision"}, "link")
-    unused.of_children(joints, {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"}, "joint")
+    _note_unread(report, root, elements, joints)
     collisions = [(e.get("name", ""), c) for e in elements for c in e.findall("collision")]
     unused.of_children([c for _, c in collisions], {"origin", "geometry"}, "collision")
+    looks = [(e.get("name", ""), v) for e in elements for v in e.findall("visual")]
+    colours = {e.get("name"): e for e in root.findall("material")}
     for element in elements:
         for child in [c for c in element if c.tag != "inertial"]:
             element.remove(child)
@@ -77,22 +77,52 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
         raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, lines)}") from None
     links: list[Link] = []
     bodies: list[str] = []
+    folders = [path.parent, *package_dirs]
     for body, collision in collisions:
         frame = model.frames[model.getFrameId(body, pin.FrameType.BODY)]
         link = f"{body}_{bodies.count(body)}"
         try:
             with dropped.of_warnings(link):
-                shape, shift = _shape(collision.find("geometry"), [path.parent, *package_dirs])
+                shape, shift = _shape(collision.find("geometry"), folders)
             placement = frame.placement * _pose(collision.find("origin")) * pin.SE3(np.eye(3), shift)
         except ValueError as failure:
             raise ValueError(f"path of {name!r}: {path}, collision of {body!r}: {failure}") from None
         links.append(Link(link, int(frame.parentJoint), placement, shape))
         bodies.append(body)
+    visuals = []
+    for body, visual in looks:
+        try:
+            visuals.append(_visual(body, visual, model, folders, colours))
+        except ValueError as failure:
+            unused.append(f"visual of link {body!r}: {failure}")
     try:
         q, gears = _mimics(joints, model)
     except ValueError as failure:
         raise ValueError(f"path of {name!r}: {path}, {failure}") from None
-    return describe_model(model, links, bodies, q=q, gears=gears, flaws=tuple(flaws), **report.told())
+    more = {"q": q, "gears": gears, "flaws": tuple(flaws), "visuals": tuple(visuals)}
+    return describe_model(model, links, bodies, **more, **report.told())
+
+
+def _note_unread(report: Report, root: Element, links: Sequence[Element], joints: Sequence[Element]) -> None:
+    """Note what of a file Pinocchio or nsdyn does not read."""
+    missing, dropped, unused = report.missing, report.dropped, report.unused
+    missing += [
+        f"joint {joint.get('name')!r}: <{e.tag}> of a {joint.get('type')} joint"
+        for joint in joints
+        for e in joint
+        if joint.get("type") in ("planar", "floating") and e.tag in ("limit", "dynamics", "mimic")
+    ]
+    for tag, used in (("limit", {"lower", "upper", "effort", "velocity"}), ("dynamics", {"damping", "friction"})):
+        unused.of_attributes([e for joint in joints for e in joint.iter(tag)], used, tag)
+    for e in root.findall("gazebo"):
+        physics = sorted({child.tag for child in e} & GAZEBO)
+        dropped += [f"gazebo {e.get('reference')!r}: <{tag}>" for tag in physics]
+    fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if e.get("velocity", "0").strip("0.")]
+    if fast:
+        dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
+    unused.of_children([root], {"link", "joint", "material"}, "robot")
+    unused.of_children(links, {"inertial", "collision", "visual"}, "link")
+    unused.of_children(joints, {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"}, "joint")
 
 
 def _mimics(joints: Sequence[Element], model: Any) -> tuple[Array, tuple[Gear, ...]]:
@@ -156,6 +186,36 @@ def _pose(origin: Element | None) -> Any:
         return pin.SE3.Identity()
     rpy = numbers(origin.get("rpy"), 3, (0, 0, 0), "rpy")
     return pin.SE3(pin.rpy.rpyToMatrix(rpy), numbers(origin.get("xyz"), 3, (0, 0, 0), "xyz"))
+
+
+def _visual(
+    body: str, visual: Element, model: Any, folders: Sequence[Path], colours: Mapping[str | None, Element]
+) -> Visual:
+    """Visual shape of a body; ValueError for one that is not read."""
+    frame = model.frames[model.getFrameId(body, pin.FrameType.BODY)]
+    geometry, shift = visual.find("geometry"), np.zeros(3)
+    mesh = None if geometry is None else geometry.find("mesh")
+    shape: Shape | MeshFile
+    if mesh is None:
+        shape, shift = _shape(geometry, folders)
+    else:
+        scale = numbers(mesh.get("scale"), 3, (1, 1, 1), "scale of <mesh>")
+        shape = mesh_visual(mesh_file(mesh.get("filename", ""), folders), scale)
+    placement = frame.placement * _pose(visual.find("origin")) * pin.SE3(np.eye(3), shift)
+    return Visual(body, int(frame.parentJoint), placement, shape, _colour(visual.find("material"), colours))
+
+
+def _colour(material: Element | None, known: Mapping[str | None, Element]) -> Colour | None:
+    """Colour of a <material>, its own or that of the one it names."""
+    if material is None:
+        return None
+    colour = material.find("color")
+    if colour is None:
+        colour = known.get(material.get("name"), material).find("color")
+    if colour is None:
+        return None
+    r, g, b, a = np.clip(numbers(colour.get("rgba"), 4, None, "rgba of <color>"), 0.0, 1.0).tolist()
+    return r, g, b, a
 
 
 def _shape(geometry: Element | None, folders: Sequence[Path]) -> tuple[Shape, Array]:

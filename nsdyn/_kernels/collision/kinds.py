@@ -1,0 +1,236 @@
+"""What each kind of shape answers to those who look for contacts; elsewhere only half-spaces and balls have lanes.
+
+To add a kind: its outermost point (`support`) and the `curvature` there are enough if it is smooth everywhere. What
+has flat faces answers `face_count`, `face_normal`, `face_level`, `disk_radius` and `incident` (what of it lies over a
+face of another shape); what has straight lines `segment`, `has_ends`, `has_rim` and `other_feature`; what is all
+within a radius of a line `is_round`. The geoms are `Placed`.
+"""
+
+import math
+
+from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.vectors import along, axis, cross, dot, minus, put, row, times, to_local, to_world, unit
+
+HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
+"""As in `nsdyn.scene.shapes`."""
+
+
+@in_place(forceinline=True)
+def is_round(geometry, g):
+    """Whether geom g is what lies within a radius of a point or segment: of two of them Coal is not asked."""
+    return geometry.kind[g] == SPHERE or geometry.kind[g] == CAPSULE
+
+
+@in_place(forceinline=True)
+def has_ends(geometry, g):
+    """Whether geom g has a straight line on its surface that ends, other than an edge of a polytope."""
+    return geometry.kind[g] == CAPSULE or geometry.kind[g] == CYLINDER
+
+
+@in_place(forceinline=True)
+def has_rim(geometry, g):
+    """Whether the lines of geom g end in the rim of a flat face, not in a ball."""
+    return geometry.kind[g] == CYLINDER
+
+
+@in_place(forceinline=True)
+def deepest_vertex(geometry, g, n):
+    """Row of the vertex of polytope g farthest along n (shape frame)."""
+    best, k = -math.inf, -1
+    for i in range(geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]):
+        h = dot(row(geometry.vertices, i), n)
+        if h > best:
+            best, k = h, i
+    return k
+
+
+@in_place
+def on_ellipsoid(s, n):
+    """Point of the ellipsoid of radii s with the outward normal n, and the height of its tangent plane."""
+    height = math.sqrt((s[0] * n[0]) ** 2 + (s[1] * n[1]) ** 2 + (s[2] * n[2]) ** 2)
+    return (s[0] ** 2 * n[0] / height, s[1] ** 2 * n[1] / height, s[2] ** 2 * n[2] / height), height
+
+
+@in_place(forceinline=True)
+def support(geometry, g, n):
+    """A point of geom g outermost along n."""
+    kind, s, c = geometry.kind[g], row(geometry.size, g), row(geometry.t, g)
+    if kind == SPHERE:
+        return along(c, s[0], n)
+    m = to_local(geometry.R, g, n)
+    if kind == CAPSULE:
+        return along(along(c, s[0], n), math.copysign(s[1], m[2]), axis(geometry.R, g))
+    if kind == ELLIPSOID:
+        p, _ = on_ellipsoid(s, m)
+    elif kind == CYLINDER:
+        side = math.hypot(m[0], m[1])
+        x, y = (m[0] / side, m[1] / side) if side > 0.0 else (1.0, 0.0)
+        p = (s[0] * x, s[0] * y, math.copysign(s[1], m[2]))
+    elif s[0] > 0.0:  # a box
+        p = (math.copysign(0.5 * s[0], m[0]), math.copysign(0.5 * s[1], m[1]), math.copysign(0.5 * s[2], m[2]))
+    else:
+        p = row(geometry.vertices, deepest_vertex(geometry, g, m))
+    return along(c, 1.0, to_world(geometry.R, g, p))
+
+
+@in_place
+def curvature(geometry, g, n, a, b):
+    """Form a·(dp/dn) b of the support point p of an ellipsoid or of the rim of a cylinder; else 0."""
+    kind, s = geometry.kind[g], row(geometry.size, g)
+    if kind == CYLINDER:
+        tangent, side = unit(cross(axis(geometry.R, g), n))
+        return s[0] / side * dot(tangent, a) * dot(tangent, b) if side > 0.0 else 0.0
+    if kind == ELLIPSOID:
+        p, height = on_ellipsoid(s, to_local(geometry.R, g, n))
+        u, v = to_local(geometry.R, g, a), to_local(geometry.R, g, b)
+        stretched = s[0] ** 2 * u[0] * v[0] + s[1] ** 2 * u[1] * v[1] + s[2] ** 2 * u[2] * v[2]
+        return (stretched - dot(p, u) * dot(p, v)) / height
+    return 0.0
+
+
+@in_place
+def face_count(geometry, g):
+    """Number of faces: those of a polytope, the caps of a cylinder."""
+    return 2 if geometry.kind[g] == CYLINDER else geometry.face_ptr[g + 1] - geometry.face_ptr[g]
+
+
+@in_place(forceinline=True)
+def face_normal(geometry, g, face):
+    """Outward normal of a face in the shape frame: of a polytope, of a cylinder (0 above, 1 below), of a half-space."""
+    kind = geometry.kind[g]
+    if kind == CYLINDER:
+        return 0.0, 0.0, 1.0 - 2.0 * face
+    if kind == HALFSPACE:
+        return row(geometry.size, g)
+    return row(geometry.face_normals, geometry.face_ptr[g] + face)
+
+
+@in_place(forceinline=True)
+def face_level(geometry, g, face):
+    """Height of a face over the origin of geom g, along its normal, m."""
+    if geometry.kind[g] == CYLINDER:
+        return geometry.size[g, 1]
+    if geometry.kind[g] == POLYTOPE:
+        return geometry.face_offsets[geometry.face_ptr[g] + face]
+    return geometry.offset[g]
+
+
+@in_place(forceinline=True)
+def disk_radius(geometry, g):
+    """Radius of the faces of geom g about its z axis, m; 0 where these are polygons or a plane."""
+    return geometry.size[g, 0] if geometry.kind[g] == CYLINDER else 0.0
+
+
+@in_place(forceinline=True)
+def segment(geometry, g, n, angle):
+    """Segment (or point) of geom g that is outermost along n: (its ends p, q, its radius, valid)."""
+    kind, s, c, z = geometry.kind[g], row(geometry.size, g), row(geometry.t, g), axis(geometry.R, g)
+    if kind == SPHERE:
+        return c, c, s[0], True
+    if kind == CAPSULE or kind == CYLINDER:
+        side = kind == CAPSULE or abs(dot(n, z)) < angle
+        return along(c, -s[1], z), along(c, s[1], z), s[0], side
+    if kind != POLYTOPE:
+        return c, c, 0.0, False
+    m = to_local(geometry.R, g, n)
+    first, last = geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]
+    top = row(geometry.vertices, deepest_vertex(geometry, g, m))
+    # The edge: the two outermost corners among those seen from the topmost one under less than `angle`.
+    p, q = top, top
+    for _ in range(2):
+        p, q = q, p
+        farthest = 0.0
+        for k in range(first, last):
+            v = row(geometry.vertices, k)
+            d, e = minus(v, top), minus(v, p)
+            if -dot(d, m) <= angle * math.sqrt(dot(d, d)) and dot(e, e) > farthest:
+                farthest, q = dot(e, e), v
+    edge = minus(q, p)
+    valid = True
+    for k in range(first, last):
+        v = row(geometry.vertices, k)
+        d, e = minus(v, top), cross(edge, minus(v, p))
+        if -dot(d, m) <= angle * math.sqrt(dot(d, d)) and math.sqrt(dot(e, e)) > 1e-3 * dot(edge, edge):
+            valid = False  # a face
+    return along(c, 1.0, to_world(geometry.R, g, p)), along(c, 1.0, to_world(geometry.R, g, q)), 0.0, valid
+
+
+@in_place(forceinline=True)
+def incident(geometry, g, n, whole, rim, poly):
+    """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius).
+
+    The feature is what lies within `radius` of the point, segment or polygon; `whole` asks for all vertices of a
+    polytope instead of a face, `rim` is the number of points that stand for the circle of a cylinder's cap. The third
+    result is the face of a polytope, as a row.
+    """
+    kind, s, c, z = geometry.kind[g], row(geometry.size, g), row(geometry.t, g), axis(geometry.R, g)
+    if kind == SPHERE:
+        put(poly, 0, c)
+        return 1, s[0], -1
+    if kind == CAPSULE:
+        put(poly, 0, along(c, -s[1], z))
+        put(poly, 1, along(c, s[1], z))
+        return 2, s[0], -1
+    if kind != CYLINDER and kind != POLYTOPE:
+        put(poly, 0, support(geometry, g, times(-1.0, n)))
+        return 1, 0.0, -1
+    m = to_local(geometry.R, g, times(-1.0, n))
+    if kind == CYLINDER:
+        return of_cylinder(geometry, g, m, m[2] * m[2] > 0.5, rim, poly), 0.0, -1
+    if whole:
+        first = geometry.vertex_ptr[g]
+        for k in range(geometry.vertex_ptr[g + 1] - first):
+            put(poly, k, along(c, 1.0, to_world(geometry.R, g, row(geometry.vertices, first + k))))
+        return geometry.vertex_ptr[g + 1] - first, 0.0, -1
+    # The face most against n among those around the deepest vertex.
+    deepest = deepest_vertex(geometry, g, m) - geometry.vertex_ptr[g]
+    best, face = -math.inf, -1
+    for f in range(geometry.face_ptr[g], geometry.face_ptr[g + 1]):
+        e = dot(row(geometry.face_normals, f), m)
+        if e > best:
+            for p in range(geometry.loop_ptr[f], geometry.loop_ptr[f + 1]):
+                if geometry.loop[p] == deepest:
+                    best, face = e, f
+    return corners(geometry, g, face, poly), 0.0, face
+
+
+@in_place
+def corners(geometry, g, face, poly):
+    """The polygon of a face (a row) of polytope g, into poly; returns its number of points."""
+    first, begin, end = geometry.vertex_ptr[g], geometry.loop_ptr[face], geometry.loop_ptr[face + 1]
+    for p in range(begin, end):
+        v = row(geometry.vertices, first + geometry.loop[p])
+        put(poly, p - begin, along(row(geometry.t, g), 1.0, to_world(geometry.R, g, v)))
+    return end - begin
+
+
+@in_place
+def of_cylinder(geometry, g, m, cap, rim, poly):
+    """The cap of cylinder g outermost along m (shape frame) as `rim` points, or that line of its side; their number."""
+    s, c, side = row(geometry.size, g), row(geometry.t, g), math.hypot(m[0], m[1])
+    # Where the circle dips deepest; in an upright cylinder that is noise, so any fixed direction does.
+    x, y = (m[0] / side, m[1] / side) if side > 1e-6 else (1.0, 0.0)
+    if cap:
+        for k in range(rim):
+            u, v = s[0] * math.cos(2.0 * math.pi * k / rim), s[0] * math.sin(2.0 * math.pi * k / rim)
+            p = (x * u - y * v, y * u + x * v, math.copysign(s[1], m[2]))
+            put(poly, k, along(c, 1.0, to_world(geometry.R, g, p)))
+        return rim
+    foot = along(c, 1.0, to_world(geometry.R, g, (s[0] * x, s[0] * y, 0.0)))
+    put(poly, 0, along(foot, -s[1], axis(geometry.R, g)))
+    put(poly, 1, along(foot, s[1], axis(geometry.R, g)))
+    return 2
+
+
+@in_place
+def other_feature(geometry, g, m, low, rim, poly):
+    """The line of a cylinder's side when its cap faces -m, else the cap; into poly if that reaches below m·x = low.
+
+    Only what the feature has more than the other one counts. Returns the number of points, 0 if it is of no interest.
+    """
+    radius, half, side, up = geometry.size[g, 0], geometry.size[g, 1], math.hypot(m[0], m[1]), abs(m[2])
+    cap = m[2] * m[2] > 0.5
+    more = 2.0 * half * up if cap else radius * side * (1.0 - math.cos(2.0 * math.pi / rim))
+    if more - radius * side - half * up > low:
+        return 0
+    return of_cylinder(geometry, g, times(-1.0, m), not cap, rim, poly)

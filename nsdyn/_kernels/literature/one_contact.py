@@ -1,0 +1,278 @@
+"""Local solvers of the literature for block Gauss–Seidel: one contact, u = W r + q with W 3 x 3, and their sweep."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.problem.cones import project, projection_jacobian, solve_one
+from nsdyn._kernels.problem.given import velocity_of
+
+PROJECTION, ITERATED, EXACT, ALART_CURNIER, JEAN_MOREAU, NATURAL, FISCHER_BURMEISTER = range(7)
+
+
+@in_place
+def _product(W, q, r, u):
+    """u = W r + q."""
+    for i in range(3):
+        u[i] = W[i, 0] * r[0] + W[i, 1] * r[1] + W[i, 2] * r[2] + q[i]
+
+
+@in_place
+def _shifted(u, mu, out):
+    """û = u + mu |u_T| e_N, into out."""
+    out[0] = u[0] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
+    out[1], out[2] = u[1], u[2]
+
+
+@kernel
+def iterate(W, q, mu, rho, goal, most, r):
+    """Fixed point r ← P_K(r - rho û) with Khobotov's step, in place of r; returns the iterations."""
+    u, F, v, G = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    _product(W, q, r, u)
+    _shifted(u, mu, F)
+    for k in range(1, most + 1):
+        ratio, moved, x0, x1, x2 = 0.0, 0.0, 0.0, 0.0, 0.0
+        for _ in range(50):
+            x0, x1, x2 = project(r[0] - rho * F[0], r[1] - rho * F[1], r[2] - rho * F[2], mu)
+            d0, d1, d2 = r[0] - x0, r[1] - x1, r[2] - x2
+            moved = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+            if moved <= goal:
+                break
+            v[0], v[1], v[2] = x0, x1, x2
+            _product(W, q, v, u)
+            _shifted(u, mu, G)
+            turn = math.sqrt((F[0] - G[0]) ** 2 + (F[1] - G[1]) ** 2 + (F[2] - G[2]) ** 2)
+            ratio = rho * turn / moved
+            if ratio <= 0.9:
+                break
+            rho *= 2.0 / 3.0
+        r[0], r[1], r[2] = x0, x1, x2
+        if moved <= goal:
+            return k
+        F[:] = G
+        if ratio < 0.3:
+            rho *= 1.5
+    return most
+
+
+@in_place
+def _disk(predicted, u, r, mu, rho, F, A, B):
+    """Alart–Curnier (predicted) and Jean–Moreau: F, A = ∂F/∂u, B = ∂F/∂r; A and B come as zeros."""
+    a = r[0] - rho * u[0]
+    y1, y2 = r[1] - rho * u[1], r[2] - rho * u[2]
+    F[0] = r[0] - max(a, 0.0)
+    if a > 0.0:
+        A[0, 0] = rho
+    else:
+        B[0, 0] = 1.0
+    bound = a if predicted else r[0]
+    radius, size = mu * max(bound, 0.0), math.sqrt(y1 * y1 + y2 * y2)
+    if size <= radius:
+        F[1], F[2] = r[1] - y1, r[2] - y2
+        A[1, 1] = A[2, 2] = rho
+        return
+    t1, t2 = y1 / size, y2 / size
+    F[1], F[2] = r[1] - radius * t1, r[2] - radius * t2
+    ratio = radius / size
+    g11, g12, g22 = ratio * (1.0 - t1 * t1), -ratio * t1 * t2, ratio * (1.0 - t2 * t2)
+    A[1, 1], A[1, 2], A[2, 1], A[2, 2] = rho * g11, rho * g12, rho * g12, rho * g22
+    B[1, 1], B[1, 2], B[2, 1], B[2, 2] = 1.0 - g11, -g12, -g12, 1.0 - g22
+    if bound > 0.0:
+        B[1, 0], B[2, 0] = -mu * t1, -mu * t2
+        if predicted:
+            A[1, 0], A[2, 0] = rho * mu * t1, rho * mu * t2
+
+
+@in_place
+def _natural(u, r, mu, rho, F, A, B):
+    """Natural map: F, A = ∂F/∂u, B = ∂F/∂r."""
+    slip = math.sqrt(u[1] * u[1] + u[2] * u[2])
+    z0, z1, z2 = r[0] - rho * (u[0] + mu * slip), r[1] - rho * u[1], r[2] - rho * u[2]
+    p0, p1, p2 = project(z0, z1, z2, mu)
+    F[0], F[1], F[2] = r[0] - p0, r[1] - p1, r[2] - p2
+    projection_jacobian(z0, z1, z2, mu, A)
+    for i in range(3):
+        for j in range(3):
+            B[i, j] = (1.0 if i == j else 0.0) - A[i, j]
+            A[i, j] *= rho
+        if slip > 0.0:
+            A[i, 1] += A[i, 0] * mu * u[1] / slip
+            A[i, 2] += A[i, 0] * mu * u[2] / slip
+
+
+@in_place
+def _root(s0, s1, s2):
+    """Square root of (s0, s_T) in the Jordan algebra of the cone."""
+    size = math.sqrt(s1 * s1 + s2 * s2)
+    low, high = math.sqrt(max(s0 - size, 0.0)), math.sqrt(max(s0 + size, 0.0))
+    f = 0.5 * (high - low) / size if size > 0.0 else 0.0
+    return 0.5 * (low + high), f * s1, f * s2
+
+
+@in_place
+def _one_minus_quotient(w0, w1, w2, x0, x1, x2, out):
+    """I - L_w⁻¹ L_x into out, L_w lifted by round-off where it is singular."""
+    size = math.sqrt(w1 * w1 + w2 * w2)
+    low, high = max(w0 - size, 1e-10 * w0 + 1e-300), max(w0 + size, 1e-10 * w0 + 1e-300)
+    a = 0.5 * (low + high)
+    f = 0.5 * (high - low) / size if size > 0.0 else 0.0
+    b1, b2, det = f * w1, f * w2, low * high
+    columns = ((x0, x1, x2), (x1, x0, 0.0), (x2, 0.0, x0))
+    for j in range(3):
+        y0, y1, y2 = columns[j]
+        along = b1 * y1 + b2 * y2
+        out[0, j] = -(a * y0 - along) / det
+        out[1, j] = -(-b1 * y0 + (det * y1 + b1 * along) / a) / det
+        out[2, j] = -(-b2 * y0 + (det * y2 + b2 * along) / a) / det
+        out[j, j] += 1.0
+
+
+@in_place
+def _fischer_burmeister(u, r, mu, rho, F, A, B):
+    """Fischer–Burmeister: F, A = ∂F/∂u, B = ∂F/∂r; A and B come as zeros."""
+    if mu == 0.0:
+        x, y = r[0], rho * u[0]
+        w = math.sqrt(x * x + y * y)
+        F[0], F[1], F[2] = x + y - w, r[1], r[2]
+        w = max(w, 1e-300)
+        A[0, 0], B[0, 0], B[1, 1], B[2, 2] = rho * (1.0 - y / w), 1.0 - x / w, 1.0, 1.0
+        return
+    slip = math.sqrt(u[1] * u[1] + u[2] * u[2])
+    x0, x1, x2 = mu * r[0], r[1], r[2]
+    y0, y1, y2 = rho * (u[0] + mu * slip), rho * mu * u[1], rho * mu * u[2]
+    w0, w1, w2 = _root(
+        x0 * x0 + x1 * x1 + x2 * x2 + y0 * y0 + y1 * y1 + y2 * y2,
+        2.0 * (x0 * x1 + y0 * y1),
+        2.0 * (x0 * x2 + y0 * y2),
+    )
+    F[0], F[1], F[2] = x0 + y0 - w0, x1 + y1 - w1, x2 + y2 - w2
+    _one_minus_quotient(w0, w1, w2, x0, x1, x2, B)
+    _one_minus_quotient(w0, w1, w2, y0, y1, y2, A)
+    for i in range(3):
+        B[i, 0] *= mu
+        normal = A[i, 0] * rho
+        A[i, 0] = normal
+        A[i, 1] = A[i, 1] * rho * mu + (normal * mu * u[1] / slip if slip > 0.0 else 0.0)
+        A[i, 2] = A[i, 2] * rho * mu + (normal * mu * u[2] / slip if slip > 0.0 else 0.0)
+
+
+@in_place
+def element(kind, u, r, mu, rho, F, A, B):
+    """F(u, r), A = ∂F/∂u and B = ∂F/∂r of one of the four maps; returns |F|."""
+    A[:] = 0.0
+    B[:] = 0.0
+    if kind == NATURAL:
+        _natural(u, r, mu, rho, F, A, B)
+    elif kind == FISCHER_BURMEISTER:
+        _fischer_burmeister(u, r, mu, rho, F, A, B)
+    else:
+        _disk(kind == ALART_CURNIER, u, r, mu, rho, F, A, B)
+    return math.sqrt(F[0] * F[0] + F[1] * F[1] + F[2] * F[2])
+
+
+@kernel
+def _newton_step(W, A, B, F, r):
+    """r ← r - (A W + B)⁻¹ F by Cramer's rule; False where the matrix is singular to round-off."""
+    J = np.empty((3, 3))
+    top = 0.0
+    for i in range(3):
+        for j in range(3):
+            J[i, j] = A[i, 0] * W[0, j] + A[i, 1] * W[1, j] + A[i, 2] * W[2, j] + B[i, j]
+            top = max(top, abs(J[i, j]))
+    c0 = J[1, 1] * J[2, 2] - J[1, 2] * J[2, 1]
+    c1 = J[1, 2] * J[2, 0] - J[1, 0] * J[2, 2]
+    c2 = J[1, 0] * J[2, 1] - J[1, 1] * J[2, 0]
+    det = J[0, 0] * c0 + J[0, 1] * c1 + J[0, 2] * c2
+    if not abs(det) > 1e-14 * top**3:
+        return False
+    d1 = J[0, 2] * J[2, 1] - J[0, 1] * J[2, 2]
+    d2 = J[0, 1] * J[1, 2] - J[0, 2] * J[1, 1]
+    r[0] -= (c0 * F[0] + d1 * F[1] + d2 * F[2]) / det
+    d1 = J[0, 0] * J[2, 2] - J[0, 2] * J[2, 0]
+    d2 = J[0, 2] * J[1, 0] - J[0, 0] * J[1, 2]
+    r[1] -= (c1 * F[0] + d1 * F[1] + d2 * F[2]) / det
+    d1 = J[0, 1] * J[2, 0] - J[0, 0] * J[2, 1]
+    d2 = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
+    r[2] -= (c2 * F[0] + d1 * F[1] + d2 * F[2]) / det
+    return True
+
+
+@kernel
+def newton(kind, W, q, mu, rho, goal, most, r):
+    """Full semismooth Newton steps on one of the four maps, in place of r; returns (|F| at the end, iterations).
+
+    At least one step: contacts that each rest at a goal given from outside would stay in their places for good.
+    """
+    u, F, A, B = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    _product(W, q, r, u)
+    size = element(kind, u, r, mu, rho, F, A, B)
+    for k in range(most):
+        if (k > 0 and not size > goal) or size == 0.0 or not _newton_step(W, A, B, F, r):
+            return size, k
+        _product(W, q, r, u)
+        size = element(kind, u, r, mu, rho, F, A, B)
+    return size, most
+
+
+@kernel
+def solve(kind, W, q, mu, rho, goal, most, r):
+    """One-contact problem u = W r + q by the local solver of that kind, from r and in place of it.
+
+    A Newton that does not come to its goal is replaced by one projection. Returns the local iterations.
+    """
+    if kind == EXACT:
+        solve_one(W, q, mu, r)
+        return 1
+    if kind == ITERATED:
+        return iterate(W, q, mu, rho, goal, most, r)
+    r0, r1, r2, used = r[0], r[1], r[2], 0
+    if kind != PROJECTION:
+        size, used = newton(kind, W, q, mu, rho, goal, most, r)
+        if size <= goal:  # false for NaN
+            return used
+        r[0], r[1], r[2] = r0, r1, r2
+    u = np.empty(3)
+    _product(W, q, r, u)
+    s = mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
+    r[0], r[1], r[2] = project(r0 - rho * (u[0] + s), r1 - rho * u[1], r2 - rho * u[2], mu)
+    return used + 1
+
+
+@kernel
+def sweep(indptr, indices, data, q, mu, scales, order, kind, omega, goal, most, r):
+    """One sweep of block successive over-relaxation in the given order, in place of r; returns the local iterations.
+
+    Each contact solves FC(W_cc/ω, ·): W = (L + D/ω) + (U + (1 - 1/ω) D), so that r stays in the cones for every ω.
+
+    Parameters
+    ----------
+    indptr, indices, data : ndarray
+        W in 3 x 3 blocks.
+    q, r : ndarray, shape (3 nc,)
+    mu, scales : ndarray, shape (nc,)
+    order : ndarray of int
+        Contacts, as they are swept.
+    kind : int
+        Method of the local solver, as of `solve`.
+    omega : float
+    goal : float
+        Change of r, or residual of Newton's equations, at which a local solve ends.
+    most : int
+        Iterations of a local solve.
+    """
+    W, b, x, count = np.empty((3, 3)), np.empty(3), np.empty(3), 0
+    for c in order:
+        i = 3 * c
+        for p in range(indptr[c], indptr[c + 1]):
+            if indices[p] == c:
+                for j in range(3):
+                    for k in range(3):
+                        W[j, k] = data[p, j, k] / omega
+        b[0], b[1], b[2] = velocity_of(indptr, indices, data, q, r, c)
+        for j in range(3):
+            x[j] = r[i + j]
+            b[j] -= W[j, 0] * r[i] + W[j, 1] * r[i + 1] + W[j, 2] * r[i + 2]
+        count += solve(kind, W, b, mu[c], omega / scales[c], goal, most, x)
+        r[i], r[i + 1], r[i + 2] = x[0], x[1], x[2]
+    return count

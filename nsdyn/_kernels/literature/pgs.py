@@ -1,0 +1,283 @@
+"""Block Gauss–Seidel sweeps with the exact one-contact solver, Anderson-accelerated.
+
+W is given as a `Matrix` of 3 x 3 blocks, where a contact costs its neighbours, or by its `Factors`, where it costs its
+two bodies, however many contacts they have.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.literature.anderson import mix
+from nsdyn._kernels.problem.blocks import momentum, relative_velocity, weighted_rows
+from nsdyn._kernels.problem.cones import coulomb, measure_at, project_all, slide
+from nsdyn._kernels.problem.given import velocity
+
+FUSED = {"contract"}  # products and sums in one instruction
+
+
+class Matrix(NamedTuple):
+    """Block-sparse W: rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3); the inverses of its W_cc."""
+
+    indptr: np.ndarray
+    indices: np.ndarray
+    data: np.ndarray
+    inverse: np.ndarray
+
+
+class Factors(NamedTuple):
+    """W = Hᵀ M⁻¹ H as in `blocks`, with `y` the rows of (M⁻¹ H)ᵀ, and all W_cc (nc, 3, 3) with their inverses."""
+
+    blocks: tuple
+    y: np.ndarray
+    diagonal: np.ndarray
+    inverse: np.ndarray
+
+
+@in_place
+def invert(W, S):
+    """Inverse of a 3 x 3 block into S; 0 where it is singular to round-off."""
+    c0 = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1]
+    c1 = W[1, 2] * W[2, 0] - W[1, 0] * W[2, 2]
+    c2 = W[1, 0] * W[2, 1] - W[1, 1] * W[2, 0]
+    det = W[0, 0] * c0 + W[0, 1] * c1 + W[0, 2] * c2
+    S[:] = 0.0
+    if det > 1e-12 * W[0, 0] * W[1, 1] * W[2, 2]:
+        S[0, 0], S[1, 0], S[2, 0] = c0 / det, c1 / det, c2 / det
+        S[0, 1] = (W[0, 2] * W[2, 1] - W[0, 1] * W[2, 2]) / det
+        S[1, 1] = (W[0, 0] * W[2, 2] - W[0, 2] * W[2, 0]) / det
+        S[2, 1] = (W[0, 1] * W[2, 0] - W[0, 0] * W[2, 1]) / det
+        S[0, 2] = (W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1]) / det
+        S[1, 2] = (W[0, 2] * W[1, 0] - W[0, 0] * W[1, 2]) / det
+        S[2, 2] = (W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]) / det
+
+
+@kernel
+def matrix(indptr, indices, data):
+    """`Matrix` of a block-sparse W."""
+    S = np.zeros((indptr.size - 1, 3, 3))
+    for c in range(indptr.size - 1):
+        for p in range(indptr[c], indptr[c + 1]):
+            if indices[p] == c:
+                invert(data[p], S[c])
+    return Matrix(indptr, indices, data, S)
+
+
+@kernel
+def factors(blocks):
+    """`Factors` of W = Hᵀ M⁻¹ H."""
+    offset, block, start, H = blocks[:4]
+    nc = block.shape[0]
+    y = weighted_rows(blocks)
+    D, S = np.zeros((nc, 3, 3)), np.empty((nc, 3, 3))
+    for c in range(nc):
+        for s in range(2):
+            for t in range(2):
+                k = block[c, s]
+                if k < 0 or block[c, t] != k:
+                    continue
+                n = offset[k + 1] - offset[k]
+                for i in range(3):
+                    for j in range(3):
+                        total = 0.0
+                        for l in range(n):
+                            total += y[start[c, s] + i * n + l] * H[start[c, t] + j * n + l]
+                        D[c, i, j] += total
+        invert(D[c], S[c])
+    return Factors(blocks, y, D, S)
+
+
+@in_place(fastmath=FUSED)
+def solve_contact(W, own, S, c, b0, b1, b2, mu):
+    """Impulse of contact c with free velocity b, three scalars; its block is W[own], S[c] its inverse, 0 without."""
+    if b0 >= 0.0:
+        return 0.0, 0.0, 0.0
+    x0 = -(S[c, 0, 0] * b0 + S[c, 0, 1] * b1 + S[c, 0, 2] * b2)
+    x1 = -(S[c, 1, 0] * b0 + S[c, 1, 1] * b1 + S[c, 1, 2] * b2)
+    x2 = -(S[c, 2, 0] * b0 + S[c, 2, 1] * b1 + S[c, 2, 2] * b2)
+    if x0 > 0.0 and x1 * x1 + x2 * x2 <= (mu * x0) ** 2:
+        return x0, x1, x2
+    if S[c, 0, 0] == 0.0 or mu == 0.0:
+        return coulomb(W[own], b0, b1, b2, mu)
+    return slide(W[own], b0, b1, b2, mu)
+
+
+@in_place(fastmath=FUSED)
+def sweep_matrix(W, q, mu, r):
+    """One Gauss–Seidel sweep in place: each contact solved exactly with the others frozen."""
+    indptr, indices, data, inverse = W
+    for c in range(mu.size):
+        # Unsigned: the compiler need not ask whether an index counts from the end.
+        k = np.uint64(c)
+        i, own = np.uint64(3) * k, k
+        b0, b1, b2 = q[i], q[i + np.uint64(1)], q[i + np.uint64(2)]
+        for p in range(indptr[c], indptr[c + 1]):
+            e, d = np.uint64(p), np.uint64(3 * indices[p])
+            if d == i:
+                own = e
+                continue
+            x0, x1, x2 = r[d], r[d + np.uint64(1)], r[d + np.uint64(2)]
+            b0 += data[e, 0, 0] * x0 + data[e, 0, 1] * x1 + data[e, 0, 2] * x2
+            b1 += data[e, 1, 0] * x0 + data[e, 1, 1] * x1 + data[e, 1, 2] * x2
+            b2 += data[e, 2, 0] * x0 + data[e, 2, 1] * x1 + data[e, 2, 2] * x2
+        r[3 * c], r[3 * c + 1], r[3 * c + 2] = solve_contact(data, own, inverse, k, b0, b1, b2, mu[c])
+
+
+@in_place(fastmath=FUSED)
+def sweep_factors(W, q, mu, v, r):
+    """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
+    blocks, y, diagonal, inverse = W
+    offset, block, start, H = blocks[:4]
+    for c in range(mu.size):
+        i = 3 * c
+        b0, b1, b2 = q[i], q[i + 1], q[i + 2]
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                # Unsigned: the compiler need not ask whether an index counts from the end.
+                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                d, e = a + n, a + n + n
+                for l in range(n):
+                    z = v[o + l]
+                    b0 += H[a + l] * z
+                    b1 += H[d + l] * z
+                    b2 += H[e + l] * z
+        D, r0, r1, r2 = diagonal, r[i], r[i + 1], r[i + 2]
+        b0 -= D[c, 0, 0] * r0 + D[c, 0, 1] * r1 + D[c, 0, 2] * r2
+        b1 -= D[c, 1, 0] * r0 + D[c, 1, 1] * r1 + D[c, 1, 2] * r2
+        b2 -= D[c, 2, 0] * r0 + D[c, 2, 1] * r1 + D[c, 2, 2] * r2
+        x0, x1, x2 = solve_contact(D, c, inverse, c, b0, b1, b2, mu[c])
+        r[i], r[i + 1], r[i + 2] = x0, x1, x2
+        x0, x1, x2 = x0 - r0, x1 - r1, x2 - r2
+        if x0 != 0.0 or x1 != 0.0 or x2 != 0.0:
+            for s in range(2):
+                k = block[c, s]
+                if k >= 0:
+                    o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+                    d, e = a + n, a + n + n
+                    for l in range(n):
+                        v[o + l] += y[a + l] * x0 + y[d + l] * x1 + y[e + l] * x2
+
+
+@kernel
+def change_of(W, r):
+    """v = M⁻¹ H r by the factors, shape (n,)."""
+    offset, block, start, _, m_start, m, minv = W.blocks
+    v = np.zeros(offset[-1])
+    momentum((offset, block, start, W.y, m_start, m, minv), r, v)
+    return v
+
+
+def _sweep(W, q, mu, r):
+    """A sweep in place of r."""
+    if isinstance(W, Matrix):
+        sweep_matrix(W, q, mu, r)
+    else:
+        sweep_factors(W, q, mu, change_of(W, r), r)
+
+
+@overload(_sweep)
+def _sweep_of(W, q, mu, r):
+    if W.instance_class is Matrix:
+        return lambda W, q, mu, r: sweep_matrix(W, q, mu, r)
+    return lambda W, q, mu, r: sweep_factors(W, q, mu, change_of(W, r), r)
+
+
+def _velocity(W, q, r, u):
+    """u = W r + q, into u."""
+    if isinstance(W, Matrix):
+        velocity(W.indptr, W.indices, W.data, q, r, u)
+    else:
+        relative_velocity(W.blocks, change_of(W, r), u)
+        u += q
+
+
+@overload(_velocity)
+def _velocity_of(W, q, r, u):
+    if W.instance_class is Matrix:
+        return lambda W, q, r, u: velocity(W.indptr, W.indices, W.data, q, r, u)
+
+    def by_factors(W, q, r, u):
+        relative_velocity(W.blocks, change_of(W, r), u)
+        u += q
+
+    return by_factors
+
+
+@kernel
+def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, patience):
+    """Anderson-accelerated sweeps (type II) in place of r; memory 0 is plain Gauss–Seidel.
+
+    The fixed point is r = sweep(r). Differences f = sweep(r) - r are scaled by sqrt(lambda_max(W_cc)); the new
+    iterate is the combination of the last `memory` sweeps whose combined f is least, projected on the cones; the
+    memory is dropped when |f| exceeds twice its best. Every `check` sweeps both measures are tested, and where a sweep
+    moves velocities by less than the tolerance; r keeps the best iterate seen by a test. From `patience` sweeps on the
+    method gives up when, at the rate of the later half of the sweeps so far, the tolerance lies beyond `max_sweeps`.
+    Returns (sweeps, measure of r).
+
+    Parameters
+    ----------
+    W : Matrix or Factors
+    q, r : ndarray, shape (3 nc,)
+    mu, scales : ndarray, shape (nc,)
+        Friction, and λ_max(W_cc).
+    tol : float
+        On both measures.
+    q_norm : float
+        ‖q‖.
+    max_sweeps, check, memory, patience : int
+    """
+    n, m = r.size, max(memory, 1)
+    F, G = np.empty((2, m, n))
+    x, u, weight = np.empty((3, n))
+    for c in range(mu.size):
+        weight[3 * c] = weight[3 * c + 1] = weight[3 * c + 2] = math.sqrt(scales[c])
+    gram = np.zeros((m, m))
+    x[:] = r
+    _velocity(W, q, x, u)
+    best = measure_at(scales, u, x, mu, q_norm)
+    best_f = np.inf
+    history = np.full(max_sweeps // check + 2, best)
+    used, slot, k = 0, 0, 0
+    for k in range(1, max_sweeps + 1):
+        g, f = G[slot], F[slot]
+        g[:] = x
+        _sweep(W, q, mu, g)
+        size, moved = 0.0, 0.0
+        for i in range(n):
+            f[i] = (g[i] - x[i]) * weight[i]
+            size += f[i] * f[i]
+            moved += (f[i] * weight[i]) ** 2
+        due = k % check == 0 or k == max_sweeps or size == 0.0
+        if due or math.sqrt(moved) * max(1.0, 1.0 / q_norm) <= tol:
+            _velocity(W, q, g, u)
+            now = measure_at(scales, u, g, mu, q_norm)
+            if now < best:
+                best = now
+                r[:] = g
+            if best <= tol or size == 0.0:
+                break
+        if due:
+            done = (k + check - 1) // check
+            history[done] = best
+            if k >= patience:
+                rate = math.log(history[done // 2] / best) / (k - done // 2 * check)
+                if math.log(best / tol) > rate * (max_sweeps - k):
+                    break
+        if memory == 0:
+            x[:] = g
+            continue
+        if used > 1 and math.sqrt(size) > 2.0 * best_f:
+            if slot > 0:
+                F[0], G[0] = f, g
+            used, slot, best_f = 0, 0, np.inf
+        best_f = min(best_f, math.sqrt(size))
+        used = min(used + 1, m)
+        mix(F, G, gram, slot, used, x)
+        if used > 1:
+            project_all(x, mu, x)
+        slot = (slot + 1) % m
+    return k, best

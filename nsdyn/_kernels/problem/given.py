@@ -1,0 +1,39 @@
+"""Products with a W that is given in 3 x 3 blocks: rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3)."""
+
+import numpy as np
+
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.problem.blocks import number, unite
+
+FUSED = {"contract"}  # products and sums in one instruction
+
+
+@in_place(fastmath=FUSED)
+def velocity_of(indptr, indices, data, q, r, c):
+    """u_c = (W r + q)_c of contact c: three scalars."""
+    u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
+    for p in range(indptr[c], indptr[c + 1]):
+        d = 3 * indices[p]
+        A = data[p]
+        u0 += A[0, 0] * r[d] + A[0, 1] * r[d + 1] + A[0, 2] * r[d + 2]
+        u1 += A[1, 0] * r[d] + A[1, 1] * r[d + 1] + A[1, 2] * r[d + 2]
+        u2 += A[2, 0] * r[d] + A[2, 1] * r[d + 1] + A[2, 2] * r[d + 2]
+    return u0, u1, u2
+
+
+@in_place(fastmath=FUSED)
+def velocity(indptr, indices, data, q, r, u):
+    """u = W r + q, into u (3 nc,)."""
+    for c in range(indptr.size - 1):
+        u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(indptr, indices, data, q, r, c)
+
+
+@kernel
+def islands(indptr, indices, label):
+    """Connected components of the pattern of W, by first contact, into label (nc,); returns their number."""
+    nc = indptr.size - 1
+    parent = np.arange(nc)
+    for c in range(nc):
+        for p in range(indptr[c], indptr[c + 1]):
+            unite(parent, c, indices[p])
+    return number(parent, label)

@@ -1,0 +1,175 @@
+"""One item of an audit: what it means, what passes, and the worst figure that was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nsdyn.audit.poses import Poses
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["MEANING", "TOLERANCES", "Finding", "Found", "at_play", "not_audited", "of_bodies", "worst_of"]
+
+TOLERANCES = {
+    "overlap": 1e-7,
+    "distance": 1e-3,
+    "normal": 1e-3,
+    "points": 1e-3,
+    "materials": 1e-12,  # round-off of their rules
+    "cone": 1e-8,
+    "friction": 1e-5,
+    "slip": 1e-3,  # friction is against the mean slip of a step, whose direction differs from that at its end by O(h)
+    "dissipation": 1e-4,
+    "motion": 0.1,
+    "momentum": 1e-9,
+    "spin": 1e-3,
+    "energy": 1e-9,
+    "works": 1e-9,
+    "balance": 1e-9,
+    "times": 1e-9,
+    "turns": 1e-12,  # some hundred roundings
+    "links": 1e-12,  # as many, of positions
+    "loops": 1e-9,  # closed to 1e-12 m or rad by Newton's method, which ends a step beyond that
+    "limits": 1e-7,
+    "pieces": 1e-12,
+    "stops": 1e-6,  # of shallow gaps, which close by the next step
+    "rebounds": 1e-6,  # beside what solvers leave of a velocity
+    "shared_rebounds": 1e-6,
+    "joint_cone": 1e-8,
+    "joint_slip": 1e-6,
+    "loads": 0.0,
+    "wrenches": 0.0,
+    "strength": 1e-9,  # round-off of sums
+    "lift": 1.0,
+    "joint_momentum": 1e-8,  # beyond what flows of the order of the step's err, which is found by halving
+    "joint_motion": 1e-8,
+    "contact_works": 1e-8,  # as velocities are
+    "joint_works": 1e-8,
+    "drives": 1e-8,
+}
+"""Largest figure of each finding that passes."""
+
+MEANING = {
+    "overlap": "true overlap of two bodies, beyond one that the start has and keeps / smallest extent of the smaller",
+    "distance": "distance over which an impulse acts, beyond what the bodies move in the step / smallest extent",
+    "normal": "overlap along the normal of a contact with an impulse, beyond the true one / smallest extent",
+    "points": "an impulse's point from the surfaces of both bodies, beyond what they move there / smallest extent",
+    "materials": "friction and restitution of a contact - those of its materials",
+    "cone": "how far an impulse is outside its cone, beyond round-off of momenta / largest impulse of the step",
+    "friction": "work of friction at a contact at the velocity at the end of the step / energy at play",
+    "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
+    "dissipation": "work of all contacts in a step / energy at play",
+    "motion": "displacement of a free body - what its velocities and impulses make / its smallest extent",
+    "momentum": "m Δv - Σ r - h m g of a free body / momenta and impulses of which this is the sum",
+    "spin": "ΔL - Σ (p - x) × r - couples of a free body, x then / angular momenta and impulses times their levers",
+    "energy": "energy as recorded - energy of q and v / energy at play",
+    "works": "work of contacts as the ledger has it - sum of those of the contacts / energy at play",
+    "times": "time of a step - dt / dt",
+    "turns": "norm of a quaternion - 1",
+    "links": "frame of a link as recorded - that of q / its place and reach",
+    "loops": "gap of a loop / length of its links",
+    "limits": "joint beyond a limit / range",
+    "pieces": "durations, contacts, their times and impulses of a step - those of what it was cut into / largest",
+    "stops": "joint from the limit whose impulse acts, beyond what it moves in the step / range",
+    "rebounds": "v+ + e v- of a limit that a joint strikes / largest velocity of the articulation",
+    "shared_rebounds": "the same of limits that strike with others, or in a move",
+    "joint_cone": "dry friction of a joint - h times its largest / that",
+    "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round / dt tau_c by the largest |v|",
+    "loads": "joint forces where no controller gives any / largest",
+    "wrenches": "external wrenches on links where nothing gives any / largest",
+    "strength": "impulse of an actuator in a step or a piece - its limit times that time / that",
+    "lift": "displacement of an articulation by projections / what it moves in the step, in the kinetic norm",
+    "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, kinetic norms",
+    "joint_motion": "place of an articulation - where its velocities lead / what it moves in the step, likewise",
+    "contact_works": "work of a contact on a link - impulse times mean velocity / energy at play",
+    "joint_works": "work of a column of the ledger - that of what acts in joints and contacts / energy at play",
+    "drives": "work of loops and driven joints as the ledger has it - that of their reactions / energy at play",
+    "balance": "change of energy - sum of the works of the ledger, or its defect / energy at play",
+}
+"""What each finding is a number of."""
+
+
+SMALL = 1e-6
+"""What an articulation without weight is measured by where nothing moves: the energy of so much of its size a step."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The worst figure of one item of an audit.
+
+    Attributes
+    ----------
+    name, meaning : str
+    worst, tol : float
+        Largest violation found, without unit, and the largest that passes. NaN if `reason` says why there is none.
+    amount, unit : float, str
+        The same violation as a quantity.
+    step : int
+        Step that ends in, or has, the worst figure; 0 is the initial state; -1 if there was nothing to look at.
+    bodies : tuple of str
+        Whose.
+    looked_at : int
+        Pairs, contacts, bodies or steps that were looked at.
+    reason : str
+        Why this was not audited.
+    """
+
+    name: str
+    meaning: str
+    worst: float
+    tol: float
+    amount: float
+    unit: str
+    step: int
+    bodies: tuple[str, ...]
+    looked_at: int
+    reason: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the figure is within its tolerance, or not audited."""
+        return bool(self.reason) or self.worst <= self.tol
+
+
+Found = tuple[str, Callable[[float], Finding]]
+
+
+def worst_of(name: str, figure: Array, amount: Array, unit: str, step: Index, bodies: Callable[[int], Any]) -> Found:
+    """The largest of some figures; NaN is the largest."""
+    if not figure.size:
+        return name, lambda tol: Finding(name, MEANING[name], 0.0, tol, 0.0, unit, -1, (), 0)
+    k = int(np.argmax(np.where(np.isnan(figure), np.inf, figure)))
+    found = max(0.0, float(figure[k])), max(0.0, float(amount[k])), int(step[k]), tuple(bodies(k)), figure.size
+    worst, size, at, who, count = found if not np.isnan(figure[k]) else (np.nan, np.nan, *found[2:])
+    return name, lambda tol: Finding(name, MEANING[name], worst, tol, size, unit, at, who, count)
+
+
+def not_audited(name: str, unit: str, reason: str) -> Found:
+    """An item that there is no figure of, and why."""
+    return name, lambda tol: Finding(name, MEANING[name], np.nan, tol, np.nan, unit, -1, (), 0, reason)
+
+
+def of_bodies(poses: Poses, name: str, amount: Array, scale: Array, unit: str) -> Found:
+    """The worst of free bodies and steps, from arrays (n, bodies)."""
+    steps, bodies = np.indices(amount.shape)
+    figure = (amount / np.maximum(scale, 1e-300)).ravel()
+    return worst_of(
+        name, figure, amount.ravel(), unit, steps.ravel() + 1, lambda k: [poses.scene["frames"][bodies.ravel()[k]]]
+    )
+
+
+def at_play(poses: Poses) -> float:
+    """Energy at play, J; where next to nothing moves, what lifts bodies and trees by their size."""
+    t, scene = poses.trajectory, poses.scene
+    lift = 0.0
+    for k in np.flatnonzero((poses.frame >= 0) & (poses.frame < poses.free)):
+        lift += scene["masses"][poses.frame[k]] * float(np.linalg.norm(scene["gravity"])) * float(poses.extent[k])
+    for tree in scene["articulations"]:
+        told = tree.get("model", {"joints": ()})["joints"]
+        size = sum(float(np.linalg.norm(np.array(j["placement"])[:3, 3]) + np.linalg.norm(j["com"])) for j in told)
+        most = float(np.linalg.norm(scene["gravity"])) * size + (SMALL * size / t.dt) ** 2
+        lift += sum(j["mass"] for j in told) * most
+    return max(t.at_play, lift, 1e-9 * float(np.abs(t.energy.potential).max()), 1e-300)

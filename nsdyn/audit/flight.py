@@ -1,0 +1,319 @@
+"""Where free bodies go in each step with their velocities and the recorded impulses, by code that is no stepper's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.audit.poses import Poses
+from nsdyn.recording.series import rotate
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["CONJUGATE", "Flight", "angles", "spins", "tumbled", "velocities"]
+
+LEAP = 0.05
+"""Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-6 rad."""
+
+CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+"""Makes a quaternion xyzw that of the turn back."""
+
+
+class Pushes(NamedTuple):
+    """Impulses on free bodies, one by one, sorted by step, body and time; two of a contact of two free bodies.
+
+    Attributes
+    ----------
+    row, side : ndarray of int, shape (m,)
+        Of the contact, and 0 or 1 for its first or second body.
+    step, body : ndarray of int, shape (m,)
+    time : ndarray, shape (m,)
+        Within the step, s.
+    piece : ndarray of int, shape (m,)
+        What the step was cut into; 0 where that is not known.
+    push : ndarray, shape (m, 3)
+        World axes, N·s.
+    """
+
+    row: Index
+    side: Index
+    step: Index
+    body: Index
+    time: Array
+    piece: Index
+    push: Array
+
+    @classmethod
+    def of(cls, frames: Index, free: int, step: Index, time: Array, piece: Index, impulse: Array) -> Pushes:
+        """From the frames (contacts, 2) and the impulses (contacts, 3) on the second ones."""
+        row, side = np.nonzero((frames >= 0) & (frames < free))
+        body, push = frames[row, side], np.where(side, 1.0, -1.0)[:, None] * impulse[row]
+        order = np.lexsort((time[row], body, step[row]))
+        row, side = row[order], side[order]
+        return cls(row, side, step[row], body[order], time[row], piece[row], push[order])
+
+    def earlier(self, values: Array) -> Array:
+        """Of each impulse the sum of values of those before it on its body in its step."""
+        so_far, (begin, group) = np.cumsum(values, axis=0) - values, together(self.step, self.body)
+        out: Array = so_far - so_far[begin][group]
+        return out
+
+    def halfway(self, values: Array) -> Array:
+        """Of each impulse the mean of the sums before and after all that act on its body at its time."""
+        begin, group = together(self.step, self.body, self.time, self.piece)
+        if not begin.size:
+            return values
+        so_far, sums = self.earlier(values), np.add.reduceat(values, begin)
+        out: Array = so_far[begin][group] + 0.5 * sums[group]
+        return out
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Where free bodies are in each step when its impulses act on them.
+
+    With impulses r_j at the times t_j within a step, and w what forces change of the velocity,
+
+        x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + what w moves,
+
+    which at the end is θ h w, and h w / 2 where the step was cut. All arrays are of shape (n, free, ...) but those of
+    contacts, (contacts, ...).
+
+    Attributes
+    ----------
+    impulse, torque : ndarray, shape (n, free, 3)
+        Σ r, N·s, and Σ (p - x(t_j)) × r and couples, about where the bodies are then, N·m·s.
+    size, levers : ndarray, shape (n, free)
+        Σ ‖r‖, and Σ ‖p - x‖ ‖r‖.
+    lift : ndarray, shape (n, free, 3)
+        Where bodies end - where this brings them, m: what the projection has lifted them.
+    unknown : ndarray, shape (n, free)
+        How far w may have moved them otherwise, where a step was cut at times that no impulse tells, m.
+    quaternion : ndarray, shape (n, free, 4)
+        How bodies are turned at the end: by their angular momenta, which the impulses change at their times.
+    met_x, met_quaternion : ndarray, shapes (contacts, 2, 3), (contacts, 2, 4)
+        Where the bodies of each contact are when its impulse acts, m, and how they are turned; NaN of those neither
+        free nor links that were retraced.
+    met_u : ndarray, shape (contacts, 3)
+        Mean relative velocity of each contact before and after all that acts with its impulse, in its frame, m/s; NaN
+        where another body moves.
+    cut : ndarray of bool, shape (n, 1)
+        Whether impulses act at several times, or not where those of a step in one piece would.
+    timed : bool
+        Whether times are recorded; without, all impulses of a step are taken to act where those of one piece would.
+    """
+
+    impulse: Array
+    torque: Array
+    size: Array
+    levers: Array
+    lift: Array
+    unknown: Array
+    quaternion: Array
+    met_x: Array
+    met_quaternion: Array
+    met_u: Array
+    cut: NDArray[np.bool_]
+    timed: bool
+
+    @classmethod
+    def of(cls, poses: Poses, links: tuple[Array, Array, Array] | None = None) -> Flight:
+        """Follow the free bodies of a recording of all steps and contacts.
+
+        Where contacts meet links, (contacts, 2, ...), x, quaternions and velocities of their points are given; NaN of
+        others.
+        """
+        t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
+        c, h, shape = t.columns, t.dt, (t.steps, free)
+        axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
+        frames = poses.frame[np.stack([c["contacts/geom1"], c["contacts/geom2"]], axis=1).astype(np.int64)]
+        timed = not np.isnan(c["contacts/time"]).any()
+        when = c["contacts/time"] if timed else np.full(len(n), (1.0 - theta) * h)
+        steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+        cut = np.zeros((t.steps, 1), np.bool_)
+        np.logical_or.at(cut[:, 0], steps, np.abs(when - (1.0 - theta) * h) > 1e-9 * h)
+        cut[:, 0] |= _cut_without_contacts(poses)
+        piece, length = _pieces(poses, steps)
+        pushes = Pushes.of(frames, free, steps, when, piece, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
+        row, side, step, body, time, _, push = pushes
+        mass = np.array(poses.scene["masses"])
+
+        def summed(values: Array) -> Array:
+            out = np.zeros((*shape, *values.shape[1:]))
+            np.add.at(out, (step, body), values)
+            return out
+
+        impulse, moments = summed(push), summed(time[:, None] * push)
+        before = velocities(poses)[:-1]
+        forced = np.diff(velocities(poses), axis=0) - impulse / mass[:, None]
+        share = np.where(cut, 0.5, theta)[:, :, None]
+        path = h * before + (h * impulse - moments) / mass[:, None] + share * h * forced
+        # How far impulses before and forces have brought the body until each.
+        way = time[:, None] * pushes.earlier(push) - pushes.earlier(time[:, None] * push)
+        fall = np.where(cut[step], 0.5 * (time**2 / h)[:, None] * forced[step, body], 0.0)
+        at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
+        arm, size = c["contacts/point"][row] - at, np.linalg.norm(push, axis=1)
+        unknown = ((theta - 0.5) + 0.5 * (1.0 - theta) ** 2) * h * np.linalg.norm(forced, axis=2)
+        # Of older recordings, which have none of it, the angular momentum is not audited.
+        moment = np.cross(arm, push) + np.where(side, 1.0, -1.0)[:, None] * np.nan_to_num(c["contacts/couple"][row])
+        turned, then, turning = _turned(poses, step * free + body, time, moment)
+        met_x, met_quaternion = np.full((len(n), 2, 3), np.nan), np.full((len(n), 2, 4), np.nan)
+        met_x[row, side], met_quaternion[row, side] = at, then
+        # Forces act together with the impulses of a step in one piece, else all the time.
+        gone = np.where(cut[step], ((time + (theta - 0.5) * length[row]) / h)[:, None], 0.5)
+        linear = before[step, body] + gone * forced[step, body] + pushes.halfway(push) / mass[body, None]
+        met_u = np.where(frames >= free, np.nan, 0.0)[:, :, None] * np.ones(3)
+        if links is not None:
+            linked = ~np.isnan(links[2][:, :, 0])
+            met_x[linked], met_quaternion[linked], met_u[linked] = (values[linked] for values in links)
+        met_u[row, side] = linear + np.cross(turning, arm)
+        met_u = np.einsum("cij,cj->ci", axes, met_u[:, 1] - met_u[:, 0])
+        return cls(
+            impulse,
+            summed(moment),
+            summed(size),
+            summed(size * np.linalg.norm(arm, axis=1)),
+            np.diff(poses.x[:, :free], axis=0) - path,
+            np.where(cut, unknown, 0.0),
+            turned,
+            met_x,
+            met_quaternion,
+            met_u,
+            cut,
+            timed,
+        )
+
+
+def angles(one: Array, other: Array) -> Array:
+    """Angles between orientations (..., 4), to second order, (...), rad."""
+    near = np.where((one * other).sum(axis=-1, keepdims=True) < 0.0, -other, other)
+    out: Array = 2.0 * np.linalg.norm(one - near, axis=-1)
+    return out
+
+
+def _pieces(poses: Poses, step: Index) -> tuple[Index, Array]:
+    """The piece that each contact acts in, and its length, s; 0 where steps were not cut, or no pieces are recorded."""
+    c, piece, length = poses.trajectory.columns, np.zeros(step.size, np.int64), np.zeros(step.size)
+    if {f"pieces/{name}" for name in ("offset", "contacts", "duration")} <= c.keys():
+        own = np.flatnonzero((np.diff(c["pieces/offset"]) > 0)[step])
+        each = np.repeat(np.arange(len(c["pieces/contacts"])), np.maximum(c["pieces/contacts"], 0))
+        if each.size == own.size:
+            piece[own], length[own] = each, c["pieces/duration"][each]
+    return piece, length
+
+
+def together(*keys: NDArray[Any]) -> tuple[Index, Index]:
+    """Of sorted rows those alike in all keys together: where each group begins, and the group of each row."""
+    new = np.ones(keys[0].size, np.bool_)
+    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
+    return np.flatnonzero(new), np.cumsum(new) - 1
+
+
+def _cut_without_contacts(poses: Poses) -> NDArray[np.bool_]:
+    """Which steps without contacts were cut all the same, (n,): where what fell does not end as in one piece.
+
+    Only with theta above ½ does it matter, and that some seemed to touch on their way and did not is all that cuts.
+    """
+    t, theta, v = poses.trajectory, float(poses.trajectory.meta["theta"]), velocities(poses)
+    forced = t.dt * np.diff(v, axis=0)
+    left = np.diff(poses.x[:, : poses.free], axis=0) - t.dt * v[:-1] - theta * forced
+    off = (np.abs(left) > 1e-6 * np.abs(forced).max(initial=0.0)).any(axis=(1, 2))
+    out: NDArray[np.bool_] = off & (np.diff(t.columns["contacts/offset"]) == 0) & (theta > 0.5)
+    return out
+
+
+def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array, Array, Array]:
+    """How free bodies are turned after each step, (n, free, 4), and when each moment acts, (moments, 4).
+
+    Then the mean angular velocity before and after each, world axes, (moments, 3), rad/s. The moments, on body
+    row % free in step row // free, are sorted by row and time. What else changes angular momenta in a step, as external
+    forces do, acts where those of a step in one piece do.
+    """
+    t, free = poses.trajectory, poses.free
+    q, w = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), poses.v[:-1, :, 3:].reshape(-1, 3).copy()
+    inertia, now = np.tile(_inertias(poses), (t.steps, 1, 1)), np.zeros(t.steps * free)
+    given, order = row.size, np.arange(row.size)
+    if t.meta.get("external_force", False):
+        rest = np.diff(spins(poses), axis=0).reshape(-1, 3)
+        np.subtract.at(rest, row, moment)
+        late = (1.0 - float(t.meta["theta"])) * t.dt
+        row, time = np.append(row, np.arange(rest.size // 3)), np.append(time, np.full(rest.size // 3, late))
+        order = np.lexsort((time, row))
+        row, time, moment = row[order], time[order], np.concatenate([moment, rest])[order]
+    # Moments of one body at one time together; then of each body the first, the second, ...
+    begin, group = together(row, time)
+    if begin.size:
+        row, time, moment = row[begin], time[begin], np.add.reduceat(moment, begin)
+    rank, met = np.arange(row.size) - np.searchsorted(row, row), np.empty((row.size, 7))
+    for k in range(int(rank.max(initial=-1)) + 1):
+        some = rank == k
+        i = row[some]
+        q[i], w[i] = tumbled(q[i], w[i], inertia[i], time[some] - now[i])
+        change = np.linalg.solve(inertia[i], rotate(q[i] * CONJUGATE, moment[some])[..., None])[..., 0]
+        met[some, :4], met[some, 4:] = q[i], rotate(q[i], w[i] + 0.5 * change)
+        w[i] += change
+        now[i] = time[some]
+    then = np.empty((order.size, 7))
+    then[order] = met[group]
+    end, _ = tumbled(q, w, inertia, t.dt - now)
+    return end.reshape(t.steps, free, 4), then[:given, :4], then[:given, 4:]
+
+
+def velocities(poses: Poses) -> Array:
+    """Velocities of free bodies in world axes, (n + 1, free, 3), m/s."""
+    out: Array = rotate(poses.quaternion[:, : poses.free], poses.v[..., :3])
+    return out
+
+
+def spins(poses: Poses) -> Array:
+    """Angular momenta of free bodies about their centres of mass in world axes, (n + 1, free, 3), N·m·s."""
+    own = np.einsum("bij,nbj->nbi", _inertias(poses), poses.v[..., 3:])
+    out: Array = rotate(poses.quaternion[:, : poses.free], own)
+    return out
+
+
+def _inertias(poses: Poses) -> Array:
+    """Inertias J of free bodies in their axes, (free, 3, 3), kg m²."""
+    return np.array(poses.scene["inertias"]).reshape(-1, 3, 3)
+
+
+def tumbled(quaternion: Array, turning: Array, inertia: Array, time: Array) -> tuple[Array, Array]:
+    """Orientations (m, 4) and angular velocities (m, 3) of bodies after they turned freely.
+
+    q' = ½ q ∘ ω and J ω' = J ω × ω: the spin of a needle about itself then hangs on nothing else, where by its angular
+    momentum in space an error of its tilt is one of the spin, larger by the ratio of its inertias. A body's own axes
+    see ω turn no faster than the body does, for no moment of inertia exceeds the sum of the other two.
+
+    Parameters
+    ----------
+    quaternion : ndarray, shape (m, 4)
+    turning : ndarray, shape (m, 3)
+        ω in the axes of the bodies, rad/s.
+    inertia : ndarray, shape (m, 3, 3)
+        J in the axes of the bodies, kg m².
+    time : ndarray, shape (m,)
+        s.
+    """
+    out, w, left, inverse = quaternion.copy(), turning.copy(), time.copy(), np.linalg.inv(inertia)
+
+    def rate(y: Array, some: Index) -> Array:
+        """q' and ω' of y = (q, ω)."""
+        q, w = y[:, :4], y[:, 4:]
+        spin = np.einsum("mij,mj->mi", inertia[some], w)
+        turn = np.concatenate([q[:, 3:] * w + np.cross(q[:, :3], w), -(q[:, :3] * w).sum(1, keepdims=True)], axis=1)
+        return np.concatenate([0.5 * turn, np.einsum("mij,mj->mi", inverse[some], np.cross(spin, w))], axis=1)
+
+    while (some := np.flatnonzero(left > 0.0)).size:
+        y = np.concatenate([out[some], w[some]], axis=1)
+        h = np.minimum(left[some], LEAP / np.maximum(np.linalg.norm(w[some], axis=1), 1e-300))
+        left[some] -= h
+        h = h[:, None]
+        first = rate(y, some)
+        second = rate(y + 0.5 * h * first, some)
+        third = rate(y + 0.5 * h * second, some)
+        fourth = rate(y + h * third, some)
+        y += h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        out[some], w[some] = y[:, :4] / np.linalg.norm(y[:, :4], axis=1)[:, None], y[:, 4:]
+    return out, w

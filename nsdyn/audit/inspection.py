@@ -1,0 +1,265 @@
+"""What a scene or a robot file is made of, and what is wrong with it, before anything is simulated."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsdyn.audit.findings import TOLERANCES
+from nsdyn.audit.poses import Poses
+from nsdyn.audit.touching import separations
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.recording.trajectory import Trajectory
+from nsdyn.scene.articulations import Articulation
+from nsdyn.scene.scene import Scene
+
+__all__ = ["ROBOTS", "Inspection", "Joint", "Mass", "inspect_robot", "inspect_scene"]
+
+ROBOTS = (".urdf", ".sdf", ".xml", ".mjcf")
+"""Endings of the names of robot files."""
+
+UNITS = {
+    "at": "rad, m",
+    "lower": "rad, m",
+    "upper": "rad, m",
+    "effort": "N m, N",
+    "friction": "N m, N",
+    "damping": "N m s, N s/m",
+}
+"""Of the columns of the table of joints."""
+
+ONLY = {"base": (".urdf",), "keyframe": (".xml", ".mjcf"), "package_dirs": (".urdf", ".sdf")}
+"""Options of some kinds of robot files, by their endings."""
+
+SHOWN = 40
+"""Rows of a table that are printed."""
+
+
+@dataclass(frozen=True)
+class Mass:
+    """A body, or what a joint or a fixed base carries: its mass [kg] and principal moments [kg m²], ascending."""
+
+    name: str
+    mass: float
+    moments: tuple[float, float, float]
+    fixed: bool = False
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint coordinate: where it is and its range, what acts in it; units as in `UNITS`, of a turn or a shift."""
+
+    name: str
+    at: float
+    lower: float
+    upper: float
+    effort: float
+    friction: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What `inspect_scene` found.
+
+    Attributes
+    ----------
+    name : str
+    shapes : int
+        Collision shapes.
+    masses : tuple of Mass
+    joints : tuple of Joint
+    overlaps : tuple of (str, str, float)
+        Shapes that overlap at the start by more than 1e-7 of the smaller one, and how deep [m], the deepest first.
+    outside : tuple of str
+        Joints that start outside their limits.
+    missing : tuple of str
+        What files contain that is not used and without which the mechanism is another: shapes, masses, constraints.
+    dropped : tuple of str
+        What else they contain that changes the motion and is not used; inertias that no body can have.
+    unused : tuple of str
+        What is not used besides, for instance pictures.
+    notes : tuple of str
+        What else is worth knowing.
+    actuators : tuple of str
+        Those of MJCF files that `nsdyn.Actuation` controls, by name.
+    """
+
+    name: str
+    shapes: int
+    masses: tuple[Mass, ...]
+    joints: tuple[Joint, ...]
+    overlaps: tuple[tuple[str, str, float], ...]
+    outside: tuple[str, ...]
+    missing: tuple[str, ...]
+    dropped: tuple[str, ...]
+    unused: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    actuators: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing overlaps, no joint starts outside its limits, and nothing is missing."""
+        return not (self.overlaps or self.outside or self.missing)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        return asdict(self) | {"passed": self.passed}
+
+    def __repr__(self) -> str:
+        words = ("mass", "es"), ("joint coordinate", "s"), ("shape", "s")
+        numbers = len(self.masses), len(self.joints), self.shapes
+        counts = ", ".join(f"{n} {word}{more * (n != 1)}" for n, (word, more) in zip(numbers, words, strict=True))
+        lines = [f"{self.name}: {counts}, {self._totals()}"]
+        labels = [f"{body.name} (fixed)" if body.fixed else body.name for body in self.masses]
+        width = max([10, *map(len, labels), *(len(joint.name) for joint in self.joints)])
+        if self.masses:
+            lines.append(f"{'':{width}} {'mass [kg]':>10} {'principal moments [kg m²]':>32}")
+            for label, body in list(zip(labels, self.masses, strict=True))[:SHOWN]:
+                moments = "".join(f"{moment:11.3g}" for moment in body.moments)
+                lines.append(f"{label:{width}} {body.mass:10.4g}{moments}")
+            lines += _more(self.masses)
+        if self.joints:
+            columns = {word: max(10, len(unit) + 3) for word, unit in UNITS.items()}
+            lines.append(f"{'joint':{width}}" + "".join(f"{word:>{n}}" for word, n in columns.items()))
+            lines.append(f"{'':{width}}" + "".join(f"{f'[{UNITS[word]}]':>{n}}" for word, n in columns.items()))
+            for joint in self.joints[:SHOWN]:
+                values = (f"{getattr(joint, word):{n}.4g}" for word, n in columns.items())
+                lines.append(f"{joint.name:{width}}" + "".join(values))
+            lines += _more(self.joints)
+        if self.actuators:
+            lines.append(f"actuators: {', '.join([*self.actuators[:SHOWN], *_more(self.actuators)])}")
+        for what, items in (
+            ("overlaps at the start", [f"{a} and {b} by {depth:.3g} m" for a, b, depth in self.overlaps]),
+            ("outside its limits", self.outside),
+            ("missing, not read", self.missing),
+            ("left out, changes the motion", self.dropped),
+            ("not used", self.unused),
+        ):
+            lines += [f"{what}: {item}" for item in items[:SHOWN]] + _more(items) if items else [f"{what}: nothing"]
+        lines += [f"note: {note}" for note in self.notes[:SHOWN]] + _more(self.notes)
+        lines.append(f"{self.name}: {'passed' if self.passed else 'FAILED'}")
+        return "\n".join(lines)
+
+    def _totals(self) -> str:
+        """The masses in one line."""
+        fixed = sum(body.mass for body in self.masses if body.fixed)
+        moving = [body.mass for body in self.masses if body.mass > 0.0 and not body.fixed]
+        out = f"{sum(moving) + fixed:.6g} kg in all"
+        if fixed:
+            out += f", {fixed:.6g} kg of it fixed"
+        return f"{out}, moving from {min(moving):.3g} to {max(moving):.3g} kg" if moving else out
+
+
+def _more(rows: Sequence[Any]) -> list[str]:
+    return [f"... {len(rows) - SHOWN} more"] if len(rows) > SHOWN else []
+
+
+def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:
+    """Masses, joints, overlaps at the start, and what its files contain that is not used.
+
+    Overlaps are those of the audit, `nsdyn.audit.overlap`, which shares nothing with the detection of contacts;
+    shapes that may overlap, as those of links that a joint joins, are left out.
+
+    Parameters
+    ----------
+    scene : Scene
+    name : str, optional
+        Default: that of the scene.
+    """
+    masses = [Mass(body.name, body.mass, _moments(body.inertia)) for body in scene.free_bodies]
+    joints: list[Joint] = []
+    told: dict[str, list[str]] = {"missing": [], "dropped": [], "unused": []}
+    for a in scene.articulations.values():
+        model = a.model
+        for joint, inertia in enumerate(model.inertias):
+            if joint > 0 or inertia.mass > 0.0:
+                name_ = f"{a.name}/{model.names[joint]}" if joint else a.name
+                masses.append(Mass(name_, float(inertia.mass), _moments(inertia.inertia), joint == 0))
+        joints += _joints(a)
+        for what, notes in told.items():
+            notes += [f"{a.name}: {note}" for note in getattr(a, what)]
+    outside = tuple(
+        f"{joint.name} at {joint.at:.6g}, from {joint.lower:.6g} to {joint.upper:.6g}"
+        for joint in joints
+        if not joint.lower - 1e-9 <= joint.at <= joint.upper + 1e-9  # the rounding of a user's own numbers
+    )
+    title = scene.name if name is None else name
+    listed = {what: tuple(notes) for what, notes in told.items()}
+    driven = tuple(f"{a.name}/{one.name}" for a in scene.articulations.values() for one in a.actuators)
+    return Inspection(
+        title, len(scene.geoms()), tuple(masses), tuple(joints), _overlaps(scene), outside, **listed, actuators=driven
+    )
+
+
+def inspect_robot(path: str | Path, **options: Any) -> Inspection:
+    """Inspect a URDF, SDF or MJCF file, alone, in the configuration that it starts from; see `inspect_scene`.
+
+    Parameters
+    ----------
+    path : path
+    **options
+        Of `nsdyn.Scene.add_urdf`, `add_sdf` or `add_mjcf`. Without `q` and `keyframe` a start outside limits is a
+        note, as is what overlaps there: nothing can start so, another start can be given.
+
+    Raises
+    ------
+    ValueError
+        For what cannot be read or simulated at all, and options that are not for such a file, naming it.
+    """
+    path, scene = Path(path), Scene()
+    ending = path.suffix.lower()
+    for option in options:
+        if ending not in ONLY.get(option, ROBOTS):
+            raise ValueError(f"{option} is for {' and '.join(ONLY[option])} files, which {path.name} is not")
+    add: Any = {".urdf": scene.add_urdf, ".sdf": scene.add_sdf}.get(ending, scene.add_mjcf)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what is left out is in the report
+        add("robot", path, **{"inertias": "trust", "limits": False} | options)
+    found = inspect_scene(scene, path.name)
+    if options.keys() & {"q", "keyframe"} or not found.outside:
+        return found
+    notes = [f"starts outside its limits unless q is given: {joint}" for joint in found.outside]
+    notes += [f"overlaps there: {a} and {b} by {depth:.3g} m" for a, b, depth in found.overlaps]
+    return replace(found, outside=(), overlaps=(), notes=tuple(notes))
+
+
+def _moments(inertia: Any) -> tuple[float, float, float]:
+    low, mid, high = np.linalg.eigvalsh(np.asarray(inertia)).tolist()
+    return low, mid, high
+
+
+def _joints(a: Articulation) -> list[Joint]:
+    """The coordinates of revolute and prismatic joints, whose q are angles and lengths."""
+    model, out = a.model, []
+    for joint in range(1, model.njoints):
+        if model.nqs[joint] != 1:
+            continue
+        at, row = model.idx_qs[joint], model.idx_vs[joint]
+        values = a.q[at], model.lowerPositionLimit[at], model.upperPositionLimit[at], a.effort[row]
+        out.append(Joint(f"{a.name}/{model.names[joint]}", *map(float, (*values, a.friction[row], a.damping[row]))))
+    return out
+
+
+def _overlaps(scene: Scene) -> tuple[tuple[str, str, float], ...]:
+    """Pairs of shapes that overlap where the scene starts, deepest first."""
+    dynamics = Dynamics(scene)
+    position, v = dynamics.start()
+    place = dynamics.place(position)
+    q, u = dynamics.pinocchio_state(position, v)
+    columns = {"t": np.zeros(1), "q": q[None], "v": u[None]}
+    x, quaternion = dynamics.poses(position, place)
+    if x is not None and quaternion is not None:
+        columns |= {"frames/x": x[None], "frames/quat": quaternion[None]}
+    poses = Poses(Trajectory({}, scene.describe(), columns))
+    if not poses.names:
+        return ()
+    depth, first, second, _ = separations(poses)
+    deep = np.flatnonzero(depth > TOLERANCES["overlap"] * poses.size(first, second))
+    rows = [(poses.names[first[k]], poses.names[second[k]], float(depth[k])) for k in deep]
+    return tuple(sorted(rows, key=lambda row: -row[2]))

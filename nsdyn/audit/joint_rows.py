@@ -1,0 +1,223 @@
+"""Audit of what acts on the joints of articulations: limits and how they rebound, dry friction, actuators, loads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn.audit.findings import Found, not_audited, worst_of
+from nsdyn.audit.retraced import Retraced
+from nsdyn.recording.mechanism import Mechanism
+from nsdyn.recording.retrace import Kick
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["on_joints"]
+
+UNITS = {
+    "stops": "rad",
+    "rebounds": "rad/s",
+    "shared_rebounds": "rad/s",
+    "joint_cone": "N·m·s",
+    "joint_slip": "J",
+    "loads": "N·m·s",
+    "wrenches": "N·m·s",
+    "strength": "N·m·s",
+}
+
+NOTHING = 1e-9
+"""Fraction of the largest impulse of a step below which one is nothing."""
+
+CREEP = 1e-2
+"""rad/s or m/s: slip is measured by the speed of the joint and this, beside which that of one that sticks, which is
+round-off and what solvers leave, is nothing."""
+
+ON = 1e-8
+"""rad or m: gaps of limits that joints rest on, many times."""
+
+SOLVED = 1e-6
+"""rad/s or m/s: what solvers leave of a velocity, many times."""
+
+Row = tuple[float, float, int, str]
+"""(figure, amount, step, joint)."""
+
+
+class Acted(NamedTuple):
+    """A kick and what is around it.
+
+    Attributes
+    ----------
+    m : Mechanism
+    label : list of str
+        Of its coordinates.
+    step : int
+    kick : Kick
+    along : ndarray, shape (6, nv)
+        Velocities: where its piece begins, before and after it, where the piece ends, and those on which dry friction
+        acts: the mean of before and after, and that of the end as it is foreseen.
+    end : ndarray, shape (nv,)
+        Joint coordinates where the piece ends, rad or m.
+    rest : ndarray, shape (nv,)
+        Speeds up to which joints rest at their limits: what the forces before it change them by in two steps.
+    most : float
+        Largest impulse of the step, N·m·s.
+    """
+
+    m: Mechanism
+    label: list[str]
+    step: int
+    kick: Kick
+    along: Array
+    end: Array
+    rest: Array
+    most: float
+
+
+def on_joints(found: Retraced) -> Iterator[Found]:
+    """Findings of limits, dry friction, actuators and loads."""
+    acted = list(_all(found))
+    yield _worst("stops", [row for a in acted for row in _stops(a, found.trees.trajectory.dt)])
+    yield from _rebounds(acted, found.trees.trajectory.columns["contacts/restitution"])
+    rubs = [pair for a in acted for pair in _rubs(a, found.trees.trajectory.dt)]
+    yield _worst("joint_cone", [bound for bound, _ in rubs])
+    yield _worst("joint_slip", [slip for _, slip in rubs])
+    yield from _loads(found)
+    yield _strength(found)
+
+
+def _all(found: Retraced) -> Iterator[Acted]:
+    for i, m in enumerate(found.trees.mechanisms):
+        label, rest = _labels(m), np.full(m.nv, np.inf)  # of a start, at which nothing has moved yet
+        for k, way in enumerate(found.ways[i]):
+            most = max((float(np.abs(kick.given[:4]).max(initial=0.0)) for kick in way.kicks), default=0.0)
+            begin = found.trees.state(i, k)[1]
+            for kick, last in zip(way.kicks, way.flows[1::2], strict=True):
+                before, after = kick.before, kick.after
+                along = np.array([begin, before, after, last.v, 0.5 * (before + after), after + before - begin])
+                yield Acted(m, label, k + 1, kick, along, m.angle(last.q), rest, most)
+                begin = last.v
+                if kick.h:
+                    rest = SOLVED + 2.0 * found.trees.trajectory.dt * np.abs(kick.rate)
+
+
+def _stops(a: Acted, dt: float) -> Iterator[Row]:
+    """How far joints are from limits whose impulses act, beyond what they move; either way in impacts in no time."""
+    # A shallow gap closes by the next impulses, which are a step later at most.
+    travel = 2.0 * dt * np.abs(a.along[:4]).max(axis=0)
+    angle, m = a.m.angle(a.kick.q), a.m
+    gaps = np.where(a.kick.given[1] > 0.0, angle - m.lower, m.upper - angle)
+    width = np.where(np.isfinite(m.upper - m.lower), m.upper - m.lower, 1.0)
+    for j in np.flatnonzero(np.abs(a.kick.given[1]) > NOTHING * a.most):
+        away = gaps[j] - travel[j] if a.kick.h > 0.0 else abs(gaps[j])
+        yield away / max(width[j], 1e-300), away, a.step, a.label[j]
+
+
+def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
+    """v⁺ = -e v⁻ of limits that strike alone and in no time: others may strike several times, or with what is unknown.
+
+    Where nothing rebounds, no limit gives back more than what forces and turning rows do, unless it holds the joint.
+    """
+    rows: list[Row] = []
+    shared = 0
+    for a in acted:
+        e, kick = a.m.restitution, a.kick
+        struck = np.flatnonzero(np.abs(kick.given[1]) > NOTHING * a.most)
+        plain = e == 0.0 and not any(restitution[row] > 0.0 for row, _, _ in kick.touches)
+        if not plain and (kick.h or struck.size != 1 or kick.pushed.any()):
+            shared += struck.size
+            continue
+        for j in struck:
+            off = abs(kick.after[j] + e * kick.before[j])
+            if kick.h:
+                sign = np.sign(kick.given[1, j])
+                off = sign * kick.after[j] - abs(kick.before[j] - a.along[0, j])
+                # Nothing has rebounded that is on its limit where the piece ends.
+                parted = sign * (a.end[j] - (a.m.lower[j] if sign > 0.0 else a.m.upper[j]))
+                off = min(off, max(parted - ON, 0.0) / kick.h)
+            elif abs(kick.before[j]) <= a.rest[j]:
+                off = min(off, abs(kick.after[j]))
+            rows.append((off / max(float(np.abs(a.along[:4]).max()), CREEP), off, a.step, a.label[j]))
+    yield _worst("rebounds", rows)
+    if shared:
+        reason = f"{shared} limits rebound together, or in a move, as often as is not recorded"
+        yield not_audited("shared_rebounds", UNITS["shared_rebounds"], reason)
+    else:
+        yield _worst("shared_rebounds", [])
+
+
+def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
+    """By how much dry friction is above its bound, and less than against the motion, as a part of what it is in a step.
+
+    A piece may be so short that all its friction is less than what a solver leaves of an impulse.
+    """
+    drag, most_drag = a.kick.given[2], a.kick.h * a.m.friction
+    # What drives a joint takes its friction, which does nothing to the motion.
+    some = (a.m.friction > 0.0) | (drag != 0.0)
+    some[a.m.driven] = False
+    for on in a.m.rubbing:
+        if not some[on].any():
+            continue
+        j, pull, speeds = on[0], drag[on], a.along[:, on]
+        over = float(np.linalg.norm(pull)) - most_drag[j]
+        bound = over / max(most_drag[j], NOTHING * a.most, 1e-300), over, a.step, a.label[j]
+        # Within a piece that begins and ends with other signs anything may be against the motion.
+        speed = np.linalg.norm(speeds, axis=1)
+        wasted = float((most_drag[j] * speed + speeds @ pull).min())
+        turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
+        most = dt * a.m.friction[j] * (float(speed.max()) + CREEP)
+        figure = 0.0 if turns else wasted / max(most, 1e-300)
+        yield bound, (figure, wasted, a.step, a.label[j])
+
+
+def _worst(name: str, rows: list[Row]) -> Found:
+    figure, amount, step = np.array([row[:3] for row in rows]).reshape(-1, 3).T
+    return worst_of(name, figure, amount, UNITS[name], step.astype(int), lambda k: [rows[k][3]])
+
+
+def _labels(m: Mechanism) -> list[str]:
+    """Articulation and joint of every coordinate."""
+    return [
+        f"{m.name}/{name}"
+        for name, joint in zip(m.joints, list(m.model.joints)[1:], strict=True)
+        for _ in range(joint.nv)
+    ]
+
+
+def _named(labels: list[str], which: Index, row: int) -> list[str]:
+    return [labels[which[row]]]
+
+
+def _acted(found: Retraced, name: str) -> tuple[Array, Index]:
+    """What is recorded of all steps and of all pieces, (rows, nv), and the steps that the rows are of."""
+    t, c = found.trees.trajectory, found.trees.trajectory.columns
+    step = np.concatenate([np.arange(t.steps), np.repeat(np.arange(t.steps), np.diff(c["pieces/offset"]))])
+    return np.concatenate([c[f"joints/{name}"], c[f"pieces/{name}"]]), step + 1
+
+
+def _strength(found: Retraced) -> Found:
+    """Impulses of actuators, of which none is above its limit times the time in which they act."""
+    (given, step), (most, _) = _acted(found, "actuation"), _acted(found, "strength")
+    labels = [label for m in found.trees.mechanisms for label in _labels(m)]
+    k, j = np.nonzero(np.isfinite(most))
+    over = np.abs(given[k, j]) - most[k, j]
+    figure = over / np.maximum(most[k, j], 1e-300)
+    return worst_of("strength", figure, over, UNITS["strength"], step[k], partial(_named, labels, j))
+
+
+def _loads(found: Retraced) -> Iterator[Found]:
+    """Joint forces where no controller gives any, and external wrenches where nothing gives them."""
+    labels = [label for m in found.trees.mechanisms for label in _labels(m)]
+    for name, column, given, what in (
+        ("loads", "actuation", "controller", "the controller's law and limits"),
+        ("wrenches", "external", "external_force", "external forces"),
+    ):
+        if found.trees.trajectory.meta.get(given, True):
+            yield not_audited(name, UNITS[name], f"{what} are not recorded")
+            continue
+        amount, step = _acted(found, column)
+        largest = np.abs(amount).max(axis=1, initial=0.0)
+        figure = largest / max(float(largest.max(initial=0.0)), 1e-300)
+        who = np.abs(amount).argmax(axis=1) if amount.size else step
+        yield worst_of(name, figure, largest, UNITS[name], step, partial(_named, labels, who))

@@ -1,0 +1,316 @@
+"""How far two described shapes are inside each other, by code that shares nothing with the detection of contacts.
+
+For any unit vector n the separation along it, s(n) = min n·B - max n·A, is at most the signed distance of two convex
+shapes, so -s(n) is an upper bound of their overlap, the least translation that parts them, and the largest s is minus
+the overlap. Where it is looked for:
+
+- two polytopes, spheres or capsules: along the finitely many axes where a maximum can lie (normals of faces, crosses
+  of edges; where one is round, also from corners to corners and from edges to corners);
+- a half-space: its normal;
+- cylinders and ellipsoids: from the best of some hundred directions, by Newton's method and by searches along kinks.
+  What is not found makes the reported overlap too large, never too small.
+
+Nothing here looks at a whole scene or at time: arrays of poses of one pair of shapes; `nsdyn.audit.audit` does the
+rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nsdyn.audit.true_shapes import Solid
+from nsdyn.tools.arrays import Array
+
+__all__ = ["overlap", "separation"]
+
+RESOLUTION = 1e-9
+"""Overlaps below this fraction of the size of the smaller shape are not looked at closer: their bound is reported."""
+
+DIRECTIONS = 100
+"""Directions tried before Newton's method, in the proportions of each shape."""
+
+NEWTON_STEPS = 30
+"""From each start."""
+
+CIRCLES = 6
+"""Great circles of kinks that are searched."""
+
+ANGLES = np.sort(
+    np.concatenate([np.linspace(-np.pi, np.pi, 33), 0.1 * 0.4 ** np.arange(8), -0.1 * 0.4 ** np.arange(8)])
+)
+"""Where the search on a circle begins, from the best direction known, in radians."""
+
+NUMBERS = 4_000_000
+"""Most numbers of a temporary array."""
+
+
+def overlap(shape1: Mapping[str, Any], pose1: ArrayLike, shape2: Mapping[str, Any], pose2: ArrayLike) -> Any:
+    """Least translation that parts two shapes, 0 if they are apart: the depth of their penetration.
+
+    Parameters
+    ----------
+    shape1, shape2 : mapping
+        What `Shape.describe` returns, or a geom of `Scene.describe`; not both half-spaces.
+    pose1, pose2 : array, shape (4, 4) or (m, 4, 4)
+        Homogeneous transforms from the shapes' frames to the world. Several make pairs, one by one.
+
+    Returns
+    -------
+    float or ndarray, shape (m,)
+        m; never below the true one, and above it by round-off or at most 1e-8 of the smaller shape's size.
+
+    Raises
+    ------
+    ValueError
+        For an unknown shape or two half-spaces.
+    """
+    pose1, pose2 = np.asarray(pose1, dtype=float), np.asarray(pose2, dtype=float)
+    (a, R1, x1), (b, R2, x2) = (
+        (Solid.described(shape), pose[..., :3, :3].reshape(-1, 3, 3), pose[..., :3, 3].reshape(-1, 3))
+        for shape, pose in ((shape1, pose1), (shape2, pose2))
+    )
+    out = np.maximum(0.0, -separation(a, R1, x1, b, R2, x2))
+    return float(out[0]) if max(pose1.ndim, pose2.ndim) == 2 else out
+
+
+def separation(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, exact: bool = False) -> Array:
+    """Signed distance of two solids in m poses, shape (m,), m: minus the overlap where they overlap.
+
+    Parameters
+    ----------
+    a, b : Solid
+    R1, R2 : ndarray, shape (m, 3, 3)
+        From their frames to the world; one (1, 3, 3) serves all.
+    x1, x2 : ndarray, shape (m, 3)
+        Of their origins, m.
+    exact : bool
+        Where they are apart or overlap by less than `RESOLUTION`, False accepts any lower bound that shows it. True
+        gives the distance; of two polytopes apart it is the largest separation, which corners may exceed.
+
+    Raises
+    ------
+    ValueError
+        For two half-spaces.
+    """
+    if a.kind == "halfspace":
+        if b.kind == "halfspace":
+            raise ValueError("two halfspaces have no separation")
+        return separation(b, R2, x2, a, R1, x1, exact)
+    # b as a sees it, from differences of positions: the world's origin may be far.
+    R, x = np.swapaxes(R1, 1, 2) @ R2, np.einsum("mji,mj->mi", R1, x2 - x1)
+    R, x = np.broadcast_to(R, (len(x), 3, 3)), np.broadcast_to(x, (len(R), 3))
+    if b.kind == "halfspace":
+        n = R @ b.size
+        out: Array = -np.einsum("mi,mi->m", n, x) - a.support(-n) - b.offset
+        return out
+    return _in_parts(_smooth_separation if a.smooth or b.smooth else _polytope_separation, a, b, R, x, exact)
+
+
+def _in_parts(
+    separate: Callable[[Solid, Solid, Array, Array, bool], Array], a: Solid, b: Solid, R: Array, x: Array, exact: bool
+) -> Array:
+    """What `separate` gives, of so many poses at once that its arrays stay small."""
+    axes = max(DIRECTIONS, len(a.edges) * len(b.edges), len(a.normals) + len(b.normals))
+    if a.radius or b.radius:
+        axes = max(axes, len(a.corners) * len(b.corners), len(a.feet) * len(b.corners) + len(b.feet) * len(a.corners))
+    rows = max(1, NUMBERS // (axes * max(3, len(a.corners), len(b.corners))))
+    parts = [separate(a, b, R[k : k + rows], x[k : k + rows], exact) for k in range(0, len(x), rows)]
+    return np.concatenate([np.empty(0), *parts])
+
+
+def _polytope_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> Array:
+    """Of hulls of balls, from all axes along which a largest separation can lie."""
+    best = np.full(len(x), -np.inf)
+    enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
+    for axes in (_face_normals, _corner_axes, _edge_axes) if a.radius or b.radius else (_face_normals, _edge_axes):
+        left = np.flatnonzero(best < enough)
+        if not left.size:
+            break
+        n = axes(a, b, R[left], x[left])
+        if n.shape[1]:
+            best[left] = np.maximum(best[left], _along(a, b, R[left], x[left], n).max(axis=1))
+    return best
+
+
+SAME, AXIS = 1e-12, np.array([0.0, 0.0, 1.0])
+"""m, nearer than which two points are one; an axis where any will do."""
+
+
+def _along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
+    """Separations along axes n (m, k, 3), of either sign; -inf along those of length 0. Shape (m, k)."""
+    length = np.linalg.norm(n, axis=2)
+    n = n / np.where(length > 0.0, length, 1.0)[..., None]
+    there = n @ R
+    across = (n @ x[:, :, None])[..., 0]
+    first, second = n @ a.corners.T, there @ b.corners.T + across[..., None]
+    up = second.min(axis=2) - first.max(axis=2)
+    down = first.min(axis=2) - second.max(axis=2)
+    out: Array = np.where(length > 0.0, np.maximum(up, down) - a.radius - b.radius, -np.inf)
+    return out
+
+
+def _face_normals(a: Solid, b: Solid, R: Array, x: Array) -> Array:
+    """Normals of faces, shape (m, k, 3)."""
+    own = np.broadcast_to(a.normals, (len(x), *a.normals.shape))
+    return np.concatenate([own, b.normals @ np.swapaxes(R, 1, 2)], axis=1)
+
+
+def _edge_axes(a: Solid, b: Solid, R: Array, x: Array) -> Array:
+    """Crosses of edges, 0 where they are parallel, shape (m, k, 3)."""
+    other = b.edges @ np.swapaxes(R, 1, 2)
+    out = np.cross(a.edges[None, :, None], other[:, None]).reshape(len(x), -1, 3)
+    out[np.linalg.norm(out, axis=2) < 1e-12] = 0.0
+    return out
+
+
+def _corner_axes(a: Solid, b: Solid, R: Array, x: Array) -> Array:
+    """From corners to corners, and from lines of edges to corners, shape (m, k, 3)."""
+    turned = np.swapaxes(R, 1, 2)
+    corners = b.corners @ turned + x[:, None]
+    start, line = b.feet[:, :3] @ turned + x[:, None], b.feet[:, 3:] @ turned
+    pairs = corners[:, None] - a.corners[:, None]
+    # Where two coincide no axis is better than another.
+    pairs[np.linalg.norm(pairs, axis=3) < SAME] = AXIS
+    out = [pairs, _across(corners[:, None] - a.feet[:, None, :3], a.feet[None, :, None, 3:])]
+    out.append(_across(a.corners[:, None] - start[:, None], line[:, None]))
+    return np.concatenate([axes.reshape(len(x), -1, 3) for axes in out], axis=1)
+
+
+def _across(d: Array, line: Array) -> Array:
+    """What of vectors d is across a line of unit vectors; one across it where nothing is."""
+    out: Array = d - (d * line).sum(axis=-1, keepdims=True) * line
+    on = np.linalg.norm(out, axis=-1) < SAME
+    if on.any():
+        out[on] = _tangents(np.broadcast_to(line, out.shape)[on])[:, :, 0]
+    return out
+
+
+def _smooth_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> Array:
+    """Of pairs with a cylinder or an ellipsoid.
+
+    A largest separation is where three kinks of it meet, on a kink, or off them. All kinks lie on great circles, across
+    the edges of polytopes and the axes of cylinders.
+    """
+    enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
+    # Along the line of centres, normals of faces and crosses of edges, in which kinks meet.
+    centres = np.where(np.linalg.norm(x, axis=1)[:, None] < SAME, AXIS, x)
+    known = np.concatenate([centres[:, None], _face_normals(a, b, R, x), _edge_axes(a, b, R, x)], axis=1)
+    best, n = _best_along(a, b, R, x, known)
+    left = np.flatnonzero(best < enough)
+    if not left.size:
+        return best
+    R, x, grid = R[left], x[left], _sphere(DIRECTIONS)
+    # Where normals of an ellipsoid of each one's proportions point: flat and long shapes need these.
+    own, other = grid / a.half, np.einsum("mij,kj->mki", R, grid / b.half)
+    tried = np.concatenate([np.broadcast_to(own, (len(x), *own.shape)), other], axis=1)
+    value, start = _best_along(a, b, R, x, tried)
+    best[left] = np.maximum(best[left], value)
+    deep = best[left] < enough
+    left, R, x, start = left[deep], R[deep], x[deep], start[deep]
+    if not left.size:
+        return best
+    value, n_left = _better(_climb(a, b, R, x, n[left]), _climb(a, b, R, x, start))
+    for _ in range(2):
+        value, n_left = _better((value, n_left), _around(a, b, R, x, n_left))
+        value, n_left = _better((value, n_left), _climb(a, b, R, x, n_left))
+    best[left] = np.maximum(best[left], value)
+    return best
+
+
+def _better(*found: tuple[Array, Array]) -> tuple[Array, Array]:
+    """The largest of several separations (m,), and the vectors (m, 3) along which they are."""
+    values, vectors = (np.stack(items) for items in zip(*found, strict=True))
+    k = values.argmax(axis=0)
+    rows = np.arange(len(k))
+    return values[k, rows], vectors[k, rows]
+
+
+def _best_along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Array]:
+    """Largest separation along given axes n (m, k, 3), shape (m,), and its unit vector from a to b, shape (m, 3)."""
+    length = np.linalg.norm(n, axis=2)
+    n = n / np.where(length > 0.0, length, 1.0)[..., None]
+    both = np.concatenate([n, -n], axis=1)
+    values = np.where(np.tile(length, 2) > 0.0, _each_along(a, b, R, x, both), -np.inf)
+    k, rows = values.argmax(axis=1), np.arange(len(x))
+    return values[rows, k], both[rows, k]
+
+
+def _each_along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
+    """Separations along unit vectors n (m, k, 3) from a to b, shape (m, k)."""
+    out: Array = (n @ x[:, :, None])[..., 0] - a.support(n) - b.support(-(n @ R))
+    return out
+
+
+def _climb(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Array]:
+    """Largest separation found by Newton's method from n (m, 3), and where, as `_best_along`.
+
+    On the unit sphere with tangents T, of the separation s with gradient g and Hessian H: the step
+    T (|s| + λ - Tᵀ H T)⁻¹ Tᵀ g, its damping λ larger after steps that fail and smaller after steps that help.
+    """
+    value = _best_along(a, b, R, x, n[:, None])[0]
+    damping = np.full(len(x), 1e-3 * min(a.reach, b.reach))
+    for _ in range(NEWTON_STEPS):
+        (p, H), (other, other_H) = a.curvature(n), b.curvature(-(n[:, None] @ R)[:, 0])
+        gradient, T = x - p + (R @ other[:, :, None])[..., 0], _tangents(n)
+        B = np.swapaxes(T, 1, 2) @ (H + R @ other_H @ np.swapaxes(R, 1, 2)) @ T
+        B[:, [0, 1], [0, 1]] += (np.abs(value) + damping)[:, None]
+        d = (T @ np.linalg.solve(B, np.swapaxes(T, 1, 2) @ gradient[:, :, None]))[..., 0]
+        tried = n + d / np.maximum(1.0, np.linalg.norm(d, axis=1))[:, None]
+        new, tried = _best_along(a, b, R, x, tried[:, None])
+        up = new > value
+        damping *= np.where(up, 0.1, 10.0)
+        value, n = np.where(up, new, value), np.where(up[:, None], tried, n)
+    return value, n
+
+
+def _around(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Array]:
+    """Largest separation on the great circles of kinks nearest to n, and where, as `_best_along`."""
+    m, rows = len(x), np.arange(len(x))
+    kinks = np.concatenate([np.broadcast_to(a.edges, (m, *a.edges.shape)), b.edges @ np.swapaxes(R, 1, 2)], axis=1)
+    if not kinks.shape[1]:
+        return np.full(m, -np.inf), n
+    lean = np.abs((kinks @ n[:, :, None])[..., 0])
+    found = []
+    for k in np.argsort(lean, axis=1)[:, :CIRCLES].T:
+        axis = kinks[rows, k]
+        first = _across(n, axis)
+        first = np.where(np.linalg.norm(first, axis=1)[:, None] > 1e-6, first, _tangents(axis)[:, :, 0])
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        second = np.cross(axis, first)
+
+        def at(angle: Array, first: Array = first, second: Array = second) -> tuple[Array, Array]:
+            directions = np.cos(angle)[..., None] * first[:, None] + np.sin(angle)[..., None] * second[:, None]
+            return _each_along(a, b, R, x, directions), directions
+
+        values = at(np.broadcast_to(ANGLES, (m, ANGLES.size)))[0]
+        best = values.argmax(axis=1)
+        low, high = ANGLES[np.maximum(best - 1, 0)], ANGLES[np.minimum(best + 1, ANGLES.size - 1)]
+        while True:  # the middle of nine keeps a maximum between its neighbours
+            angle = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, 9)
+            values, directions = at(angle)
+            best = values.argmax(axis=1)
+            low, high = angle[rows, np.maximum(best - 1, 0)], angle[rows, np.minimum(best + 1, 8)]
+            if (high - low).max() < 1e-7:
+                break
+        found.append((values[rows, best], directions[rows, best]))
+    return _better(*found)
+
+
+def _tangents(n: Array) -> Array:
+    """Two unit vectors across each n (m, 3), shape (m, 3, 2)."""
+    helper = np.eye(3)[np.abs(n).argmin(axis=1)]
+    first = np.cross(n, helper)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(n, first)], axis=2)
+
+
+def _sphere(count: int) -> Array:
+    """Directions that cover a half sphere evenly, shape (count, 3)."""
+    z = (np.arange(count) + 0.5) / count
+    turn = np.pi * (1.0 + 5.0**0.5) * np.arange(count)
+    side = np.sqrt(1.0 - z**2)
+    return np.column_stack([side * np.cos(turn), side * np.sin(turn), z])

@@ -1,0 +1,123 @@
+"""Poses of all shapes of a recording, at its states and in the middle of its steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+
+import numpy as np
+
+from nsdyn.audit.true_shapes import Solid
+from nsdyn.recording.series import rotate
+from nsdyn.recording.trajectory import Trajectory
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["Poses", "matrix", "turned"]
+
+
+def matrix(quaternion: Array) -> Array:
+    """Rotation matrices of unit quaternions (..., 4) xyzw, shape (..., 3, 3)."""
+    return np.stack([rotate(quaternion, axis) for axis in np.eye(3)], axis=-1)
+
+
+def turned(quaternion: Array, angle: Array) -> Array:
+    """Quaternions (..., 4) turned by rotation vectors (..., 3) in their own axes."""
+    size = np.linalg.norm(angle, axis=-1, keepdims=True)
+    axis, w = 0.5 * np.sinc(0.5 * size / np.pi) * angle, np.cos(0.5 * size)
+    v, s = quaternion[..., :3], quaternion[..., 3:]
+    return np.concatenate([s * axis + w * v + np.cross(v, axis), s * w - (v * axis).sum(-1, keepdims=True)], axis=-1)
+
+
+class Poses:
+    """Shapes of a recording and where they are in every state."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self.trajectory, self.scene = trajectory, trajectory.scene
+        t, n = trajectory, trajectory.steps
+        self.free: int = self.scene["free"]
+        self.x, self.quaternion = (
+            t.q[:, : 7 * self.free].reshape(n + 1, -1, 7)[..., :3],
+            t.q[:, : 7 * self.free].reshape(n + 1, -1, 7)[..., 3:],
+        )
+        if "frames/x" in t.columns:
+            self.x, self.quaternion = t.columns["frames/x"], t.columns["frames/quat"]
+        self.v = t.v[:, : 6 * self.free].reshape(n + 1, -1, 6)
+        geoms = self.scene["geoms"]
+        self.names = [geom["name"] for geom in geoms]
+        self.frame = np.array([geom["frame"] for geom in geoms], dtype=np.int64)
+        self.placement = np.array([geom["placement"] for geom in geoms], dtype=float).reshape(-1, 4, 4)
+        kinds: dict[str, int] = {}
+        self.solids: list[Solid] = []
+        self.kind = np.empty(len(geoms), np.int64)
+        for k, geom in enumerate(geoms):
+            key = repr([geom[name] for name in ("shape", "size", "offset", "vertices") if name in geom])
+            if key not in kinds:
+                kinds[key] = len(kinds)
+                self.solids.append(Solid.described(geom))
+            self.kind[k] = kinds[key]
+        extents = np.array([solid.extent for solid in self.solids])
+        self.extent = extents[self.kind] if len(geoms) else np.empty(0)
+        # Of any point of a shape from the origin of its frame, m.
+        arms = np.linalg.norm(self.placement[:, :3, 3], axis=1)
+        self.reach = np.array([self.solids[kind].reach for kind in self.kind]) + arms
+
+    @cached_property
+    def middle(self) -> tuple[Array, Array]:
+        """Positions (n, frames, 3) and quaternions of frames in the middle of every step.
+
+        Free bodies move to it as they began; others are taken halfway.
+        """
+        x, q = 0.5 * (self.x[:-1] + self.x[1:]), self.quaternion[1:]
+        before = self.quaternion[:-1]
+        q = before + np.where((before * q).sum(-1, keepdims=True) < 0.0, -q, q)
+        q /= np.linalg.norm(q, axis=-1, keepdims=True)
+        half = (1.0 - float(self.trajectory.meta["theta"])) * self.trajectory.dt
+        twist = self.v[:-1]
+        x[:, : self.free] = self.x[:-1, : self.free] + half * rotate(before[:, : self.free], twist[..., :3])
+        q[:, : self.free] = turned(before[:, : self.free], half * twist[..., 3:])
+        return x, q
+
+    @cached_property
+    def uncertain(self) -> tuple[Array, Array]:
+        """How far impacts may have moved frames in a step beyond what its ends tell, (n, frames) each: m and rad.
+
+        Impacts change the velocities at any time within the step. Nothing is known of links.
+        """
+        t, theta = self.trajectory, float(self.trajectory.meta["theta"])
+        out = np.zeros((2, t.steps, self.x.shape[1]))
+        for k, part in enumerate((self.v[..., :3], self.v[..., 3:])):
+            change = np.diff(rotate(self.quaternion[:, : self.free], part), axis=0)
+            out[k, :, : self.free] = max(theta, 1.0 - theta) * t.dt * np.linalg.norm(change, axis=2)
+        return out[0], out[1]
+
+    def of(self, geom: Index, row: Index) -> tuple[Array, Array]:
+        """World poses (R, x) of shapes, one by one, in a row of the states."""
+        return self.placed(geom, *self.frames(geom, row, self.x, self.quaternion))
+
+    def frames(self, geom: Index, row: Index, x: Array, quaternion: Array) -> tuple[Array, Array]:
+        """Poses of the frames of shapes, (m, 3) and (m, 4), of all those in rows (rows, frames, ...); 0 of no frame."""
+        frame, at, turn = self.frame[geom], np.zeros((geom.size, 3)), np.zeros((geom.size, 4))
+        moving = frame >= 0
+        at[moving], turn[moving] = x[row[moving], frame[moving]], quaternion[row[moving], frame[moving]]
+        return at, turn
+
+    def placed(self, geom: Index, x: Array, quaternion: Array) -> tuple[Array, Array]:
+        """World poses (R, x) of shapes, one by one, of frames at x (m, 3), turned by quaternions (m, 4)."""
+        R: Array = self.placement[geom, :3, :3].copy()
+        t: Array = self.placement[geom, :3, 3].copy()
+        moving = self.frame[geom] >= 0
+        turn = quaternion[moving]
+        R[moving], t[moving] = matrix(turn) @ R[moving], x[moving] + rotate(turn, t[moving])
+        return R, t
+
+    def by_kind(self, first: Index, second: Index) -> Iterator[tuple[Solid, Solid, Index]]:
+        """Pairs of shapes, those of two solids together: the solids and the indices."""
+        code = self.kind[first] * len(self.solids) + self.kind[second]
+        order = np.argsort(code, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
+            if rows.size:
+                yield self.solids[self.kind[first[rows[0]]]], self.solids[self.kind[second[rows[0]]]], rows
+
+    def size(self, first: Index, second: Index) -> Array:
+        """Smallest extent of the smaller shape of pairs, m."""
+        return np.minimum(self.extent[first], self.extent[second])

@@ -1,0 +1,195 @@
+"""All steps of all articulations of a recording, followed anew: how far they lead elsewhere, and what works in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from nsdyn.audit.poses import Poses
+from nsdyn.recording.courses import close
+from nsdyn.recording.mechanism import Mechanism
+from nsdyn.recording.retrace import Kick, Trees, Way, trees
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import displacement
+
+__all__ = ["Retraced", "retraced"]
+
+COARSE = 1e-3
+"""Most that the fourth-order flow of a step may err, as a fraction of what moves: more is no motion of this tree."""
+
+SMALL = 1e-6
+"""Displacement, rad or m, whose round-off is 1e-9 of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Retraced:
+    """All steps of all articulations, followed anew; arrays of steps, (n, trees) unless said.
+
+    Attributes
+    ----------
+    trees : Trees
+    momentum, motion, lift : (amount, scale) of ndarrays
+        How far velocities and configurations are from where impulses lead, and how far projections went, in the norm
+        of the mass matrix; by what each is measured.
+    works : dict of str to ndarray
+        By columns of the ledger.
+    doubt : ndarray
+        Of works, J.
+    energy : ndarray, shape (n,)
+        Change of energy by projections, J.
+    met_x, met_quaternion, met_v : ndarray, shape (contacts, 2, 3 or 4)
+        Poses of links when contacts push them, and mean velocities there of their points; NaN of others.
+    met_doubt : ndarray, shape (contacts,)
+        What is in doubt of the works of contacts, J.
+    met_twice : ndarray, shape (contacts,)
+        Most that impulses of rebounds may have done within moves, whose others are booked as numerics, J; 0 of others.
+    ways : list of list of Way
+        Of every tree, in every step.
+    """
+
+    trees: Trees
+    momentum: tuple[Array, Array]
+    motion: tuple[Array, Array]
+    lift: tuple[Array, Array]
+    works: dict[str, Array]
+    doubt: Array
+    energy: Array
+    met_x: Array
+    met_quaternion: Array
+    met_v: Array
+    met_doubt: Array
+    met_twice: Array
+    ways: list[list[Way]]
+
+
+def retraced(poses: Poses) -> Retraced | str:
+    """Follow all articulations through all steps; why that is not possible."""
+    found, t = trees(poses.trajectory), poses.trajectory
+    if isinstance(found, str) or found.missing:
+        return found if isinstance(found, str) else found.missing
+    n, count, rows = t.steps, len(found.mechanisms), len(t.columns["contacts/geom1"])
+    momentum, motion, lift = ((np.zeros((n, count)), np.zeros((n, count))) for _ in range(3))
+    works = {name: np.zeros((n, count)) for name in ("external", "normal", "friction", "damping", "constraint")}
+    out = Retraced(
+        found,
+        momentum,
+        motion,
+        lift,
+        works,
+        np.zeros((n, count)),
+        np.zeros(n),
+        np.full((rows, 2, 3), np.nan),
+        np.full((rows, 2, 4), np.nan),
+        np.full((rows, 2, 3), np.nan),
+        np.zeros(rows),
+        np.zeros(rows),
+        [[] for _ in range(count)],
+    )
+    for i, m in enumerate(found.mechanisms):
+        for k in range(n):
+            try:
+                way = found.way(i, k)
+                _measure(out, i, m, k, way)
+                for kick, doubted in zip(way.kicks, _book(out, i, m, k, way), strict=True):
+                    _meet(out, m, kick, doubted)
+            except (np.linalg.LinAlgError, ValueError):  # numbers that are none, masses that no body has
+                way, out.momentum[0][k, i] = Way([], [], *found.state(i, k + 1)), np.nan
+            out.ways[i].append(way)
+    return out
+
+
+def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
+    """How far a step ends from where it leads."""
+    (_, v0), (q, v) = out.trees.state(i, k), out.trees.state(i, k + 1)
+    h, M = out.trees.trajectory.dt, m.mass(q)
+    L = np.linalg.cholesky(M)
+
+    def size(x: Array) -> float:
+        return float(np.linalg.norm(L.T @ x))
+
+    def effect(p: Array) -> float:
+        return float(np.linalg.norm(np.linalg.solve(L, p)))
+
+    speed = size(v0) + size(way.v)
+    speed += sum(
+        effect(part)
+        for kick in way.kicks
+        for part in (*kick.given, kick.pushed, *kick.stiff, kick.h * m.weight(kick.q))
+    )
+    doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
+    # The constants of two rules of one order differ by some times.
+    doubt = 10.0 * doubt if m.loops else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
+    span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
+    # What is left of the gaps of loops is looked at by itself.
+    off = size(displacement(m.model, way.q, close(m, q)))
+    for pair, amount, scale in (
+        (out.momentum, size(way.v - v) - doubt[1], speed),
+        (out.motion, off - doubt[0] - h * doubt[1], span),
+        (out.lift, sum(size(kick.shift) for kick in way.kicks), span),
+    ):
+        pair[0][k, i], pair[1][k, i] = amount, scale
+
+
+def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
+    """Works of a step by columns of the ledger, and what is in doubt of them; what is so of velocities at each kick."""
+    works, doubt, late = dict.fromkeys(out.works, 0.0), 0.0, np.zeros(m.nv)
+    each: list[Array] = []
+    end, alone = out.trees.state(i, k + 1)[0], len(way.kicks) == 1
+    for kick, first, last in zip(way.kicks, way.flows[::2], way.flows[1::2], strict=True):
+        mean = along = 0.5 * (kick.before + kick.after)
+        late = late + first.doubted[1]
+        each.append(late)
+        doubted = late
+        if kick.mean is not None:
+            # Constant forces work along the displacement that is recorded, where that of their motion is.
+            along = kick.mean + (displacement(m.model, way.q, end) / kick.h if alone else 0.0)
+            doubted = late if alone else late + last.doubted[0] / kick.h
+        works["external"] += float((kick.given[0] + kick.given[3]) @ along)
+        works["normal"] += float(kick.given[1] @ mean)
+        works["friction"] += float(kick.given[2] @ mean)
+        works["damping"] += float(kick.stiff[0] @ along)
+        works["constraint"] += first.work + last.work
+        if kick.mean is None:
+            works["constraint"] += float(kick.reaction @ mean)
+        change = np.abs(kick.after - kick.before)
+        # What rebounds in a piece, or several times in one instant, works in parts that are not recorded; where only
+        # limits strike in no time these make up one work.
+        mixed = kick.h > 0.0 or kick.given[2].any() or kick.touches
+        if mixed and (m.restitution > 0.0 or _rebounds(out.trees, kick)):
+            doubt += 0.5 * float((np.abs(kick.given[1]) + np.abs(kick.given[2])) @ change)
+        acted = np.abs(kick.given[:4]).sum(axis=0) + 2.0 * np.abs(kick.stiff[0]) + np.abs(kick.reaction)
+        doubt += float(acted @ doubted)  # dampers are in doubt as velocities are, and so is what they work along
+        late = late + last.doubted[1]
+        if kick.shift.any():
+            lifted = np.array(pin.integrate(m.model, last.q, kick.shift))
+            out.energy[k] += sum(m.energies(lifted, last.v)) - sum(m.energies(last.q, last.v))
+    for name, work in works.items():
+        out.works[name][k, i] = work
+    out.doubt[k, i] = doubt
+    return each
+
+
+def _rebounds(found: Trees, kick: Kick) -> bool:
+    restitution = found.trajectory.columns["contacts/restitution"]
+    return any(restitution[row] > 0.0 for row, _, _ in kick.touches)
+
+
+def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array) -> None:
+    """Where links are that contacts push, and how their points move, of which velocities (nv,) are in doubt."""
+    if not kick.touches:
+        return
+    c, mean = out.trees.trajectory.columns, 0.5 * (kick.before + kick.after)
+    point, restitution = c["contacts/point"], c["contacts/restitution"]
+    m.place(kick.q)
+    for row, side, joint in kick.touches:
+        pose = m.pose(joint)
+        out.met_x[row, side] = pose.translation
+        out.met_quaternion[row, side] = Rotation.from_matrix(pose.rotation).as_quat()
+        out.met_v[row, side] = m.carried(joint, point[row], mean)
+        push = m.push(joint, point[row], out.trees.impulses[row])
+        out.met_doubt[row] += float(np.abs(push) @ doubted)
+        if kick.h and restitution[row] > 0.0:
+            out.met_twice[row] += max(abs(float(push @ v)) for v in (kick.before, kick.after))

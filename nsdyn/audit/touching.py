@@ -1,0 +1,321 @@
+"""Audit of shapes and contacts: true overlaps, where impulses act, in which cones, and what friction does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from nsdyn.audit.findings import Found, at_play, not_audited, worst_of
+from nsdyn.audit.flight import Flight, angles
+from nsdyn.audit.overlap import separation
+from nsdyn.audit.poses import Poses
+from nsdyn.audit.true_shapes import Solid
+from nsdyn.problem.solution import Status
+from nsdyn.recording.tables import left_out
+from nsdyn.scene.materials import COMBINATION_RULES
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["contacts", "overlaps", "separations"]
+
+STATES = 200_000
+"""Most poses of shapes that are looked at together."""
+
+POINT = Solid.described({"shape": "sphere", "size": (0.0, 0.0, 0.0)})
+"""A ball of no size."""
+
+Moment = tuple[tuple[Array, Array], tuple[Array, Array]]
+"""World poses (R, x) of the first and the second shapes of contacts."""
+
+PARTING = 1e-4
+"""m/s, above which what has restitution rebounds: the residual that a solve may have that is accepted."""
+
+
+def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
+    """True overlap [m], both shapes and state of every pair of shapes that may not overlap and whose boxes meet."""
+    count, states = len(poses.names), poses.trajectory.steps + 1
+    pairs = _tested(poses)
+    found: list[tuple[Array, Index, Index, Index]] = []
+    block = max(1, STATES // max(1, count))
+    for begin in range(0, states, block):
+        rows = np.arange(begin, min(begin + block, states))
+        first, second, state = _close(poses, pairs, rows)
+        depth = np.empty(first.size)
+        for a, b, some in poses.by_kind(first, second):
+            there = (*poses.of(first[some], state[some]), b, *poses.of(second[some], state[some]))
+            depth[some] = -separation(a, *there)
+        found.append((depth, first, second, state))
+    depth, first, second, state = (np.concatenate(items) for items in zip(*found, strict=True))
+    return depth, first, second, state
+
+
+def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
+    """True overlaps in all states, the worst by size or in m."""
+    depth, first, second, state = separations(poses)
+    depth = depth - _squeezed(poses, depth, first * len(poses.names) + second, state)
+
+    def names(k: int) -> tuple[str, str]:
+        return poses.names[first[k]], poses.names[second[k]]
+
+    figure = depth / poses.size(first, second) if by_size else depth
+    yield worst_of("overlap", figure, depth, "m", state, names)
+
+
+def _squeezed(poses: Poses, depth: Array, pair: Index, state: Index) -> Array:
+    """Overlap of each pair at the start, m, in the states that nothing has removed it from; elsewhere 0.
+
+    Such bodies are squeezed by what the scene itself says, and every step of them has the status OVERLAP.
+    """
+    t, out = poses.trajectory, np.zeros(depth.size)
+    if "solver/status" in t.columns:
+        left = int(np.cumprod(t.solver.status == Status.OVERLAP).sum())
+        start, kept = np.flatnonzero(state == 0), np.flatnonzero(state <= left) if left else state[:0]
+        place = dict(zip(pair[start].tolist(), depth[start].tolist(), strict=True))
+        out[kept] = [max(0.0, place.get(p, 0.0)) for p in pair[kept].tolist()]
+    return out
+
+
+def _tested(poses: Poses) -> NDArray[np.bool_]:
+    """Pairs of shapes that must not overlap, each once, shape (shapes, shapes)."""
+    frame, scene = poses.frame, poses.scene
+    out = (frame[:, None] != frame) & ((frame[:, None] >= 0) | (frame >= 0))
+    if "excluded" in scene:
+        for i, j in scene["excluded"]:
+            out[i, j] = out[j, i] = False
+    else:  # of older recordings: what may overlap in an articulation is not known
+        names = {a["name"] for a in scene["articulations"]}
+        body = np.array([geom["body"] if geom["body"] in names else "" for geom in scene["geoms"]])
+        out &= (body[:, None] != body) | (body == "")
+    return np.triu(out, 1)
+
+
+def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, Index, Index]:
+    """Pairs of shapes whose boxes along the world's axes meet: (first, second, state)."""
+    count = len(poses.names)
+    low, high = np.empty((2, count, rows.size, 3))
+    flat = np.zeros(count, np.bool_)
+    for k in range(count):
+        solid = poses.solids[poses.kind[k]]
+        R, x = poses.of(np.full(rows.size, k), rows)
+        flat[k] = solid.kind == "halfspace"
+        if not flat[k]:
+            high[k] = x + solid.support(np.swapaxes(R, 1, 2).swapaxes(1, 2))
+            low[k] = x - solid.support(-R)
+    first, second, state = [], [], []
+    for i in range(count):
+        others = np.flatnonzero(pairs[i])
+        solid = others[~flat[others]] if not flat[i] else others[:0]
+        near = ((low[i] <= high[solid]) & (low[solid] <= high[i])).all(axis=2)
+        some = [(solid[near.nonzero()[0]], near.nonzero()[1])]
+        plane = np.setdiff1d(others, solid)
+        some.append((np.repeat(plane, rows.size), np.tile(np.arange(rows.size), plane.size)))
+        for other, at in some:
+            first.append(np.full(other.size, i))
+            second.append(other)
+            state.append(rows[at])
+    empty = np.empty(0, np.int64)
+    return tuple(np.concatenate([empty, *items]) for items in (first, second, state))  # type: ignore[return-value]
+
+
+def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
+    """Where impulses act, in which cones they are, and what friction does; None where not all steps are recorded."""
+    t = poses.trajectory
+    units = {
+        "distance": "m",
+        "normal": "m",
+        "points": "m",
+        "cone": "N·s",
+        "friction": "J",
+        "slip": "J",
+        "materials": "-",
+    }
+    missing = list(units) if not t.has_contacts else ["distance", "normal", "points"] if t.every > 1 else []
+    yield from (not_audited(name, units[name], left_out(t)) for name in missing)
+    if not t.has_contacts:
+        return
+    c = {name.removeprefix("contacts/"): values for name, values in t.columns.items() if name.startswith("contacts/")}
+    step = np.repeat(np.arange(1, t.steps + 1), np.diff(c["offset"]))
+    first, second = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
+    r, mu = c["impulse"], c["mu"]
+    drag = np.linalg.norm(r[:, 1:], axis=1)
+
+    def names(k: int) -> tuple[str, str]:
+        return poses.names[first[k]], poses.names[second[k]]
+
+    largest = np.zeros(t.steps + 1)
+    np.maximum.at(largest, step, np.linalg.norm(r, axis=1))
+
+    if flight is not None:
+        yield from _where(poses, flight, c, step, largest)
+    yield _coefficients(poses, c, (first, second), step, names)
+    outside = np.maximum(-r[:, 0], drag - mu * np.maximum(r[:, 0], 0.0)) - _round_off(poses)[step]
+    scale = np.maximum(largest[step], 1e-300)
+    yield worst_of("cone", outside / scale, outside, "N·s", step, names)
+    # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
+    u = np.where(_rebounding(poses, c, step)[:, None], 0.0, c["u"][:, 1:])
+    power = (r[:, 1:] * u).sum(axis=1)
+    if flight is not None and flight.timed:
+        # Of what strikes and rests then, by a law that has friction against the mean slip, it is that.
+        mean = (r[:, 1:] * flight.met_u[:, 1:]).sum(axis=1)
+        power = np.where(c["restitution"] > 0.0, np.fmin(power, mean), power)
+    yield worst_of("friction", power / at_play(poses), power, "J", step, names)
+    most = _rubbed(r, mu, u)
+    if flight is not None and flight.timed:
+        # One that slides through is rubbed against its mean slip.
+        most = np.fmin(most, _rubbed(r, mu, flight.met_u[:, 1:]))
+    yield worst_of("slip", most / at_play(poses), most, "J", step, names)
+
+
+def _coefficients(
+    poses: Poses, c: Mapping[str, Any], pair: tuple[Index, Index], step: Index, names: Callable[[int], tuple[str, str]]
+) -> Found:
+    """Friction and restitution of contacts, which are those of their materials, or of what was set of two bodies."""
+    scene = poses.scene
+    if "pairs" not in scene:
+        return not_audited("materials", "-", "what was set of pairs of bodies is not recorded")
+    both, which = np.unique(np.stack(pair), axis=1, return_inverse=True)
+    told = np.empty((both.shape[1], 2))
+    # Bodies of articulations beat their articulations.
+    special = sorted(scene["pairs"], key=lambda of: of["first"].count("/") + of["second"].count("/"))
+    for row, geoms in enumerate([[scene["geoms"][k] for k in columns] for columns in both.T]):
+        own: dict[str, Any] = {}
+        for of in special:
+            if any(of["first"] in _called(g) and of["second"] in _called(h) for g, h in (geoms, geoms[::-1])):
+                own = of
+        for column, (name, rule) in enumerate((("mu", "friction_rule"), ("restitution", "restitution_rule"))):
+            by_rule = COMBINATION_RULES[scene[rule]](*(np.array(g[name], float) for g in geoms))
+            told[row, column] = by_rule if own.get(name) is None else own[name]
+    off = np.abs(np.stack([c["mu"], c["restitution"]], axis=1) - told[which.ravel()]).max(axis=1)
+    return worst_of("materials", off, off, "-", step, names)
+
+
+def _called(geom: Mapping[str, Any]) -> tuple[str, str]:
+    return geom["body"], geom["link"]
+
+
+def _rubbed(r: Array, mu: Array, u: Array) -> Array:
+    """|μ r_N ‖u‖ + r_T·u| of contacts with the slip u (nc, 2): 0 where friction is against it, or it is 0, J."""
+    out: Array = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(u, axis=1) + (r[:, 1:] * u).sum(axis=1))
+    return out
+
+
+def _round_off(poses: Poses) -> Array:
+    """Impulses that are round-off of the momenta of free bodies, in the steps that end in each state, N·s."""
+    momenta = np.array(poses.scene["masses"]) * np.linalg.norm(poses.v[..., :3], axis=2)
+    most = momenta.max(axis=1, initial=0.0)
+    out: Array = 4.0 * np.finfo(float).eps * np.maximum(most, np.append(0.0, most[:-1]))
+    return out
+
+
+def _rebounding(poses: Poses, c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
+    """Contacts of islands of moving bodies in which one with restitution parts after its impulse, in each step."""
+    count = poses.x.shape[1]
+    frames = poses.frame[c["geom1"].astype(np.int64)], poses.frame[c["geom2"].astype(np.int64)]
+    first, second = (step * count + frame for frame in frames)
+    free1, free2 = (frame >= 0 for frame in frames)
+    pushes = c["impulse"][:, 0] > 0.0
+    rebounds = pushes & (c["restitution"] > 0.0) & (c["u"][:, 0] > PARTING)
+    both, nodes = free1 & free2 & pushes, (poses.trajectory.steps + 1) * count
+    graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes, nodes))
+    island = connected_components(graph, directed=False)[1]
+    own = island[np.where(free1, first, second)] if nodes else step
+    out: NDArray[np.bool_] = np.isin(own, own[rebounds])
+    return out
+
+
+def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[Found]:
+    """Where pairs are that push each other: along the normal, from a step before to a step after, and as they push."""
+    t, r = poses.trajectory, c["impulse"]
+    push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
+    i, j, k, n = c["geom1"][push].astype(np.int64), c["geom2"][push].astype(np.int64), step[push], c["normal"][push]
+    n = n / np.linalg.norm(n, axis=1)[:, None]
+    states = [(k - 2).clip(0), k - 1, k, (k + 1).clip(None, t.steps)]
+    moments = [(poses.of(i, row), poses.of(j, row)) for row in states]
+    moments.insert(2, (_pushing(poses, flight, i, k - 1, push, 0), _pushing(poses, flight, j, k - 1, push, 1)))
+    along, free = np.empty((2, len(moments), push.size))
+    for a, b, some in poses.by_kind(i, j):
+        for moment, ((R1, x1), (R2, x2)) in enumerate(moments):
+            where = a, R1[some], x1[some], b, R2[some], x2[some]
+            along[moment, some] = _along(*where, n[some])
+            free[moment, some] = separation(*where)
+    size = poses.size(i, j)
+    shift, turn = poses.uncertain
+    unsure = np.zeros(push.size)
+    for geom in (i, j):
+        moving = np.flatnonzero(poses.frame[geom] >= 0)
+        body, reach = poses.frame[geom[moving]], poses.reach[geom[moving]]
+        unsure[moving] += shift[k[moving] - 1, body] + reach * turn[k[moving] - 1, body]
+    travel = np.abs(np.diff(along, axis=0)).sum(axis=0) + unsure
+    # A contact and its normal are those of some time within the step.
+    apart, skew = along[1:4].min(axis=0) - travel, (np.minimum(free, 0.0) - along)[1:4].min(axis=0) - travel
+
+    def pushing(row: int) -> tuple[str, str]:
+        return poses.names[i[row]], poses.names[j[row]]
+
+    yield worst_of("distance", apart / size, apart, "m", k, pushing)
+    yield worst_of("normal", skew / size, skew, "m", k, pushing)
+    off = _off_surfaces(poses, flight, (i, j, k), moments[1:4], c["point"][push], n) - unsure
+    yield worst_of("points", off / size, off, "m", k, pushing)
+
+
+def _off_surfaces(
+    poses: Poses, flight: Flight, push: tuple[Index, Index, Index], moments: list[Moment], point: Array, normal: Array
+) -> Array:
+    """Distance of points from the surfaces of both shapes of pushes (shape, shape, step), beyond what they move, m.
+
+    The moments are the beginning of the step, the push and the end. A gap that is left there as the impulse acts is
+    closed within the step, by bodies that may turn. What is caught where it ends, as two edges that cross, acts midway
+    between where these points of either body were, which slip past each other. Where on its way the projection lifts
+    and turns bodies is not recorded.
+    """
+    off, apart, step = np.zeros(len(point)), np.zeros((3, len(point), 3)), push[2] - 1
+    turn = angles(flight.quaternion, poses.quaternion[1:, : poses.free])
+    lift, lifted = (np.linalg.norm(flight.lift, axis=2) + flight.unknown, turn), np.zeros(len(point))
+    for side, geom in enumerate(push[:2]):
+        (R, x), frame = moments[1][side], poses.frame[geom]
+        own = np.einsum("mji,mj->mi", R, point - x)
+        for kind in np.unique(poses.kind[geom]):
+            some = poses.kind[geom] == kind
+            off[some] = np.maximum(off[some], _from_surface(poses.solids[kind], own[some]))
+        for row, moment in enumerate(moments):
+            R, x = moment[side]
+            apart[row] += (2 * side - 1) * (np.einsum("mij,mj->mi", R, own) + x)
+        free = np.flatnonzero((frame >= 0) & (frame < poses.free) & flight.cut[step, 0])
+        shift, angle = (part[step[free], frame[free]] for part in lift)
+        lifted[free] += shift + poses.reach[geom[free]] * angle
+    went = np.diff(apart, axis=0)
+    closed, slid = np.abs((went * normal).sum(axis=2)).sum(axis=0), 0.5 * np.linalg.norm(went[1], axis=1)
+    out: Array = off - closed - slid - lifted
+    return out
+
+
+def _from_surface(a: Solid, x: Array) -> Array:
+    """Distance of points x (m, 3) in the frame of a solid from its surface, (m,), m."""
+    if a.smooth:
+        return np.abs(a.beyond(x))
+    still = np.broadcast_to(np.eye(3), (len(x), 3, 3))
+    return np.abs(separation(POINT, still, x, a, still, np.zeros_like(x), exact=True))
+
+
+def _pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index, side: int) -> tuple[Array, Array]:
+    """World poses (R, x) of shapes 0 or 1 of contacts when these push; as in the middle where that is not known."""
+    x, quaternion = poses.frames(geom, step, *poses.middle)
+    if flight.timed:
+        known = ~np.isnan(flight.met_x[push, side, 0])
+        x[known], quaternion[known] = flight.met_x[push[known], side], flight.met_quaternion[push[known], side]
+    return poses.placed(geom, x, quaternion)
+
+
+def _along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Array) -> Array:
+    """Separation along given normals from a to b, shape (m,)."""
+    if a.kind == "halfspace":
+        return _along(b, R2, x2, a, R1, x1, -n)
+    if b.kind == "halfspace":  # along any other normal it would be infinitely deep: the other shape's tilt will do
+        out: Array = separation(a, R1, x1, b, R2, x2) - a.reach * np.linalg.norm(n + R2 @ b.size, axis=1)
+        return out
+    out = (n * (x2 - x1)).sum(axis=1) - a.support((n[:, None] @ R1)[:, 0]) - b.support(-(n[:, None] @ R2)[:, 0])
+    return out

@@ -1,0 +1,163 @@
+"""What the audit knows of each kind of shape, by code that shares nothing with the detection of contacts.
+
+A kind that is no hull of balls answers here: extents, `support`, `curvature` and how far points are `beyond` it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Solid"]
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A convex solid in its own frame: a hull of points with a ball around each, or a smooth body.
+
+    Attributes
+    ----------
+    kind : str
+        As `Shape.describe` has it.
+    size : ndarray, shape (3,)
+        As `Shape.describe` has it, m.
+    offset : float
+        Of a half-space, m.
+    corners : ndarray, shape (nv, 3)
+        m; the centres of spheres and capsules.
+    normals, edges : ndarray, shapes (nf, 3), (ne, 3)
+        Unit vectors of faces and edges, each direction once.
+    feet : ndarray, shape (nl, 6)
+        A point of every line that carries an edge, and its unit vector.
+    radius : float
+        Of the balls, m.
+    reach : float
+        Radius of a ball about the origin that contains it, m; infinite for a half-space.
+    extent : float
+        Smallest extent, twice the radius of the largest ball about the origin inside it, m.
+    """
+
+    kind: str
+    size: Array
+    offset: float
+    corners: Array
+    normals: Array
+    edges: Array
+    feet: Array
+    radius: float
+    reach: float
+    extent: float
+
+    @classmethod
+    def described(cls, shape: Mapping[str, Any]) -> Solid:
+        """The solid of a shape that `Shape.describe` described; ValueError for an unknown one."""
+        kind, size = shape["shape"], np.array(shape["size"], dtype=float)
+        axis, none, offset, radius = np.array([[0.0, 0.0, 1.0]]), np.empty((0, 3)), 0.0, 0.0
+        corners, normals, edges, feet = none, none, none, np.empty((0, 6))
+        if kind == "halfspace":
+            offset, reach, extent = float(shape["offset"]), np.inf, np.inf
+        elif kind == "sphere":
+            corners, radius = np.zeros((1, 3)), float(size[0])
+            reach, extent = radius, 2.0 * radius
+        elif kind == "capsule":
+            corners, radius = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]]), float(size[0])
+            edges, feet = axis, np.hstack([corners[:1], axis])
+            reach, extent = radius + float(size[1]), 2.0 * radius
+        elif kind == "cylinder":
+            normals, edges = axis, axis
+            reach, extent = float(np.hypot(size[0], size[1])), 2.0 * float(size[:2].min())
+        elif kind == "ellipsoid":
+            reach, extent = float(size.max()), 2.0 * float(size.min())
+        elif kind in ("box", "convex"):
+            corners = np.array(shape["vertices"], dtype=float)
+            normals, edges, feet, depth = _features(corners, str(shape.get("name", kind)))
+            reach, extent = float(np.linalg.norm(corners, axis=1).max()), 2.0 * depth
+        else:
+            raise ValueError(f"shape must be one that Shape.describe names, got {kind!r}")
+        return cls(kind, size, offset, corners, normals, edges, feet, radius, reach, extent)
+
+    @property
+    def smooth(self) -> bool:
+        """Whether it is no hull of balls."""
+        return self.kind in ("cylinder", "ellipsoid")
+
+    @property
+    def half(self) -> Array:
+        """Half extents along the axes, shape (3,), m."""
+        if self.smooth:
+            return self.size[[0, 0, 1]] if self.kind == "cylinder" else self.size
+        out: Array = 0.5 * np.ptp(self.corners, axis=0) + self.radius
+        return out
+
+    def support(self, n: Array) -> Array:
+        """Largest n·x of its points x for unit vectors n (..., 3), shape (...), m."""
+        out: Array
+        if self.kind == "cylinder":
+            out = self.size[0] * np.hypot(n[..., 0], n[..., 1]) + self.size[1] * np.abs(n[..., 2])
+        elif self.kind == "ellipsoid":
+            out = np.linalg.norm(n * self.size, axis=-1)
+        else:
+            out = (n @ self.corners.T).max(axis=-1) + self.radius
+        return out
+
+    def curvature(self, n: Array) -> tuple[Array, Array]:
+        """Gradient of the support, a point of the surface, and its Hessian for unit vectors n (m, 3), off kinks."""
+        hessian = np.zeros((len(n), 3, 3))
+        if self.kind == "cylinder":
+            side = np.maximum(np.hypot(n[:, 0], n[:, 1]), 1e-9)[:, None]  # the cap is a kink
+            rim = n[:, :2] / side
+            point = np.column_stack([self.size[0] * rim, np.copysign(self.size[1], n[:, 2])])
+            hessian[:, :2, :2] = self.size[0] / side[..., None] * (np.eye(2) - rim[:, :, None] * rim[:, None, :])
+        elif self.kind == "ellipsoid":
+            h = np.linalg.norm(n * self.size, axis=1)
+            point = n * self.size**2 / h[:, None]
+            hessian = (np.diag(self.size**2) - point[:, :, None] * point[:, None, :]) / h[:, None, None]
+        else:
+            point = self.corners[(n @ self.corners.T).argmax(axis=1)] + self.radius * n
+            hessian += self.radius * (np.eye(3) - n[:, :, None] * n[:, None, :])
+        return point, hessian
+
+    def beyond(self, x: Array) -> Array:
+        """Distance of points x (m, 3) from its surface, negative inside, (m,), m; next to it where it is smooth."""
+        out: Array
+        if self.kind == "cylinder":
+            off = np.stack([np.hypot(x[:, 0], x[:, 1]) - self.size[0], np.abs(x[:, 2]) - self.size[1]], axis=1)
+            out = np.linalg.norm(off.clip(0.0), axis=1) + off.max(axis=1).clip(None, 0.0)
+        else:
+            far = np.linalg.norm(x / self.size, axis=1)
+            out = (far - 1.0) * far / np.maximum(np.linalg.norm(x / self.size**2, axis=1), 1e-300)
+        return out
+
+
+def _features(corners: Array, name: str) -> tuple[Array, Array, Array, float]:
+    """Normals, edges, lines of edges and distance of the closest face of a hull, from its corners alone."""
+    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that spheres do not need
+
+    try:
+        hull = ConvexHull(corners)
+    except QhullError:
+        raise ValueError(f"{name!r} must be thicker than the rounding of its corners for its overlaps") from None
+    normals, depth = hull.equations[:, :3], float(-hull.equations[:, 3].max())
+    lines = []
+    for facet, neighbours in enumerate(hull.neighbors):
+        for side, other in enumerate(neighbours):  # the neighbour opposite of a corner
+            # An edge whose faces turn by less moves no separation by more than that fraction of the size.
+            if facet < other and np.linalg.norm(normals[facet] - normals[other]) > 1e-8:
+                i, j = np.delete(hull.simplices[facet], side)
+                lines.append(np.r_[corners[i], (corners[j] - corners[i]) / np.linalg.norm(corners[j] - corners[i])])
+    feet = np.array(lines)
+    return _distinct(normals), _distinct(feet[:, 3:]), feet, depth
+
+
+def _distinct(directions: Array) -> Array:
+    """Unit vectors without those that repeat others or their opposites."""
+    out: list[Array] = []
+    for n in directions:
+        if not out or np.linalg.norm(np.cross(out, n), axis=1).min() > 1e-9:
+            out.append(n)
+    return np.array(out)

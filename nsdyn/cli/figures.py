@@ -1,0 +1,93 @@
+"""`nsdyn plot` and what all commands that draw share: pictures with matplotlib."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+from nsdyn.cli.output import add_input, add_output, check_files, picture, say
+from nsdyn.tools.files import PICTURE
+
+__all__ = ["add_plot", "draw"]
+
+KINDS = (
+    "position",
+    "speed",
+    "force",
+    "slip",
+    "gap",
+    "joint",
+    "phase",
+    "energy",
+    "power",
+    "friction",
+    "certificate",
+    "penetration",
+)
+"""Of `nsdyn.view.plots`, which to ask for help need not load."""
+
+SMALL = 80.0
+"""mm: the letters of a picture that is not higher or wider have 8 points, not 10."""
+
+
+def add_plot(parser: argparse.ArgumentParser) -> None:
+    """The options of ``nsdyn plot``."""
+    add_input(parser, "recording", metavar="RUN.h5")
+    add_output(
+        parser,
+        "-o",
+        "--output",
+        kind=PICTURE,
+        metavar="P.png",
+        help="picture (png, pdf or svg; default: named after the recording, in this folder)",
+    )
+    parser.add_argument(
+        "--kind",
+        action="append",
+        choices=KINDS,
+        help="what to draw; may be repeated (default: energy, speed, force and joint, as far as there are such)",
+    )
+    parser.add_argument(
+        "--name", metavar="PATTERN", default="*", help="bodies, pairs or joints by name, or as 'robot/*' (default: all)"
+    )
+    parser.add_argument(
+        "--size", nargs=2, type=float, metavar=("W", "H"), help="of the picture in mm (default: 140 by 90 of each kind)"
+    )
+    parser.add_argument(
+        "--style", metavar="STYLE", help="of matplotlib: a name, such as grayscale, or a .mplstyle file"
+    )
+
+
+def draw(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn plot``."""
+    from matplotlib import style
+
+    from nsdyn.recording.trajectory import Trajectory
+    from nsdyn.view import plots
+
+    path = arguments.output = arguments.output or Path(f"{arguments.recording.stem}.png")
+    if arguments.size and not all(20.0 <= side <= 2000.0 for side in arguments.size):
+        raise ValueError(f"--size must be two lengths of 20 to 2000 mm, got {arguments.size}")
+    check_files(arguments)
+    trajectory = Trajectory.load(arguments.recording)
+    kinds = arguments.kind or plots.usual(trajectory)
+    columns = math.ceil(math.sqrt(len(kinds)))
+    rows = [kinds[first : first + columns] for first in range(0, len(kinds), columns)]
+
+    def fill(figure: Any) -> None:
+        for part, row in zip(figure.subfigures(len(rows), 1, squeeze=False)[:, 0], rows, strict=True):
+            for cell, kind in zip(part.subfigures(1, len(row), squeeze=False)[0], row, strict=True):
+                plots.draw(trajectory, kind, arguments.name, cell)
+
+    size = arguments.size or (140.0 * columns, 90.0 * len(rows))
+    try:
+        with style.context(["default", {"font.size": 10.0 if min(size) > SMALL else 8.0}, arguments.style or {}]):
+            picture(path, fill, (size[0] / 25.4, size[1] / 25.4))
+    except OSError as failure:
+        if arguments.style and arguments.style in str(failure):
+            raise ValueError(f"--style must be a style of matplotlib or a file of one, got {arguments.style}") from None
+        raise
+    say(arguments, path)
+    return 0

@@ -1,0 +1,236 @@
+"""`nsdyn scenes`, `nsdyn new` and `nsdyn run`."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import sys
+import time
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+from nsdyn.cli.output import check_files, ledger, one_line, say, say_json
+
+__all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "chosen_steps", "list_scenes", "run_scene"]
+
+
+def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
+    """Options of a simulation: its time, its step, and those of `add_solver`."""
+    parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
+    parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
+    parser.add_argument(
+        "--polish",
+        action="store_true",
+        help="certify every step through polished answers: bounds of the order of the error, for about another solve",
+    )
+    add_solver(parser, *on_fail)
+
+
+def add_solver(parser: argparse.ArgumentParser, *on_fail: str) -> None:
+    """Options of the scheme and of the solver of a simulation, and what else than warn it may do `on_fail`."""
+    parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
+    parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
+    parser.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
+    parser.add_argument(
+        "--loose",
+        type=float,
+        metavar="E",
+        help="of solver auto: what is accepted where its tolerance costs too much (default: 1e-4)",
+    )
+    parser.add_argument(
+        "--on-fail",
+        choices=("warn", *on_fail),
+        default="warn",
+        help="what to do where a step misses its tolerance: go on with the best answer, and say so, write its problem "
+        "or be silent, or stop (default: %(default)s)",
+    )
+
+
+def list_scenes(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn scenes``."""
+    from nsdyn.scene import named as scenes
+    from nsdyn.scene import settings
+
+    found: dict[str, Any] = {}
+    for name in scenes.names():
+        summary = (inspect.getdoc(scenes.module(name)) or "").partition("\n")[0]
+        found[name] = {"summary": summary, "parameters": settings.parameters(name)}
+    if arguments.json:
+        say_json(arguments, found)
+        return 0
+    for name, scene in found.items():
+        shown = ", ".join(f"{key}={settings.as_text(value)}" for key, value in scene["parameters"].items())
+        print(f"{name}: {scene['summary']}\n    {shown}")
+    return 0
+
+
+def begin_scene(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn new``."""
+    from nsdyn.scene import named as scenes
+    from nsdyn.tools import files
+
+    path = arguments.file
+    if path.suffix != ".py":
+        raise ValueError(f"a scene file must end in .py, got {path}")
+    if path.exists():
+        raise ValueError(f"{path} exists, and may be your work: give another name")
+    with files.writing(path, files.SCENE) as part:
+        part.write_text(scenes.template())
+    print(f"{path}: edit it, then nsdyn run {path} --html {path.stem}.html")
+    return 0
+
+
+def chosen_solver(arguments: argparse.Namespace) -> Any:
+    """The solver of a simulation, with a loose tolerance where it takes one."""
+    import nsdyn
+
+    solver = nsdyn.solvers.by_name(arguments.solver, arguments.tol)
+    if not isinstance(solver, nsdyn.solvers.Auto):
+        if arguments.loose is not None:
+            raise ValueError(f"--loose is for the solver 'auto', got {arguments.solver!r}")
+        return solver
+    loose = type(solver).loose if arguments.loose is None else arguments.loose
+    if not loose > 0.0:
+        raise ValueError(f"loose must be positive, got {loose}")
+    return replace(solver, loose=max(loose, solver.tol))
+
+
+def chosen_steps(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What is simulated, in keywords of `nsdyn.simulate`: the scene's own duration and dt unless others are given."""
+    from nsdyn.scene.named import seconds
+
+    return {
+        "duration": seconds(arguments.scene, "DURATION") if arguments.time is None else arguments.time,
+        "dt": seconds(arguments.scene, "DT") if arguments.dt is None else arguments.dt,
+        "theta": arguments.theta,
+        "on_fail": arguments.on_fail,
+        "polish": arguments.polish,
+    }
+
+
+def _met(trajectory: Any, solver: Any) -> str:
+    """How many steps, or groups of them that are recorded as one, met which tolerance, in words."""
+    import numpy as np
+
+    from nsdyn import Status
+
+    count = Counter(trajectory.solver.status.tolist())
+    what = "steps" if trajectory.every == 1 else f"times {trajectory.every} steps"
+    parts = [f"{count.pop(Status.CONVERGED, 0)} {what} to {solver.tol:g}"]
+    if loose := count.pop(Status.LOOSE, 0):
+        parts.append(f"{loose} to {solver.loose:g}")
+    if several := count.pop(Status.SEVERAL, 0):
+        parts.append(f"{several} whose motion is not determined by Coulomb's law")
+    if jams := count.pop(Status.JAM, 0):
+        parts.append(f"{jams} in which bodies jam")
+    if squeezed := count.pop(Status.OVERLAP, 0):
+        parts.append(f"{squeezed} with an overlap that nothing removed")
+    if missed := count.total():
+        error = np.where(np.isin(trajectory.solver.status, list(count)), trajectory.solver.error, -1.0)
+        worst = int(np.argmax(error))
+        parts.append(
+            f"{missed} missed their tolerance (largest error {error[worst]:.1e}, at t = {trajectory.t[worst + 1]:g} s)"
+        )
+    return ", ".join(parts)
+
+
+def run_scene(arguments: argparse.Namespace) -> int:
+    """Exit code of ``nsdyn run``."""
+    import nsdyn
+    from nsdyn.scene import settings
+    from nsdyn.tools import files
+
+    name = arguments.scene
+    parameters = settings.values(name, arguments.set)
+    solver = chosen_solver(arguments)
+    check_files(arguments)
+    if arguments.dump_on_fail:
+        files.check_folder(arguments.dump_on_fail)
+    steps = chosen_steps(arguments)
+    setup = nsdyn.scenes.setup(name, **parameters)
+    recording = arguments.output or arguments.resume
+    start = time.perf_counter()
+    try:
+        trajectory = _simulated(arguments, setup, **steps, solver=solver)
+    except nsdyn.NotConverged as failure:
+        kept = f"; the steps before it are in {recording}" if recording else ""
+        print(f"nsdyn: not converged: {one_line(failure)}{kept}", file=sys.stderr)
+        return 1
+    took = _times(trajectory, time.perf_counter() - start, bool(arguments.resume))
+    if arguments.html:
+        trajectory.to_html(arguments.html)
+    audit = nsdyn.check(trajectory) if arguments.check else None
+    code = 0 if audit is None or audit.passed else 1
+    if arguments.json:
+        figures = {
+            "scene": name,
+            "parameters": settings.parameters(name) | parameters,
+            "dt": trajectory.dt,
+            "steps": trajectory.steps * trajectory.every,
+            "every": trajectory.every,
+            **took,
+            "contacts": _contacts(trajectory),
+            **ledger(trajectory),
+            "recording": recording,
+            "html": arguments.html,
+        }
+        say_json(arguments, figures if audit is None else figures | {"audit": audit.as_dict()})
+        return code
+    say(arguments, trajectory.energy_table())
+    say(arguments, _summary(trajectory, solver, took))
+    if audit is not None:
+        say(arguments, audit)
+    return code
+
+
+def _simulated(arguments: argparse.Namespace, setup: Any, **options: Any) -> Any:
+    """The motion that is asked for; its recording keeps the command."""
+    import nsdyn
+    from nsdyn.stepping.simulation import command
+
+    outside = command.set(arguments.typed)
+    try:
+        return nsdyn.simulate(
+            setup.scene,
+            **setup.options(**options),
+            record=arguments.output,
+            progress=True,
+            dump_on_fail=arguments.dump_on_fail,
+            every=arguments.every,
+            contacts=not arguments.no_contacts,
+            resume=arguments.resume,
+        )
+    finally:
+        command.reset(outside)
+
+
+def _times(trajectory: Any, wall: float, resumed: bool) -> dict[str, float | None]:
+    """What a run took, in s: in all, before its steps, and a step. Of one that is resumed the start is not known."""
+    import numpy as np
+
+    median = float(np.median(trajectory.wall_time / trajectory.every))
+    # The first step loads or compiles what it needs, beyond what is done before it.
+    start = wall - float(trajectory.wall_time.sum()) + max(0.0, float(trajectory.wall_time[0]) - median)
+    return {"wall_time": wall, "start_up_time": None if resumed else start, "median_step_time": median}
+
+
+def _contacts(trajectory: Any) -> float | None:
+    """Contacts in a step, on average; None where they are not recorded."""
+    return len(trajectory.columns["contacts/gap"]) / trajectory.steps if trajectory.has_contacts else None
+
+
+def _summary(trajectory: Any, solver: Any, took: dict[str, float | None]) -> str:
+    """How a run went, in words."""
+    worst, start, wall, median = trajectory.worst(), took["start_up_time"], took["wall_time"], took["median_step_time"]
+    after = "since it was resumed" if start is None else f"after {start:.2f} s of start-up"
+    contacts, penetration = "contacts not recorded", ""
+    if trajectory.has_contacts:
+        contacts = f"{_contacts(trajectory):.1f} contacts on average"
+        penetration = f", penetration {worst['penetration']:.1e} m"
+    return (
+        f"{_met(trajectory, solver)}; {(wall or 0.0) - (start or 0.0):.2f} s "
+        f"(median step {1e3 * (median or 0.0):.2f} ms) {after}, {contacts}; "
+        f"worst residual {worst['residual']:.1e} m/s, Gauss bound {worst['gauss_bound']:.1e} √J, "
+        f"defect {worst['defect']:.1e} J{penetration}"
+    )

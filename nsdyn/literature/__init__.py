@@ -1,0 +1,1 @@
+"""Methods, formulations and accelerations of the papers, kept to compare."""

@@ -1,0 +1,122 @@
+"""What the reference solvers share: an equilibrated problem, the best iterate so far, linear solves, Anderson."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+from scipy.sparse.linalg import eigsh, splu
+
+from nsdyn._kernels.compiled import clock
+from nsdyn._kernels.literature import anderson as _anderson
+from nsdyn.problem.fc3d import FC3D, _csr
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.tools.arrays import Array
+
+SPARSE = 300, 0.1
+"""Matrices with more rows than the first and a lower density than the second are factorised sparsely."""
+
+
+class Equilibrated:
+    """The problem in the variables x = S^½ r, with S = λ_max(W_cc): W' = S^-½ W S^-½ and q' = S^-½ q.
+
+    A cone stays the same under a scaling per contact, so that this is again a frictional contact problem, now
+    without units of mass and with diagonal blocks of norm 1: one step length suits contacts of all masses.
+    """
+
+    def __init__(self, problem: FC3D) -> None:
+        self.root = np.repeat(np.sqrt(problem.scales), 3)
+        scaling = sp.diags_array(1.0 / self.root)
+        self.W = sp.bsr_array(scaling @ problem.W @ scaling, blocksize=(3, 3))
+        self.W.sort_indices()
+        self.q = problem.q / self.root
+        self.mu = problem.mu
+        self.csr = _csr(self.W)
+
+    def largest_eigenvalue(self) -> float:
+        """λ_max of the symmetric part of W', not below: Lanczos to four digits, one more added."""
+        A = 0.5 * (self.W + self.W.T)
+        if A.shape[0] <= 100:
+            return float(np.linalg.eigvalsh(A.toarray())[-1])
+        start = 2.0 + np.cos(np.arange(A.shape[0]))  # the same in every run
+        return 1.001 * float(eigsh(A, k=1, which="LA", v0=start, tol=1e-4, return_eigenvectors=False)[0])
+
+
+class Run:
+    """One solve: the clock, the best iterate, the verdict."""
+
+    def __init__(self, problem: FC3D, r0: Array | None, tol: float) -> None:
+        self.start = clock()
+        self.problem, self.tol = problem, tol
+        self.best = np.inf
+        self.r: Array = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
+        self.now = np.inf
+        self.done(self.r)
+
+    def done(self, r: Array) -> bool:
+        """Whether r meets the tolerance; the best r is kept."""
+        _, error, residual, _ = self.problem.solved(r, self.tol)
+        self.now = max(error, residual)
+        if self.now < self.best:
+            self.best, self.r = self.now, r.copy()
+        return self.best <= self.tol
+
+    @property
+    def over(self) -> bool:
+        """Whether the tolerance is met."""
+        return self.best <= self.tol
+
+    def finish(self, count: int, otherwise: Status = Status.MAX_ITERATIONS) -> Solution:
+        """Solution of the best iterate."""
+        return Solution.judge(self.problem, self.r, self.tol, count, clock() - self.start, otherwise)
+
+
+def factor(A: Any) -> Callable[[Array], Array] | None:
+    """Solve with A (dense or sparse) as a function of the right-hand side; None when A is singular."""
+    if sp.issparse(A):
+        try:
+            solve: Callable[[Array], Array] = splu(sp.csc_matrix(A)).solve
+        except RuntimeError:
+            return None
+        return solve
+    lu, pivots, info = scipy.linalg.lapack.dgetrf(A)
+    if info != 0 or not np.isfinite(lu[-1, -1]):
+        return None
+    return lambda b: np.asarray(scipy.linalg.lapack.dgetrs(lu, pivots, b)[0])
+
+
+def is_sparse(W: Any) -> bool:
+    """Whether factorising W sparsely pays."""
+    n = W.shape[0]
+    return bool(n > SPARSE[0] and W.nnz < SPARSE[1] * n * n)
+
+
+class Anderson:
+    """Anderson's acceleration (type II) of a fixed point x = G(x): the combination of past G(x) of least defect.
+
+    References
+    ----------
+    H. Walker, P. Ni, Anderson acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49, 2011.
+    """
+
+    def __init__(self, memory: int) -> None:
+        self.memory, self.used, self.slot, self.least = memory, 0, 0, np.inf
+        self.F = self.G = self.gram = np.empty((0, 0))
+
+    def next(self, x: Array, g: Array) -> Array:
+        """Next x from the pair (x, g = G(x)); the past is dropped when the defect exceeds twice its least."""
+        kept, f = self.memory + 1, g - x
+        size = float(np.linalg.norm(f))
+        if not self.F.size:
+            self.F, self.G, self.gram = np.empty((kept, f.size)), np.empty((kept, f.size)), np.zeros((kept, kept))
+        if size > 2.0 * self.least:
+            self.used, self.slot, self.least = 0, 0, np.inf
+        self.least, self.used = min(self.least, size), min(self.used + 1, kept)
+        self.F[self.slot], self.G[self.slot] = f, g
+        out = np.empty_like(g)
+        _anderson.mix(self.F, self.G, self.gram, self.slot, self.used, out)
+        self.slot = (self.slot + 1) % kept
+        return out

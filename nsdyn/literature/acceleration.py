@@ -1,0 +1,167 @@
+"""Accelerations of a scene in a state: its least-constraint problem, with joints, loops and driven joints.
+
+At a state without impact the contacts that are closed and do not move apart, the joints at their limits and those with
+dry friction take part; the problem and its laws are in `nsdyn.literature.least_constraint`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.detector import Detector
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.values import Forces, Position
+from nsdyn.literature.least_constraint import Acceleration, Existence, JointTerms, LeastConstraint, accelerations
+from nsdyn.scene import pairs
+from nsdyn.scene.scene import Scene
+from nsdyn.stepping.state import State
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Acceleration", "Existence", "LeastConstraint", "accelerations", "least_constraint"]
+
+REACH = 1e-5
+"""Ḣᵀ v is a central difference over a motion of this fraction of the smallest body."""
+
+
+def least_constraint(
+    scene: Scene,
+    state: State | None = None,
+    wrenches: Mapping[str, Any] | None = None,
+    tau: Mapping[str, Any] | None = None,
+    closed: float = 1e-6,
+    still: float = 1e-4,
+) -> LeastConstraint:
+    """Extended least-constraint problem of a scene in a given state, with its joints, loops and driven joints.
+
+    Parameters
+    ----------
+    scene : Scene
+    state : State, optional
+        Of a stepper of the scene; default its initial state.
+    wrenches, tau : mapping, optional
+        Forces on free bodies and in joints, as the callbacks of `Stepper` give them.
+    closed : float
+        Gap up to which a contact counts as closed, m.
+    still : float
+        Relative speed up to which a contact counts as neither opening nor sliding, m/s.
+
+    Raises
+    ------
+    ValueError
+        If a closed contact or a joint at its limit approaches faster than `still`: an impact, at which there is no
+        acceleration. For scenes with driven bodies or sliding surfaces: not in the problem.
+    """
+    d = Dynamics(scene)
+    if d.surfaces.count:
+        raise ValueError("scene must have no driven bodies and no sliding surfaces")
+    geoms = scene.geoms()
+    detector = Detector(geoms, pairs.pair_material(scene, geoms), pairs.excluded(scene, geoms))
+    position, v = d.start() if state is None else (state.instant.position, state.instant.v)
+    t = 0.0 if state is None else state.t
+    twists = d.surfaces.twists(t)
+    middle = d.halfway(position, v, 0.0, 0.5, twists)
+    forces = d.forces(middle, t, 0.0, d.wrenches(middle.position, wrenches or {}), d.controls(tau or {}))
+    joints = _joint_terms(d, position, v, closed, still)
+    reach = np.full(d.frames, closed)
+    found, memory = detector.find(*middle.placement[:2], reach, ContactMemory.empty())
+    rows, frame = d.rows(found, middle.placement, forces, None)
+    blocks = rows.full
+    u = blocks.relative_velocity(v).reshape(-1, 3)
+    touching = found.gap <= closed
+    if (touching & (u[:, 0] < -still)).any():
+        c = int(np.flatnonzero(touching)[u[touching, 0].argmin()])
+        names = geoms[found.geom1[c]].name, geoms[found.geom2[c]].name
+        raise ValueError(f"{names[0]!r} and {names[1]!r} approach at {-u[c, 0]:.3g} m/s: an impact, no acceleration")
+    keep = np.flatnonzero(touching & (u[:, 0] <= still))
+    M, H = blocks.dense()
+    omega = v[: 6 * d.free].reshape(-1, 6)[:, 3:]
+    torque = forces.torque - np.cross(omega, np.einsum("bij,bj->bi", d.J, omega))
+    parts = [np.hstack((forces.force + d.mass[:, None] * d.gravity, torque)).ravel()]
+    for tree, half, free in zip(d.trees, middle.trees, forces.trees, strict=True):
+        parts.append(tree.forces(half, free, half.v).sum(axis=0) - tree.bias(half.q, half.v))
+    f = np.concatenate(parts)
+
+    # Relative velocities along the motion with v held, of the same contacts, in world axes and along their normals.
+    size = min((g.shape.bounding_radius for g in geoms if g.frame >= 0), default=1.0)
+    rate = float((d.reach(middle.placement, v, 1e-9, 0.0, twists) / 1e-9).max(initial=0.0))
+    p = np.zeros((found.key.size, 3))
+    if rate > 0.0 and v.any():
+        step = REACH * size / rate
+        ahead, behind = (
+            _along(d, detector, position, v, s, forces, reach + 10 * REACH * size, found, memory) for s in (step, -step)
+        )
+        if not np.isfinite(ahead[keep] - behind[keep]).all():
+            raise ValueError("a closed contact ends or begins at this very state: its acceleration is not defined")
+        change = (ahead - behind) / (2.0 * step)
+        p[:, 0] = change[:, 3]
+        p[:, 1:] = np.einsum("cij,cj->ci", frame[:, 1:], change[:, :3])
+    slip = np.where(np.linalg.norm(u[:, 1:], axis=1, keepdims=True) > still, u[:, 1:], 0.0)
+    slip /= np.linalg.norm(slip, axis=1, keepdims=True) + (slip == 0.0).all(axis=1, keepdims=True)
+    columns = (3 * keep[:, None] + np.arange(3)).ravel()
+    chosen = ContactSet(*(getattr(found, name)[keep] for name in ContactSet._fields))
+    Z, given = _admissible(d, position, v, t, M, forces)
+    return LeastConstraint(chosen, frame[keep], M, f, H[:, columns], p[keep].ravel(), slip[keep], Z, given, joints)
+
+
+def _joint_terms(d: Dynamics, position: Position, v: Array, closed: float, still: float) -> JointTerms:
+    """Limits that are reached and joints with dry friction; ValueError for a joint that runs into its limit."""
+    rows, e = d.joint_rows(d.place(position), v, v, 0.0), np.eye(d.n)
+    if rows is None:
+        return JointTerms(np.empty((d.n, 0)), np.empty((d.n, 0)), np.empty(0), np.empty(0))
+    friction, rate = rows.mu > 0.0, d.joints.rates(rows.slot, v)
+    reached = ~friction & (rows.gap <= closed)
+    if (reached & (rate < -still)).any():
+        fastest = float(rate[reached].min())
+        raise ValueError(f"a joint runs into its limit at {-fastest:.3g} rad/s or m/s: an impact, no acceleration")
+    at = rows.slot[reached & (rate <= still)]
+    on = rows.slot[friction]
+    if (d.joints.other[on] >= 0).any():
+        raise ValueError("accelerations are not found with dry friction of a planar joint: take it out")
+    speed, coordinate = v[d.joints.coordinate[on]], d.joints.coordinate[at]
+    slip = np.where(np.abs(speed) > still, np.sign(speed), 0.0)
+    columns = e[:, coordinate] * d.joints.sign[at], e[:, d.joints.coordinate[on]]
+    return JointTerms(*columns, d.joints.bound[on], slip)
+
+
+def _admissible(d: Dynamics, position: Position, v: Array, t: float, M: Array, forces: Forces) -> tuple[Array, Array]:
+    """(Z, v̇_p) of loops and driven joints, Z the inverse root of M where there are none."""
+    given, Z, column = np.zeros(d.n), np.zeros((d.n, d.n)), 6 * d.free
+    first = slice(0, column)
+    Z[first, first] = np.linalg.inv(np.linalg.cholesky(M[first, first])).T
+    for tree, q, free in zip(d.trees, position.trees, forces.trees, strict=True):
+        rows = tree.coordinates
+        if free.constraints is None:
+            root = np.linalg.inv(np.linalg.cholesky(M[rows, rows])).T
+        else:
+            root = free.constraints.Z
+            given[rows] = free.constraints.P @ tree.constraint_acceleration(q, v[rows], t)
+        Z[rows, column : column + root.shape[1]] = root
+        column += root.shape[1]
+    return Z[:, :column], given
+
+
+def _along(
+    d: Dynamics,
+    detector: Detector,
+    position: Position,
+    v: Array,
+    s: float,
+    forces: Forces,
+    reach: Array,
+    found: ContactSet,
+    memory: ContactMemory,
+) -> Array:
+    """Relative velocities (nc, 4) of the found contacts at position ⊕ s v: world axes, then normal; NaN if gone."""
+    place = d.place(d.shift(position, s * v))
+    there, _ = detector.find(*place[:2], reach, memory)
+    rows, frame = d.rows(there, place, forces, None)
+    u = rows.full.relative_velocity(v).reshape(-1, 3)
+    out = np.full((found.key.size, 4), np.nan)
+    _, here, others = np.intersect1d(found.key, there.key, return_indices=True)
+    out[here, :3] = np.einsum("cij,ci->cj", frame[others], u[others])
+    out[here, 3] = u[others, 0]
+    return out

@@ -1,0 +1,118 @@
+"""Bundle method on the norm of a nonsmooth equation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from nsdyn.literature._common import Equilibrated, Run
+from nsdyn.literature.formulations import ELEMENTS, xuewen_soh_wanji
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+
+Merit = Literal["alart-curnier", "fischer-burmeister", "jean-moreau", "natural", "xuewen-soh-wanji"]
+
+MERITS = {**ELEMENTS, "xuewen-soh-wanji": xuewen_soh_wanji}
+"""The equations F whose φ = ½‖F‖² can be minimised."""
+
+
+def shortest(V: Array) -> Array:
+    """Point of least norm of the convex hull of the rows of V, by non-negative least squares.
+
+    min ‖Vᵀλ‖² + (Σλ - 1)² over λ ≥ 0 has its solution along that of the simplex; Σλ brings it there.
+    """
+    from scipy.optimize import nnls  # a tenth of a second that few need
+
+    V = V / (np.linalg.norm(V, axis=1).min() or 1.0)
+    weights = nnls(np.vstack((V.T, np.ones(V.shape[0]))), np.r_[np.zeros(V.shape[1]), 1.0])[0]
+    return np.asarray(weights / weights.sum())
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """ε-subdifferential bundle method on φ = ½‖F(r)‖², the contact conditions as a minimum.
+
+    The direction is minus the shortest vector of the hull of the subgradients gathered near r. If φ falls enough
+    along it the step is serious: r moves and the bundle starts anew. Otherwise it is null: the subgradient a little
+    further along joins the bundle, the oldest but the aggregate leave. When the hull holds nearly 0, r is stationary
+    for this ε, which shrinks.
+
+    Good as a reference for a handful of contacts and as the residual of last resort: every serious step lowers φ.
+    It fails by being a first-order method, ten to a thousand times slower than Newton, and by its theorem, which
+    promises stationary points of φ, not solutions. On more than about 20 contacts expect a rough answer.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Steps, serious and null.
+    function : {'fischer-burmeister', 'natural', 'alart-curnier', 'jean-moreau', 'xuewen-soh-wanji'}
+        Equation F. φ of the first is smooth but for û; the last is the paper's, whose third line flattens φ.
+    size : int
+        Subgradients kept.
+
+    References
+    ----------
+    N. Pop, Bundle methods for a quasistatic contact problem with friction, section 4. C. Lemaréchal, 1975; P. Wolfe,
+    1975.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 5000
+    function: Merit = "fischer-burmeister"
+    size: int = 20
+
+    def __post_init__(self) -> None:
+        choice(self.function, sorted(MERITS), "function")
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        run = Run(problem, r0, self.tol)
+        if run.over:
+            return run.finish(0)
+        scaled = Equilibrated(problem)
+        element, W, rho = MERITS[self.function], scaled.W, np.ones((problem.nc, 2))
+
+        def value(x: Array) -> tuple[float, Array]:
+            """φ and an element of its Clarke subdifferential, (∂F)ᵀ F."""
+            F, F_u, F_r = element((W @ x + scaled.q).reshape(-1, 3), x.reshape(-1, 3), scaled.mu, rho)
+            back_u, back_r = ((F[:, None, :] @ A)[:, 0].ravel() for A in (F_u, F_r))
+            return 0.5 * float((F * F).sum()), np.asarray(W.T @ back_u + back_r)
+
+        x = run.r * scaled.root
+        phi, V = value(x)
+        bundle, radius, count = [V], 0.1 * float(np.linalg.norm(scaled.q)), 0
+        for count in range(1, self.max_iter + 1):
+            hull = np.array(bundle)
+            h = -shortest(hull) @ hull
+            slope = float(h @ h)
+            # The hull holds nearly 0 when its shortest vector is short against the subgradients in it.
+            if slope <= 1e-12 * float((hull**2).sum(axis=1).max()) or slope == 0.0:
+                radius *= 0.1
+                bundle = [V]
+                if radius < 1e-15 * float(np.linalg.norm(scaled.q)):
+                    return run.finish(count, Status.STALLED)
+                continue
+            t = 2.0 * phi / slope  # Polyak's step to the known minimum 0, for φ quadratic along h
+            while t * np.sqrt(slope) > 1e-2 * radius:
+                trial, gradient = value(x + t * h)
+                if trial <= phi - 0.1 * t * slope:
+                    break
+                t *= 0.5
+            else:
+                # Null step: the subgradient at the end of the search, and -h for all that was there before.
+                bundle = [*bundle[-self.size + 2 :], -h, value(x + t * h)[1]]
+                if len(bundle) >= self.size:
+                    radius *= 0.5
+                    bundle = [V, bundle[-1]]
+                continue
+            x, phi, V = x + t * h, trial, gradient
+            bundle = [V]
+            if run.done(x / scaled.root):
+                break
+        return run.finish(count)

@@ -1,0 +1,42 @@
+"""Extragradient method on the variational inequality with a self-adaptive step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nsdyn.literature.fixed_point import Rule, march
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.tools.arrays import Array
+
+
+@dataclass(frozen=True)
+class Extragradient:
+    """Extragradient method r̄ = P_K(r - ρ û(r)), r ← P_K(r - ρ û(r̄)), EG-VI, with a self-adaptive step.
+
+    Good as a last resort that rarely diverges: it converges for every monotone Lipschitz operator, without
+    co-coercivity, where the fixed point needs it. Two products with W an iteration, and as slow as the fixed point
+    on redundant contacts and tight tolerances.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Iterations.
+    rule : {'khobotov', 'solodov-tseng'}
+        Ratio the step is adapted by, see `FixedPoint`.
+
+    References
+    ----------
+    V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 4. G. Korpelevich,
+    1976; E. Khobotov, 1987.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 100_000
+    rule: Rule = "khobotov"
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        return march(problem, r0, self.tol, self.max_iter, self.rule, extra=True)

@@ -1,0 +1,99 @@
+"""Projected fixed point on the variational inequality with a self-adaptive step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from nsdyn._kernels.literature import sweeps as _kernels
+from nsdyn.literature._common import Equilibrated, Run
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.tools.arrays import Array
+
+Rule = Literal["khobotov", "solodov-tseng"]
+
+CHECK = 20
+"""Iterations between two measurements."""
+
+
+def march(problem: FC3D, r0: Array | None, tol: float, max_iter: int, rule: Rule, extra: bool) -> Solution:
+    """Iterate x ← P_K(x - ρ F(x)), with an `extra` gradient x ← P_K(x - ρ F(x̄)), under the rule for ρ.
+
+    x̄ = P_K(x - ρ F(x)) is computed with ρ ← ν ρ until the ratio of the rule is at most L; ρ ← ρ/ν after a step
+    whose ratio was below L_min.
+    """
+    limit, low, shrink = 0.9, 0.3, 2.0 / 3.0  # L, L_min, ν of the paper
+    if rule not in ("khobotov", "solodov-tseng"):
+        raise ValueError(f"rule must be 'khobotov' or 'solodov-tseng', got {rule!r}")
+    run, count = Run(problem, r0, tol), 0
+    if run.over:
+        return run.finish(0)
+    scaled = Equilibrated(problem)
+    args = *scaled.csr, scaled.q, scaled.mu
+    x, rho = run.r * scaled.root, 1.0
+    F, trial, F_trial = np.empty_like(x), np.empty_like(x), np.empty_like(x)
+    _kernels.operator(*args, x, F)
+    while count < max_iter:
+        count += 1
+        while True:
+            _kernels.step_on_cones(x, F, rho, scaled.mu, trial)
+            _kernels.operator(*args, trial, F_trial)
+            dx, dF = x - trial, F - F_trial
+            length = dx @ dx
+            if length == 0.0:
+                break
+            turn = np.sqrt(dF @ dF * length) if rule == "khobotov" else dx @ dF
+            ratio = rho * turn / length
+            if not ratio > limit:
+                break
+            rho *= shrink
+        if length == 0.0:
+            run.done(x / scaled.root)
+            break
+        if extra:
+            _kernels.step_on_cones(x, F_trial, rho, scaled.mu, x)
+            _kernels.operator(*args, x, F)
+        else:
+            x, trial, F, F_trial = trial, x, F_trial, F
+        if ratio < low:
+            rho /= shrink
+        if count % CHECK == 0 and run.done(x / scaled.root):
+            break
+    if count % CHECK:
+        run.done(x / scaled.root)
+    return run.finish(count)
+
+
+@dataclass(frozen=True)
+class FixedPoint:
+    """Projected fixed point r ← P_K(r - ρ û(r)), FP-VI, with a self-adaptive step.
+
+    Good as the simplest method: one product with W an iteration, no factorisation, no parameter. Linear at best; it
+    needs W well conditioned and fails on tight tolerances of redundant contacts. The operator is not monotone, so
+    that no theorem covers large μ.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Iterations.
+    rule : {'khobotov', 'solodov-tseng'}
+        Ratio the step is adapted by: ρ‖F(r) - F(r̄)‖/‖r - r̄‖ or ρ (r - r̄)ᵀ(F(r) - F(r̄))/‖r - r̄‖².
+
+    References
+    ----------
+    V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 4. E. Khobotov,
+    1987; D. Han, H. Lo, 2002; M. Solodov, P. Tseng, 1996 for the rules.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 100_000
+    rule: Rule = "khobotov"
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        return march(problem, r0, self.tol, self.max_iter, self.rule, extra=False)

@@ -1,0 +1,352 @@
+"""The formulations of the frictional contact problem as nonsmooth equations: every function is zero at a solution.
+
+With u = W r + q and û = u + μ‖u_T‖ e_N, each ``residual_*`` maps an impulse r [N·s] to F(r). Steps ρ [kg] turn a
+velocity into an impulse: a number, one per contact, or a pair (normal, tangential) per contact where the map allows it;
+the default 1/λ_max(W_cc) does not depend on units. The four maps of `ELEMENTS` also return an element of their
+generalised Jacobian.
+
+References
+----------
+V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, sections 3 and 4; the
+derivatives are those of its appendix with the misprints corrected (finite differences are the test).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from nsdyn.problem import cones
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+
+__all__ = [
+    "ELEMENTS",
+    "alart_curnier",
+    "block_diagonal",
+    "fischer_burmeister",
+    "jacobian",
+    "jean_moreau",
+    "natural_map",
+    "quasi_variational_gap",
+    "residual_alart_curnier",
+    "residual_bipotential",
+    "residual_fischer_burmeister",
+    "residual_hueber_stadler_wohlmuth",
+    "residual_jean_moreau",
+    "residual_natural_map",
+    "residual_normal_map",
+    "residual_quasi_variational_inequality",
+    "residual_soccp",
+    "residual_xuewen_soh_wanji",
+    "xuewen_soh_wanji",
+]
+
+Element = tuple[Array, Array, Array]
+"""(F, ∂F/∂u, ∂F/∂r) per contact: shapes (nc, 3), (nc, 3, 3), (nc, 3, 3)."""
+
+
+def _steps(problem: FC3D, rho: Any) -> Array:
+    """Steps as an array (nc, 2), normal and tangential; ValueError unless they are positive."""
+    given = 1.0 / problem.scales if rho is None else np.asarray(rho, dtype=float)
+    out: Array = np.broadcast_to(given[:, None] if given.ndim == 1 else given, (problem.nc, 2))
+    if not (out > 0.0).all():
+        raise ValueError("rho must be positive")
+    return out
+
+
+def _uniform(problem: FC3D, rho: Any) -> Array:
+    """Steps as an array (nc,); ValueError for pairs, which the cone does not allow."""
+    out = _steps(problem, rho)
+    if (out[:, 0] != out[:, 1]).any():
+        raise ValueError("rho must be one number per contact: the projection on the cone is not split")
+    return out[:, 0]
+
+
+def _state(problem: FC3D, r: Array) -> tuple[Array, Array]:
+    """(u, r) as arrays (nc, 3)."""
+    r = np.asarray(r, dtype=float)
+    return problem.velocity(r.ravel()).reshape(-1, 3), r.reshape(-1, 3)
+
+
+def _direction(x: Array) -> tuple[Array, Array]:
+    """(‖x‖, x/‖x‖ or 0) of vectors (nc, 2)."""
+    size = np.hypot(x[:, 0], x[:, 1])
+    return size, np.divide(x, size[:, None], out=np.zeros_like(x), where=size[:, None] > 0.0)
+
+
+def _saxce_derivative(u: Array, mu: Array) -> Array:
+    """∂û/∂u = I + μ e_N tᵀ with t = u_T/‖u_T‖, and 0 of the unit ball where nothing slips, shape (nc, 3, 3)."""
+    out = np.tile(np.eye(3), (mu.size, 1, 1))
+    out[:, 0, 1:] = mu[:, None] * _direction(u[:, 1:])[1]
+    return out
+
+
+def natural_map(u: Array, r: Array, mu: Array, rho: Array) -> Element:
+    """F = r - P_K(r - ρ û), with F_r = I - J and F_u = ρ J ∂û/∂u, J an element of ∂P_K; ρ has shape (nc, 1 or 2)."""
+    step = rho[:, :1]
+    z = r - step * cones.saxce(u, mu)
+    J = cones.projection_jacobian(z, mu)
+    return r - cones.project(z, mu), step[:, :, None] * (J @ _saxce_derivative(u, mu)), np.eye(3) - J
+
+
+def _disk_map(u: Array, r: Array, mu: Array, rho: Array, predicted: bool) -> Element:
+    """Half-line and disk; the radius of the disk is μ (r_N - ρ_N u_N)₊ if predicted, else μ (r_N)₊."""
+    rn, rt = rho[:, 0], rho[:, 1]
+    a = r[:, 0] - rn * u[:, 0]
+    y = r[:, 1:] - rt[:, None] * u[:, 1:]
+    bound = a if predicted else r[:, 0]
+    size, t = _direction(y)
+    radius = mu * np.maximum(bound, 0.0)
+    slip = size > radius
+    closed, grows = a > 0.0, slip & (bound > 0.0)
+    F = np.empty_like(r)
+    F[:, 0] = r[:, 0] - np.maximum(a, 0.0)
+    F[:, 1:] = r[:, 1:] - np.where(slip[:, None], radius[:, None] * t, y)
+    F_u, F_r = np.zeros((mu.size, 3, 3)), np.zeros((mu.size, 3, 3))
+    F_u[:, 0, 0], F_r[:, 0, 0] = np.where(closed, rn, 0.0), np.where(closed, 0.0, 1.0)
+    ratio = radius / np.where(slip, size, 1.0)
+    bent = ratio[:, None, None] * (np.eye(2) - t[:, :, None] * t[:, None, :])
+    gamma = np.where(slip[:, None, None], bent, np.eye(2))  # derivative of the projection on the disk
+    F_u[:, 1:, 1:] = rt[:, None, None] * gamma
+    F_r[:, 1:, 1:] = np.eye(2) - gamma
+    growth = np.where(grows, mu, 0.0)[:, None] * t
+    F_r[:, 1:, 0] = -growth
+    if predicted:
+        F_u[:, 1:, 0] = rn[:, None] * growth
+    return F, F_u, F_r
+
+
+def jean_moreau(u: Array, r: Array, mu: Array, rho: Array) -> Element:
+    """F_N = r_N - (r_N - ρ_N u_N)₊ and F_T = r_T - P_D(r_T - ρ_T u_T) on the disk of radius μ (r_N)₊."""
+    return _disk_map(u, r, mu, rho, predicted=False)
+
+
+def alart_curnier(u: Array, r: Array, mu: Array, rho: Array) -> Element:
+    """F_N = r_N - (r_N - ρ_N u_N)₊ and F_T = r_T - P_D(r_T - ρ_T u_T) on the disk of radius μ (r_N - ρ_N u_N)₊."""
+    return _disk_map(u, r, mu, rho, predicted=True)
+
+
+def _arrow(x: Array) -> Array:
+    """L_x of the Jordan product x ∘ y = L_x y, shape (nc, 3, 3)."""
+    out = x[:, :1, None] * np.eye(3)
+    out[:, 0, 1:] = out[:, 1:, 0] = x[:, 1:]
+    return out
+
+
+def _spectral(x: Array, f: Callable[[Array], Array]) -> Array:
+    """Function f applied to the eigenvalues x_N ∓ ‖x_T‖ of every x."""
+    size, t = _direction(x[:, 1:])
+    low, high = f(x[:, 0] - size), f(x[:, 0] + size)
+    return np.column_stack((0.5 * (low + high), (0.5 * (high - low))[:, None] * t))
+
+
+def fischer_burmeister(u: Array, r: Array, mu: Array, rho: Array) -> Element:
+    """F = x + y - (x² + y²)^½ in the Jordan algebra of the cone, with x = (μ r_N, r_T), y = ρ (û_N, μ u_T).
+
+    A contact with μ = 0 has the scalar function of r_N and ρ u_N, and F_T = r_T.
+    """
+    smooth = mu == 0.0
+    m = np.where(smooth, 1.0, mu)
+    X, Y = np.tile(np.eye(3), (mu.size, 1, 1)), _saxce_derivative(u, mu)
+    X[:, 0, 0] = m
+    X[smooth, 1:] = 0.0
+    Y[:, 1:] *= mu[:, None, None]
+    Y *= rho[:, :1, None]
+    x = (X @ r[:, :, None])[:, :, 0]
+    y = rho[:, :1] * np.column_stack((cones.saxce(u, mu)[:, 0], mu[:, None] * u[:, 1:]))
+    squares = (_arrow(x) @ x[:, :, None] + _arrow(y) @ y[:, :, None])[:, :, 0]
+    w = _spectral(squares, lambda s: np.sqrt(np.maximum(s, 0.0)))
+    # On the boundary of the cone L_w is singular: lifting its least eigenvalue by round-off gives a nearby element.
+    floor = 1e-10 * w[:, 0] + 1e-300
+    inverse = np.linalg.inv(_arrow(_spectral(w, lambda s: np.maximum(s, floor))))
+    F = x + y - w
+    F_r, F_u = (np.eye(3) - inverse @ _arrow(x)) @ X, (np.eye(3) - inverse @ _arrow(y)) @ Y
+    F[smooth, 1:] = r[smooth, 1:]
+    F_r[smooth, 1:], F_u[smooth, 1:] = np.eye(3)[1:], 0.0
+    return F, F_u, F_r
+
+
+def xuewen_soh_wanji(u: Array, r: Array, mu: Array, rho: Array) -> Element:
+    """The lines of `residual_xuewen_soh_wanji`; not in `ELEMENTS`, for the third makes Newton's matrix singular.
+
+    μ r_N - ‖r_T‖ has a concave kink at r_T = 0. The mean of its gradients around it is 0, an element of Clarke's hull
+    from which no descent is seen; taken is their limit for friction that begins against the slip.
+    """
+    step = rho[:, 0]
+    u = step[:, None] * u
+    slip, t = _direction(u[:, 1:])
+    friction, d = _direction(r[:, 1:])
+    d = np.where(friction[:, None] > 0.0, d, -t)
+    cross = u[:, 1] * r[:, 2] - u[:, 2] * r[:, 1]
+    along = u[:, 1] * r[:, 1] + u[:, 2] * r[:, 2]
+    slack = mu * r[:, 0] - friction
+    F = np.column_stack((np.minimum(u[:, 0], r[:, 0]), np.minimum(slip, slack), np.abs(cross) + np.maximum(along, 0.0)))
+    F_u, F_r = np.zeros((mu.size, 3, 3)), np.zeros((mu.size, 3, 3))
+    opens = u[:, 0] < r[:, 0]
+    F_u[:, 0, 0], F_r[:, 0, 0] = opens, ~opens
+    sticks = (slip < slack)[:, None]
+    F_u[:, 1, 1:] = np.where(sticks, t, 0.0)
+    F_r[:, 1, 1:] = np.where(sticks, 0.0, -d)
+    F_r[:, 1, 0] = np.where(sticks[:, 0], 0.0, mu)
+    sign, on = np.sign(cross), along > 0.0
+    F_u[:, 2, 1], F_u[:, 2, 2] = sign * r[:, 2] + on * r[:, 1], -sign * r[:, 1] + on * r[:, 2]
+    F_r[:, 2, 1], F_r[:, 2, 2] = -sign * u[:, 2] + on * u[:, 1], sign * u[:, 1] + on * u[:, 2]
+    return F, step[:, None, None] * F_u, F_r
+
+
+ELEMENTS: dict[str, Callable[[Array, Array, Array, Array], Element]] = {
+    "alart-curnier": alart_curnier,
+    "fischer-burmeister": fischer_burmeister,
+    "jean-moreau": jean_moreau,
+    "natural": natural_map,
+}
+"""The maps (u, r, μ, ρ) → (F, ∂F/∂u, ∂F/∂r) by name."""
+
+
+def residual_natural_map(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """Natural map r - P_K(r - ρ û), shape (3 nc,), N·s."""
+    return natural_map(*_state(problem, r), problem.mu, _uniform(problem, rho)[:, None])[0].ravel()
+
+
+def residual_jean_moreau(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """(r_N - (r_N - ρ_N u_N)₊, r_T - P_D(r_T - ρ_T u_T)), D of radius μ (r_N)₊, shape (3 nc,), N·s."""
+    return jean_moreau(*_state(problem, r), problem.mu, _steps(problem, rho))[0].ravel()
+
+
+def residual_alart_curnier(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """As Jean–Moreau, but D of radius μ (r_N - ρ_N u_N)₊, shape (3 nc,), N·s."""
+    return alart_curnier(*_state(problem, r), problem.mu, _steps(problem, rho))[0].ravel()
+
+
+def residual_fischer_burmeister(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """Fischer–Burmeister x + y - (x² + y²)^½ of the Jordan algebra, see `fischer_burmeister`, shape (3 nc,), N·s."""
+    return fischer_burmeister(*_state(problem, r), problem.mu, _uniform(problem, rho)[:, None])[0].ravel()
+
+
+def residual_hueber_stadler_wohlmuth(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """Alart–Curnier without a quotient: max(μ a, ‖y‖) r_T - μ a₊ y with a = r_N - ρ_N u_N, y = r_T - ρ_T u_T.
+
+    Shape (3 nc,): the normal line in N·s, the tangential ones in (N·s)².
+
+    References
+    ----------
+    S. Hüeber, G. Stadler, B. Wohlmuth, A primal-dual active set algorithm for three-dimensional contact problems with
+    Coulomb friction, SIAM J. Sci. Comput. 30, 2008.
+    """
+    u, r = _state(problem, r)
+    rho = _steps(problem, rho)
+    a = r[:, 0] - rho[:, 0] * u[:, 0]
+    y = r[:, 1:] - rho[:, 1:] * u[:, 1:]
+    bound = problem.mu * a
+    longest = np.maximum(bound, np.hypot(y[:, 0], y[:, 1]))
+    tangent = longest[:, None] * r[:, 1:] - np.maximum(bound, 0.0)[:, None] * y
+    return np.column_stack((r[:, 0] - np.maximum(a, 0.0), tangent)).ravel()
+
+
+def residual_xuewen_soh_wanji(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """(min(ρ u_N, r_N), min(ρ‖u_T‖, μ r_N - ‖r_T‖), |ρ u_T × r_T| + max(0, ρ u_T·r_T)), shape (3 nc,).
+
+    Notes
+    -----
+    Printed with max(0, u_T1 r_T1) in the last line, which admits friction along the slip where u_T1 = r_T1 = 0; the
+    scalar product does not.
+
+    References
+    ----------
+    N. Pop, Bundle methods for a quasistatic contact problem, equation (3.22), after L. Xuewen, A.-K. Soh, C. Wanji,
+    A new nonsmooth model for three-dimensional frictional contact problems, Comput. Mech. 26, 2000.
+    """
+    return xuewen_soh_wanji(*_state(problem, r), problem.mu, _uniform(problem, rho)[:, None])[0].ravel()
+
+
+def residual_soccp(problem: FC3D, r: Array) -> Array:
+    """Second-order cone complementarity, shape (9 nc,): x ∘ y, û - P_K*(û), r - P_K(r).
+
+    x = (û_N, μ u_T) and y = (μ r_N, r_T) lie in the Lorentz cone; their Jordan product in J is
+    (xᵀy, y_N x_T + x_N y_T). For μ = 0 the normal part of y is r_N.
+    """
+    u, r = _state(problem, r)
+    mu, hat = problem.mu, cones.saxce(u, problem.mu)
+    x = np.column_stack((hat[:, 0], mu[:, None] * u[:, 1:]))
+    y = np.column_stack((np.where(mu > 0.0, mu, 1.0) * r[:, 0], r[:, 1:]))
+    product = (_arrow(x) @ y[:, :, None])[:, :, 0]
+    return np.concatenate([a.ravel() for a in (product, hat - cones.project_dual(hat, mu), r - cones.project(r, mu))])
+
+
+def residual_normal_map(problem: FC3D, z: Array, rho: Any = None) -> Array:
+    """ρ û(P_K(z)) + z - P_K(z), shape (3 nc,), N·s: zero at z = r - ρ û(r), and then r = P_K(z) is a solution."""
+    z = np.asarray(z, dtype=float).reshape(-1, 3)
+    r = cones.project(z, problem.mu)
+    u = problem.velocity(r.ravel()).reshape(-1, 3)
+    return (_uniform(problem, rho)[:, None] * cones.saxce(u, problem.mu) + z - r).ravel()
+
+
+def quasi_variational_gap(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """Regularised gap max over s ∈ C(r_N) of u·(r - s) - ‖r - s‖²/(2ρ) of each contact, shape (nc,), J.
+
+    C(r_N) = {s_N ≥ 0, ‖s_T‖ ≤ μ (r_N)₊} is the cylinder that moves with r. The maximum is at s = P_C(r - ρ u); it is
+    not negative for r ∈ C(r_N), and zero there if u·(s - r) ≥ 0 for all s ∈ C(r_N), and only then.
+
+    References
+    ----------
+    M. Fukushima, Equivalent differentiable optimization problems and descent methods for asymmetric variational
+    inequality problems, Math. Program. 53, 1992.
+    """
+    u, r = _state(problem, r)
+    rho = _steps(problem, rho)
+    s = r - jean_moreau(u, r, problem.mu, rho)[0]  # the projection on the half-line times the disk
+    away = r - s
+    scaled = away / np.column_stack((rho, rho[:, 1]))
+    return np.asarray((u * away).sum(axis=1) - 0.5 * (away * scaled).sum(axis=1))
+
+
+def residual_quasi_variational_inequality(problem: FC3D, r: Array, rho: Any = None) -> Array:
+    """Quasi-variational inequality r ∈ C(r_N), u·(s - r) ≥ 0 for all s ∈ C(r_N), shape (4 nc,).
+
+    Its `quasi_variational_gap` in J, then r - P_C(r) in N·s, C(r_N) = {s_N ≥ 0, ‖s_T‖ ≤ μ (r_N)₊}. The operator is
+    u = W r + q alone, affine and monotone; what is lost is that the set stands still. Its natural map r - P_C(r - ρ u)
+    is `residual_jean_moreau`.
+    """
+    feasible = jean_moreau(np.zeros((problem.nc, 3)), _state(problem, r)[1], problem.mu, np.ones((problem.nc, 2)))[0]
+    return np.concatenate((quasi_variational_gap(problem, r, rho), feasible.ravel()))
+
+
+def residual_bipotential(problem: FC3D, r: Array) -> Array:
+    """De Saxcé's bipotential b(-u, r) + u·r and its constraints, shape (5 nc,).
+
+    b(-u, r) = μ r_N ‖u_T‖ where u_N ≥ 0 and r ∈ K, else infinite; b(-u, r) + u·r ≥ 0 with equality for the pairs of
+    Coulomb's law alone. First μ r_N ‖u_T‖ + u·r = r·û in J, then (-u_N)₊ in m/s, then r - P_K(r) in N·s.
+
+    References
+    ----------
+    G. de Saxcé, Z.-Q. Feng, The bipotential method, Math. Comput. Modelling 28, 1998.
+    """
+    u, r = _state(problem, r)
+    value = (r * cones.saxce(u, problem.mu)).sum(axis=1)
+    return np.concatenate((value, np.maximum(-u[:, 0], 0.0), (r - cones.project(r, problem.mu)).ravel()))
+
+
+def jacobian(problem: FC3D, r: Array, function: str, rho: Any = None) -> sp.csr_array:
+    """Element ∂F/∂r + (∂F/∂u) W of the generalised Jacobian of a map of `ELEMENTS`, shape (3 nc, 3 nc).
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, naming the known ones.
+    """
+    choice(function, sorted(ELEMENTS), "function")
+    split = function in ("alart-curnier", "jean-moreau")
+    step = _steps(problem, rho) if split else _uniform(problem, rho)[:, None]
+    _, F_u, F_r = ELEMENTS[function](*_state(problem, r), problem.mu, step)
+    return sp.csr_array(block_diagonal(F_r) + block_diagonal(F_u) @ problem.W)
+
+
+def block_diagonal(blocks: Array) -> sp.bsr_array:
+    """Block-diagonal sparse matrix of blocks (nc, 3, 3)."""
+    nc = blocks.shape[0]
+    return sp.bsr_array((blocks, np.arange(nc), np.arange(nc + 1)), shape=(3 * nc, 3 * nc))

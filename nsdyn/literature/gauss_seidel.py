@@ -1,0 +1,124 @@
+"""Block Gauss–Seidel with the local solvers, relaxations and orders of the literature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from nsdyn._kernels.literature import one_contact as _kernels
+from nsdyn.literature._common import Equilibrated, Run
+from nsdyn.literature._frozen import defect
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+
+Local = Literal[
+    "projection", "iterated-projection", "exact", "alart-curnier", "jean-moreau", "natural", "fischer-burmeister"
+]
+Order = Literal["given", "shuffled", "reshuffled", "symmetric"]
+
+CHECK = 10
+"""Sweeps between two measurements."""
+
+LOCAL_ITERATIONS = 100
+"""Iterations granted to one contact: Newton takes about 5, the fixed point on the cone some tens."""
+
+
+@dataclass(frozen=True)
+class GaussSeidel:
+    """NSGS and PSOR: every contact in turn by a local solver, FC(W_cc/ω, q̄_c), without acceleration.
+
+    Good on granular scenes and loose tolerances, where nothing is cheaper. It fails where information must travel far,
+    on stacks, walls and large mass ratios, whatever its options. `pgs` is the one to use: compiled whole and
+    accelerated; this one is for comparing what the literature compares.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Sweeps.
+    local : {'alart-curnier', 'jean-moreau', 'natural', 'fischer-burmeister', 'projection', 'iterated-projection', \
+'exact'}
+        Local solver: semismooth Newton on one of four maps; one step r ← P_K(r - ρ û), or such steps with Khobotov's ρ
+        until they settle; or the enumeration of take-off, stick and slip, each in closed form but for one root.
+    local_tol : float, optional
+        Where a local iteration ends, relative to ‖q‖; default a tenth of what one contact has in the mean of the
+        defect last measured.
+    omega : float
+        Relaxation ω in (0, 2): below 1 is under-relaxed.
+    order : {'given', 'shuffled', 'reshuffled', 'symmetric'}
+        Of the contacts: as in the problem, a random one, a new random one every sweep, or forth and back in turns.
+
+    Raises
+    ------
+    ValueError
+        For an unknown local solver or order, or ω outside (0, 2).
+
+    References
+    ----------
+    F. Jourdan, P. Alart, M. Jean, CMAME 155, 1998. V. Acary, M. Brémond, O. Huber, On solving contact problems with
+    Coulomb friction, 2018, section 4. O. Bonnefon, G. Daviet, Quartic formulation of Coulomb 3D frictional contact,
+    2011.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 100_000
+    local: Local = "alart-curnier"
+    local_tol: float | None = None
+    omega: float = 1.0
+    order: Order = "given"
+
+    def __post_init__(self) -> None:
+        choice(self.local, get_args(Local), "local")
+        choice(self.order, get_args(Order), "order")
+        if not 0.0 < self.omega < 2.0:
+            raise ValueError(f"omega must be between 0 and 2, got {self.omega}")
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        run, k = Run(problem, r0, self.tol), 0
+        if run.over:
+            return run.finish(0)
+        scaled = Equilibrated(problem)
+        kind = {
+            "projection": _kernels.PROJECTION,
+            "iterated-projection": _kernels.ITERATED,
+            "exact": _kernels.EXACT,
+            "alart-curnier": _kernels.ALART_CURNIER,
+            "jean-moreau": _kernels.JEAN_MOREAU,
+            "natural": _kernels.NATURAL,
+            "fischer-burmeister": _kernels.FISCHER_BURMEISTER,
+        }[self.local]
+        size, share = float(np.linalg.norm(scaled.q)), 0.1 / np.sqrt(problem.nc)
+        rng, order = np.random.default_rng(0), np.arange(problem.nc)
+        if self.order == "shuffled":
+            order = rng.permutation(order)
+        x, ones = run.r * scaled.root, np.ones(problem.nc)
+        goal = 0.0
+        for k in range(1, self.max_iter + 1):
+            if self.order == "reshuffled":
+                order = rng.permutation(order)
+            elif self.order == "symmetric" and k > 1:
+                order = np.ascontiguousarray(order[::-1])
+            if k % CHECK == 1:
+                goal = share * defect(scaled, x) if self.local_tol is None else self.local_tol * size
+                goal = max(goal, 1e-16 * size)  # round-off of numbers of size q
+            _kernels.sweep(
+                *scaled.csr,
+                scaled.q,
+                scaled.mu,
+                ones,
+                order,
+                kind,
+                self.omega,
+                goal,
+                LOCAL_ITERATIONS,
+                x,
+            )
+            if (k % CHECK == 0 or k == self.max_iter) and run.done(x / scaled.root):
+                break
+        return run.finish(k)

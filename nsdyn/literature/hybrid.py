@@ -1,0 +1,79 @@
+"""Newton's method with safe restarts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nsdyn.literature._common import Equilibrated, Run
+from nsdyn.literature.fixed_point import march
+from nsdyn.literature.impulse_newton import Function, matrix, newton, steps
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.tools.arrays import Array
+
+SAFE = 100
+"""Extragradient iterations before the first Newton, the number of the paper."""
+
+FACTORISATIONS = 30
+"""Of one Newton: what converges takes ten or so, the rest cycles."""
+
+
+@dataclass(frozen=True)
+class Hybrid:
+    """NSN-HYBRID: extragradient iterations, Newton from their best iterate, and again from the best of both.
+
+    The first round is the paper's: 100 safe iterations, then Newton. Where that fails a round follows with twice the
+    safe iterations, so that neither method starves.
+
+    Good where Newton converges once the contact states are nearly right: elastic bodies, few contacts per coordinate.
+    On redundant contacts Newton's matrix stays singular, and what is left is the extragradient method.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Extragradient iterations and factorisations together.
+    function : {'alart-curnier', 'fischer-burmeister', 'jean-moreau', 'natural'}
+        Equation of Newton's method, see `ImpulseNewton`.
+
+    References
+    ----------
+    V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, sections 4 and 5.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 100_000
+    function: Function = "alart-curnier"
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        run, count, safe = Run(problem, r0, self.tol), 0, SAFE
+        if run.over:
+            return run.finish(0)
+        scaled = Equilibrated(problem)
+        W, rho = matrix(scaled.W), steps(problem, "spectral")
+        while count < self.max_iter:
+            start = march(problem, run.r, self.tol, min(safe, self.max_iter - count), "khobotov", extra=True)
+            count += max(start.iterations, 1)
+            if run.done(start.r) or count >= self.max_iter:
+                break
+            with np.errstate(over="ignore", invalid="ignore"):  # a Newton that diverges is one that has failed
+                _, used, _ = newton(
+                    W,
+                    scaled.q,
+                    scaled.mu,
+                    run.r * scaled.root,
+                    rho,
+                    self.function,
+                    "none",
+                    lambda x, _: run.done(x / scaled.root),
+                    min(FACTORISATIONS, self.max_iter - count),
+                )
+            count += used
+            if run.over:
+                break
+            safe *= 2
+        return run.finish(count)

@@ -1,0 +1,195 @@
+"""Semismooth Newton on a nonsmooth equation in the impulses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from nsdyn.literature._common import Equilibrated, Run, factor, is_sparse
+from nsdyn.literature.formulations import ELEMENTS, block_diagonal
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+
+Function = Literal["alart-curnier", "fischer-burmeister", "jean-moreau", "natural"]
+Search = Literal["goldstein-price", "armijo", "none"]
+Rho = Literal["spectral", "split", "condition", "one"]
+
+LIFT = 1e-10
+"""Added to W (of unit blocks) in the matrix only, which redundant contacts make singular: it picks a solution."""
+
+
+def steps(problem: FC3D, rule: Rho) -> Array:
+    """Steps ρ = (ρ_N, ρ_T) of the diagonal blocks, times λ_max(W_cc), shape (nc, 2).
+
+    'spectral' 1/λ_max(W_cc) for both; 'split' 1/W_NN and 1/λ_max(W_TT); 'condition' with ρ_T = λ_min/λ_max² of W_TT
+    instead; 'one' is ρ = 1 kg, which the paper calls dramatic.
+    """
+    if rule == "spectral":
+        return np.ones((problem.nc, 2))
+    if rule == "one":
+        return np.tile(problem.scales[:, None], (1, 2))
+    D = _diagonal_blocks(problem.W)
+    eigenvalues = np.linalg.eigvalsh(0.5 * (D + D.transpose(0, 2, 1))[:, 1:, 1:])
+    # A direction the bodies cannot move in (2D problems) has a zero eigenvalue; its step only has to be positive.
+    low, high = np.maximum(eigenvalues, 1e-3 * problem.scales[:, None]).T
+    normal = 1.0 / np.maximum(D[:, 0, 0], 1e-3 * problem.scales)
+    tangent = 1.0 / high if rule == "split" else low / high**2
+    return np.asarray(problem.scales[:, None] * np.column_stack((normal, tangent)))
+
+
+def _diagonal_blocks(W: Any) -> Array:
+    """Blocks W_cc of a BSR array, shape (nc, 3, 3)."""
+    row = np.repeat(np.arange(W.indptr.size - 1), np.diff(W.indptr))
+    on = W.indices == row
+    out = np.zeros((W.indptr.size - 1, 3, 3))
+    out[row[on]] = W.data[on]
+    return out
+
+
+def _length(merit: Callable[[float], float], start: float, search: Search) -> float:
+    """Step length along a Newton direction; merit(t) = ½‖F‖² with slope -2 merit(0).
+
+    Armijo halves until the fall is m₁ times the slope's. Goldstein–Price also asks for a fall of at most m₂ times
+    it, so that steps are not short: doubling and bisection, m₁ = 0.01 < ½ < m₂ = 0.99.
+    """
+    if search == "none":
+        return 1.0
+    t, low, high = 1.0, 0.0, np.inf
+    for _ in range(20):
+        fall = merit(t) - start
+        if not fall <= -2.0 * 0.01 * t * start:
+            high = t
+        elif search == "goldstein-price" and fall < -2.0 * 0.99 * t * start:
+            low = t
+        else:
+            return t
+        t = 0.5 * (low + high) if np.isfinite(high) else 2.0 * t
+        if t > 4.0:
+            return low
+    # A full step past a kink beats a standstill before it.
+    return low if low > 0.0 else 1.0
+
+
+def newton(
+    W: Any,
+    q: Array,
+    mu: Array,
+    x: Array,
+    rho: Array,
+    function: Function,
+    search: Search,
+    done: Callable[[Array, float], bool],
+    max_iter: int,
+) -> tuple[Array, int, bool]:
+    """Newton's method on a map of `ELEMENTS`; (x, factorisations, whether `done` ended it).
+
+    W is dense, or sparse where that pays. done(x, ‖F(x)‖) is asked at every iterate.
+    """
+    element, nc = ELEMENTS[function], mu.size
+    sparse = not isinstance(W, np.ndarray)
+    eye = np.arange(3 * nc)
+
+    def evaluate(x: Array) -> tuple[Array, Array, Array]:
+        return element((W @ x + q).reshape(-1, 3), x.reshape(-1, 3), mu, rho)
+
+    F, F_u, F_r = evaluate(x)
+    for k in range(max_iter):
+        size = float(np.linalg.norm(F))
+        if not np.isfinite(size) or done(x, size):
+            return x, k, bool(np.isfinite(size))
+        if sparse:
+            J = block_diagonal(F_r + LIFT * F_u) + block_diagonal(F_u) @ W
+        else:
+            J = (F_u @ W.reshape(nc, 3, 3 * nc)).reshape(3 * nc, 3 * nc)
+            rows = eye.reshape(-1, 3)
+            J[rows[:, :, None], rows[:, None, :]] += F_r + LIFT * F_u
+        solve = factor(J)
+        if solve is None:
+            return x, k, False
+        step = solve(-F.ravel())
+
+        def merit(t: float, x: Array = x, step: Array = step) -> float:
+            return 0.5 * float((evaluate(x + t * step)[0] ** 2).sum())
+
+        x = x + _length(merit, 0.5 * size**2, search) * step
+        F, F_u, F_r = evaluate(x)
+    return x, max_iter, done(x, float(np.linalg.norm(F)))
+
+
+def matrix(W: Any) -> Any:
+    """W as `newton` wants it: dense, or as it is where a sparse factorisation pays."""
+    return W if is_sparse(W) else W.toarray()
+
+
+@dataclass(frozen=True)
+class ImpulseNewton:
+    """Semismooth Newton in the impulses, NSN, on one of four nonsmooth equations, with a line search.
+
+    Good where W is well conditioned: elastic bodies, few contacts per coordinate; quadratic near the solution. It
+    fails on redundant contacts, where W is singular and so may the matrix be (`newton` works in velocities instead,
+    `proximal` makes W definite), and from cold starts with many changes of state.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Factorisations.
+    function : {'fischer-burmeister', 'alart-curnier', 'jean-moreau', 'natural'}
+        Equation, see `nsdyn.literature.formulations`. Full steps on the first reach most: it is the smoothest, a line
+        search on the others stops at kinks and full steps on them cycle.
+    search : {'none', 'goldstein-price', 'armijo'}
+        Line search on ½‖F‖².
+    rho : {'spectral', 'split', 'condition', 'one'}
+        Rule for the steps ρ, see `steps`; only Alart–Curnier and Jean–Moreau tell normal from tangential ones.
+
+    Raises
+    ------
+    ValueError
+        For an unknown option, or a split rule with a map that has one step per contact.
+
+    References
+    ----------
+    P. Alart, A. Curnier, CMAME 92, 1991. V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb
+    friction, 2018, section 4.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 200
+    function: Function = "fischer-burmeister"
+    search: Search = "none"
+    rho: Rho = "spectral"
+
+    def __post_init__(self) -> None:
+        for name, known in (
+            ("function", tuple(ELEMENTS)),
+            ("search", ("goldstein-price", "armijo", "none")),
+            ("rho", ("spectral", "split", "condition", "one")),
+        ):
+            choice(getattr(self, name), known, name)
+        if self.rho in ("split", "condition") and self.function in ("natural", "fischer-burmeister"):
+            raise ValueError(f"rho={self.rho!r} splits the cone, which function={self.function!r} does not allow")
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        run = Run(problem, r0, self.tol)
+        if run.over:
+            return run.finish(0)
+        scaled = Equilibrated(problem)
+        _, count, ended = newton(
+            matrix(scaled.W),
+            scaled.q,
+            scaled.mu,
+            run.r * scaled.root,
+            steps(problem, self.rho),
+            self.function,
+            self.search,
+            lambda x, _: run.done(x / scaled.root),
+            self.max_iter,
+        )
+        return run.finish(count, Status.MAX_ITERATIONS if ended or count == self.max_iter else Status.STALLED)

@@ -1,0 +1,63 @@
+"""Normal and tangential problems in turns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nsdyn._kernels.literature import sweeps as _kernels
+from nsdyn.literature._common import Equilibrated
+from nsdyn.literature._frozen import descend, freeze
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.tools.arrays import Array
+
+SWEEPS = 2000
+"""Sweeps granted to one convex problem."""
+
+
+def _tangential_impulse(scaled: Equilibrated, x: Array) -> Array:
+    return x.reshape(-1, 3)[:, 1:].ravel()
+
+
+def _inner(scaled: Equilibrated, tangent: Array, x: Array, goal: float) -> tuple[Array, int]:
+    x, ones = x.copy(), np.ones_like(scaled.mu)
+    x.reshape(-1, 3)[:, 1:] = tangent.reshape(-1, 2)
+    args = *scaled.csr, scaled.q
+    x, normal = descend(lambda y: _kernels.cylinder_sweep(*args, ones, ones, True, False, y), x, goal, SWEEPS)
+    x[::3] = np.maximum(x[::3], 0.0)
+    radius = scaled.mu * x[::3]
+    x, tangential = descend(lambda y: _kernels.cylinder_sweep(*args, radius, ones, False, True, y), x, goal, SWEEPS)
+    return x, normal + tangential
+
+
+@dataclass(frozen=True)
+class Panagiotopoulos:
+    """Alternate the normal problem at frozen friction and the friction problem on disks at frozen normal impulses.
+
+    Good where W_NT is small, as on flat interfaces: two quadratic programs of the simplest kind. It fails where
+    friction and pressure depend on each other (wedges, masonry, large μ): the alternation need not contract.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Alternations; the iterations reported are sweeps.
+    memory : int
+        Differences kept by Anderson's acceleration of the tangential impulses; 0 for the plain alternation.
+
+    References
+    ----------
+    P. Panagiotopoulos, A nonlinear programming approach to the unilateral contact and friction boundary value
+    problem, Ing.-Archiv 44, 1975. V. Acary, M. Brémond, O. Huber, 2018, section 4.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 1000
+    memory: int = 5
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        return freeze(problem, r0, self.tol, self.max_iter, _tangential_impulse, _inner, self.memory)

@@ -1,0 +1,68 @@
+"""Projected (block) Gauss–Seidel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nsdyn._kernels.compiled import clock
+from nsdyn._kernels.literature import pgs as _kernels
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.tools.arrays import Array
+
+
+@dataclass(frozen=True)
+class PGS:
+    """Block Gauss–Seidel: each contact in turn solved exactly, Anderson-accelerated.
+
+    Good on loose tolerances and granular scenes, where a sweep costs 0.1 µs per contact block. It fails where
+    information must travel far: tall stacks, heavy bodies on light ones, hyperstatic walls at tight tolerance.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Sweeps.
+    memory : int
+        Differences kept by Anderson's acceleration; 0 gives the plain method.
+    patience : int
+        Sweeps from which on the solve is called stalled once their rate leaves no hope within max_iter.
+
+    References
+    ----------
+    F. Jourdan, P. Alart, M. Jean, A Gauss-Seidel like algorithm to solve frictional contact problems, CMAME 155,
+    1998. H. Walker, P. Ni, Anderson acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49, 2011.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 10_000
+    memory: int = 20
+    patience: int = 10_000
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        start = clock()
+        r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
+        sweeps = 0
+        if problem.nc and not problem.solved(r, self.tol)[0]:
+            q_norm = float(np.linalg.norm(problem.q)) or 1.0
+            blocks = problem.blocks
+            W = _kernels.matrix(*problem.csr) if blocks is None else _kernels.factors(blocks.arrays)
+            sweeps, _ = _kernels.accelerated(
+                W,
+                problem.q,
+                problem.mu,
+                problem.scales,
+                r,
+                self.tol,
+                q_norm,
+                self.max_iter,
+                min(5, self.max_iter),
+                min(self.memory, problem.nc + 1),
+                self.patience,
+            )
+        status = Status.STALLED if sweeps < self.max_iter else Status.MAX_ITERATIONS
+        return Solution.judge(problem, r, self.tol, sweeps, clock() - start, status)

@@ -1,0 +1,114 @@
+"""Proximal point algorithm with Newton inside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+
+from nsdyn.literature._common import Equilibrated, Run
+from nsdyn.literature.formulations import ELEMENTS
+from nsdyn.literature.impulse_newton import Function, Search, matrix, newton
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+
+Rule = Literal["adaptive", "error"]
+
+
+@dataclass(frozen=True)
+class Proximal:
+    """Proximal point algorithm, PPA-NSN: solve the problem of W + α I and q - α r_k by Newton, r_k its solution.
+
+    Good on redundant contacts at tight tolerances, masonry and stacks, where it is the robust one of the paper:
+    W + α I is definite. It fails where α must stay large, for then it creeps: strongly sliding piles at high friction.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Factorisations in all.
+    alpha : float
+        First α, times λ_max(W_cc); σ for the rule 'error'.
+    rule : {'adaptive', 'error'}
+        α falls tenfold when the inner Newton succeeds, or is σ error^ν with the `FC3D.error` of r_k. Either grows
+        fivefold when Newton fails.
+    nu : float
+        Exponent ν of the rule 'error'.
+    inner : int
+        Newton steps granted to one proximal step.
+    function, search
+        Inner Newton, see `ImpulseNewton`; full steps reach more than searched ones, which stop at kinks.
+
+    Raises
+    ------
+    ValueError
+        For an unknown rule, or α that is not positive.
+
+    References
+    ----------
+    V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 4. W. Hager,
+    H. Zhang, Self-adaptive inexact proximal point methods, Comput. Optim. Appl. 39, 2008.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 1000
+    alpha: float = 1e-3
+    inner: int = 20
+    function: Function = "alart-curnier"
+    search: Search = "none"
+    rule: Rule = "adaptive"
+    nu: float = 1.0
+
+    def __post_init__(self) -> None:
+        choice(self.rule, ("adaptive", "error"), "rule")
+        if not self.alpha > 0.0:
+            raise ValueError(f"alpha must be positive, got {self.alpha}")
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        run, count, alpha = Run(problem, r0, self.tol), 0, self.alpha
+        if run.over:
+            return run.finish(0)
+        scaled = Equilibrated(problem)
+        W = matrix(scaled.W)
+        shift = np.eye(scaled.q.size) if isinstance(W, np.ndarray) else sp.eye_array(scaled.q.size, format="bsr")
+        x = run.r * scaled.root
+        if self.rule == "error":
+            alpha = self._by_error(run.r, problem)
+        while count < self.max_iter and alpha < 1e8:
+            u = (W @ x + scaled.q).reshape(-1, 3)
+            rho = np.full((problem.nc, 2), 1.0 / (1.0 + alpha))  # 1/λ_max of the diagonal blocks of W + α I
+            target = 0.1 * float(np.linalg.norm(ELEMENTS[self.function](u, x.reshape(-1, 3), scaled.mu, rho)[0]))
+
+            def done(y: Array, size: float, target: float = target) -> bool:
+                return run.done(y / scaled.root) or size <= target
+
+            new, used, ended = newton(
+                W + alpha * shift,
+                scaled.q - alpha * x,
+                scaled.mu,
+                x,
+                rho,
+                self.function,
+                self.search,
+                done,
+                min(self.inner, self.max_iter - count),
+            )
+            count += max(used, 1)
+            if run.over:
+                break
+            if ended:
+                x = new
+                alpha = self._by_error(x / scaled.root, problem) if self.rule == "error" else max(0.1 * alpha, 1e-12)
+            else:
+                alpha *= 5.0
+        return run.finish(count, Status.MAX_ITERATIONS if count >= self.max_iter else Status.STALLED)
+
+    def _by_error(self, r: Array, problem: FC3D) -> float:
+        """α = σ error^ν, not below the round-off that keeps W + α I definite."""
+        return float(max(self.alpha * problem.error(r) ** self.nu, 1e-12))

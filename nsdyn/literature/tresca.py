@@ -1,0 +1,55 @@
+"""Frozen bounds: a sequence of convex problems on cylinders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nsdyn._kernels.literature import sweeps as _kernels
+from nsdyn.literature._common import Equilibrated
+from nsdyn.literature._frozen import descend, freeze, normal_impulse
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.tools.arrays import Array
+
+SWEEPS = 2000
+"""Sweeps granted to one convex problem."""
+
+
+def _inner(scaled: Equilibrated, theta: Array, x: Array, goal: float) -> tuple[Array, int]:
+    radius, ones = scaled.mu * np.maximum(theta, 0.0), np.ones_like(theta)
+    return descend(
+        lambda y: _kernels.cylinder_sweep(*scaled.csr, scaled.q, radius, ones, True, True, y), x, goal, SWEEPS
+    )
+
+
+@dataclass(frozen=True)
+class Tresca:
+    """Haslinger's fixed point: freeze the bounds μθ, minimise ½ rᵀWr + rᵀq on r_N ≥ 0, ‖r_T‖ ≤ μθ, set θ = r_N.
+
+    Good where normal and tangential impulses are weakly coupled: granular packings, elastic bodies at small μ, where
+    the map contracts. It fails at large μ with strong coupling, and as slowly as its sweeps on redundant contacts.
+
+    Parameters
+    ----------
+    tol : float
+        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+    max_iter : int
+        Passes; the iterations reported are sweeps.
+    memory : int
+        Differences kept by Anderson's acceleration of the bounds; 0 for the plain fixed point.
+
+    References
+    ----------
+    J. Haslinger, Approximation of the Signorini problem with friction obeying the Coulomb law, Math. Methods Appl.
+    Sci. 5, 1983. V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 4.
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 500
+    memory: int = 5
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        return freeze(problem, r0, self.tol, self.max_iter, normal_impulse, _inner, self.memory)

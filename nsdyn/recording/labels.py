@@ -1,0 +1,134 @@
+"""What makes a recording's file explain itself: units, names of axes, names along them, as HDF5 dimension scales.
+
+Datasets have the attribute `units`, and in complete recordings named axes, by the convention of netCDF-4, which xarray
+reads. Scales that the layout of `nsdyn.recording.columns` does not name are::
+
+    /t_steps                     (n,)   s, ends of the steps
+    /coordinate, /velocity       names of the columns of /q and /v
+    /joint_coordinate, /link     names of the columns of /joints and /pieces, and of the links of /links
+    /body, /shape                names of the moving bodies of /frames, of the shapes of /contacts/geom1 and geom2
+    /axis, /quaternion, /side, /wrench
+                                 x y z; x y z w; N T1 T2; force and moment
+    /contacts/contact, /pieces/piece
+                                 (.,)   s, ends of the steps that they are of
+
+Groups have those that their datasets use, by hard links.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import h5py
+import numpy as np
+
+from nsdyn.recording.columns import CONTACT, CONTACT_STATES, ON_JOINTS, STEP
+
+__all__ = ["name_axes", "name_units"]
+
+UNITS = {
+    "t": "s",
+    "t_steps": "s",
+    "q": "m, rad or 1",
+    "v": "m/s or rad/s",
+    "wall_time": "s",
+    "frames/x": "m",
+    "energy/": "J",
+    **{name: column.unit for name, column in STEP.items()},
+    "links/impulse": "N s or N m s",
+    "pieces/begin": "s",
+    "pieces/duration": "s",
+    **{f"{group}/{name}": unit for group in ("joints", "pieces") for name, unit in ON_JOINTS.items()},
+    **{f"contacts/{name}": column.unit for name, column in CONTACT.items()},
+}
+"""Of datasets, or of all others of a group; else 1."""
+
+STATES = ("t", "q", "v", "frames/x", "frames/quat", "energy/kinetic", "energy/potential")
+ROWS = {"contacts": "contacts/contact", "pieces": "pieces/piece"}
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "q": ("coordinate",),
+    "v": ("velocity",),
+    "frames/x": ("body", "axis"),
+    "frames/quat": ("body", "quaternion"),
+    "links/impulse": ("link", "wrench"),
+    "contacts/u": ("side",),
+    "contacts/impulse": ("side",),
+    **dict.fromkeys((f"contacts/{name}" for name in ("point", "normal", "tangent", "couple")), ("axis",)),
+    **dict.fromkeys((f"{group}/{name}" for group in ("joints", "pieces") for name in ON_JOINTS), ("joint_coordinate",)),
+    "pieces/moves": ("joint_coordinate",),
+}
+"""Axes of datasets after the first."""
+
+
+def name_units(file: Any, meta: Mapping[str, Any], columns: Iterable[str]) -> None:
+    """Give the columns of a file their units, words for the numbers of some, and the file what `/meta` tells."""
+    file.attrs.update(meta)
+    for name in columns:
+        file[name].attrs["units"] = UNITS.get(name) or UNITS.get(f"{name.partition('/')[0]}/", "1")
+    from nsdyn.problem.solution import Status  # which to read a recording does not need
+
+    for side in ("geom1", "geom2"):
+        file[f"contacts/{side}"].attrs["long_name"] = "number of the shape, in the order of /shape"
+    for name, words in (("contacts/status", CONTACT_STATES), ("solver/status", [status.name for status in Status])):
+        file[name].attrs.update(flag_values=np.arange(len(words), dtype="i1"), flag_meanings=" ".join(words))
+
+
+def name_axes(file: Any, scene: Mapping[str, Any], columns: Iterable[str]) -> None:
+    """Give the axes of the columns of a complete file their names, and what lies along them its own."""
+    file["t_steps"] = file["t"][1:]
+    file["t_steps"].attrs["units"] = "s"
+    axes = {name: _axes(name) for name in columns if name != "t"}
+    labels, used = _labels(scene), dict.fromkeys(axis for own in axes.values() for axis in own)
+    for axis in used:
+        if axis in labels:
+            file.create_dataset(axis, data=np.array(labels[axis], dtype=object), dtype=h5py.string_dtype())
+        elif axis in ROWS.values():
+            rows = np.diff(file[f"{axis.partition('/')[0]}/offset"][:])
+            file.create_dataset(axis, data=np.repeat(file["t"][1:], rows), compression="gzip", shuffle=True)
+            file[axis].attrs["units"] = "s"
+        file[axis].make_scale(axis)
+    file.create_dataset("shape", data=np.array(labels["shape"], dtype=object), dtype=h5py.string_dtype())
+    file["shape"].make_scale("shape")
+    for slot in file.get("state", {}).values():
+        for name, item in slot.items():
+            item.make_scale(name)
+    for name, own in axes.items():
+        group = file[name].parent
+        for k, axis in enumerate(own):
+            file[name].dims[k].attach_scale(file[axis])
+            if "/" not in axis and axis not in group:
+                group[axis] = file[axis]
+
+
+def _axes(name: str) -> tuple[str, ...]:
+    """The scales of a column."""
+    rows = "t" if name in STATES or name.endswith("/offset") else ROWS.get(name.partition("/")[0], "t_steps")
+    return (rows, *COLUMNS.get(name, ()))
+
+
+def _labels(scene: Mapping[str, Any]) -> dict[str, list[str]]:
+    """What lies along the axes."""
+    free = scene["frames"][: scene["free"]]
+    coordinates = [f"{name}/{part}" for name in free for part in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    velocities = [f"{name}/{part}_{axis}" for name in free for part in ("v", "omega") for axis in "xyz"]
+    joints, links = list[str](), list[str]()
+    for a in scene["articulations"]:
+        sizes = a.get("sizes", [[a["nq"], a["nv"]]])
+        names = [f"{a['name']}/{joint}" for joint in a["joints"]] if "sizes" in a else [a["name"]]
+        links += names
+        for name, (nq, nv) in zip(names, sizes, strict=True):
+            coordinates += [name] if nq == 1 else [f"{name}/{k}" for k in range(nq)]
+            joints += [name] if nv == 1 else [f"{name}/{k}" for k in range(nv)]
+    return {
+        "coordinate": coordinates,
+        "velocity": velocities + joints,
+        "axis": list("xyz"),
+        "side": ["N", "T1", "T2"],
+        "shape": [geom["name"] for geom in scene["geoms"]],
+        "body": scene["frames"],
+        "quaternion": list("xyzw"),
+        "joint_coordinate": joints,
+        "link": links,
+        "wrench": [f"{part}_{axis}" for part in ("force", "moment") for axis in "xyz"],
+    }

@@ -1,0 +1,127 @@
+"""Actuators that a robot file describes, and what a controller tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+
+__all__ = ["Actuation", "Actuator"]
+
+
+class Actuator(NamedTuple):
+    """A motor or servo on a revolute or prismatic joint: τ = g clip(k u + b0 + b1 g q + b2 g v) with the control u.
+
+    Attributes
+    ----------
+    name, joint : str
+    coordinate : int
+        The joint's, in v.
+    gear, gain : float
+        g and k.
+    bias : (float, float, float)
+        b0, b1 ≤ 0 and b2 ≤ 0, of the joint's angle q [rad] or length [m] and its velocity v.
+    control_range, force_range : (float, float)
+        Least and most u, and k u + b0 + b1 g q + b2 g v; infinite where there are none.
+    """
+
+    name: str
+    joint: str
+    coordinate: int
+    gear: float
+    gain: float
+    bias: tuple[float, float, float]
+    control_range: tuple[float, float]
+    force_range: tuple[float, float]
+
+    @property
+    def servo(self) -> bool:
+        """Whether it acts on what the joint does, not on its control alone."""
+        return self.bias[1] != 0.0 or self.bias[2] != 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Actuation:
+    """Controls of the actuators of an MJCF file, in the units that MuJoCo gives them; actuators without one are off.
+
+    They are the file's motors, position and velocity servos and those general ones that have no state of their own,
+    with its gears, gains and ranges. Servos act as `nsdyn.PD` does, of second order in the step and with any gain.
+
+    Parameters
+    ----------
+    controls : mapping of str to float, or array
+        By the names of the actuators, or of their joints where they have none of their own; or one for each actuator
+        in the order of the file, as MuJoCo's ``ctrl``.
+
+    Raises
+    ------
+    ValueError
+        For what are no finite numbers.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> nd.Actuation({"knee_servo": 0.3}).controls
+    {'knee_servo': 0.3}
+    >>> nd.Actuation([0.3, -0.1]).controls
+    (0.3, -0.1)
+    """
+
+    controls: Mapping[str, float] | ArrayLike
+
+    def __post_init__(self) -> None:
+        given: Any = self.controls
+        named = isinstance(given, Mapping)
+        try:
+            values = np.array(list(given.values()) if named else given, dtype=float)
+        except (TypeError, ValueError):
+            values = np.array(np.nan)
+        if values.ndim != 1 or not np.isfinite(values).all():
+            wanted = "{actuator: finite number}, or one number for each actuator"
+            raise ValueError(f"controls of an Actuation must be {wanted}, got {given!r}")
+        kept = tuple(values.tolist())
+        object.__setattr__(self, "controls", dict(zip(given, kept, strict=True)) if named else kept)
+
+    def by_name(self, owner: str, actuators: Sequence[Actuator]) -> dict[str, float]:
+        """Controls of the actuators of an articulation, the `owner`, by name; ValueError if they do not fit."""
+        given: Any = self.controls
+        names = [a.name for a in actuators]
+        if isinstance(given, Mapping):
+            return {choice(name, names, f"actuator of {owner!r}"): value for name, value in given.items()}
+        if len(given) != len(names):
+            raise ValueError(
+                f"controls of an Actuation must be one for each of the {len(names)} actuators of {owner!r}: "
+                f"{', '.join(names)}; got {len(given)}"
+            )
+        return dict(zip(names, given, strict=True))
+
+    def on(self, owner: str, actuators: Sequence[Actuator], effort: Array) -> Array:
+        """kp, kd, target, constant and limit of the joint forces of an articulation, shape (5, nv).
+
+        Parameters
+        ----------
+        owner : str
+            The articulation.
+        actuators : sequence of Actuator
+        effort : ndarray, shape (nv,)
+            Most of each joint, N m or N.
+        """
+        known = {a.name: a for a in actuators}
+        out = np.zeros((5, effort.size))
+        out[4] = effort
+        for name, given in self.by_name(owner, actuators).items():
+            a = known[name]
+            force, j = a.gain * float(np.clip(given, *a.control_range)) + a.bias[0], a.coordinate
+            if a.servo:
+                out[:2, j] -= a.gear**2 * np.array(a.bias[1:])
+                out[4, j] = min(out[4, j], abs(a.gear) * a.force_range[1])
+            else:
+                force = float(np.clip(force, *a.force_range))
+            out[3, j] += a.gear * force
+        return out

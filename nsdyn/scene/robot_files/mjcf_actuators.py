@@ -1,0 +1,116 @@
+"""Actuators of an MJCF file on hinges and slides: motors, servos and general ones, without a state of their own."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from nsdyn.scene.actuation import Actuator
+from nsdyn.scene.robot_files.xml import Notes, numbers
+
+__all__ = ["ACTUATORS", "SHARED", "actuators_of"]
+
+OWN = {
+    "motor": set(),
+    "position": {"kp", "kv", "inheritrange"},
+    "velocity": {"kv"},
+    "general": {"gaintype", "biastype", "dyntype", "gainprm", "biasprm"},
+}
+"""What each kind has of its own."""
+
+SHARED = {"gear", "ctrllimited", "forcelimited", "ctrlrange", "forcerange"}
+"""What all have, also where the default of another kind gives it."""
+
+ACTUATORS = {*OWN, "intvelocity", "damper", "cylinder", "muscle", "adhesion", "plugin"}
+"""All kinds of MuJoCo."""
+
+USED = {"name", "joint", "group", "lengthrange", "user", *SHARED}
+
+NONE = (-math.inf, math.inf)
+
+
+def actuators_of(
+    elements: Iterable[Element], model: Any, places: Mapping[str, tuple[int, int]], autolimits: bool, dropped: Notes
+) -> tuple[Actuator, ...]:
+    """Actuators of the joints at `places`, in q and v; what is not used of them is noted."""
+    out: dict[str, Actuator] = {}
+    for element in elements:
+        joint = element.get("joint", "")
+        label = element.get(
+            "name", joint or next((v for k, v in element.items() if k in ("tendon", "site", "body")), "")
+        )
+        if why := _unused(element, joint, places):
+            dropped.append(f"<actuator> {label!r}: {why}")
+            continue
+        q, v = places[joint]
+        a = _read(element, label, joint, v, autolimits)
+        if element.get("inheritrange"):
+            share = float(numbers(element.get("inheritrange"), 1, None, f"inheritrange of actuator {label!r}")[0])
+            low, high = model.lowerPositionLimit[q], model.upperPositionLimit[q]
+            middle, half = 0.5 * (low + high), 0.5 * share * (high - low)
+            a = a._replace(control_range=(middle - half, middle + half)) if math.isfinite(half) else a
+        if max(a.bias[1:]) > 0.0:
+            dropped.append(f"<actuator> {label!r}: biasprm that drives it away")
+            continue
+        if label in out:
+            raise ValueError(f"actuator {label!r} comes twice: name both")
+        if others := sorted(element.attrib.keys() - USED - OWN[element.tag]):
+            dropped.append(f"actuator {label!r}: {', '.join(others)}")
+        out[label] = a
+    count = Counter(a.coordinate for a in out.values())
+    for label, a in out.items():
+        low, high = a.force_range
+        if a.servo and (low, high) != NONE and (low != -high or count[a.coordinate] > 1):
+            dropped.append(f"actuator {label!r}: forcerange of a servo that is not ± the same, or has others beside it")
+            out[label] = a._replace(force_range=NONE)
+    return tuple(out.values())
+
+
+def _unused(element: Element, joint: str, places: Mapping[str, tuple[int, int]]) -> str:
+    """Why an actuator cannot be used, empty if it can."""
+    if element.tag not in OWN:
+        return f"of kind {element.tag!r}"
+    if joint not in places:
+        return "on no hinge or slide"
+    for attribute, known in (("gaintype", "fixed"), ("biastype", "none affine"), ("dyntype", "none")):
+        if element.tag == "general" and element.get(attribute, "none") not in ("none", *known.split()):
+            return f"{attribute}={element.get(attribute)!r}"
+    for attribute in ("timeconst", "dampratio"):
+        if any(float(x) for x in element.get(attribute, "").split()):
+            return attribute
+    return ""
+
+
+def _read(element: Element, label: str, joint: str, v: int, autolimits: bool) -> Actuator:
+    """An actuator as the file writes it."""
+
+    def value(attribute: str, default: float) -> float:
+        return float(numbers(element.get(attribute), None, (default,), f"{attribute} of actuator {label!r}")[0])
+
+    def limits(what: str) -> tuple[float, float]:
+        limited = element.get(f"{what}limited", "auto")
+        given = element.get(f"{what}range")
+        if limited == "false" or (limited == "auto" and not (autolimits and given)):
+            return NONE
+        low, high = numbers(given, 2, None, f"{what}range of actuator {label!r}")
+        return float(low), float(high)
+
+    gain, bias = 1.0, np.zeros(3)
+    if element.tag == "position":
+        gain = value("kp", 1.0)
+        bias[1:] = -gain, -value("kv", 0.0)
+    elif element.tag == "velocity":
+        gain = value("kv", 1.0)
+        bias[2] = -gain
+    elif element.tag == "general":
+        gain = value("gainprm", 1.0)
+        if element.get("biastype", "none") == "affine":
+            given = numbers(element.get("biasprm"), None, (0.0,), f"biasprm of actuator {label!r}")[:3]
+            bias[: given.size] = given
+    b0, b1, b2 = bias.tolist()
+    return Actuator(label, joint, v, value("gear", 1.0), gain, (b0, b1, b2), limits("ctrl"), limits("force"))

@@ -1,0 +1,82 @@
+"""What MuJoCo's viewer shows of the geoms of an MJCF file: those of the groups 0 to 2, in their colours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from nsdyn.scene.articulations import Link
+from nsdyn.scene.robot_files.xml import Notes, mesh_file, numbers
+from nsdyn.scene.shapes import HALFSPACE
+from nsdyn.scene.visuals import Colour, Visual, mesh_visual
+
+if TYPE_CHECKING:
+    from nsdyn.scene.robot_files.mjcf_geoms import Geoms
+
+__all__ = ["Look", "look_of", "visuals_of"]
+
+SHOWN = 2
+"""Last of the groups that MuJoCo shows unless told otherwise."""
+
+
+class Look(NamedTuple):
+    """How a geom looks: its mesh, if it is of one, its colour, if the file gives one, and whether it is shown."""
+
+    mesh: Element | None
+    colour: Colour | None
+    shown: bool
+
+
+def look_of(geom: Element, label: str, meshes: Mapping[str, Element], materials: Mapping[str, Element]) -> Look:
+    """Look of a geom, of one of the meshes of the file if it is of that type; ValueError for a colour that is none."""
+    mesh = meshes.get(geom.get("mesh", "")) if geom.get("type") == "mesh" else None
+    material = materials.get(geom.get("material", ""), geom)
+    given = geom.get("rgba", material.get("rgba"))
+    colour = None
+    if given is not None:
+        r, g, b, a = np.clip(numbers(given, 4, None, f"rgba of geom {label!r}"), 0.0, 1.0).tolist()
+        colour = (r, g, b, a)
+    group = numbers(geom.get("group"), 1, (0.0,), f"group of geom {label!r}")[0]
+    return Look(mesh, colour, group <= SHOWN and (colour is None or colour[3] > 0.0))
+
+
+def visuals_of(
+    geoms: Geoms, links: Sequence[tuple[Link, str]], geometry: Any, home: Path, notes: Notes
+) -> tuple[Visual, ...]:
+    """Visual shapes of geoms; none where they would be no more than the collision shapes.
+
+    Parameters
+    ----------
+    geoms : Geoms
+    links : sequence of (Link, str)
+        Geoms as shapes, and their bodies.
+    geometry : pinocchio.GeometryModel
+        The same, of a mesh where its file has its origin.
+    home : Path
+        Folder of the file.
+    notes : Notes
+        To which goes what is not shown.
+    """
+    placed, out, more = {g.name: g.placement for g in geometry.geometryObjects}, [], False
+    for (label, joint, placement, shape), body in links:
+        look = geoms.looks[label]
+        if not look.shown or shape.kind == HALFSPACE:
+            continue
+        more |= look.mesh is not None or look.colour is not None or not any(geoms.masks[label])
+        if look.mesh is None:
+            out.append(Visual(body, joint, placement, shape, look.colour))
+            continue
+        try:
+            if "file" not in look.mesh.attrib:
+                raise ValueError("its mesh has no file")
+            scale = numbers(look.mesh.get("scale"), 3, (1, 1, 1), "scale of <mesh>")
+            mesh = mesh_visual(mesh_file(look.mesh.attrib["file"], [home], ""), scale)
+        except ValueError as failure:
+            notes.append(f"visual of geom {label!r}: {failure}")
+            continue
+        out.append(Visual(body, joint, placed[label], mesh, look.colour))
+    return tuple(out) if more else ()

@@ -1,1 +1,0 @@
-"""Methods of the literature, kept to compare: each says where it fails."""

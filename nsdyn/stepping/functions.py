@@ -1,0 +1,72 @@
+"""The functions of a user that act in a run: a controller and external forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from nsdyn.dynamics.dynamics import Controls, Dynamics, Wrenches
+from nsdyn.dynamics.values import Position
+from nsdyn.stepping.half import Callbacks
+from nsdyn.stepping.state import Step
+from nsdyn.tools import callbacks
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Callback", "Functions"]
+
+Callback = (
+    Callable[[float, Array, Array], Mapping[str, Any]] | Callable[[float, Array, Array, Step | None], Mapping[str, Any]]
+)
+
+
+class Functions:
+    """What controls the joints of a scene and pushes its bodies.
+
+    Parameters
+    ----------
+    controller, external_force : callable, optional
+        As of `nsdyn.Stepper`.
+
+    Attributes
+    ----------
+    take_last : bool
+        Whether one of them takes the last step.
+
+    Raises
+    ------
+    ValueError
+        For what is no function.
+    """
+
+    def __init__(self, controller: Callback | None, external_force: Callback | None) -> None:
+        self._given = {"controller": controller, "external_force": external_force}
+        for what, given in self._given.items():
+            if given is not None and not callable(given):
+                raise ValueError(
+                    f"{what} must be a function of (t, q, v), or of (t, q, v, last), or None, got {given!r}"
+                )
+        self._seeing = {what for what, given in self._given.items() if given and callbacks.takes(given, "last")}
+        self.take_last = bool(self._seeing)
+
+    def __getitem__(self, what: str) -> Callback | None:
+        return self._given[what]
+
+    def at(self, t: float, dynamics: Dynamics, last: Step | None) -> Callbacks:
+        """What they say at a time, after the last step; None without any."""
+        if not any(self._given.values()):
+            return None
+
+        def said(middle: Position, v: Array) -> tuple[Wrenches | None, Controls]:
+            q_v = dynamics.pinocchio_state(middle, v)
+            return (
+                self._said("external_force", partial(dynamics.wrenches, middle), None, (t, *q_v), last),
+                self._said("controller", dynamics.controls, {}, (t, *q_v), last),
+            )
+
+        return said
+
+    def _said(self, what: str, fit: Callable[[Any], Any], nothing: Any, at: tuple[Any, ...], last: Step | None) -> Any:
+        if (function := self._given[what]) is None:
+            return nothing
+        return callbacks.called(function, what, fit, *at, **({"last": last} if what in self._seeing else {}))

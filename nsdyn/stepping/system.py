@@ -1,0 +1,88 @@
+"""What a stepper is made of: its options checked, and what of a scene does not change from move to move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nsdyn.collision.detector import Detector
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.scene.bodies import Geom
+from nsdyn.scene.scene import Scene
+from nsdyn.solvers import Solver
+from nsdyn.stepping.impacts import Law
+from nsdyn.stepping.instant import System
+from nsdyn.tools.arrays import Array
+
+__all__ = ["check_options", "system_of"]
+
+CLOSED = 1e-9
+"""Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
+that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
+body at rest in every step."""
+
+SLOW = 0.01
+"""m/s. In a step in which a body at this speed moves farther than its size a contact may sink only for as long as that
+takes: grains of 1e-5 m gained 1e-6 of their energy from gaps that counted as closed."""
+
+
+def check_options(scene: Any, dt: Any, theta: Any, overlap: Any, flags: Mapping[str, Any]) -> None:
+    """ValueError for options of `nsdyn.Stepper` that are none; `flags` are those that are true or false."""
+    if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
+        raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
+    if not 0.5 <= theta <= 1.0:
+        raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
+    if not isinstance(scene, Scene):
+        raise ValueError(f"scene must be a nsdyn.Scene, got {scene!r}; nsdyn.scenes.load(name)() makes a named one")
+    if isinstance(overlap, bool) or not isinstance(overlap, (int, float)) or not 0.0 <= overlap <= 1.0:
+        raise ValueError(f"overlap must be a fraction in [0, 1], got {overlap!r}")
+    for name, value in flags.items():
+        if not isinstance(value, bool):
+            raise ValueError(f"{name} must be True or False, got {value!r}")
+
+
+def system_of(
+    scene: Scene,
+    geoms: list[Geom],
+    dynamics: Dynamics,
+    detector: Detector,
+    solver: Solver,
+    scheme: tuple[float, float],
+    law: Law,
+) -> System:
+    """What does not change from move to move, of a scene with such shapes.
+
+    Parameters
+    ----------
+    scene : Scene
+    geoms : list of Geom
+        Its shapes.
+    dynamics : Dynamics
+    detector : Detector
+    solver : Solver
+    scheme : (float, float)
+        θ and the step, s.
+    law : Law
+        Of impact.
+    """
+    # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
+    size = min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
+    # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
+    closed = max(CLOSED * size, solver.tol * min(scheme[1], size / SLOW))
+    inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
+    rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
+    elastic = any(e > 0.0 for e in rebounds) or bool(dynamics.joints.restitution.any())
+    smallest, arm = float(inscribed.min(initial=np.inf)), _arms(geoms, dynamics.frames)
+    return System(dynamics, detector, solver, *scheme, closed, inscribed, smallest, arm, law, elastic)
+
+
+def _arms(geoms: list[Geom], frames: int) -> Array:
+    """How far shapes reach from the origins of the moving frames, m."""
+    out = np.zeros(frames)
+    for g in geoms:
+        if g.frame >= 0:
+            out[g.frame] = max(out[g.frame], float(np.linalg.norm(g.placement_t)) + g.shape.bounding_radius)
+    return out

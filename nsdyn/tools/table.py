@@ -1,0 +1,135 @@
+"""Tables: named columns with units, for printing, notebooks, spreadsheets and data frames."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.tools import files, notebook
+from nsdyn.tools.naming import choice, unknown
+
+__all__ = ["Table", "matching"]
+
+SHOWN = 40
+"""Rows that are printed."""
+
+NOTHING = 1e-12
+"""What is smaller, beside 1 and the largest printed number of its unit, is round-off and printed as 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of one length by their names: ``table["speed"]`` is an array, ``table[rows]`` a table of some rows.
+
+    Attributes
+    ----------
+    title : str
+    columns : dict of str to ndarray, shape (rows,)
+        Numbers, NaN where there is none, or texts.
+    units : dict of str to str
+        Of the columns that have one.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> table = nd.simulate(nd.scenes.load("slide")(), 0.02, dt=0.01).table("bodies")
+    >>> table["speed"].round(3).tolist(), table.headers[-1]
+    ([2.0, 1.951, 1.902], 'force_z [N]')
+    """
+
+    title: str
+    columns: dict[str, NDArray[Any]]
+    units: Mapping[str, str]
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """Names of the columns with their units, ``speed [m/s]``."""
+        return tuple(f"{name} [{unit}]" if (unit := self.units.get(name)) else name for name in self.columns)
+
+    def __getitem__(self, which: Any) -> Any:
+        if isinstance(which, str):
+            return self.columns[choice(which, self.columns, "column")]
+        return Table(self.title, {name: values[which] for name, values in self.columns.items()}, self.units)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def select(self, *names: str) -> Table:
+        """Only some columns."""
+        return Table(self.title, {name: self[name] for name in names}, self.units)
+
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame whose columns are the `headers`; ValueError where pandas is not installed."""
+        return _needed("pandas").DataFrame(dict(zip(self.headers, self.columns.values(), strict=True)))
+
+    def to_parquet(self, path: str | Path) -> None:
+        """Write an Apache Parquet file; ValueError where pyarrow is not installed, or naming the path."""
+        arrow, parquet = _needed("pyarrow"), _needed("pyarrow.parquet")
+        with files.writing(path, files.PARQUET) as part:
+            parquet.write_table(arrow.table(dict(zip(self.headers, self.columns.values(), strict=True))), part)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write a CSV file, numbers in full, a cell without a number empty; ValueError naming the path."""
+        with files.writing(path, files.TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
+            sink = csv.writer(file, lineterminator="\n")
+            sink.writerow(self.headers)
+            sink.writerows(zip(*(map(_blank, values.tolist()) for values in self.columns.values()), strict=True))
+
+    def __repr__(self) -> str:
+        lines = [list(self.headers), *self._cells(SHOWN)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        out = ["  ".join(map(str.rjust, line, widths)) for line in lines]
+        return "\n".join([*out, *([f"... {len(self) - SHOWN} more rows"] if len(self) > SHOWN else [])])
+
+    def _cells(self, rows: int) -> list[list[str]]:
+        first, largest = self[:rows].columns, dict[str, float]()
+        for name, values in first.items():
+            if values.dtype.kind == "f":
+                unit = self.units.get(name, "")
+                largest[unit] = max(largest.get(unit, 1.0), float(np.nan_to_num(np.abs(values)).max(initial=0.0)))
+        columns = []
+        for name, values in first.items():
+            least = NOTHING * largest.get(self.units.get(name, ""), 1.0)
+            columns.append([_text(cell, least) for cell in values.tolist()])
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    def _repr_html_(self) -> str:
+        cells = self._cells(notebook.ROWS)
+        more = f", the first {len(cells)}" if len(cells) < len(self) else ""
+        return notebook.table(f"{self.title}: {len(self)} rows{more}", self.headers, cells)
+
+
+def matching(known: list[str], pattern: str, what: str) -> list[str]:
+    """The known names that a pattern matches, where * stands for anything; ValueError if none does."""
+    out = [name for name in known if fnmatchcase(name, pattern)]
+    if not out:
+        raise ValueError(unknown(pattern, known, what))
+    return out
+
+
+def _needed(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError:
+        raise ValueError(f"{name.partition('.')[0]} is needed: pip install 'nsdyn[tables]'") from None
+
+
+def _blank(cell: Any) -> Any:
+    return "" if cell != cell else cell  # NaN
+
+
+def _text(cell: Any, least: float) -> str:
+    if not isinstance(cell, float):
+        return str(cell) or "-"
+    return "-" if cell != cell else f"{0.0 if abs(cell) < least else cell + 0.0:.6g}"

@@ -1,0 +1,1 @@
+"""What people see of a recording: page, pictures, plots."""

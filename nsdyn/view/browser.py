@@ -1,0 +1,171 @@
+"""A headless Chromium, asked over a pair of pipes by its DevTools protocol; no server, no port."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Browser", "browsing", "chromium"]
+
+PATIENCE = 120.0
+"""Seconds that an answer may take: software rendering of a large page is slow."""
+
+FLAGS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--hide-scrollbars",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--remote-debugging-pipe",
+]
+
+OF_THE_BROWSER = ("Target.", "SystemInfo.")
+"""What commands begin with that go to no page."""
+
+_WITH_PIPES = """
+import os, sys
+for there, here in enumerate(sys.argv[1:3], 3):
+    os.dup2(int(here), there)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+# Chromium reads requests from its file 3 and writes answers to its file 4, which only the child can make of the pipes.
+
+
+def chromium() -> str | None:
+    """Path of Chromium or Chrome, if there is one."""
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+class Browser:
+    """One page of a running browser.
+
+    Attributes
+    ----------
+    events : list of dict
+        What the browser reported of the page besides answers, for instance requests and exceptions.
+    """
+
+    def __init__(self, requests: int, answers: int) -> None:
+        self.events: list[dict[str, Any]] = []
+        self._requests, self._answers = requests, answers
+        self._target: str | None = None
+        self._session: str | None = None
+        self._count, self._rest = 0, b""
+
+    def open(self, page: str | Path, size: tuple[int, int]) -> None:
+        """Open a page of this package, in place of any before, in a window of that many pixels, until it is ready."""
+        if self._target:
+            self.call("Target.closeTarget", targetId=self._target)
+        self.events.clear()
+        self._target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Network"):
+            self.call(f"{domain}.enable")
+        self.resize(size)
+        url = page if isinstance(page, str) else page.resolve().as_uri()
+        self.call("Page.navigate", url=url)
+        self.run(
+            "new Promise((done, fail) => { const look = () => window.failure ? fail(window.failure)"
+            " : window.ready ? done() : setTimeout(look, 10); look(); })"
+        )
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Give the window that many pixels."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False
+        )
+
+    def run(self, script: str) -> Any:
+        """Value of a JavaScript expression in the page, of what it promises if it does; ValueError if it throws."""
+        done = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        if "exceptionDetails" in done:
+            details = done["exceptionDetails"]
+            raise ValueError(details.get("exception", {}).get("description", details["text"]))
+        return done["result"].get("value")
+
+    def picture(self, **kind: Any) -> bytes:
+        """What the window shows: a PNG, or as the parameters of ``Page.captureScreenshot`` say."""
+        asked = {"format": "png", "optimizeForSpeed": True} | kind
+        return base64.b64decode(self.call("Page.captureScreenshot", **asked)["data"])
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Answer of the browser to a command of its protocol; ValueError with its message if it fails."""
+        self._count += 1
+        request = {"id": self._count, "method": method, "params": parameters}
+        if not method.startswith(OF_THE_BROWSER):
+            request["sessionId"] = self._session
+        os.write(self._requests, json.dumps(request).encode() + b"\0")
+        end = time.monotonic() + PATIENCE
+        while True:
+            message = self._message(end)
+            if message.get("id") != self._count:
+                self.events.append(message)
+            elif "error" in message:
+                raise ValueError(f"the browser refuses {method}: {message['error']['message']}")
+            else:
+                result: dict[str, Any] = message["result"]
+                return result
+
+    def _message(self, end: float) -> dict[str, Any]:
+        """Next message, which ends with a zero."""
+        while b"\0" not in self._rest:
+            ready = select.select([self._answers], [], [], max(0.0, end - time.monotonic()))[0]
+            if not ready:
+                raise ValueError(f"the browser did not answer for {PATIENCE:g} s")
+            data = os.read(self._answers, 1 << 20)
+            if not data:
+                raise ValueError("the browser ended")
+            self._rest += data
+        message, _, self._rest = self._rest.partition(b"\0")
+        out: dict[str, Any] = json.loads(message)
+        return out
+
+
+@contextmanager
+def browsing() -> Iterator[Browser]:
+    """Yield a headless browser that reaches no network and is ended afterwards; ValueError where there is none."""
+    program = chromium()
+    if program is None:
+        raise ValueError("pictures need Chromium or Chrome on the PATH, as from 'apt-get install chromium'")
+    with tempfile.TemporaryDirectory(prefix="nsdyn-", ignore_cleanup_errors=True) as folder:
+        (theirs_in, ours_out), (ours_in, theirs_out) = os.pipe(), os.pipe()
+        files = [str(theirs_in), str(theirs_out)]
+        process = subprocess.Popen(
+            [sys.executable, "-ISc", _WITH_PIPES, *files, program, *FLAGS, f"--user-data-dir={folder}/profile"],
+            pass_fds=(theirs_in, theirs_out),
+            env=os.environ | {"HOME": folder},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(theirs_in)
+        os.close(theirs_out)
+        try:
+            yield Browser(ours_out, ours_in)
+        finally:
+            os.close(ours_out)  # at which the browser ends
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            os.close(ours_in)

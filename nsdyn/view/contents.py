@@ -1,0 +1,263 @@
+"""What a page has to know of a recording: names and arrays, as one text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import umsgpack
+from numpy.typing import NDArray
+
+from nsdyn.recording import link_names
+from nsdyn.tools.arrays import Array, Index
+from nsdyn.view import arrows, contact_points, curves, keyframes, marks, paths, payload, titles
+from nsdyn.view.commands import Json, as_hex
+from nsdyn.view.looks import look_path, mesh_arrays, visual_commands
+from nsdyn.view.solids import body_path, colour, geom_path, shape_commands
+from nsdyn.view.stage import BACKGROUND, FIELD_OF_VIEW, View, stage_commands
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["packed"]
+
+MAX_CONTACTS = 150_000
+"""Of all frames of a page, up to 10 MB: of every other frame, every third and so on where there are more."""
+
+MAX_IMPACTS = 200
+"""Marks on the time axis, of the strongest."""
+
+FPS = 30.0
+"""States a second of recordings of which not all are kept."""
+
+CHEAP = 1_000_000
+"""Letters of a page that all states may cost beyond those."""
+
+UNPACKED = 8e6
+"""Bytes of bodies and contacts in all states from which on that is not tried: browsers would be slow to open them."""
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def packed(
+    trajectory: Trajectory,
+    fps: float | None,
+    forces: bool | str,
+    max_frames: int,
+    at: float | None,
+    label: str = "",
+    view: View | None = None,
+) -> str:
+    """Text of `nsdyn.view.payload`; parameters and errors are those of `nsdyn.view.viewer.html`.
+
+    Where it is shown beside another, the recording has a `label` and a `view` that serves both.
+    """
+    usual = _packed(trajectory, FPS if fps is None else fps, forces, max_frames, at, label, view)
+    states = trajectory.t.size
+    contacts = int(trajectory.columns["contacts/offset"][-1]) if trajectory.has_contacts else 0
+    if fps is not None or at is not None or 28 * states * len(trajectory.scene["frames"]) + 57 * contacts > UNPACKED:
+        return usual
+    whole = _packed(trajectory, math.inf, forces, states, at, label, view)
+    return whole if len(whole) - len(usual) < CHEAP else usual
+
+
+def _packed(
+    trajectory: Trajectory,
+    fps: float,
+    forces: bool | str,
+    max_frames: int,
+    at: float | None,
+    label: str,
+    view: View | None,
+) -> str:
+    """The same of so many states a second, of all if that is infinite."""
+    t = trajectory.t
+    finite = np.isfinite(trajectory.q).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"the state is not finite from t = {t[np.argmin(finite)]:g} s on")
+    hits = marks.find(trajectory)
+    strongest = np.argsort(-hits.impulse * hits.speed, kind="stable")[:MAX_IMPACTS]
+    if math.isinf(fps) and fps > 0:
+        rows = np.arange(t.size)
+    else:
+        rows = keyframes.choose(t, fps, max_frames, hits.step[strongest].tolist())
+    if at is not None:
+        if not t[0] <= at <= t[-1]:
+            raise ValueError(f"at must lie between {t[0]:g} and {t[-1]:g} s, got {at}")
+        rows = keyframes.nearest(t, np.array([at]))
+    view = view or View([trajectory])
+    values, arrays = _scene(trajectory, view)
+    arrays["t"] = t[rows]
+    commands = stage_commands(view) + shape_commands(trajectory.scene, view)
+    commands += visual_commands(trajectory.scene)
+    arrays |= mesh_arrays(trajectory.scene)
+    parts = [umsgpack.packb(command) for command in commands + paths.start_commands(trajectory, int(rows[0]))]
+    arrays["commands"] = np.frombuffer(b"".join(parts), np.uint8)
+    arrays["command_ends"] = np.cumsum([len(part) for part in parts], dtype=np.uint32)
+    arrays |= {
+        f"ledger/{name}": x.astype("<f8" if name == "t" else "<f4")
+        for name, x in curves.ledger(trajectory, rows if rows.size == t.size else None).items()
+    }
+    arrays |= {
+        f"motion/{name}": x.astype("<f4" if x.ndim > 1 else "<u4")
+        for name, x in paths.keys(trajectory, rows, view.radius).items()
+    }
+    arrays |= {f"bodies/{name}": payload.rounded(x) for name, x in curves.bodies(trajectory, rows).items()}
+    if _joints(trajectory.scene):
+        arrays |= {f"joints/{name}": payload.rounded(x) for name, x in curves.joints(trajectory, rows).items()}
+    ticks = np.sort(strongest)
+    arrays |= {
+        "impacts/t": t[hits.step[ticks]],
+        "impacts/speed": hits.speed[ticks].astype("<f4"),
+        "impacts/impulse": hits.impulse[ticks].astype("<f4"),
+        "impacts/geoms": hits.geoms[ticks].astype("<u4"),
+    }
+    notes = _notes(trajectory, rows.size, arrays["ledger/t"].size, int(hits.step.size))
+    if trajectory.has_contacts:
+        stride = max(1, -(-int(contact_points.counts(trajectory, rows).sum()) // MAX_CONTACTS))
+        if stride > 1:
+            notes.append(f"contacts of one in {stride} of them")
+        found = contact_points.at(trajectory, rows[::stride])
+        arrays |= {"contacts/t": t[rows[::stride]]} | _contacts(found)
+        pushes, usual, left = _forces(trajectory, rows[::stride], "point" if forces == "point" else "pair")
+        if left:
+            notes.append(f"the {MAX_CONTACTS} largest of {left + MAX_CONTACTS} forces")
+        arrays |= pushes
+        units = {"forces": usual, "cones": _usual(found["r"][:, 0] / trajectory.dt)}
+        lengths = {"forces": view.radius / 5, "cones": min(view.radius / 5, view.body_radius)}
+        values |= {"forces": bool(forces), "units": units, "lengths": lengths}
+    values |= {"label": label or values["name"], "picture": at is not None, "notes": [] if at is not None else notes}
+    return payload.pack(values, arrays)
+
+
+def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
+    """Names, masses and places of what is shown."""
+    scene = trajectory.scene
+    labels = [geom.get("link", geom["name"]) for geom in scene["geoms"]]
+    looks = scene.get("visuals", [])
+    drawn, seen = [*scene["geoms"], *looks], {(look["link"].partition("/")[0], look["frame"]) for look in looks}
+    carriers = [*labels, *(look["link"] for look in looks)]
+    names = list(dict.fromkeys(carriers))
+    bodies, joints = [], _joints(scene)
+    for name in names:
+        geom = drawn[carriers.index(name)]
+        frame = geom["frame"]
+        mass = scene["masses"][frame] if 0 <= frame < scene["free"] else None
+        joint = joints.get(scene["frames"][frame]) if frame >= scene["free"] else None
+        shown = f"#{as_hex(colour(geom)):06x}"
+        bodies.append({"name": name, "frame": frame, "mass": mass, "joint": joint, "colour": shown})
+    values = {
+        "name": trajectory.meta["scene_name"],
+        "begin": float(trajectory.t[0]),
+        "end": float(trajectory.t[-1]),
+        "dt": trajectory.dt,
+        "words": titles.words(trajectory),
+        "made": _made(trajectory),
+        "contacts": trajectory.has_contacts,
+        "gravity": scene["gravity"],
+        "largest": trajectory.largest_energy,
+        "at_rest": trajectory.at_rest,
+        "free": scene["free"],
+        "bodies": bodies,
+        "frames": [body_path(name) for name in scene["frames"]],
+        "geoms": [
+            {
+                "path": geom_path(scene, geom),
+                "body": names.index(label),
+                "solid": geom["shape"] != "halfspace",
+                "veiled": (geom.get("body"), geom["frame"]) in seen,
+            }
+            for geom, label in zip(scene["geoms"], labels, strict=True)
+        ],
+        "looks": [
+            {"path": look_path(scene, k), "body": names.index(look["link"]), "mesh": look.get("mesh")}
+            for k, look in enumerate(looks)
+        ],
+        "view": {
+            "centre": view.centre.tolist(),
+            "radius": view.radius,
+            "back": ((view.eye - view.centre) / np.linalg.norm(view.eye - view.centre)).tolist(),
+            "field": FIELD_OF_VIEW,
+            "background": BACKGROUND,
+            "planes": [[*normal.tolist(), offset] for normal, offset in view.planes],
+        },
+    }
+    return values, {"outline": view.outline.astype("<f4")}
+
+
+def _joints(scene: Mapping[str, Any]) -> dict[str, Json]:
+    """Joints by name: short name, place among all, units of their coordinate and of what acts along it.
+
+    None in recordings before format 7, which do not tell their kinds.
+    """
+    if not all("model" in a for a in scene["articulations"]):
+        return {}
+    told = [joint["kind"] for a in scene["articulations"] for joint in a["model"]["joints"]]
+    units = [["m", "N"] if kind.startswith("JointModelP") else ["rad", "N·m"] for kind in told]
+    names = link_names.joints(scene)
+    return {name: {"name": name.partition("/")[2], "column": k, "units": units[k]} for k, name in enumerate(names)}
+
+
+def _made(trajectory: Trajectory) -> dict[str, str]:
+    """How to make the recording again, where it is known."""
+    meta = trajectory.meta
+    out = {
+        "parameters": titles.parameters(trajectory),
+        "step": f"{trajectory.dt:g} s",
+        "solver": str(meta.get("solver", "")),
+        "command": meta.get("command", ""),
+        "nsdyn": str(meta.get("nsdyn_version", "")),
+    }
+    return {name: text for name, text in out.items() if text}
+
+
+def _contacts(found: Arrays) -> Arrays:
+    """Contacts with as many digits as are shown."""
+    whole = {"offset": "<u4", "id": "<u4", "state": "u1", "geoms": "<u4"}
+    return {
+        f"contacts/{name}": x.astype(whole[name]) if name in whole else payload.rounded(x) for name, x in found.items()
+    }
+
+
+def _forces(trajectory: Trajectory, rows: Index, by: str) -> tuple[Arrays, float, int]:
+    """Mean forces since the state before each; what is usual among them, N, and how many are left out."""
+    since = rows if rows.size > 1 else np.array([max(0, rows[0] - 1), rows[0]])
+    found = arrows.between(trajectory, since, by)
+    size = np.linalg.norm(found.force, axis=1)
+    pushing = int((size > 0.0).sum())
+    order = np.sort(np.argsort(-size, kind="stable")[: min(MAX_CONTACTS, pushing)])  # by keyframe, as they are
+    frame = found.keyframe[order] - (since.size - rows.size)
+    arrays: Arrays = {
+        "forces/offset": np.searchsorted(frame, np.arange(rows.size + 1)).astype("<u4"),
+        "forces/frame": found.frame[order].astype("<u4"),
+        "forces/point": payload.rounded(found.point[order]),
+        "forces/force": payload.rounded(found.force[order]),
+    }
+    return arrays, _usual(size), pushing - order.size
+
+
+def _usual(size: Array) -> float:
+    """90 % quantile of those that are positive, 0 if none is."""
+    return float(np.quantile(size[size > 0.0], 0.9)) if (size > 0.0).any() else 0.0
+
+
+def _notes(trajectory: Trajectory, frames: int, points: int, hits: int) -> list[str]:
+    """What a reader of the page has to know of what it leaves out."""
+    states = trajectory.t.size
+    notes = [f"{frames} of {states} recorded states" if frames < states else f"all {states} recorded states"]
+    if points < states:
+        notes.append(f"curves of {points} of them, figures of checks the largest in between")
+    if trajectory.every > 1:
+        notes.append(
+            f"one step in {trajectory.every} is recorded: works are sums of {trajectory.every} steps, "
+            "contacts those of the last; impacts are not marked"
+        )
+    if not trajectory.has_contacts:
+        notes.append("recorded without contacts: no points, forces, impacts and overlaps")
+    if hits > MAX_IMPACTS:
+        notes.append(f"the {MAX_IMPACTS} strongest of {hits} steps with impacts are marked")
+    if trajectory.scene["articulations"]:
+        notes.append("masses and speeds of links are not recorded")
+    return notes

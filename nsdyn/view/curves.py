@@ -1,0 +1,87 @@
+"""Curves a page draws over time: the energy ledger, and what vouches for the steps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nsdyn.recording import link_names
+from nsdyn.recording.columns import WORKS
+from nsdyn.recording.joint_tables import coordinates
+from nsdyn.tools.arrays import Array, Index
+from nsdyn.view.keyframes import thinned
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["MAX_POINTS", "bodies", "joints", "ledger"]
+
+MAX_POINTS = 2000
+"""Of a curve."""
+
+
+def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array]:
+    """Energies and works so far at states, and the worst figures since the point before.
+
+    The states are no more than MAX_POINTS if they are not given.
+
+    Returns
+    -------
+    dict of str to ndarray
+        t, s; kinetic and potential, the latter from its smallest value, and each work so far, J; residual, m/s,
+        bound, √J, and overlap by the recorded gaps, m: the largest since the point before, NaN at the first and where
+        they are not recorded.
+    """
+    rows = thinned(trajectory.t.size, MAX_POINTS) if rows is None else rows
+    e = trajectory.energy
+    out = {
+        "t": trajectory.t[rows],
+        "kinetic": e.kinetic[rows],
+        "potential": (e.potential - e.potential.min())[rows],
+    }
+    for name in WORKS:
+        out[name] = np.concatenate([[0.0], np.cumsum(getattr(e, name))])[rows]
+    overlap = np.full(trajectory.steps, np.nan)
+    if trajectory.has_contacts:
+        step = np.repeat(np.arange(trajectory.steps), np.diff(trajectory.columns["contacts/offset"]))
+        overlap[:] = 0.0
+        np.maximum.at(overlap, step, -trajectory.columns["contacts/gap"])
+    figures = {"residual": trajectory.solver.residual, "bound": trajectory.gauss.bound, "overlap": overlap}
+    for name, values in figures.items():
+        out[name] = np.full(rows.size, np.nan)
+        if rows.size > 1:
+            out[name][1:] = np.maximum.reduceat(values, rows[:-1])
+    return out
+
+
+def bodies(trajectory: Trajectory, rows: Index) -> dict[str, Array]:
+    """Speed of the centre of mass, m/s, and kinetic energy, J, of the free bodies at states; shape (states, bodies)."""
+    free = trajectory.scene["free"]
+    twist = trajectory.v[rows, : 6 * free].reshape(rows.size, free, 6)
+    inertia = np.array(trajectory.scene["inertias"]).reshape(-1, 3, 3)
+    speed = np.linalg.norm(twist[..., :3], axis=2)
+    turning = np.einsum("nbi,bij,nbj->nb", twist[..., 3:], inertia, twist[..., 3:])
+    return {"speed": speed, "kinetic": 0.5 * (speed**2 * np.array(trajectory.scene["masses"]) + turning)}
+
+
+def joints(trajectory: Trajectory, rows: Index) -> dict[str, Array]:
+    """Position, velocity and torque of joints of one coordinate, sizes of reactions of all; shape (states, joints).
+
+    In rad or m, per s, N m or N; force, N, and moment, N m, as of `nsdyn.recording.joint_tables.JointMotion`. What
+    belongs to steps is of those that end at the states. NaN for other joints, at the initial state and where it is not
+    recorded.
+    """
+    from nsdyn.recording.reactions import reactions  # Pinocchio, which only scenes with joints need
+
+    names, begun = link_names.joints(trajectory.scene), rows > 0
+    found = {what: np.full((rows.size, len(names)), np.nan) for what in ("position", "velocity", "torque")}
+    for k, name in enumerate(names):
+        own = coordinates(trajectory, name)
+        if own["velocity"].shape[1] == 1:
+            found["position"][:, k], found["velocity"][:, k] = own["position"][rows, 0], own["velocity"][rows, 0]
+            found["torque"][begun, k] = own["torque"][rows[begun] - 1, 0]
+    passed, known = np.full((rows.size, len(names), 6), np.nan), reactions(trajectory, rows[begun] - 1)
+    passed[begun] = np.stack([known[name] for name in names], axis=1)
+    sizes = {"force": passed[..., :3], "moment": passed[..., 3:]}
+    return found | {what: np.linalg.norm(vectors, axis=2) for what, vectors in sizes.items()}

@@ -1,0 +1,57 @@
+"""Visual shapes of robots on a page, which shows them in place of the collision shapes of their links."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn.tools.array_text import from_text
+from nsdyn.view.commands import Json, as_buffer, by_columns, set_object
+from nsdyn.view.solids import body_path, solid, surface
+
+__all__ = ["look_path", "mesh_arrays", "visual_commands"]
+
+PLAIN = (0.72, 0.73, 0.75)
+"""Where a file gives no colour."""
+
+DETAIL = 16
+"""Sides of half circles."""
+
+DOUBLE_SIDE = 2
+"""Of three.js: files have triangles that are to be seen from behind."""
+
+
+def look_path(scene: Json, k: int) -> str:
+    """Path of a visual shape in the page's tree: under its moving frame, or fixed."""
+    frame = scene["visuals"][k]["frame"]
+    return f"{body_path(scene['frames'][frame]) if frame >= 0 else '/nsdyn/fixed'}/look {k}"
+
+
+def visual_commands(scene: Json) -> list[Json]:
+    """Objects of all visual shapes; those of meshes get their triangles, which may be shared, on the page."""
+    commands = []
+    for k, visual in enumerate(scene.get("visuals", ())):
+        rgba = visual["colour"] or PLAIN
+        if visual["shape"] == "mesh":
+            node = surface(as_buffer(position=np.zeros((3, 3))), rgba)
+            node["material"]["side"] = DOUBLE_SIDE
+            matrix = by_columns(np.array(visual["placement"]))
+            commands.append(set_object(look_path(scene, k), {"type": "Group", "matrix": matrix, "children": [node]}))
+        else:
+            commands.append(set_object(look_path(scene, k), solid(visual, rgba, DETAIL, 1.0)))
+    return commands
+
+
+def mesh_arrays(scene: Json) -> dict[str, NDArray[Any]]:
+    """Corners and triangles of the meshes of a page, one after the other, and where each ends."""
+    meshes = scene.get("meshes", ())
+    corners = [np.empty((0, 3), "<f4"), *(from_text(mesh["vertices"], "<f4", 3) for mesh in meshes)]
+    triangles = [np.empty((0, 3), "<u4"), *(from_text(mesh["triangles"], "<u4", 3) for mesh in meshes)]
+    return {
+        "meshes/position": np.concatenate(corners),
+        "meshes/position_ends": np.cumsum([c.size for c in corners[1:]], dtype=np.uint32),
+        "meshes/index": np.concatenate(triangles),
+        "meshes/index_ends": np.cumsum([t.size for t in triangles[1:]], dtype=np.uint32),
+    }

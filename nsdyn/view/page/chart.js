@@ -1,0 +1,169 @@
+// A plot on a canvas: axes, areas, lines; and over it, on a canvas of its own, the cursor.
+
+const MARGIN = {top: 8, bottom: 5};  // and to the sides those of the timeline below, which has the axis
+const GAP = 11;  // between lanes
+const LABELLED = 26;  // height from which on the name of a lane leaves room for its curves
+
+class Chart {
+  // `onSeek(t)` is called where the pointer is pressed or drawn.
+  constructor(place, onSeek) {
+    this.place = place;
+    this.back = place.appendChild(element("canvas"));
+    this.front = place.appendChild(element("canvas"));
+    const seek = event => { if (event.buttons) onSeek(this.time(event.offsetX)); };
+    place.addEventListener("pointerdown", event => { place.setPointerCapture(event.pointerId); seek(event); });
+    place.addEventListener("pointermove", seek);
+    this.lanes = [];
+  }
+
+  // What is shown: {begin, end} of time, and lanes, one above the other, each {low, high, log, unit, areas, lines, note}.
+  // An area is {values: [lower, upper], colour}, a line {values, colour, dash, width, rim}; all have the times `t`, but
+  // for lines that have their own; `steps` where each value is of the time since the one before.
+  show(content) {
+    Object.assign(this, content);
+    this.redraw();
+  }
+
+  x(t) { return timeX(t, this, this.width); }
+
+  time(x) { return timeAtX(x, this, this.width); }
+
+  box(lane) {
+    const room = (this.height - px(MARGIN.top + MARGIN.bottom - GAP)) / this.lanes.length;
+    const top = px(MARGIN.top) + room * this.lanes.indexOf(lane);
+    return {top, bottom: top + room - px(GAP)};
+  }
+
+  y(lane, value) {
+    const {top, bottom} = this.box(lane);
+    const f = lane.log ? Math.log10 : x => x;
+    const part = (f(Math.max(value, lane.log ? lane.low : -Infinity)) - f(lane.low)) / (f(lane.high) - f(lane.low));
+    return bottom - (bottom - top) * Math.min(1.02, part);
+  }
+
+  redraw() {
+    this.width = this.back.clientWidth;
+    this.height = this.back.clientHeight;
+    if (!this.width || !this.height) return;
+    const context = contextOf(this.back);
+    context.font = font(10.5);
+    for (const lane of this.lanes) this.drawLane(context, lane);
+    this.cursor(this.now ?? this.begin);
+  }
+
+  drawLane(context, lane) {
+    const {top, bottom} = this.box(lane);
+    const [left, right] = [px(EDGES.left), this.width - px(EDGES.right)];
+    context.fillStyle = theme.colour("faint");
+    context.strokeStyle = theme.colour("grid");
+    context.lineWidth = 1;
+    context.textAlign = "right";
+    const marks = lane.log ? decades(lane.low, lane.high, (bottom - top) / px(16)) : ticks(lane.low, lane.high, (bottom - top) / px(30));
+    for (const mark of marks) {
+      const y = Math.round(this.y(lane, mark)) + 0.5;
+      context.beginPath();
+      context.moveTo(left, y);
+      context.lineTo(right, y);
+      context.stroke();
+      const text = lane.log ? powerOfTen(Math.round(Math.log10(mark))) : onAxis(mark, marks[1] - marks[0] || 1);
+      context.fillText(text, left - px(5), y + px(3.5));
+    }
+    context.save();
+    context.beginPath();
+    context.rect(left, top, right - left, bottom - top + 1);
+    context.clip();
+    for (const {values: [lower, upper], colour} of lane.areas ?? []) {
+      context.fillStyle = colour;
+      context.beginPath();
+      this.trace(context, lane, upper);
+      this.trace(context, lane, lower, true);
+      context.fill();
+    }
+    context.lineCap = "round";
+    for (const {values, colour, dash, width, t, rim} of lane.lines ?? []) {
+      context.setLineDash(dash ?? []);
+      context.beginPath();
+      this.trace(context, lane, values, false, t);
+      for (const [stroke, more] of rim ? [[theme.colour("paper"), 1.6], [colour, 0]] : [[colour, 0]]) {
+        context.strokeStyle = stroke;
+        context.lineWidth = px(width + more);
+        context.stroke();
+      }
+    }
+    context.restore();
+    context.textAlign = "left";
+    const upright = context.measureText(lane.unit).width < bottom - top + px(GAP);
+    const label = upright ? lane.label : lane.label ?? lane.unit;
+    if (label && (!upright || bottom - top > px(LABELLED))) {
+      context.fillStyle = theme.colour("veil");
+      context.fillRect(left + 2, top, context.measureText(label).width + px(7), px(15));
+      context.fillStyle = theme.colour("ink");
+      context.fillText(label, left + px(5), top + px(11));
+    }
+    context.textAlign = "center";
+    context.fillStyle = theme.colour("faint");
+    context.font = font(10.5);
+    context.save();
+    context.translate(px(12), 0.5 * (top + bottom));
+    context.rotate(-Math.PI / 2);
+    if (upright) context.fillText(lane.unit, 0, 0);
+    context.restore();
+  }
+
+  // Add a curve to the path; what is not finite leaves a gap.
+  trace(context, lane, values, backwards = false, t = this.t) {
+    const count = values.length;
+    let pen = backwards;
+    for (let i = 0; i < count; i++) {
+      const k = backwards ? count - 1 - i : i;
+      if (!Number.isFinite(values[k])) {
+        pen = false;
+        continue;
+      }
+      const [x, y] = [this.x(t[k]), this.y(lane, values[k])];
+      if (this.steps && k > 0) {
+        const before = this.x(t[k - 1]);
+        for (const corner of backwards ? [x, before] : [before, x]) {
+          if (pen) context.lineTo(corner, y); else context.moveTo(corner, y);
+          pen = true;
+        }
+      } else if (!this.steps) {
+        if (pen) context.lineTo(x, y); else context.moveTo(x, y);
+        pen = true;
+      }
+    }
+  }
+
+  cursor(t) {
+    this.now = t;
+    if (!this.width) return;
+    const context = contextOf(this.front);
+    const x = Math.round(this.x(t)) + 0.5;
+    context.strokeStyle = theme.colour("accent");
+    context.lineWidth = px(1.5);
+    context.beginPath();
+    context.moveTo(x, px(MARGIN.top - 4));
+    context.lineTo(x, this.height);
+    context.stroke();
+    // Words in the middle of a lane, which the cursor does not strike through.
+    context.font = font(12);
+    context.textAlign = "center";
+    for (const lane of this.lanes.filter(({note}) => note)) {
+      const {top, bottom} = this.box(lane);
+      const [middle, width] = [0.5 * this.width, context.measureText(lane.note).width + px(12)];
+      context.fillStyle = theme.colour("paper");
+      context.fillRect(middle - 0.5 * width, 0.5 * (top + bottom) - px(10), width, px(20));
+      context.fillStyle = theme.colour("faint");
+      context.fillText(lane.note, middle, 0.5 * (top + bottom) + px(4));
+    }
+  }
+}
+
+// Powers of ten in a range, so many at most.
+function decades(low, high, most) {
+  const [first, last] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];
+  const step = Math.max(1, Math.ceil((last - first + 1) / Math.max(1, most)));
+  const out = [];
+  for (let k = first; k <= last; k += step) out.push(10 ** k);
+  return out;
+}

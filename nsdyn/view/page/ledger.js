@@ -1,0 +1,177 @@
+// What the plot under a view shows: where the energy is and who took it, power, and what vouches for the steps.
+
+const LAYERS = [
+  {name: "kinetic", label: "kinetic", colour: "#3b75af", sign: 1},
+  {name: "potential", label: "potential", colour: "#b9cfe4", sign: 1},
+  {name: "friction", label: "friction took", colour: "#e69f00", sign: -1},
+  {name: "normal", label: "impacts took", colour: "#b5405e", sign: -1},
+  {name: "damping", label: "damping took", colour: "#5aa17f", sign: -1},
+];
+const PUT_IN = ["external", "constraint"];
+const NUMERICS = ["integration", "projection", "defect"];
+const CHECKS = [
+  {name: "residual", label: "residual of the contact problem", unit: "m/s", colour: "#3b75af"},
+  {name: "bound", label: "certificate: bound of the velocity's error", unit: "√J", colour: "#b5405e"},
+  {name: "overlap", label: "overlap of shapes, by their gaps", unit: "m", colour: "#5aa17f"},
+];
+
+class Ledger {
+  constructor(recording) {
+    this.recording = recording;
+    this.curve = name => recording.arrays[`ledger/${name}`];
+    this.t = this.curve("t");
+    const most = name => this.curve(name).reduce((size, x) => Math.max(size, Math.abs(x)), 0);
+    const least = NEGLIGIBLE * recording.largest;
+    this.layers = LAYERS.filter(({name, sign}) => sign > 0 || most(name) > least);
+    this.putIn = PUT_IN.filter(name => most(name) > least);
+  }
+
+  sum(names, scale = 1) {
+    return this.t.map((_, k) => names.reduce((total, name) => total + scale * this.curve(name)[k], 0));
+  }
+
+  // Heights of the stack: its foot and what each layer reaches.
+  stack() {
+    const heights = [this.t.map(() => 0)];
+    for (const {name, sign} of this.layers) {
+      const below = heights[heights.length - 1];
+      heights.push(below.map((x, k) => x + sign * this.curve(name)[k]));
+    }
+    return heights;
+  }
+
+  // Where the top of the stack ought to be: what there was, and what was put in.
+  expected() {
+    const start = this.curve("kinetic")[0] + this.curve("potential")[0];
+    return this.sum(this.putIn).map(x => start + x);
+  }
+
+  // What a chart shows of a kind of curves: the ledgers `beside` have the same scale, and the curves of those that are
+  // `laid` over this one are drawn too.
+  lanes(kind, beside, laid) {
+    return {t: this.t, steps: kind !== "energy", lanes: this[kind](beside, laid)};
+  }
+
+  energy(beside, laid) {
+    const heights = this.stack();
+    const lane = {unit: "energy [J]", ...this.range("extremes", beside, laid)};
+    lane.areas = this.layers.map(({colour}, k) => ({values: [heights[k], heights[k + 1]], colour}));
+    lane.lines = [
+      {values: heights[heights.length - 1], colour: theme.colour("ink"), width: 1.5},
+      {values: this.expected(), colour: theme.colour("ink"), dash: [5, 4], width: 1},
+    ];
+    for (const other of laid) {
+      other.stack().slice(1).forEach((values, k) => lane.lines.push(other.dotted(values, other.layers[k].colour)));
+    }
+    if (this.recording.at_rest) lane.note = `at rest: nothing of ${withUnit(this.recording.largest, "J")} moves`;
+    return [lane];
+  }
+
+  // A curve of this recording over those of another.
+  dotted(values, colour) {
+    const other = colour.match(/[0-9a-f]{2}/g).map(part => parseInt(part, 16)).map(
+      part => Math.round(theme.dark ? 255 - 0.65 * (255 - part) : 0.65 * part));
+    return {t: this.t, values, colour: `rgb(${other})`, dash: [0, 5], width: 2.6, rim: true};
+  }
+
+  // Least and largest value of the stack; round-off of what is at rest does not fill its axis.
+  extremes() {
+    if (this.recording.at_rest) {
+      const least = 1e-6 * this.recording.largest || 1;
+      return [-0.1 * least, 0.9 * least];
+    }
+    const all = [...this.stack(), this.expected()];
+    const low = Math.min(...all.map(values => values.reduce((a, b) => Math.min(a, b), Infinity)));
+    const high = Math.max(...all.map(values => values.reduce((a, b) => Math.max(a, b), -Infinity)));
+    return [low, high];
+  }
+
+  // Mean power since the point before that each work took.
+  powers() {
+    const rate = values => values.map((x, k) => k ? (x - values[k - 1]) / (this.t[k] - this.t[k - 1]) : NaN);
+    const taken = this.layers.filter(({sign}) => sign < 0);
+    return taken.map(layer => ({...layer, values: rate(this.curve(layer.name)).map(x => -x)}));
+  }
+
+  // Heights of their stack.
+  powerStack() {
+    const heights = [this.t.map(() => 0)];
+    for (const {values} of this.powers()) heights.push(values.map((x, k) => heights[heights.length - 1][k] + x));
+    return heights;
+  }
+
+  power(beside, laid) {
+    const powers = this.powers();
+    const heights = this.powerStack();
+    const lane = {unit: "power [W]", ...this.range("powerExtremes", beside, laid)};
+    lane.areas = powers.map(({colour}, k) => ({values: [heights[k], heights[k + 1]], colour}));
+    if (!powers.length) lane.note = "friction, impacts and damping take nothing";
+    lane.lines = laid.flatMap(other => (
+      other.powers().map(({colour}, k) => other.dotted(other.powerStack()[k + 1], colour))));
+    const top = heights[heights.length - 1].reduce((a, b) => b > a ? b : a, 0);
+    if (top > lane.high) lane.label = `peaks up to ${withUnit(top, "W")} are cut`;
+    return [lane];
+  }
+
+  // Peaks of impacts, which a short step makes arbitrarily high, do not hide the rest.
+  powerExtremes() {
+    const powers = this.powers();
+    const sums = Array.from(this.t, (_, k) => powers.reduce((sum, {values}) => sum + values[k], 0)).slice(1);
+    if (!powers.length || !sums.length) return [0, 1];
+    const sorted = sums.filter(x => x > 0).sort((a, b) => a - b);
+    const [most, usual] = [sorted[sorted.length - 1] ?? 1, sorted[Math.floor(0.9 * sorted.length)] ?? 1];
+    return [Math.min(0, ...sums), Math.min(most, 5 * usual)];
+  }
+
+  // One for this recording and those beside it, unless the curves of one would be too small to see in it.
+  range(extremes, beside, laid) {
+    const ranges = [this, ...beside].map(ledger => ledger[extremes]());
+    const all = [Math.min(...ranges.map(range => range[0])), Math.max(...ranges.map(range => range[1]))];
+    const seen = ranges.every(([low, high]) => high - low > 0.2 * (all[1] - all[0]));
+    const [low, high] = laid.length || seen ? all : ranges[0];
+    const room = 0.06 * (high - low || 1);
+    return {low: low < 0 ? low - room : low, high: high + room};
+  }
+
+  checks(beside, laid) {
+    return CHECKS.map(({name, label, unit, colour}) => {
+      const values = this.curve(name);
+      const positive = [this, ...laid].flatMap(ledger => Array.from(ledger.curve(name))).filter(x => x > 0 && Number.isFinite(x));
+      const [least, most] = [positive.reduce((a, b) => Math.min(a, b), Infinity), positive.reduce((a, b) => Math.max(a, b), 0)];
+      const recorded = values.some(x => !Number.isNaN(x));
+      const low = positive.length ? 10 ** Math.max(Math.floor(Math.log10(least)), Math.floor(Math.log10(most)) - 8) : 1e-16;
+      const high = positive.length ? Math.max(10 * low, 10 ** Math.ceil(Math.log10(most) + 1e-9)) : 1e-8;
+      const note = !recorded ? "not recorded" : positive.length ? "" : "0 everywhere";
+      const lines = [{values, colour, width: 1.2}, ...laid.map(other => other.dotted(other.curve(name), colour))];
+      return {label, unit, log: true, low, high, note, lines};
+    });
+  }
+
+  // [label, colour, value, unit, what is at play] at a time, for each kind of plot.
+  values(kind, t) {
+    const at = name => this.recording.at(name, t);
+    if (kind === "checks") {
+      const {next} = this.after(t);
+      return CHECKS.map(({name, unit, colour}) => (
+        [name === "bound" ? "certificate" : name, colour, this.curve(name)[next], unit, 0]));
+    }
+    if (kind === "power") {
+      const {next} = this.after(t);
+      const play = this.recording.largest / (this.t[this.t.length - 1] - this.t[0] || 1);
+      return this.powers().map(({label, colour, values}) => [label.replace(" took", ""), colour, values[next], "W", play]);
+    }
+    const {largest} = this.recording;
+    const rows = this.layers.map(({name, label, colour, sign}) => [label, colour, sign * at(name), "J", largest]);
+    const total = rows.reduce((sum, row) => sum + row[2], 0);
+    const given = this.putIn.reduce((sum, name) => sum + at(name), 0);
+    const numerics = NUMERICS.reduce((sum, name) => sum + at(name), 0);
+    if (this.putIn.length) rows.push(["put in", theme.colour("faint"), given, "J", largest]);
+    return [...rows, ["sum", theme.colour("ink"), total, "J", largest], ["by numerics", "", numerics, "J", largest]];
+  }
+
+  // The point of the curves that ends the interval a time is in.
+  after(t) {
+    const place = Recording.place(this.t, t);
+    return {next: place.part > 0 ? place.next : place.at};
+  }
+}

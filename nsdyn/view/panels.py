@@ -1,0 +1,224 @@
+"""Panels of a figure: what they show, and how every one is drawn.
+
+Legends stand beside the panels, round-off is not drawn at full scale, and panels in which nothing happens are left out
+where another has something to show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.units import with_unit
+from nsdyn.view.solids import PALETTE
+
+__all__ = ["LEDGER", "OTHERS", "PALETTE", "Curve", "Panel", "draw", "look"]
+
+LEDGER = {
+    "kinetic": "#3b75af",
+    "potential": "#b9cfe4",
+    "friction": "#e69f00",
+    "normal": "#b5405e",
+    "damping": "#5aa17f",
+}
+"""Colours of energies and of who took them, as the page has them (`ledger.js`)."""
+
+OTHERS = "#9aa5b1"
+"""Of what has no colour of its own."""
+
+NOISE = 1e-6
+"""What spans less of what is at play is round-off, or the solver's tolerance."""
+
+FLOOR, LOST = 1e-12, 1e-11
+"""Of logarithmic axes: where they begin at the lowest, and curves below which are left out, in the unit of the axis."""
+
+ROWS, LETTER = 3, 0.6
+"""Most rows of a legend above its panels, and width of a letter over the size of its font."""
+
+APART = 1.5
+"""Ticks of a logarithmic axis at its values are at least by this factor."""
+
+PEAK, USUAL = 5.0, 0.9
+"""Peaks of impacts, which a short step makes arbitrarily high, are cut at so much of what that part stays below."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A curve and its name in the legend, which curves may share; `look` is what `Axes.plot` takes."""
+
+    label: str
+    x: Array
+    y: Array
+    look: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """What one pair of axes shows.
+
+    Attributes
+    ----------
+    ylabel : str
+        With a unit.
+    curves : sequence of Curve
+    scale : float
+        What is at play, in the unit of the curves; 0 where they tell it.
+    zero : bool
+        Whether the axis begins at, or includes, 0: what is less than `NOISE` of the scale is none.
+    cut : bool
+        Whether peaks are cut.
+    log : {"", "y", "xy"}
+        Logarithmic axes.
+    areas : sequence of Curve
+        Stacked, under the curves.
+    xlabel : str
+    """
+
+    ylabel: str
+    curves: Sequence[Curve]
+    scale: float = 0.0
+    zero: bool = True
+    cut: bool = False
+    log: str = ""
+    areas: Sequence[Curve] = ()
+    xlabel: str = "t [s]"
+    note: str = ""
+
+    def range(self) -> tuple[float, float]:
+        """Least and largest value, (0, 0) where there is none."""
+        heights: Any = np.cumsum([c.y for c in self.areas], axis=0) if self.areas else []
+        drawn = [c.y for c in self.curves if not self._lost(c)]
+        values = np.concatenate([[0.0] if self.zero else [], *drawn, *heights])
+        values = values[np.isfinite(values) & ((values > 0.0) | (not self.log))]
+        return (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+
+    def _lost(self, curve: Curve) -> bool:
+        """Whether a logarithmic axis leaves a curve out."""
+        return bool(self.log) and not (curve.y > LOST).any()
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing but noise is to be seen."""
+        low, high = self.range()
+        return high == 0.0 if self.log else high - low <= NOISE * max(self.scale, abs(low), abs(high))
+
+    def draw(self, ax: Any) -> None:
+        """Draw it on matplotlib axes."""
+        if self.areas:
+            colours = [c.look["color"] for c in self.areas]
+            ax.stackplot(
+                self.areas[0].x,
+                [c.y for c in self.areas],
+                labels=[c.label for c in self.areas],
+                colors=colours,
+                edgecolor=colours,
+                lw=0.6,
+            )
+        for c in self.curves:
+            lost = self._lost(c)
+            ax.plot(
+                [] if lost else c.x,
+                [] if lost else c.y,
+                **c.look,
+                label=f"{c.label}, below {LOST:g}" if lost else c.label,
+            )
+        ax.set_ylabel(self.ylabel)
+        if self.xlabel == "t [s]":
+            ax.margins(x=0)
+            ax.set_xlim(0.0, max((c.x[-1] for c in (*self.curves, *self.areas) if c.x.size), default=0.0) or 1.0)
+        if self.log:
+            ax.set(yscale="log")
+            if self.log == "xy":
+                places = sorted({float(x) for c in self.curves for x in c.x})
+                kept = [x for k, x in enumerate(places) if k == 0 or x > APART * places[k - 1]]
+                ax.set(xscale="log", xlim=(places[0] / 1.1, 1.1 * places[-1]))
+                ax.set_xticks([], minor=True)
+                ax.set_xticks(kept, [f"{x:g}" for x in kept])
+        else:
+            ax.ticklabel_format(style="sci", scilimits=(-3, 4), useMathText=True)
+        ax.set_ylim(*self._limits())
+        if self.quiet:
+            ax.text(
+                0.5,
+                0.7,
+                self.note or ("nothing but round-off" if self.curves or self.areas else "nothing touches"),
+                transform=ax.transAxes,
+                ha="center",
+                va="center",
+            )
+
+    def _limits(self) -> tuple[float, float]:
+        """What the axis spans: whole decades, with a margin, or what would be no noise."""
+        low, high = self.range()
+        if self.log:
+            low, high = max(low, FLOOR), max(high, 10 * FLOOR)
+            return 10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high))
+        if self.quiet:
+            size = max(self.scale, abs(low), abs(high)) or 1.0
+            return (-0.1 * NOISE * size, NOISE * size) if self.zero else (low - 0.05 * size, high + 0.05 * size)
+        if self.peak:
+            high = self.top
+        return low - 0.05 * (high - low) * (low < 0.0 or not self.areas), high + 0.05 * (high - low)
+
+    @cached_property
+    def top(self) -> float:
+        """What is drawn of the largest values where peaks are cut; infinite where they are not."""
+        values = np.concatenate(
+            [c.y for c in self.curves] or [np.atleast_1d(np.sum([c.y for c in self.areas], axis=0))]
+        )
+        values = values[values > NOISE * self.range()[1]]
+        return PEAK * float(np.quantile(values, USUAL)) if self.cut and values.size else np.inf
+
+    @property
+    def peak(self) -> str:
+        """What is said of peaks that are cut, empty where none is."""
+        most, unit = self.range()[1], self.ylabel.partition("[")[2].rstrip("]")
+        return f"peaks reach {with_unit(most, unit)}" if most > self.top else ""
+
+
+def look(k: int) -> dict[str, Any]:
+    """Colour and dashes of the k-th of several curves: the page's colours of bodies, dashed from the seventh on."""
+    colour = tuple(part / 255 for part in PALETTE[k % len(PALETTE)])
+    return {"color": colour, "ls": ("-", "--", ":", "-.")[k // len(PALETTE) % 4]}
+
+
+def draw(figure: Any, panels: Sequence[Panel]) -> Any:
+    """Draw panels one over the other on a matplotlib figure, their legend beside them; return their axes."""
+    shown = [panel for panel in panels if not panel.quiet] or panels[:1]
+    same = len({panel.xlabel for panel in shown}) == 1
+    axes = figure.subplots(len(shown), 1, sharex=same, squeeze=False)[:, 0]
+    handles: dict[str, Any] = {}
+    for ax, panel in zip(axes, shown, strict=True):
+        panel.draw(ax)
+        handles |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+        ax.set_title(panel.peak, loc="right", fontsize="small")
+        if ax is axes[-1] or not same:
+            ax.set_xlabel(panel.xlabel)
+        if len(shown) > 1:
+            ax.set_ylabel(panel.ylabel.replace(" [", "\n["))
+    figure.align_ylabels(axes)
+    if len(handles) > 1 or any(panel.peak for panel in shown):
+        _legend(figure, handles)
+    elif handles:
+        axes[0].set_title(next(iter(handles)), loc="left", fontsize="small")
+    return axes
+
+
+def _legend(figure: Any, handles: Mapping[str, Any]) -> None:
+    """Above the panels in a few rows, else to their right where there is room."""
+    from matplotlib import font_manager  # heavy, and for pictures only
+
+    size = font_manager.FontProperties(size="small").get_size_in_points() / 72.0
+    entry = (5.0 + LETTER * max(map(len, handles))) * size
+    width = figure.bbox.width / figure.dpi
+    columns = max(1, int(width / entry))
+    above = -(-len(handles) // columns) <= ROWS or entry > 0.4 * width
+    where = (
+        {"loc": "outside upper left", "ncols": min(columns, len(handles))} if above else {"loc": "outside right upper"}
+    )
+    figure.legend(handles.values(), handles, frameon=False, fontsize="small", **where)

@@ -1,0 +1,50 @@
+"""Motion of the bodies of a page: where they begin, and keyframes of those that move."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nsdyn.tools.arrays import Array, Index
+from nsdyn.view.commands import Json, set_property
+from nsdyn.view.solids import body_path
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["keys", "start_commands"]
+
+INVISIBLE = 1e-6
+"""Differences below this part of the scene, or of a unit quaternion."""
+
+
+def start_commands(trajectory: Trajectory, row: int) -> list[Json]:
+    """Commands that put all moving frames where they are in a row."""
+    commands = []
+    for name in trajectory.scene["frames"]:
+        motion, path = trajectory.body(name), body_path(name)
+        commands.append(set_property(path, "position", motion.position[row].tolist()))
+        commands.append(set_property(path, "quaternion", motion.quaternion[row].tolist()))
+    return commands
+
+
+def keys(trajectory: Trajectory, rows: Index, radius: float) -> dict[str, Array]:
+    """Keyframes in a scene of that radius.
+
+    Returns
+    -------
+    dict of str to ndarray
+        position (k, len(rows), 3), m, and quaternion (m, len(rows), 4) xyzw of the frames that change theirs, rounded
+        to what can be seen; moving (k,) and turning (m,), which frames these are.
+    """
+    out: dict[str, Array] = {}
+    motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
+    for name, which, scale in (("position", "moving", radius), ("quaternion", "turning", 1.0)):
+        grid = 2.0 ** np.floor(np.log2(INVISIBLE * scale))  # exact in binary: its multiples deflate well
+        values = [grid * np.round(getattr(motion, name)[rows] / grid) for motion in motions]
+        changing = [k for k, x in enumerate(values) if (x != x[0]).any()]
+        width = 3 if name == "position" else 4
+        out[name] = np.array([values[k] for k in changing]).reshape(-1, rows.size, width)
+        out[which] = np.array(changing, dtype=np.int64)
+    return out

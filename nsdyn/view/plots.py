@@ -1,0 +1,300 @@
+"""Pictures of what a recording shows besides its motion: `draw` draws one of `KINDS`, ``nsdyn plot RUN.h5`` several."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsdyn.recording.tabulated import tabulated
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+from nsdyn.tools.table import Table
+from nsdyn.tools.units import with_unit
+from nsdyn.view import panels
+from nsdyn.view.panels import LEDGER, OTHERS, PALETTE, Curve, Panel, look
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["KINDS", "draw", "usual"]
+
+SHOWN = 12
+"""Curves with names of their own, those of the largest values; more are grey."""
+
+NEGLIGIBLE = 1e-9
+"""Works of this part of the largest energy are left out, as on the page."""
+
+
+def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None) -> Any:
+    """Draw motion, forces, energies or certificates over time.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    kind : str
+        position, speed : of bodies [m, m/s].
+        force, slip, gap : of the bodies that touch: normal force and net friction [N], largest slip [m/s], gap [m].
+        joint, phase : angle or position, velocity and torque of joints; velocity over angle.
+        energy, power : where the energy is and who took it, as on the page [J]; what each pair dissipates [W].
+        friction : of every contact, over the most that Coulomb's law allows [N].
+        certificate, penetration : error of each step and its bound; deepest overlap by the recorded gaps [m].
+    name : str
+        Which bodies, pairs or joints, as of `nsdyn.Trajectory.table`.
+    figure : matplotlib Figure or SubFigure, optional
+        A new one of pyplot by default. Its layout should be constrained.
+
+    Returns
+    -------
+    matplotlib Figure
+
+    Raises
+    ------
+    ValueError
+        For an unknown kind or name, and for what was not recorded.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> run = nd.simulate(nd.scenes.load("slide")(), 0.5, dt=0.01)
+    >>> nd.plots.draw(run, "speed", "box").savefig("speed.pdf")  # doctest: +SKIP
+    """
+    found = KINDS[choice(kind, KINDS, "kind")](trajectory, name)
+    if figure is None:
+        import matplotlib.pyplot as plt
+
+        figure = plt.figure(layout="constrained")
+    panels.draw(figure, found)
+    return figure
+
+
+def usual(trajectory: Trajectory) -> list[str]:
+    """The kinds that are drawn where none is asked for."""
+    joints = any(a.get("sizes") for a in trajectory.scene["articulations"])
+    return [
+        "energy",
+        "speed",
+        *(["force"] if trajectory.columns["contacts/offset"][-1] > 0 else []),
+        *(["joint"] if joints else []),
+    ]
+
+
+def _rows(table: Table, key: Any) -> dict[str, Table]:
+    """The rows of every name in `key`."""
+    names, which = np.unique(np.asarray(key, dtype=str), return_inverse=True)
+    parts = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which)))
+    return {name: table[part] for name, part in zip(names.tolist(), parts, strict=False)}
+
+
+def _curves(table: Table, names: dict[str, dict[str, Any]], key: Any, *columns: str) -> list[list[Curve]]:
+    """Columns over time, each for some names of rows by `key`; those of the largest spans have names of their own."""
+    rows = _rows(table.select("t", *columns), key)
+    span = {
+        n: max(
+            float(np.ptp(np.nan_to_num(some[c]))) / (float(np.nanmax(np.abs(table[c]), initial=0.0)) or 1.0)
+            for c in columns
+        )
+        for n, some in rows.items()
+    }
+    named = sorted(names, key=lambda name: -span[name])[:SHOWN]
+    grey, others = {"color": OTHERS, "lw": 0.6}, f"{len(names) - SHOWN} others"
+    order = sorted(names, key=lambda name: name in named)  # the grey ones below
+    return [
+        [
+            Curve(
+                n if n in named else others, rows[n]["t"], rows[n][c], {"lw": 1.2, **names[n]} if n in named else grey
+            )
+            for n in order
+        ]
+        for c in columns
+    ]
+
+
+def _bodies(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, dict[str, Any]]]:
+    """The table of some bodies, and the colour that the page gives each; links that move as one have other dashes."""
+    table, frames = tabulated(trajectory, "bodies", name), trajectory.scene["frames"]
+    links = {link["name"]: link["frame"] for link in trajectory.scene.get("links", ())}
+    looks, used = dict[str, dict[str, Any]](), Counter[int]()
+    for body in dict.fromkeys(table["body"].tolist()):
+        frame = links[body] if body in links else frames.index(body)
+        looks[body] = look(frame + len(PALETTE) * used[frame])
+        used[frame] += 1
+    return table, looks
+
+
+def _position(trajectory: Trajectory, name: str) -> list[Panel]:
+    table, names = _bodies(trajectory, name)
+    moved = dict(zip("xyz", _curves(table, names, table["body"], *"xyz"), strict=True))
+    spans = [float(np.ptp(c.y)) for curves in moved.values() for c in curves]
+    scale, out = max(spans, default=0.0), []
+    for axis, curves in moved.items():
+        if max(float(np.ptp(c.y)) for c in curves) > panels.NOISE * scale or scale == 0.0:
+            out.append(Panel(f"{axis} [m]", curves, scale, zero=False))
+    return out
+
+
+def _speed(trajectory: Trajectory, name: str) -> list[Panel]:
+    table, names = _bodies(trajectory, name)
+    fallen = float(np.linalg.norm(trajectory.scene["gravity"]) * trajectory.t[-1])
+    return [Panel("speed [m/s]", _curves(table, names, table["body"], "speed")[0], fallen)]
+
+
+def _pairs(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, dict[str, Any]], Any]:
+    table = tabulated(trajectory, "pairs", name)
+    key = np.array([f"{a} | {b}" for a, b in zip(table["body1"], table["body2"], strict=True)], dtype=object)
+    return table, {n: look(k) for k, n in enumerate(dict.fromkeys(key.tolist()))}, key
+
+
+def _force(trajectory: Trajectory, name: str) -> list[Panel]:
+    table, names, key = _pairs(trajectory, name)
+    scale = float(table["normal_force"].max(initial=0.0))
+    normal, drag = _curves(table, names, key, "normal_force", "friction_force")
+    return [Panel("normal force [N]", normal, scale, cut=True), Panel("friction [N]", drag, scale, cut=True)]
+
+
+def _slip(trajectory: Trajectory, name: str) -> list[Panel]:
+    table, names, key = _pairs(trajectory, name)
+    fallen = float(np.linalg.norm(trajectory.scene["gravity"]) * trajectory.t[-1])
+    return [Panel("slip [m/s]", _curves(table, names, key, "slip")[0], fallen)]
+
+
+def _gap(trajectory: Trajectory, name: str) -> list[Panel]:
+    table, names, key = _pairs(trajectory, name)
+    free = trajectory.scene["free"]
+    far = np.abs(trajectory.q[:, : 7 * free].reshape(-1, 7)[:, :3]).max(initial=0.0)
+    return [Panel("gap [m]", _curves(table, names, key, "gap")[0], float(far))]
+
+
+def _joint(trajectory: Trajectory, name: str) -> list[Panel]:
+    out = []
+    for unit, word in (("rad", "angle"), ("m", "position")):
+        table, names, key = _joints(trajectory, name, unit)
+        if names:
+            place, rate, effort = _curves(table, names, key, "position", "velocity", "torque")
+            out += [
+                Panel(f"{word} [{unit}]", place, zero=False),
+                Panel(f"velocity [{unit}/s]", rate),
+                Panel("torque [N m]" if unit == "rad" else "actuation [N]", effort),
+            ]
+    return out or [Panel("joints", [], note="no joint has an angle or a position")]
+
+
+def _joints(trajectory: Trajectory, name: str, unit: str) -> tuple[Table, dict[str, dict[str, Any]], Any]:
+    """The coordinates of joints that have a unit."""
+    table = tabulated(trajectory, "joints", name)
+    table = table[table["unit"] == unit]
+    several = set(table["joint"][table["coordinate"] > 1].tolist())
+    pairs = zip(table["joint"].tolist(), table["coordinate"].tolist(), strict=True)
+    key = np.array([f"{joint} {k}" if joint in several else joint for joint, k in pairs], dtype=object)
+    return table, {n: look(k) for k, n in enumerate(dict.fromkeys(key.tolist()))}, key
+
+
+def _phase(trajectory: Trajectory, name: str) -> list[Panel]:
+    out = []
+    for unit, word in (("rad", "angle"), ("m", "position")):
+        table, names, key = _joints(trajectory, name, unit)
+        rows = _rows(table, key)
+        curves = [Curve(n, rows[n]["position"], rows[n]["velocity"], names[n]) for n in names]
+        if curves:
+            out.append(Panel(f"velocity [{unit}/s]", curves, xlabel=f"{word} [{unit}]"))
+    return out or [Panel("joints", [], note="no joint has an angle or a position")]
+
+
+def _energy(trajectory: Trajectory, name: str) -> list[Panel]:
+    e, t = trajectory.energy, trajectory.t
+
+    def so_far(work: str) -> Array:
+        return np.concatenate([[0.0], np.cumsum(getattr(e, work))])
+
+    least = NEGLIGIBLE * trajectory.largest_energy
+    potential = e.potential - e.potential.min()
+    heights = {
+        "kinetic": ("kinetic", e.kinetic),
+        "potential": ("potential, from its least", potential),
+        "friction": ("friction took", -so_far("friction")),
+        "normal": ("impacts took", -so_far("normal")),
+        "damping": ("damping took", -so_far("damping")),
+    }
+    areas = [
+        Curve(word, t, height, {"color": LEDGER[name]})
+        for name, (word, height) in heights.items()
+        if name == "kinetic" or np.abs(height).max() > least
+    ]
+    put_in = so_far("external") + so_far("constraint")
+    total = np.sum([c.y for c in areas], axis=0)
+    curves = [Curve("sum", t, total, {"color": "k", "lw": 1.2})]
+    if np.abs(put_in).max() > least or np.abs(total - total[0]).max() > 1e-3 * max(total.max(), least):
+        curves.append(Curve("sum, as it ought to be", t, total[0] + put_in, {"color": "k", "ls": "--", "lw": 0.8}))
+    note = f"at rest: nothing of {with_unit(trajectory.largest_energy, 'J')} moves"
+    return [Panel("energy [J]", curves, trajectory.largest_energy, areas=areas, note=note)]
+
+
+def _power(trajectory: Trajectory, name: str) -> list[Panel]:
+    table, names, key = _pairs(trajectory, name)
+    taken = {n: -rows["work"] / trajectory.dt for n, rows in _rows(table.select("work"), key).items()}
+    order = sorted(names, key=lambda n: -float(np.abs(taken[n]).sum()))
+    layers = [
+        Curve(n, trajectory.t_steps, np.maximum(taken[n], 0.0), {"color": look(k)["color"]})
+        for k, n in enumerate(order[:6])
+    ]
+    if order[6:]:
+        rest = np.maximum(np.sum([taken[n] for n in order[6:]], axis=0), 0.0)
+        layers.append(Curve(f"{len(order) - 6} others", trajectory.t_steps, rest, {"color": OTHERS}))
+    scale = trajectory.largest_energy / float(trajectory.t[-1] or 1.0)
+    return [Panel("dissipated power [W]", [], scale, cut=True, areas=layers)]
+
+
+def _friction(trajectory: Trajectory, name: str) -> list[Panel]:
+    table = tabulated(trajectory, "contacts", name)
+    most, drag = (table["mu"] * table["impulse_N"] / trajectory.dt, table["impulse_T"] / trajectory.dt)
+    top, dots = float(most.max(initial=0.0)), {"ls": "", "marker": ".", "ms": 3, "rasterized": True}
+    curves = []
+    for state, colour in (("stick", LEDGER["kinetic"]), ("slip", LEDGER["friction"])):
+        some = (table["state"] == state) & (most > 0.0)
+        if some.any():
+            curves.append(Curve(f"{state} ({some.sum()})", most[some], drag[some], {"color": colour, **dots}))
+    curves.append(Curve("Coulomb's limit", np.array([0.0, top]), np.array([0.0, top]), {"color": "k", "lw": 0.8}))
+    return [Panel("friction [N]", curves, top, xlabel="μ × normal force [N]")]
+
+
+def _certificate(trajectory: Trajectory, name: str) -> list[Panel]:
+    t, style = trajectory.t_steps, {"marker": ".", "ms": 3, "lw": 0.6}
+    curves = [
+        Curve(label, t, np.where(values > 0.0, values, np.nan), {"color": LEDGER[colour], **style})
+        for label, values, colour in (
+            ("bound [√J]", trajectory.gauss.bound, "normal"),
+            ("residual [m/s]", trajectory.solver.residual, "kinetic"),
+        )
+    ]
+    return [Panel("error of the step", curves, log="y")]
+
+
+def _penetration(trajectory: Trajectory, name: str) -> list[Panel]:
+    table, depth = tabulated(trajectory, "contacts", name), np.zeros(trajectory.steps)
+    np.maximum.at(depth, table["step"] - 1, -table["gap"])
+    curve = Curve(
+        "deepest gap",
+        trajectory.t_steps,
+        np.where(depth > 0.0, depth, np.nan),
+        {"color": LEDGER["damping"], "marker": ".", "ms": 3, "lw": 0.6},
+    )
+    return [Panel("overlap [m]", [curve], log="y")]
+
+
+KINDS: dict[str, Callable[[Trajectory, str], list[Panel]]] = {
+    "position": _position,
+    "speed": _speed,
+    "force": _force,
+    "slip": _slip,
+    "gap": _gap,
+    "joint": _joint,
+    "phase": _phase,
+    "energy": _energy,
+    "power": _power,
+    "friction": _friction,
+    "certificate": _certificate,
+    "penetration": _penetration,
+}
+"""What `draw` draws."""

@@ -1,0 +1,281 @@
+"""What a page shows besides the bodies: camera, lights, ground and the planes of half-spaces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nsdyn.tools.arrays import Array
+from nsdyn.view.commands import Json, as_buffer, as_hex, as_three, by_columns, set_object, set_property, shaded, uuid_of
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = [
+    "BACKGROUND",
+    "BEHIND_LINES",
+    "FIELD_OF_VIEW",
+    "GROUND",
+    "View",
+    "corner_object",
+    "halfspace_object",
+    "stage_commands",
+]
+
+BACKGROUND = (0.945, 0.955, 0.965)
+
+GROUND = (0.83, 0.845, 0.86)
+
+FIELD_OF_VIEW = 32.0  # degrees
+
+OUTLINE = 200
+"""Directions in which the outline of a scene is taken."""
+
+BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 20.0}
+"""Moves a surface back in depth, so that lines on it stay whole."""
+
+
+class View:
+    """Where scenes are: a ball around fixed bodies and all that moving ones ever reach; camera and sun."""
+
+    def __init__(self, trajectories: Sequence[Trajectory]) -> None:
+        points: list[Array] = []
+        reach: list[Array] = []
+        sizes: list[float] = []
+        planes: dict[tuple[float, ...], None] = {}
+        for trajectory in trajectories:
+            every = 1 + trajectory.steps // 1000  # enough to see where a body goes
+            positions = [trajectory.body(name).position[::every] for name in trajectory.scene["frames"]]
+            for geom in (*trajectory.scene["geoms"], *trajectory.scene.get("visuals", ())):
+                if geom["shape"] == "halfspace":
+                    planes[(*geom["size"], float(geom["offset"]))] = None
+                    continue
+                placement = np.array(geom["placement"])
+                moves = geom["frame"] >= 0
+                points.append(positions[geom["frame"]] if moves else placement[None, :3, 3])
+                ball = _radius(geom) + (float(np.linalg.norm(placement[:3, 3])) if moves else 0.0)
+                reach.append(np.full(len(points[-1]), ball))
+                sizes += [_radius(geom)] * moves
+        self.planes = [(np.array(normal), offset) for *normal, offset in planes]
+        # Where there is nothing, the unit ball.
+        x, r = np.concatenate(points or [np.zeros((1, 3))]), np.concatenate(reach or [np.ones(1)])[:, None]
+        lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
+        self.centre = 0.5 * (lower + upper)
+        self.radius = 0.5 * float(np.linalg.norm(upper - lower))
+        self.body_radius = float(np.median(sizes)) if sizes else self.radius
+        self.outline = _outline(x, r)
+        # From the front right, unless that is behind a half-space, which would be seen from its back.
+        azimuths = np.radians([35.0, -35.0, 215.0, 145.0])
+        cameras = [self._camera(a, x - self.centre, r[:, 0]) for a in azimuths]
+        outside = [min([0.0, *(float(n @ eye) - d for n, d in self.planes)]) for eye in cameras]
+        best = int(np.argmax(outside))
+        self.eye = cameras[best]
+        self.sun = self.centre + 4.0 * self.radius * _direction(azimuths[best] - 1.1, 0.9)
+
+    def _camera(self, azimuth: float, x: Array, r: Array) -> Array:
+        """Position from which all balls are in the picture, also in one a third wider than high."""
+        back = _direction(azimuth, 0.3)
+        right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+        up = np.cross(back, right)
+        slope = math.tan(math.radians(FIELD_OF_VIEW / 2))
+        high, wide = (np.abs(x @ up) + r) / slope, (np.abs(x @ right) + r) / (slope * 4 / 3)
+        out: Array = self.centre + 1.05 * float((x @ back + np.maximum(high, wide)).max()) * back
+        return out
+
+
+def _outline(x: Array, r: Array) -> Array:
+    """Centres and radii (., 4) of the balls that reach farthest in some of many directions."""
+    k = np.arange(OUTLINE) + 0.5  # on a spiral, evenly on the sphere
+    z, turn = 1.0 - 2.0 * k / OUTLINE, np.pi * (1.0 + math.sqrt(5.0)) * k
+    flat = np.sqrt(1.0 - z * z)
+    directions = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
+    farthest = np.unique([int(np.argmax(x @ d + r[:, 0])) for d in directions])
+    out: Array = np.column_stack([x, r])[farthest]
+    return out
+
+
+def _direction(azimuth: float, elevation: float) -> Array:
+    """Return the unit vector at two angles; azimuth 0 is -y, the front."""
+    flat = math.cos(elevation)
+    return np.array([flat * math.sin(azimuth), -flat * math.cos(azimuth), math.sin(elevation)])
+
+
+def _radius(geom: Json) -> float:
+    """Radius of a ball about the shape's origin that contains it."""
+    size = geom["size"]
+    if "vertices" in geom:
+        return float(np.linalg.norm(geom["vertices"], axis=1).max())
+    if geom["shape"] == "cylinder":
+        return math.hypot(size[0], size[1])
+    if geom["shape"] == "mesh":
+        return float(np.linalg.norm(size))
+    return float(size[0] + size[1]) if geom["shape"] == "capsule" else float(max(size))
+
+
+def stage_commands(view: View) -> list[Json]:
+    """Background, camera and lights, in proportion to the scene."""
+    R, camera = view.radius, "/Cameras/default/rotated/<object>"
+    shadow = {
+        "bias": -0.0002,
+        "normalBias": 0.001 * R,
+        "mapSize": [2048, 2048],
+        "camera": {
+            "type": "OrthographicCamera",
+            "uuid": uuid_of("shadow camera"),
+            "near": 0.1 * R,
+            "far": 8 * R,
+            "left": -1.6 * R,
+            "right": 1.6 * R,
+            "top": 1.6 * R,
+            "bottom": -1.6 * R,
+        },
+    }
+    sun = {"type": "DirectionalLight", "color": 0xFFFFFF, "intensity": 0.58, "shadow": shadow}
+    commands = [
+        set_property("/Background", "top_color", list(BACKGROUND)),
+        set_property("/Background", "bottom_color", list(BACKGROUND)),
+        set_property(camera, "fov", FIELD_OF_VIEW),
+        set_property(camera, "near", 0.01 * R),
+        set_property(camera, "far", 100 * R),
+        set_property(camera, "position", as_three(view.eye)),
+        set_object("/Lights/Sun", sun),
+        set_property("/Lights/Sun/<object>", "position", view.sun.tolist()),
+        set_property("/Lights/AmbientLight/<object>", "intensity", 0.6),
+        set_property("/Lights/FillLight/<object>", "intensity", 0.12),
+    ]
+    hidden = ["/Grid", "/Axes", "/Lights/PointLightNegativeX", "/Lights/PointLightPositiveX"]
+    return commands + [set_property(path, "visible", False) for path in hidden]
+
+
+def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view: View) -> Json:
+    """Disc with a grid that fades into the background, seen from outside only; it receives shadows."""
+    R = view.radius
+    foot = view.centre - (normal @ view.centre - offset) * normal
+    t1 = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [0.0, 0.0, 1.0], normal)
+    t1 /= np.linalg.norm(t1)
+    frame = np.array([t1, np.cross(normal, t1), normal])
+
+    def faded(points: Array, base: Iterable[float], to: ArrayLike, reach: float) -> Array:
+        s = np.clip(np.linalg.norm(points[:, :2], axis=1) / reach, 0.0, 1.0)[:, None]
+        s = s * s * (3.0 - 2.0 * s)
+        out: Array = (1.0 - s) * np.array(list(base)[:3]) + s * np.asarray(to)
+        return out
+
+    rings, turns = np.array([0.0, 1.0, 2.5, 4.5, 7.0, 10.0]) * R, np.linspace(0.0, 2.0 * np.pi, 33)
+    triangles = []
+    for inner, outer in pairwise(rings):
+        for a, b in pairwise(turns):
+            p, q, r, s = ((d * np.cos(x), d * np.sin(x), 0.0) for d in (inner, outer) for x in (a, b))
+            triangles += [p, r, s, p, s, q] if inner else [p, r, s]
+    disc = np.array(triangles)
+    floor = {
+        "type": "Mesh",
+        "geometry": as_buffer(position=disc, color=faded(disc, colour, BACKGROUND, rings[-1])),
+        "material": {"type": "MeshBasicMaterial", "vertexColors": True, **BEHIND_LINES},
+    }
+    parts, shadows = [floor], _shadow(normal, offset, view)
+    if shadows is not None:
+        parts.append(_receiver(frame @ (shadows[0] - foot), shadows[1]))
+    if normal[2] > 0.3:  # no grid on walls: lines, unlike surfaces, would be seen from behind too
+        reach = 6.0 * R
+        grid = _grid(-(frame[:2] @ foot), _round_number(R / 2.5), reach)
+        ground = faded(grid, colour, BACKGROUND, rings[-1])
+        lines = as_buffer(position=grid, color=faded(grid, shaded(colour, 0.9), ground, reach))
+        material = {"type": "LineBasicMaterial", "vertexColors": True}
+        parts.append({"type": "LineSegments", "geometry": lines, "material": material})
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = frame.T, foot
+    return {"type": "Group", "matrix": by_columns(matrix), "children": parts}
+
+
+def _receiver(centre: Array, radius: float) -> Json:
+    """Disc in the plane z = 0 that shows nothing but shadows."""
+    return {
+        "type": "Mesh",
+        "matrix": by_columns(_moved(centre)),
+        "geometry": {"type": "CircleGeometry", "radius": radius, "segments": 32},
+        "material": {
+            "type": "ShadowMaterial",
+            "color": 0,
+            "opacity": 0.28,
+            "transparent": True,
+            "depthWrite": False,
+        },
+        "receiveShadow": True,
+    }
+
+
+def _shadow(normal: Array, offset: float, view: View) -> tuple[Array, float] | None:
+    """Centre and radius of a disc on a half-space with all shadows, which cost time wherever they may be.
+
+    None where the sun is behind the half-space.
+    """
+    R = view.radius
+    rays = (view.centre - view.sun) / np.linalg.norm(view.sun - view.centre)
+    steepness = -float(normal @ rays)
+    if steepness <= 0.0:
+        return None
+    if steepness < 0.1:  # lit from the side
+        return view.centre - (normal @ view.centre - offset) * normal, 3.5 * R
+    x, r = view.outline[:, :3], view.outline[:, 3:]
+    feet = x + ((x @ normal - offset) / steepness)[:, None] * rays
+    lower, upper = (feet - r / steepness).min(axis=0), (feet + r / steepness).max(axis=0)
+    centre: Array = 0.5 * (lower + upper)
+    return centre - (normal @ centre - offset) * normal, min(3.5 * R, 0.5 * float(np.linalg.norm(upper - lower)))
+
+
+def _moved(by: Array) -> Array:
+    out = np.eye(4)
+    out[:3, 3] = by
+    return out
+
+
+def corner_object(planes: Sequence[tuple[Array, float]], view: View) -> Json | None:
+    """Lines along which half-spaces meet, so that a room of them can be told from its background; None if none do."""
+    ends: list[Array] = []
+    for k, (n1, d1) in enumerate(planes):
+        for n2, d2 in planes[:k]:
+            along = np.cross(n1, n2)
+            if np.linalg.norm(along) < 1e-6:
+                continue
+            along /= np.linalg.norm(along)
+            point = np.linalg.solve(np.array([n1, n2, along]), [d1, d2, float(along @ view.centre)])
+            low, high = -6.0 * view.radius, 6.0 * view.radius
+            for n, d in planes:  # the part that no other covers
+                rate, left = float(n @ along), float(n @ point) - d
+                if abs(rate) > 1e-9:
+                    low, high = (max(low, -left / rate), high) if rate > 0 else (low, min(high, -left / rate))
+                elif left < -1e-9 * view.radius:
+                    high = low
+            if low < high:
+                ends += [point + low * along, point + high * along]
+    if not ends:
+        return None
+    material = {"type": "LineBasicMaterial", "color": as_hex(shaded(GROUND, 0.72))}
+    return {"type": "LineSegments", "geometry": as_buffer(position=np.array(ends)), "material": material}
+
+
+def _grid(origin: Array, step: float, reach: float) -> Array:
+    """Return the ends of lines x or y = origin + k step in a disc, cut into pieces that fade one by one."""
+    lines = []
+    for axis in (0, 1):
+        first, last = math.ceil((-reach - origin[axis]) / step), math.floor((reach - origin[axis]) / step)
+        for c in origin[axis] + step * np.arange(first, last + 1):
+            half = math.sqrt(max(reach**2 - c**2, 0.0))
+            ticks = np.linspace(-half, half, 11)
+            ends = np.column_stack([ticks[:-1], ticks[1:]]).ravel()
+            line = np.zeros((ends.size, 3))
+            line[:, axis], line[:, 1 - axis] = c, ends
+            lines.append(line)
+    return np.concatenate(lines)
+
+
+def _round_number(x: float) -> float:
+    """Largest of 1, 2, 5 times a power of ten that is not above x."""
+    power = 10.0 ** math.floor(math.log10(x))
+    return power * max(k for k in (1.0, 2.0, 5.0) if k * power <= x * (1 + 1e-12))

@@ -1,0 +1,103 @@
+"""What recordings are called: by what tells two of them apart where they are shown beside each other."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["differing", "document", "labels", "parameters", "words"]
+
+UNTOLD = {"parameters", "command", "checksums"}
+"""Of the attributes of a recording, what is no option of its run."""
+
+SHOWN = {"dt": " s", "theta": "", "impact": "", "solver": ""}
+"""Options that make a motion another, and their units."""
+
+
+LONG = 60
+"""Letters of a value; what a longer one has beyond is left out."""
+
+
+def differing(a: Trajectory, b: Trajectory) -> dict[str, tuple[Any, Any]]:
+    """Parameters of the scenes and options of the runs that are not equal, by name; None where one has none."""
+    one, other = _settings(a), _settings(b)
+    names = sorted(one.keys() | other.keys())
+    return {name: (one.get(name), other.get(name)) for name in names if one.get(name) != other.get(name)}
+
+
+def labels(shown: list[Trajectory]) -> list[str]:
+    """A name for one recording; for more of equal names what differs, as "mu=0.2", their names if nothing does."""
+    names = [str(t.meta["scene_name"]) for t in shown]
+    if len(shown) == 1:
+        return names
+    settings = [_settings(t) for t in shown]
+    of_scene = _parameters(shown[0]) if len(set(names)) == 1 else ()
+    told = []
+    for key in dict.fromkeys((*of_scene, *SHOWN)):
+        values = [own.get(key) for own in settings]
+        if None not in values and any(value != values[0] for value in values):
+            told.append(_told(key, *values))
+    out = []
+    for name, parts in zip(names, zip(*told, strict=True) if told else [()] * len(names), strict=True):
+        own = [name] if len(set(names)) > 1 or not parts else []
+        out.append(", ".join([*own, *parts]))
+    return out
+
+
+def document(shown: list[Trajectory]) -> str:
+    """Name of a page: "slide: mu=0.2 | mu=0.5"."""
+    names, parts = [str(t.meta["scene_name"]) for t in shown], labels(shown)
+    common = f"{names[0]}: " if len(set(names)) == 1 and parts != names else ""
+    return common + " | ".join(parts)
+
+
+def parameters(trajectory: Trajectory) -> str:
+    """All parameters of a scene: "mu=0.2, speed=2.0"."""
+    return ", ".join(f"{name}={_text(value)}" for name, value in _parameters(trajectory).items())
+
+
+def _power(tol: str) -> str:
+    """As "1e-8"."""
+    return re.sub(r"e([-+])0+", r"e\1", f"{float(tol):g}")
+
+
+def words(trajectory: Trajectory) -> str:
+    """Step and solver of a run: "steps of 1 ms, contacts solved to 1e-8 m/s by auto"."""
+    dt = f"{1e3 * trajectory.dt:g} ms" if trajectory.dt < 1.0 else f"{trajectory.dt:g} s"
+    name, tol = re.findall(r"^(\w*)(?:\(tol=([^,)]*))?", str(trajectory.meta.get("solver", "")))[0]
+    solved = f", contacts solved{f' to {_power(tol)} m/s' if tol else ''} by {name.lower()}" if name else ""
+    return f"steps of {dt}{solved}"
+
+
+def _settings(trajectory: Trajectory) -> dict[str, Any]:
+    """Parameters of the scene and options of the run."""
+    return _parameters(trajectory) | {k: v for k, v in trajectory.meta.items() if k not in UNTOLD}
+
+
+def _parameters(trajectory: Trajectory) -> dict[str, Any]:
+    out: dict[str, Any] = json.loads(trajectory.meta.get("parameters", "{}"))
+    return out
+
+
+def _text(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= LONG else text[:LONG] + "…"
+
+
+def _told(name: str, *values: Any) -> list[str]:
+    """One setting of each recording as text, with as many digits as tell them apart."""
+    if name in ("solver", "impact"):
+        kinds, inner = zip(*(re.findall(r"^(\w*)\(?(.*?)\)?$", str(value), re.S)[0] for value in values), strict=True)
+        if len(set(kinds)) > 1:
+            return [f"{name}={kind}" for kind in kinds]
+        words = [text.split(", ") for text in inner]
+        return [", ".join(w for w in mine if not all(w in other for other in words)) for mine in words]
+    texts = [_text(value) for value in values]
+    short = [f"{value:.6g}" if isinstance(value, float) else text for value, text in zip(values, texts, strict=True)]
+    if len(set(short)) == len(set(texts)):
+        texts = short
+    return [f"{name}={text}{SHOWN.get(name, '')}" for text in texts]

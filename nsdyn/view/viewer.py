@@ -1,0 +1,143 @@
+"""A recording as one self-contained web page: meshcat's viewer, the scene, its motion, energies, contacts; no network.
+
+Everything is drawn from the collision shapes of the recording. The 3D part is a list of meshcat commands (set_object,
+set_property) in MessagePack, as in meshcat's `static_html`, but built without its server and with identifiers made from
+names instead of random ones: equal recordings give equal bytes. The rest, in the folder `page`, is the page's own
+script, which reads the arrays made here; the keyframes among them become an animation of meshcat.
+"""
+
+from __future__ import annotations
+
+import html as _escape
+import importlib.util
+import warnings
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, TypedDict, Unpack
+
+import numpy as np
+
+from nsdyn.tools import files
+from nsdyn.tools.naming import choice
+from nsdyn.view import titles
+from nsdyn.view.contents import packed
+from nsdyn.view.stage import View
+
+if TYPE_CHECKING:
+    from nsdyn.recording.trajectory import Trajectory
+
+__all__ = ["PageOptions", "html", "write_html"]
+
+
+class PageOptions(TypedDict, total=False):
+    """Keywords of `html`; see there."""
+
+    fps: float | None
+    forces: bool | str
+    max_frames: int
+    at: float | None
+    beside: Trajectory | Sequence[Trajectory] | None
+
+
+LARGE_PAGE = 50e6
+"""Bytes; browsers get slow."""
+
+SCRIPTS = (
+    "format theme recording clock timeline sight meshes stage blind overlay chart ledger motion inspector pane tools"
+    " main"
+).split()
+"""Of the folder `page`, in the order of their use."""
+
+
+def write_html(trajectory: Trajectory, path: str | Path, **options: Unpack[PageOptions]) -> None:
+    """Write the page of `html` to a file, which replaces one of that name once complete.
+
+    Raises
+    ------
+    ValueError
+        If an option is out of range or the file cannot be written.
+    """
+    page = html(trajectory, **options).encode()
+    with files.writing(path, files.PAGE) as part:
+        part.write_bytes(page)
+
+
+def html(
+    trajectory: Trajectory,
+    fps: float | None = None,
+    forces: bool | str = False,
+    max_frames: int = 3000,
+    at: float | None = None,
+    beside: Trajectory | Sequence[Trajectory] | None = None,
+) -> str:
+    """Self-contained page that plays a recording in any browser.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    fps : float, optional
+        Keyframes per second of simulated time, to which every impact is added; the browser interpolates between them.
+        By default all states where that makes the page no more than 1 MB larger than 30 would, else 30.
+    forces : bool or {"pair", "point"}
+        Whether the contact forces are drawn when the page opens, which a button changes. They are the mean since the
+        keyframe before, on the moving body, on body 2 when both move: one for each pair of bodies (False, True,
+        "pair"), or for each contact point. Their 90 % quantile is as long as a fifth of the scene's radius; arrows are
+        cut at twice that.
+    max_frames : int
+        Most keyframes; long recordings get fewer per second.
+    at : float, optional
+        Show only the recorded state nearest to this time, s, for a picture: without controls.
+    beside : Trajectory or sequence of them, optional
+        More recordings, shown beside the first on the same clock and from the same place.
+
+    Raises
+    ------
+    ValueError
+        If an option is out of range.
+
+    Warns
+    -----
+    UserWarning
+        If the page has over 50 MB.
+    """
+    if not isinstance(forces, bool):
+        choice(forces, ("pair", "point"), "forces")
+    shown = [(trajectory, at)]
+    for other in beside if isinstance(beside, Sequence) else [beside] if beside is not None else []:
+        # Before it begins and after it ends it shows its first and last state.
+        shown.append((other, None if at is None else float(np.clip(at, other.t[0], other.t[-1]))))
+    trajectories = [t for t, _ in shown]
+    view, labels = View(trajectories), titles.labels(trajectories)
+    page = Template(_part("page.html")).substitute(
+        title=_escape.escape(titles.document(trajectories) + " - nsdyn"),
+        style=_part("page.css"),
+        meshcat=_meshcat_script(),
+        script="\n".join(_part(f"{name}.js") for name in SCRIPTS),
+        recordings="\n".join(
+            '<script type="text/plain" class="recording">'
+            f"{packed(t, fps, forces, max_frames, moment, label, view)}</script>"
+            for (t, moment), label in zip(shown, labels, strict=True)
+        ),
+    )
+    if len(page) > LARGE_PAGE:
+        warnings.warn(
+            f"the page has {len(page) / 1e6:.0f} MB, which browsers open slowly; lower fps or max_frames",
+            stacklevel=2,
+        )
+    return page
+
+
+def _part(name: str) -> str:
+    return (Path(__file__).parent / "page" / name).read_text(encoding="utf-8")
+
+
+@lru_cache(maxsize=1)
+def _meshcat_script() -> str:
+    """JavaScript of meshcat's viewer; the package is not imported, for that would load its server."""
+    spec = importlib.util.find_spec("meshcat")
+    if spec is None or not spec.submodule_search_locations:
+        raise ModuleNotFoundError("the page needs the viewer of the package meshcat: pip install meshcat")
+    folder = Path(next(iter(spec.submodule_search_locations)))
+    return (folder / "viewer" / "dist" / "main.min.js").read_text(encoding="utf-8")

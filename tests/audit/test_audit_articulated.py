@@ -1,0 +1,158 @@
+"""The audit follows articulations by equations of its own: true recordings pass, and no falsified one does."""
+
+import importlib.util
+import json
+import shutil
+import sys
+import warnings
+from pathlib import Path
+
+import falsified
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import DATA, write_stl
+
+import nsdyn as nd
+from nsdyn.recording.retrace import trees
+from nsdyn.scene import shapes
+
+
+@pytest.mark.parametrize("name", falsified.RUNS)
+def test_true_recordings_pass(name):
+    audit = nd.check(falsified.true(name))
+    assert audit.passed, audit
+
+
+@pytest.mark.parametrize("kind", falsified.KINDS)
+def test_falsified_recordings_do_not_pass(kind):
+    audit = nd.check(falsified.false(kind))
+    assert not audit.passed and audit.verdict.startswith("FAILED"), audit
+
+
+def test_verdict_names_what_was_not_looked_at():
+    audit = nd.check(falsified.true("quadruped"))
+    assert audit.passed and audit.not_audited == ("loads",)
+    assert audit.verdict == "passed, not audited: loads"
+    assert repr(audit).splitlines()[-1] == "quadruped: passed, not audited: loads"
+    assert "controller" in audit["loads"].reason
+    told = json.loads(json.dumps(audit.as_dict()))
+    assert told["verdict"] == audit.verdict and told["not_audited"] == ["loads"]
+
+
+@pytest.mark.parametrize("what", ["no model", "an unknown joint", "every second step", "no contacts", "no pieces"])
+def test_what_cannot_be_audited_is_said(what):
+    scene = nd.scenes.load("cart_pole")()
+    options = {"every second step": {"every": 2}, "no contacts": {"contacts": False}}.get(what, {})
+    t = nd.simulate(scene, 0.02, 5e-3, **options)
+    if what == "no model":  # as in recordings before format 7
+        del t.scene["articulations"][0]["model"]
+    if what == "an unknown joint":
+        t.scene["articulations"][0]["model"]["joints"][1]["kind"] = "JointModelScrew"
+    if what == "no pieces":
+        del t.columns["pieces/offset"]
+    audit = nd.check(t)
+    assert audit.passed and {"joint_momentum", "joint_motion", "joint_works"} <= {*audit.not_audited}, audit
+    assert ("links" in audit.not_audited) == (what in ("no model", "an unknown joint"))
+    assert audit["joint_momentum"].reason
+    if what == "an unknown joint":
+        assert "JointModelScrew is no kind of joint" in audit["links"].reason
+
+
+def test_a_recording_holds_its_articulations(tmp_path):
+    """All kinds of joints, saved and read: the audit builds the same mass matrix, weights and frames from it."""
+    rng, model, parent = np.random.default_rng(0), pin.Model(), 0
+    axis = np.array([0.0, 0.6, 0.8])
+    unbounded = pin.JointModelRevoluteUnboundedUnaligned()
+    unbounded.axis = axis
+    both = pin.JointModelComposite()
+    both.addJoint(pin.JointModelRX(), pin.SE3.Random())
+    both.addJoint(pin.JointModelPY())
+    for k, joint in enumerate(
+        (
+            pin.JointModelFreeFlyer(),
+            pin.JointModelRUBX(),
+            unbounded,
+            pin.JointModelRevoluteUnaligned(axis),
+            pin.JointModelPrismaticUnaligned(axis),
+            pin.JointModelHX(0.2),
+            pin.JointModelHelicalUnaligned(axis, 0.1),
+            pin.JointModelUniversal(np.eye(3)[0], np.eye(3)[1]),
+            pin.JointModelPlanar(),
+            pin.JointModelTranslation(),
+            pin.JointModelSpherical(),
+            pin.JointModelSphericalZYX(),
+            both,
+        )
+    ):
+        parent = model.addJoint(parent, joint, pin.SE3.Random(), f"j{k}")
+        model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Random())
+        model.addJointFrame(parent)
+    scene = nd.Scene()
+    armature = rng.uniform(size=model.nv)
+    scene.add_model("a", model, collisions={"j12": [shapes.sphere(0.1)]}, armature=armature)
+    nd.simulate(scene, 1e-3, 1e-3).save(tmp_path / "run.h5")
+    t = nd.Trajectory.load(tmp_path / "run.h5")
+    assert nd.check(t).passed
+    m = trees(t).mechanisms[0]
+    model.armature = armature
+    data, q = model.createData(), pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
+    M = np.triu(np.array(pin.crba(model, data, q)))
+    np.testing.assert_allclose(m.mass(q), M + np.triu(M, 1).T, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(m.weight(q), pin.computeGeneralizedGravity(model, data, q), rtol=0, atol=1e-11)
+    pin.forwardKinematics(model, data, q)
+    m.place(q)
+    for k in range(1, model.njoints):
+        np.testing.assert_allclose(m.pose(k).homogeneous, data.oMi[k].homogeneous, rtol=0, atol=1e-13)
+
+
+def test_robot_files_pass(robot, tmp_path):
+    """Loops, springs, frames of MJCF, URDF and SDF."""
+    write_stl(tmp_path / "box.stl", (0.1, 0.2, 0.3))
+    shutil.copy(DATA / "assets.xml", tmp_path)
+    shutil.copy(DATA / "robot.xml", tmp_path)
+    scene = nd.Scene()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scene.add_urdf("urdf", robot[0], position=(9, 0, 4), package_dirs=robot[1], self_collisions=False)
+        scene.add_mjcf("mjcf", tmp_path / "robot.xml", self_collisions=False)
+        trajectory = nd.simulate(scene, 0.05, 1e-3)
+    audit = nd.check(trajectory)
+    assert audit.passed and not audit.not_audited, audit
+
+
+BENCH = Path(__file__).parent.parent.parent / "demos" / "bench"
+
+
+@pytest.fixture(scope="module")
+def audits():
+    spec = importlib.util.spec_from_file_location("audits", BENCH / "audits.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("seed", [1, 4, 6, 65, 127, 175, 3094, 2050, 2071, 2173, 3108, 5079, 20160, 40004, 99, 2113])
+def test_random_robots_pass(audits, seed):
+    """Among them one whose driven joint takes up impacts, and one whose loops turn fast.
+
+    And contacts that do nothing at θ = 0.7 (3094), steps cut where a driven joint varies (2050), forces that work while
+    joints turn fast (2071), small angles by cosine and sine (2173, 3108), a limit met on the way there and back (5079),
+    an end of loops that one pass finds (20160), impacts where θ = 1 has other impulses at the same time (40004), a dry
+    joint that has stopped where a move begins (99), and pieces of 1e-15 s (2113).
+    """
+    audit = nd.check(audits.random_run(seed))
+    assert audit.passed, audit
+
+
+def test_what_touches_at_the_start_stays(audits):
+    """Its first work is the scheme's, as all that follows."""
+    audit = nd.check(audits.named("woodpecker", 0.01, 1e-3))
+    assert audit.passed, audit
+
+
+@pytest.mark.slow
+def test_two_hundred_true_recordings_pass(audits, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["audits.py", "--count", "190"])
+    assert audits.main() == 0
+    assert sum(int(line.split()[0]) for line in capsys.readouterr().out.splitlines() if "passed" in line) >= 200

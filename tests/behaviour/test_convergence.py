@@ -1,0 +1,528 @@
+"""Orders of accuracy, and rotations that keep what is conserved."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from scipy.special import ellipk
+
+import nsdyn as nd
+from nsdyn.scene import shapes
+
+g = 9.81
+ROUGH = nd.Material(mu=2.0)
+
+
+def orders(run, steps):
+    """log₂ of the ratios of successive errors of `run(steps)`, which gives an error or an array of them."""
+    errors = [np.abs(run(n)).max() for n in steps]
+    return np.log2(np.array(errors[:-1]) / errors[1:])
+
+
+def own_orders(simulate, steps):
+    """Orders of the final q of `simulate(steps)`, by the changes from each number of steps to its double."""
+    ends = {n: simulate(n).q[-1] for n in [*steps, 2 * steps[-1]]}
+    return orders(lambda n: ends[n] - ends[2 * n], steps)
+
+
+# -- rotation ------------------------------------------------------------------------------------------------
+
+
+def spinning(inertia, w, quaternion=(0, 0, 0, 1)):
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_box("body", (1, 1, 1), 1.0, quaternion=quaternion, inertia=np.diag(inertia), angular_velocity=w)
+    return scene
+
+
+def angular_momentum(trajectory, inertia):
+    """World axes, shape (steps + 1, 3)."""
+    R = Rotation.from_quat(trajectory.q[:, 3:7])
+    return R.apply(trajectory.v[:, 3:6] * inertia)
+
+
+INERTIA = np.array([1.0, 2.0, 3.0])
+UNSTABLE = np.array([0.01, 1.0, 0.01])
+
+
+def test_torque_free_body_keeps_energy_and_angular_momentum():
+    trajectory = nd.simulate(spinning(INERTIA, UNSTABLE), 100.0, dt=1e-2)
+    momentum = angular_momentum(trajectory, INERTIA)
+    assert (momentum[0] @ momentum[0]) == pytest.approx(4.001, rel=1e-15)
+    # 1e4 steps of round-off.
+    assert np.abs(momentum - momentum[0]).max() <= 1e-12
+    assert np.abs(trajectory.energy.kinetic - 1.0002).max() <= 1e-12
+    # It did tumble: the body's y axis turned over.
+    assert trajectory.v[:, 4].min() < -0.99
+
+
+def test_period_of_the_tumbling_body_is_exact():
+    J1, J2, J3 = INERTIA
+    E2, L2 = INERTIA @ UNSTABLE**2, INERTIA**2 @ UNSTABLE**2
+    # Landau & Lifshitz, Mechanics, §37, for L² > 2E J2.
+    assert L2 > E2 * J2
+    k2 = (J2 - J1) * (E2 * J3 - L2) / ((J3 - J2) * (L2 - E2 * J1))
+    rate = math.sqrt((J3 - J2) * (L2 - E2 * J1) / (J1 * J2 * J3))
+    period = 4.0 * ellipk(k2) / rate
+    assert period == pytest.approx(39.105734, abs=1e-6)
+
+    def error(steps):
+        return nd.simulate(spinning(INERTIA, UNSTABLE), period, dt=period / steps).v[-1, 3:] - UNSTABLE
+
+    # Sixth order, down to round-off.
+    assert np.abs(error(100)).max() <= 2e-11 and np.abs(error(400)).max() <= 5e-13
+
+
+@pytest.mark.parametrize("turn", [0.5, 1.9, 5.0, 50.0, 1000.0])
+def test_energy_does_not_grow_however_long_the_step(turn):
+    """`turn` radians per step."""
+    w = np.array([0.3, 1.0, 0.2])
+    dt = turn / np.linalg.norm(w)
+    trajectory = nd.simulate(spinning(INERTIA, w), 1000 * dt, dt=dt)
+    kinetic, momentum = trajectory.energy.kinetic, angular_momentum(trajectory, INERTIA)
+    np.testing.assert_allclose(kinetic, kinetic[0], rtol=1e-12)
+    # 1000 steps of round-off of up to 1000 rad.
+    assert np.abs(momentum - momentum[0]).max() <= 2e-12
+
+
+def test_steady_spin_is_exact():
+    """About a principal axis the angle is w t, whatever the step."""
+    trajectory = nd.simulate(spinning(INERTIA, (0, 0, 7.0)), 2.0, dt=0.1)
+    angle = Rotation.from_quat(trajectory.q[:, 3:7]).as_rotvec()
+    assert np.abs(np.angle(np.exp(1j * (angle[:, 2] - 7.0 * trajectory.t)))).max() < 1e-13
+
+
+def test_theta_does_not_touch_the_energy_of_rotation():
+    trajectory = nd.simulate(spinning(INERTIA, UNSTABLE), 10.0, dt=1e-2, theta=0.8)
+    assert np.abs(trajectory.energy.kinetic - 1.0002).max() <= 1e-13
+
+
+TOP = np.array([15.234375, 0.46875, 15.234375])
+"""kg m²; about the tip: 15 kg at 1 m along the body's y axis."""
+WEIGHT = 15.0 * g
+
+
+def top(steps, duration=0.2):
+    """A heavy top whose weight is a torque about its tip. O. Brüls, A. Cardona, M. Arnold, MMT 48, 2012."""
+
+    def weight(t, q, v):
+        arm = Rotation.from_quat(q[3:7]).apply((0, 1, 0))
+        return {"body": ((0, 0, 0), np.cross(arm, (0, 0, -WEIGHT)))}
+
+    scene = spinning(TOP, (0, 150.0, -4.61538))
+    return nd.simulate(scene, duration, dt=duration / steps, external_force=weight)
+
+
+def test_heavy_top_is_second_order():
+    def rate(t, y):
+        R, w = Rotation.from_quat(y[:4]), y[4:]
+        torque = np.cross((0, 1, 0), R.apply((0, 0, -WEIGHT), inverse=True))
+        half = 0.5 * np.append(w, 0.0)
+        x, v = y[:3], half[:3]
+        dq = np.append(y[3] * v + np.cross(x, v), -x @ v)
+        return np.concatenate((dq, (torque - np.cross(w, TOP * w)) / TOP))
+
+    start = np.array([0, 0, 0, 1, 0, 150.0, -4.61538])
+    exact = solve_ivp(rate, (0, 0.2), start, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+
+    def error(steps):
+        trajectory = top(steps)
+        q = trajectory.q[-1, 3:7]
+        return np.append(math.copysign(1.0, q @ exact[:4]) * q - exact[:4], (trajectory.v[-1, 3:] - exact[4:]) / 150)
+
+    assert np.abs(error(800)).max() < 1e-4
+    np.testing.assert_allclose(orders(error, (200, 400, 800)), 2.0, rtol=0, atol=0.1)
+
+
+def test_heavy_top_keeps_its_vertical_angular_momentum():
+    trajectory = top(400, 2.0)
+    momentum = angular_momentum(trajectory, TOP)
+    assert np.ptp(momentum[:, 0]) > 50.0, "it precesses"
+    # The torque has no vertical part; 400 steps of round-off on 70 N m s.
+    assert np.ptp(momentum[:, 2]) <= 1e-12 * 70
+
+
+# -- smooth motion in contact --------------------------------------------------------------------------------
+
+FINE = nd.solvers.Auto(tol=1e-11)
+
+
+def ellipsoid(rotation, w, mu):
+    """An ellipsoid on the ground that rolls without slip at the start."""
+    radii = np.array([0.3, 0.2, 0.15])
+    R = rotation.as_matrix()
+    down = R.T @ (0, 0, -1)
+    low = R @ (radii**2 * down) / np.linalg.norm(radii * down)
+    scene = nd.Scene()
+    material = nd.Material(mu)
+    scene.add_halfspace("ground", material=material)
+    scene.add_ellipsoid(
+        "egg",
+        radii,
+        1.0,
+        position=(0, 0, -low[2]),
+        quaternion=rotation.as_quat(),
+        angular_velocity=w,
+        linear_velocity=-np.cross(w, low),
+        material=material,
+    )
+    return scene
+
+
+def rocking(angle=0.25):
+    """A block on one edge, falling back without sliding."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=ROUGH)
+    rotation = Rotation.from_euler("y", angle)
+    position = -rotation.apply((0.05, 0, -0.15))
+    scene.add_box("block", (0.1, 0.1, 0.3), 1.0, position=position, quaternion=rotation.as_quat(), material=ROUGH)
+    return scene
+
+
+def over_a_barrel():
+    """An ellipsoid that slides across a lying cylinder, so that the normal turns too."""
+    scene = nd.Scene()
+    material = nd.Material(0.2)
+    lying = Rotation.from_euler("x", 90, degrees=True).as_quat()
+    scene.add_cylinder("barrel", 0.5, 2.0, fixed=True, quaternion=lying, material=material)
+    rotation = Rotation.from_euler("y", 0.3)
+    scene.add_ellipsoid(
+        "egg",
+        (0.2, 0.15, 0.1),
+        1.0,
+        position=rotation.apply((0, 0, 0.6)),
+        quaternion=rotation.as_quat(),
+        linear_velocity=rotation.apply((0.5, 0.3, 0)),
+        angular_velocity=(0, 0, 1),
+        material=material,
+    )
+    return scene
+
+
+def arm(folder, mu):
+    """Two links whose tip, a ball, slides on the ground."""
+    inertial = (
+        '<inertial><origin xyz="0 0 -0.25"/><mass value="1"/>'
+        '<inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    joint = (
+        '<joint name="j{0}" type="revolute"><parent link="l{0}"/><child link="l{1}"/><axis xyz="0 1 0"/>'
+        '<origin xyz="0 0 {2}"/><limit lower="-9" upper="9" effort="9" velocity="0"/></joint>'
+    )
+    ball = '<collision><origin xyz="0 0 -0.5"/><geometry><sphere radius="0.1"/></geometry></collision>'
+    path = folder / "arm.urdf"
+    path.write_text(
+        f'<robot name="arm"><link name="l0"/><link name="l1">{inertial}</link><link name="l2">{inertial}{ball}</link>'
+        f"{joint.format(0, 1, 0)}{joint.format(1, 2, -0.5)}</robot>"
+    )
+    a, b = 1.0, -0.6
+    spin = -math.sin(a) / math.sin(b)  # of the second link, for a tip that neither rises nor falls
+    scene = nd.Scene()
+    scene.add_halfspace("ground", offset=-0.5 * (math.cos(a) + math.cos(b)) - 0.1, material=nd.Material(mu))
+    scene.add_urdf("arm", path, q=(a, b - a), v=(1.0, spin - 1.0), material=nd.Material(mu))
+    return scene
+
+
+SMOOTH = {
+    "rolling in a plane": (lambda _: ellipsoid(Rotation.from_euler("y", 0.6), (0, 0, 0), 2.0), 0.6),
+    "rolling": (lambda _: ellipsoid(Rotation.from_euler("yx", (0.6, 0.3)), (0.5, 0.5, 2.0), 2.0), 0.5),
+    "sliding without friction": (lambda _: ellipsoid(Rotation.from_euler("yx", (0.6, 0.3)), (0.5, 0.5, 2), 0.0), 0.3),
+    "sliding in a curve": (lambda _: ellipsoid(Rotation.from_euler("yx", (0.6, 0.3)), (0.5, 0.5, 2), 0.15), 0.5),
+    "sliding over a barrel": (lambda _: over_a_barrel(), 0.2),
+    "rocking on an edge": (lambda _: rocking(), 0.12),
+    "arm with a sliding tip": (lambda folder: arm(folder, 0.1), 0.1),
+}
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_smooth_contact_is_second_order(name, tmp_path):
+    scene, duration = SMOOTH[name]
+
+    def final(steps):
+        trajectory = nd.simulate(scene(tmp_path), duration, dt=duration / steps, solver=FINE, on_fail="warn")
+        assert (trajectory.solver.status == nd.Status.CONVERGED).all()
+        assert all((trajectory.contacts(k).status > 0).any() for k in range(1, steps + 1)), "it stays in contact"
+        return trajectory
+
+    # 0.2 for the next order at these steps. At 100 steps, 6 ms, ellipsoids roll so far that what is left of their
+    # normal velocity strikes.
+    np.testing.assert_allclose(own_orders(final, (150, 300, 600)), 2.0, rtol=0, atol=0.2)
+
+
+def test_ball_rolling_down_a_ball():
+    """From the top of a fixed one, against the equation of motion θ'' = (5/7) g sin θ/(R + r)."""
+    R, r, start, duration = 0.5, 0.1, 0.2, 0.6
+    exact = solve_ivp(
+        lambda t, y: (y[1], 5 / 7 * g * math.sin(y[0]) / (R + r)), (0, duration), (start, 0), rtol=1e-12, atol=1e-12
+    ).y[:, -1]
+
+    def error(steps):
+        scene = nd.Scene()
+        scene.add_sphere("hill", R, fixed=True, material=ROUGH)
+        place = (R + r) * np.array([math.sin(start), 0, math.cos(start)])
+        scene.add_sphere("ball", r, 1.0, position=place, material=ROUGH)
+        body = nd.simulate(scene, duration, dt=duration / steps, solver=FINE).body("ball")
+        x, v = body.position[-1], body.linear_velocity[-1]
+        assert np.linalg.norm(x) == pytest.approx(R + r, abs=1e-5), "it has not left"
+        return math.atan2(x[0], x[2]) - exact[0], np.linalg.norm(v) / (R + r) - exact[1]
+
+    np.testing.assert_allclose(orders(error, (200, 400, 800)), 2.0, rtol=0, atol=0.15)
+
+
+def test_a_joint_at_rest_on_its_limit_is_second_order():
+    """A double pendulum whose inner link rests on its limit swings as its outer one alone."""
+    stop, start, T = 0.3, 0.1, 0.3
+
+    def model(links):
+        out, parent, place = pin.Model(), 0, pin.SE3.Identity()
+        for name in ("inner", "outer"):
+            if name in links:
+                parent = out.addJoint(parent, pin.JointModelRY(), place, name)
+                place = pin.SE3.Identity()
+                out.appendBodyToJoint(parent, pin.Inertia(1.0, np.array((0, 0, -0.5)), np.eye(3) / 12), place)
+            else:
+                place = pin.SE3(pin.rpy.rpyToMatrix(0.0, stop, 0.0), np.zeros(3))
+            place = place * pin.SE3(np.eye(3), np.array((0.0, 0.0, -1.0)))
+        return out
+
+    def run(links, q, n):
+        m = model(links)
+        if len(q) > 1:
+            m.lowerPositionLimit, m.upperPositionLimit = np.array((stop, -9.0)), np.full(2, 9.0)
+        scene = nd.Scene()
+        scene.add_model("arm", m, q=q)
+        return nd.simulate(scene, T, T / n)
+
+    alone = run(("outer",), [start], 2000)
+    exact = np.array((alone.q[-1, 0], alone.v[-1, 0]))
+
+    def error(n):
+        out = run(("inner", "outer"), [stop, start], n)
+        assert not out.energy.projection.any()  # the limit is closed where each step ends
+        np.testing.assert_allclose(out.q[:, 0], stop, rtol=0, atol=1e-8)  # what counts as closed
+        return np.array((out.q[-1, 1], out.v[-1, 1])) - exact
+
+    np.testing.assert_allclose(orders(error, (25, 50, 100)), 2.0, rtol=0, atol=0.1)
+
+
+def test_pendulum_is_fourth_order(tmp_path):
+    """A rod on a hinge, released at 1 rad, after one period 4 K(sin ½)/√(m g l/J)."""
+    path = tmp_path / "pendulum.urdf"
+    path.write_text(
+        '<robot name="pendulum"><link name="base"/><link name="rod"><inertial><origin xyz="0 0 -0.5"/>'
+        '<mass value="1.3"/><inertia ixx="0.1" iyy="0.1" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<collision><origin xyz="0 0 -1"/><geometry><sphere radius="0.1"/></geometry></collision></link>'
+        '<joint name="hinge" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>'
+        '<limit lower="-9" upper="9" effort="9" velocity="0"/></joint></robot>'
+    )
+    period = 4 * ellipk(math.sin(0.5) ** 2) / math.sqrt(1.3 * g * 0.5 / (0.1 + 1.3 * 0.25))
+
+    def error(steps):
+        scene = nd.Scene()
+        scene.add_urdf("pendulum", path, q=(1.0,))
+        trajectory = nd.simulate(scene, period, dt=period / steps)
+        return trajectory.q[-1, 0] - 1.0, trajectory.v[-1, 0]
+
+    # 0.011 for the next order.
+    np.testing.assert_allclose(orders(error, (200, 400, 800)), 4.0, rtol=0, atol=0.02)
+
+
+def test_constant_sliding_is_exact():
+    """Down an incline with constant force: speed and distance to round-off at any step."""
+    angle = math.radians(30.0)
+    a = g * (math.sin(angle) - 0.2 * math.cos(angle))
+    for dt in (0.1, 0.01):
+        box = nd.simulate(nd.scenes.load("incline")(angle=30.0, mu=0.2), 1.0, dt=dt, solver=FINE).body("box")
+        assert np.linalg.norm(box.linear_velocity[-1]) == pytest.approx(a, rel=1e-12)
+        assert np.linalg.norm(box.position[-1] - box.position[0]) == pytest.approx(0.5 * a, rel=1e-12)
+
+
+def test_path_of_a_sliding_point_on_an_incline():
+    """μ = tan α and a start across the slope: the speed plus its part downhill is constant."""
+    angle = math.radians(20.0)
+    material = nd.Material(math.tan(angle))
+
+    def error(steps):
+        scene = nd.Scene(gravity=(g * math.sin(angle), 0, -g * math.cos(angle)))
+        scene.add_halfspace("slope", material=material)
+        # So much inertia that it does not roll.
+        scene.add_sphere(
+            "point",
+            0.1,
+            1.0,
+            position=(0, 0, 0.1),
+            inertia=1e6 * np.eye(3),
+            linear_velocity=(0, 1, 0),
+            material=material,
+        )
+        v = nd.simulate(scene, 1.0, dt=1.0 / steps, solver=FINE).body("point").linear_velocity
+        return np.linalg.norm(v, axis=1) + v[:, 0] - 1.0
+
+    np.testing.assert_allclose(orders(error, (50, 100, 200)), 2.0, rtol=0, atol=0.05)
+
+
+# -- forces that depend on the velocity ----------------------------------------------------------------------
+
+
+def closes(trajectory):
+    """The trajectory, whose ledger closes."""
+    e = trajectory.energy
+    assert np.abs(e.defect).max() <= 1e-13 * (np.abs(e.kinetic).max() + np.ptp(e.potential))
+    return trajectory
+
+
+def test_drag_is_second_order():
+    """v' = -c v: 1 - e^-c far after 1 s, and half of 1 - e^-2c of the energy lost, by the external force alone."""
+
+    def error(steps):
+        scene = nd.Scene(gravity=(0, 0, 0))
+        scene.add_sphere("ball", 0.1, 1.0, linear_velocity=(1, 0, 0))
+        trajectory = closes(nd.simulate(scene, 1.0, 1 / steps, external_force=lambda t, q, v: {"ball": -2.0 * v[:3]}))
+        ball, work = trajectory.body("ball"), trajectory.energy.external.sum()
+        exact = 0.5 * (1 - math.exp(-2)), math.exp(-2), -0.5 * (1 - math.exp(-4))
+        return np.array((ball.position[-1, 0], ball.linear_velocity[-1, 0], work)) - exact
+
+    np.testing.assert_allclose(orders(error, (50, 100, 200)), 2.0, rtol=0, atol=0.05)
+
+
+def test_a_magnetic_force_does_no_work():
+    """One turn: the place to second order, the energy, which only the prediction errs in, to third."""
+
+    def run(steps):
+        scene, w = nd.Scene(gravity=(0, 0, 0)), 2 * math.pi
+        scene.add_sphere("ball", 0.1, 1.0, linear_velocity=(1, 0, 0))
+        return closes(
+            nd.simulate(scene, 1.0, 1 / steps, external_force=lambda t, q, v: {"ball": (w * v[1], -w * v[0], 0)})
+        )
+
+    energy = {n: run(n).energy.kinetic for n in (100, 200, 400)}
+    assert energy[100][-1] / energy[100][0] - 1 < 5e-4  # ½ π (2 π/100)³ = 3.9e-4
+    np.testing.assert_allclose(orders(lambda n: energy[n][-1] - energy[n][0], energy), 3.0, rtol=0, atol=0.02)
+    place = orders(lambda n: run(n).body("ball").position[-1], (100, 200, 400))
+    np.testing.assert_allclose(place, 2.0, rtol=0, atol=0.05)
+
+
+def test_a_torque_against_the_spin_is_second_order():
+    """-c ω on a body that tumbles, in world axes, against a fine run."""
+
+    def run(steps):
+        scene = spinning(INERTIA, (1.0, 4.0, 2.0))
+
+        def brake(t, q, v):
+            return {"body": ((0, 0, 0), -Rotation.from_quat(q[3:7]).apply(v[3:6]))}
+
+        return closes(nd.simulate(scene, 1.0, 1 / steps, external_force=brake))
+
+    np.testing.assert_allclose(own_orders(run, (50, 100, 200)), 2.0, rtol=0, atol=0.05)
+
+
+def test_sliding_with_drag_is_second_order():
+    """v' = -μ g - c v on a plane."""
+    mu, c, time, speed = 0.1, 1.0, 0.8, 3.0
+    k = mu * g / c
+    exact = np.array(((speed + k) * (1 - math.exp(-c * time)) / c - k * time, (speed + k) * math.exp(-c * time) - k))
+
+    def error(steps):
+        scene, material = nd.Scene(), nd.Material(mu)
+        scene.add_halfspace("ground", material=material)
+        scene.add_box(
+            "box", (0.4, 0.4, 0.1), 1.0, position=(0, 0, 0.05), linear_velocity=(speed, 0, 0), material=material
+        )
+        drag = closes(nd.simulate(scene, time, time / steps, external_force=lambda t, q, v: {"box": -c * v[:3]}))
+        box = drag.body("box")
+        return np.array((box.position[-1, 0], box.linear_velocity[-1, 0])) - exact
+
+    np.testing.assert_allclose(orders(error, (20, 40, 80)), 2.0, rtol=0, atol=0.05)
+
+
+def test_joint_torques_against_the_motion_are_second_order():
+    """A damping torque, and a force across the motion of the hand of an arm."""
+
+    def run(steps):
+        scene = nd.Scene(gravity=(0, g, 0))
+        scene.add_urdf("arm", nd.scenes.folder() / "arm.urdf", q=(0.5, 0.3), v=(2.0, 1.0))
+        return closes(
+            nd.simulate(
+                scene,
+                0.5,
+                0.5 / steps,
+                controller=lambda t, q, v: {"arm": -0.3 * v},
+                external_force=lambda t, q, v: {"arm/hand": (0.5 * v[1], -0.5 * v[0], 0)},
+            )
+        )
+
+    # 0.09 and 0.06 for the next order.
+    np.testing.assert_allclose(own_orders(run, (50, 100, 200)), 2.0, rtol=0, atol=0.1)
+
+
+def test_a_controlled_slide_on_a_plane_is_second_order():
+    """A ball on two rails, x and z, that the control slows by c v and presses on the ground by d v: c + μ d in all."""
+    mu, c, d, mass, time, speed = 0.2, 0.7, 1.5, 2.0, 0.8, 3.0
+    model, joint = pin.Model(), 0
+    for kind in (pin.JointModelPX(), pin.JointModelPZ()):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"rail{joint}")
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    decay, k = (c + mu * d) / mass, mu * g / ((c + mu * d) / mass)
+    far = (speed + k) * (1 - math.exp(-decay * time)) / decay - k * time
+    exact = np.array((far, (speed + k) * math.exp(-decay * time) - k))
+
+    def error(steps):
+        scene, material = nd.Scene(), nd.Material(mu)
+        scene.add_halfspace("ground", material=material)
+        ball = {"rail1": [(shapes.sphere(0.1), pin.SE3.Identity())]}
+        scene.add_model("a", model, collisions=ball, q=[0.0, 0.1], v=[speed, 0.0], material=material)
+        control = closes(
+            nd.simulate(scene, time, time / steps, controller=lambda t, q, v: {"a": (-c * v[0], -d * v[0])})
+        )
+        return np.array((control.q[-1, 0], control.v[-1, 0])) - exact
+
+    np.testing.assert_allclose(orders(error, (20, 40, 80)), 2.0, rtol=0, atol=0.05)
+
+
+# -- impacts and stops ---------------------------------------------------------------------------------------
+
+
+def mean_orders(error, steps, samples=10):
+    """Orders of the mean error over values in [0, 1) of a parameter that moves the event within its step."""
+    values = [(0.618034 * s) % 1.0 for s in range(samples)]  # as even as any, without a common measure with the steps
+    means = np.array([np.mean([abs(error(n, s)) for s in values]) for n in steps])
+    return np.log2(means[:-1] / means[1:])
+
+
+def test_bounces_are_exact():
+    """Height of a ball after three bounces, whatever the step and wherever in it they fall."""
+    e, duration = 0.8, 1.5
+
+    def error(steps, shift):
+        height = 0.5 + 0.01 * shift
+        first = math.sqrt(2 * height / g)
+        speed, t = g * first, duration - first
+        while t > 2 * e * speed / g:
+            speed, t = e * speed, t - 2 * e * speed / g
+        scene = nd.scenes.load("bounce")(height=height, restitution=e)
+        ball = nd.simulate(scene, duration, dt=duration / steps).body("ball")
+        return ball.position[-1, 2] - 0.1 - (e * speed * t - 0.5 * g * t * t)
+
+    for steps in (75, 150, 300):
+        # Impacts are located to 1e-3 of a closed gap, 1e-13 m.
+        assert max(abs(error(steps, shift)) for shift in (0.0, 0.2, 0.5, 0.7)) <= 1e-12
+
+
+def test_stopping_time_and_place():
+    """A block that slides to rest: the time to a step, the place to second order."""
+    mu = 0.5
+
+    def stop(steps, shift):
+        speed = 2.0 + 0.1 * shift
+        box = nd.simulate(nd.scenes.load("slide")(mu=mu, speed=speed), 0.5, dt=0.5 / steps).body("box")
+        moving = np.flatnonzero(np.abs(box.linear_velocity[:, 0]) > 1e-9)[-1]
+        assert box.linear_velocity[:, 0].min() > -1e-12, "it does not turn back"
+        time = (moving + 1) * 0.5 / steps - speed / (mu * g)
+        assert 0.0 <= time + 1e-9 <= 0.5 / steps + 2e-9
+        return time, box.position[-1, 0] - speed**2 / (2 * mu * g)
+
+    assert mean_orders(lambda n, s: stop(n, s)[0], (50, 100, 200)).mean() == pytest.approx(1.0, abs=0.2)
+    assert mean_orders(lambda n, s: stop(n, s)[1], (50, 100, 200)).mean() == pytest.approx(2.0, abs=0.3)

@@ -1,0 +1,210 @@
+"""The first use on a machine compiles and says so; nothing is compiled twice, and nothing stale is used."""
+
+import os
+import pty
+import shutil
+import subprocess
+import sys
+import termios
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsdyn
+from nsdyn._kernels import ahead, sorting
+from nsdyn._kernels.compiled import kernel
+
+HERE = Path(nsdyn.__file__).parent
+COMMAND = """
+from nsdyn._kernels.literature import sweeps as reference
+from nsdyn._kernels.problem import cones
+print(cones.project(2.0, 0.3, 0.4, 0.5), sum(cones.project.stats.cache_misses.values()))
+"""
+BOX = """
+import nsdyn, coal, numpy
+nsdyn.Scene()
+below = coal.Transform3s(numpy.eye(3), numpy.array([0.0, 0.0, -3.0]))
+asked = coal.Capsule(0.5, 1.0), below, coal.Box(2.0, 2.0, 2.0), coal.Transform3s()
+print(coal.distance(*asked, coal.DistanceRequest(), coal.DistanceResult()))
+"""
+CALLER = """
+from nsdyn._kernels import callee
+from nsdyn._kernels.compiled import kernel
+
+@kernel
+def twice(x):
+    return 2.0 * callee.given(x)
+
+print(twice(1.0), sum(twice.stats.cache_misses.values()))
+"""
+CALLEE = """
+from nsdyn._kernels.compiled import kernel
+
+@kernel
+def given(x):
+    return x
+"""
+
+
+def python(*command: str, **environment: str) -> subprocess.CompletedProcess:
+    # Safe: not the package of the current folder
+    variables = os.environ | {"PYTHONPATH": str(HERE.parent), "PYTHONSAFEPATH": "1"} | environment
+    return subprocess.run([sys.executable, *command], capture_output=True, text=True, check=True, env=variables)
+
+
+IMPATIENT = "import tqdm; from nsdyn._kernels import waiting; waiting.PATIENCE = 0.0\n"
+
+
+def test_compiling_is_told_to_who_waits(tmp_path):
+    """Not before two seconds, that it is once on a machine but once there, and then that more are compiled."""
+    for k, told in enumerate(("", "compiling the kernels, once on this machine: about a minute\n", "")):
+        done = python("-c", (IMPATIENT if k == 1 else "") + COMMAND, NSDYN_CACHE_DIR=str(tmp_path))
+        assert (done.stdout, done.stderr) == (f"(2.0, 0.3, 0.4) {int(k < 2)}\n", told)
+        for path in tmp_path.glob("*.nbc") if k == 0 else ():
+            path.unlink()
+    other = (
+        "from nsdyn._kernels import sorting; import numpy; sorting.order(numpy.arange(3)); sorting.order(numpy.ones(2))"
+    )
+    assert python("-c", IMPATIENT + other, NSDYN_CACHE_DIR=str(tmp_path)).stderr == "compiling more kernels\n"
+
+
+SOLVE = """
+import time
+clock = [0.0]
+def read():
+    clock[0] += 1e-6
+    return clock[0]
+def load():
+    clock[0] += 0.3
+import numpy, nsdyn
+from nsdyn._kernels.compiled import Kernel
+problem = nsdyn.FC3D(numpy.eye(6) + 0.1, [-1.0, 2.0, 0.0, -1.0, 0.1, 0.0], [0.5, 0.5])
+time.perf_counter, Kernel.prepare = read, staticmethod(load)
+for _ in range(3):
+    print(nsdyn.solve(problem).time, clock[0])
+"""
+
+
+def test_the_time_of_solving_is_without_loading():
+    """On a clock on which loading a kernel takes 0.3 s, and reading it 1 µs: the first time is as any other."""
+    times, clock = np.array([line.split() for line in python("-c", SOLVE).stdout.splitlines()], float).T
+    assert clock[0] > 0.3 and clock[-1] < clock[0] + 0.3, "the first one loads"
+    assert 0.0 < times.min() and times.max() < 0.3
+
+
+def test_a_terminal_gets_a_bar_that_counts(tmp_path):
+    """It is gone when compiling is done."""
+    main, end = pty.openpty()
+    termios.tcsetwinsize(end, (24, 80))
+    with subprocess.Popen(
+        [sys.executable, "-c", IMPATIENT + COMMAND],
+        stdout=subprocess.DEVNULL,
+        stderr=end,
+        env=os.environ | {"NSDYN_CACHE_DIR": str(tmp_path)},
+    ):
+        os.close(end)
+        shown = b""
+        with suppress(OSError):  # the other end is closed
+            while part := os.read(main, 4096):
+                shown += part
+    os.close(main)
+    assert shown.startswith(b"compiling the kernels, once on this machine") and b"1kernel [" in shown
+
+
+def test_functions_of_users_from_nowhere_compile():
+    """One that was made by exec has no module."""
+    code = "import nsdyn, numba; names = {}; exec('def f(x): return x + 1', names); print(numba.njit(names['f'])(1))"
+    assert python("-c", code).stdout == "2\n"
+
+
+@pytest.fixture
+def package(tmp_path):
+    """Copy of the package in another place, as another environment has one."""
+    shutil.copytree(HERE, tmp_path / "a" / "nsdyn", ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path / "a"
+
+
+def test_another_environment_compiles_nothing(package, tmp_path):
+    for path in (package, shutil.copytree(package, tmp_path / "b")):
+        done = python("-c", COMMAND, PYTHONPATH=str(path), NSDYN_CACHE_DIR=str(tmp_path / "cache"))
+    assert done.stdout.endswith(" 0\n")
+
+
+def test_an_edited_callee_is_seen_and_nothing_else_compiled(package, tmp_path):
+    kernels, environment = package / "nsdyn" / "_kernels", {"PYTHONPATH": str(package)}
+    environment["NSDYN_CACHE_DIR"] = str(tmp_path / "cache")
+    (kernels / "caller.py").write_text(CALLER)
+    (kernels / "callee.py").write_text(CALLEE)
+    assert python("-c", "import nsdyn._kernels.caller", **environment).stdout == "2.0 1\n"
+    (kernels / "callee.py").write_text(CALLEE.replace("return x", "return x + 1.0"))
+    assert python("-c", "import nsdyn._kernels.caller", **environment).stdout == "4.0 1\n"
+    python("-c", COMMAND, **environment)
+    (kernels / "callee.py").write_text(CALLEE)
+    assert python("-c", "import nsdyn._kernels.caller", **environment).stdout == "2.0 0\n"
+    assert python("-c", COMMAND, **environment).stdout.endswith(" 0\n")
+
+
+def test_without_a_cache_it_works(tmp_path):
+    (tmp_path / "file").touch()
+    for _ in range(2):
+        assert python("-c", COMMAND, NSDYN_CACHE_DIR=str(tmp_path / "file" / "below")).stdout == "(2.0, 0.3, 0.4) 1\n"
+
+
+def test_sorting(rng):
+    for keys in (rng.integers(0, 20, 57), rng.normal(size=8), np.empty(0)):
+        order = sorting.order(keys)
+        assert (order == np.argsort(keys, kind="stable")).all()
+        assert all(sorting.place_of(keys[order], key) == np.searchsorted(keys[order], key) for key in keys)
+
+
+def test_examples_run_as_python():
+    """In a process of their own: what is compiled already is not noted."""
+    code = "from nsdyn.compilation import noted; print(*{k.name.partition('.')[0] for k, _ in noted('step').calls})"
+    assert {"search", "start", "motion"} <= set(python("-c", code).stdout.split())
+
+
+def test_several_processes_compile_each_kernel_once(tmp_path, monkeypatch):
+    """And they start no others, nor do they need more than the caller's path."""
+    monkeypatch.setenv("NSDYN_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("NSDYN_COMPILE_PROCESSES", "2")
+    ahead.compile_examples("contact")
+    names = [path.name.rpartition("-")[0] for path in tmp_path.glob("*.nbc")]
+    assert len(names) == len(set(names)) >= 2
+
+
+def test_machine_code_is_made_of_what_python_calls(package, tmp_path):
+    """Of a callee with its callers only, until Python calls it; the second time all is from the cache."""
+    kernels, environment = package / "nsdyn" / "_kernels", {"PYTHONPATH": str(package)}
+    environment["NSDYN_CACHE_DIR"] = str(tmp_path / "cache")
+    (kernels / "caller.py").write_text(CALLER)
+    (kernels / "callee.py").write_text(CALLEE)
+    command = "from nsdyn._kernels.caller import callee; f = callee.given; print(f.signatures, f(1.0), f.signatures)"
+    for misses in (1, 0):
+        done = python("-c", command, **environment)
+        assert done.stdout == f"2.0 {misses}\n[] 1.0 [(float64,)]\n"
+
+
+@kernel
+def _product_and_sum(a, b, c):
+    """a b + c with both rounded."""
+    return a * b + c
+
+
+@kernel(fastmath={"contract"})
+def _contracts(a, b, c):
+    """The same by a kernel that may round once, and compiles the other first."""
+    return _product_and_sum(a, b, c)
+
+
+def test_a_kernel_rounds_as_it_says_whoever_calls_it_first():
+    """(1 + 2⁻³⁰) (1 - 2⁻³⁰) - 1 is 0 with the product rounded, -2⁻⁶⁰ without."""
+    given = 1.0 + 2.0**-30, 1.0 - 2.0**-30, -1.0
+    assert _contracts(*given) == 0.0
+    assert _product_and_sum(*given) == 0.0
+
+
+def test_what_coal_is_asked_first_does_not_make_boxes_wider():
+    """It decides for all boxes of a process; asked along the axes Coal would say 1 - 1e-10 here."""
+    assert abs(float(python("-c", BOX).stdout) - 1.0) < 1e-14

@@ -1,0 +1,214 @@
+"""What the law of contact leaves open: impulses, velocities, and impulses that are no force."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mechanisms import at
+from scipy.optimize import linprog
+
+import nsdyn as nd
+from nsdyn.problem import paradox
+from nsdyn.problem.solution import TOLD
+
+GRIP = nd.Material(mu=0.5)
+SMOOTH = nd.Material(mu=0.0)
+
+
+# -- impulses -----------------------------------------------------------------------------------------------------
+
+
+def table(scene, **options):
+    """Contacts of the second step."""
+    return nd.simulate(scene, 2e-3, dt=1e-3, **options).contacts(2)
+
+
+def on_ground(material):
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=material)
+    return scene
+
+
+@pytest.mark.parametrize("material", [GRIP, SMOOTH])
+def test_four_corners_share_a_load_in_many_ways_and_a_ball_does_not(material):
+    scene = on_ground(material)
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1), material=material)
+    scene.add_sphere("ball", 0.1, 1.0, position=(1, 0, 0.1), material=material)
+    found = table(scene)
+    assert len(found) == 5
+    assert found.unique.tolist() == ["ball" in pair for pair in zip(found.body1, found.body2, strict=True)]
+
+
+def test_three_feet_without_friction_carry_one_way_and_with_it_many():
+    """Three normal forces, three equations; friction adds six forces in three more."""
+    angle = 2.0 * np.pi * np.arange(3) / 3
+    feet = np.column_stack([0.3 * np.cos(angle), 0.3 * np.sin(angle), np.full(3, -0.1)])
+    for material, unique in ((SMOOTH, True), (GRIP, False)):
+        stool = on_ground(material)
+        stool.add_convex("stool", [*feet, (0, 0, 0.3)], 1.0, position=(0, 0, 0.1), material=material)
+        found = table(stool, lift=True)
+        assert len(found) == 3 and (found.unique == unique).all()
+
+
+def test_feet_of_plates_by_linear_programming(rng):
+    """Smooth feet: where programs find a least and a largest force of a foot that differ, it is not unique."""
+    for count in (3, 4, 5):
+        angle = np.sort(rng.uniform(0.0, 0.6, count) + 2.0 * np.pi * np.arange(count) / count)
+        feet = np.column_stack([0.3 * np.cos(angle), 0.3 * np.sin(angle), np.full(count, -0.1)])
+        scene = on_ground(SMOOTH)
+        scene.add_convex("plate", [*feet, (0, 0, 0.3)], 1.0, position=(0, 0, 0.1), material=SMOOTH)
+        found = table(scene, lift=True)
+        arms = np.column_stack([np.ones(len(found)), found.point[:, :2]]).T
+        load = arms @ found.impulse_raw[:, 0]
+        for k in range(len(found)):
+            ends = [linprog(sign * np.eye(len(found))[k], A_eq=arms, b_eq=load).fun for sign in (1.0, -1.0)]
+            assert found.unique[k] == (abs(sum(ends)) < 1e-9)
+
+
+def test_sliding_makes_rays_of_cones():
+    """A ball in a groove that sticks may be squeezed; where it slides along both walls friction is given."""
+    for speed, unique in ((0.0, False), (3.0, True)):
+        scene = nd.Scene()
+        for side in (1, -1):
+            scene.add_halfspace(f"wall {side}", normal=(0, side * math.sqrt(0.5), math.sqrt(0.5)), material=GRIP)
+        scene.add_sphere(
+            "ball", 0.1, 1.0, position=(0, 0, 0.1 * math.sqrt(2.0)), linear_velocity=(speed, 0, 0), material=GRIP
+        )
+        found = table(scene)
+        assert len(found) == 2 and (found.unique == unique).all()
+
+
+def test_an_arm_of_two_joints_does_not_tell_the_force_across():
+    """A tip in a plane takes two forces of three up in its joints; the third is any in the cone. A slide takes one."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), at((0, 0, 0)), "lift")
+    model.addJointFrame(joint)
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3) / 100), at((0, 0, 0)))
+    for material, unique in ((SMOOTH, True), (GRIP, False)):
+        scene = on_ground(material)
+        ball = [(nd.scene.shapes.sphere(0.1), at((0, 0, 0)))]
+        scene.add_model("arm", model, q=[0.1], collisions={"lift": ball}, material=material)
+        found = table(scene)
+        assert len(found) == 1 and found.unique.tolist() == [unique]
+
+
+def test_feet_of_a_quadruped_tell_their_forces():
+    """Four feet, twelve forces, eighteen coordinates, of legs with three joints each: all are known."""
+    found = nd.simulate(nd.scenes.load("quadruped")(), 0.01, dt=2e-3).contacts(-1)
+    assert len(found) and found.unique.all()
+
+
+# -- velocities ---------------------------------------------------------------------------------------------------
+
+
+def solutions(W, q, mu, count=20000):
+    """Impulses that solve the law of one contact, by a scan of all directions of slip, apart from the package."""
+    found = [np.zeros(3)] if q[0] >= 0.0 else []
+    r = -np.linalg.solve(W, q)
+    if np.hypot(*r[1:]) <= mu * r[0]:
+        found.append(r)
+
+    def slips(angle):
+        """(impulse against a slip in that direction that leaves u_N = 0, part of u_T across it, part along it, scale)
+
+        All times the scale, which has zeros: there no impulse leaves u_N = 0.
+        """
+        t = np.array([np.cos(angle), np.sin(angle)])
+        push = np.array([1.0, *(-mu * t)])
+        scale = W[0] @ push
+        r = -q[0] * push
+        u = (W @ r + scale * q)[1:]
+        return r, t[0] * u[1] - t[1] * u[0], t @ u, scale
+
+    angles = np.linspace(0.0, 2.0 * np.pi, count + 1)
+    for low, high in pairwise(angles):
+        across = slips(low)[1]
+        if across * slips(high)[1] >= 0.0:
+            continue
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if across * slips(middle)[1] > 0.0 else (low, middle)
+        r, _, along, scale = slips(low)
+        if scale * r[0] > 0.0 and scale * along > 0.0:
+            found.append(r / scale)
+    return found
+
+
+def test_all_solutions_of_one_contact(rng):
+    """As many as a scan finds, and the same: one of several where friction is steep."""
+    several = 0
+    for _ in range(12):
+        A = rng.normal(size=(6, 3))
+        W, q, mu = A.T @ A, rng.normal(size=3), 2.5
+        if abs(q[0]) > 0.05:
+            expected, got = solutions(W, q, mu, 2000), paradox.all_of_one(W, q, mu)
+            assert len(got) == len(expected)
+            for r in expected:
+                assert min(np.abs(r - x).max() for x in got) <= 1e-6 * max(1.0, np.abs(r).max())
+            several += len(got) > 1
+    W = np.array([[1.6, -1.2, 0.0], [-1.2, 3.4, 0.0], [0.0, 0.0, 1.0]])  # Painlevé's rod
+    q = np.array([0.001, -1.0, 0.0])
+    assert len(paradox.all_of_one(W, q, 2.0)) == len(solutions(W, q, 2.0)) == 3
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1e-5])
+def test_painleves_rod_may_fly_slip_or_stick(dt):
+    """All three obey the law to round-off; the step takes one, and says that there are others."""
+    step = nd.Stepper(nd.scenes.load("rod")(mu=2.0, slip=-1.0, spin=5.0), dt=dt).step()
+    assert step.solution.status is nd.Status.SEVERAL and step.solution.converged and step.solution.accepted
+    found = paradox.all_of_one(step.problem.W.toarray(), step.problem.q, 2.0)
+    assert len(found) == 3
+    for r in found:
+        # A root of a quartic, of which others are up to 1e5 times as large.
+        assert step.problem.error(r) <= 1e-11 and step.problem.residual(r) <= 1e-11
+    velocities = np.array([step.problem.velocity(r) for r in found])
+    assert min(np.abs(a - b).max() for a, b in zip(velocities, velocities[[1, 2, 0]], strict=True)) > dt
+
+
+@pytest.mark.parametrize("kind", ["slip", "mu"])
+def test_where_the_rod_has_one_motion(kind):
+    """Pulled, or with less friction than 4/3."""
+    change = {"slip": 1.0} if kind == "slip" else {"mu": 1.3}
+    step = nd.Stepper(nd.scenes.load("rod")(**({"mu": 2.0, "slip": -1.0, "spin": 5.0} | change)), dt=1e-4).step()
+    assert step.solution.status is nd.Status.CONVERGED
+
+
+# -- jams ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1e-4, 1e-5])
+def test_a_jam_is_an_impact(dt):
+    """0.3 m v and 0.4 m v whatever the dt, which take 0.2 J: told, and not from friction."""
+    stepper = nd.Stepper(nd.scenes.load("rod")(angle=math.degrees(math.atan(2.0)), mu=2.0), dt=dt)
+    step = stepper.step()
+    assert step.solution.status is nd.Status.JAM and step.solution.converged
+    assert step.contact_status.tolist() == [3]
+    assert step.r[0, 0] == pytest.approx(0.3, rel=30 * dt)
+    assert step.energy["friction"] == 0.0 and step.work_friction.tolist() == [0.0]
+    assert step.energy["normal"] == pytest.approx(-0.2, rel=30 * dt)
+    assert step.work_normal[0] == pytest.approx(step.energy["normal"], rel=1e-12)
+    assert abs(step.energy["defect"]) <= 1e-14
+    assert stepper.step().solution.status is nd.Status.CONVERGED  # what jammed sticks
+
+
+def test_a_jam_is_recorded_and_audited(tmp_path):
+    scene = nd.scenes.load("rod")(angle=math.degrees(math.atan(2.0)), mu=2.0)
+    trajectory = nd.simulate(scene, 5e-3, dt=1e-3, record=tmp_path / "a.h5")
+    assert trajectory.solver.status_names[0] == "JAM"
+    assert nd.Trajectory.load(tmp_path / "a.h5").contacts(1).status_names == ["jam"]
+    assert nd.check(trajectory).passed
+
+
+@pytest.mark.parametrize("material", [nd.Material(mu=0.5), nd.Material(mu=3.0)])
+def test_what_slides_to_rest_strikes_or_rolls_does_not_jam(material):
+    """A rough ball with backspin, a rod that falls flat, one thrown along the ground that stops."""
+    scene = on_ground(material)
+    scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1), angular_velocity=(0, -50.0, 0), material=material)
+    scene.add_capsule("rod", 0.05, 1.0, 1.0, position=(0, 2, 0.3), quaternion=(0, 0.6, 0, 0.8), material=material)
+    scene.add_box("box", (0.4, 0.4, 0.1), 1.0, position=(0, -2, 0.05), linear_velocity=(0.3, 0, 0), material=material)
+    trajectory = nd.simulate(scene, 0.5, dt=2e-3)
+    assert not (trajectory.columns["contacts/status"] == 3).any()
+    assert np.isin(trajectory.solver.status, [*TOLD, nd.Status.LOOSE]).all()
+    assert not (trajectory.solver.status == nd.Status.JAM).any()

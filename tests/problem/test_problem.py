@@ -1,0 +1,158 @@
+"""FC3D: its measures, their invariances, bad input; block factors against dense algebra."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import nsdyn as nd
+from nsdyn.problem import gauss
+from nsdyn.problem.blocks import Blocks
+
+BOX = 4  # contacts of the four-corner box below
+
+
+def corner_box(mu=0.5, push=(0.0, 0.0)):
+    """Box of 1 kg, side 2 on its four lower corners under one second of unit gravity: redundant, W of rank 6 in 12."""
+    M = np.diag([1.0, 1.0, 1.0, 2 / 3, 2 / 3, 2 / 3])
+    H = np.zeros((6, 12))
+    for c, (x, y) in enumerate([(-1, -1), (1, -1), (1, 1), (-1, 1)]):
+        for i, d in enumerate([(0, 0, 1), (1, 0, 0), (0, 1, 0)]):
+            H[:3, 3 * c + i], H[3:, 3 * c + i] = d, np.cross((x, y, -1), d)
+    v = np.array([push[0], push[1], -1.0, 0, 0, 0])
+    return nd.FC3D(H.T @ np.linalg.solve(M, H), H.T @ v, np.full(BOX, mu)), M, H
+
+
+def test_solution_on_paper():
+    problem, _, _ = corner_box()
+    r = np.tile([0.25, 0.0, 0.0], BOX)
+    # Numbers of order 1.
+    assert problem.error(r) < 1e-15 and problem.residual(r) < 1e-15 and problem.gap(r) < 1e-15
+
+
+def test_slip_on_paper():
+    problem, _, _ = corner_box(mu=0.1, push=(0.5, 0.0))
+    # mu = 0.1 takes 0.1 from the speed 0.5; the pressure moves forward by mu times the height of the centre.
+    r = np.array([[n, -0.1 * n, 0.0] for n in (0.225, 0.275, 0.275, 0.225)]).ravel()
+    assert problem.residual(r) < 1e-15
+    np.testing.assert_allclose(problem.velocity(r).reshape(-1, 3), [[0, 0.4, 0]] * BOX, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_residual_does_not_change_with_the_unit_of_mass(factor, rng):
+    problem, _, _ = corner_box()
+    r = rng.uniform(0, 1, 12)
+    scaled = nd.FC3D(problem.W / factor, problem.q, problem.mu)
+    assert scaled.residual(r * factor) == pytest.approx(problem.residual(r), rel=1e-12)
+
+
+def test_error_is_the_formula(rng):
+    problem, _, _ = corner_box()
+    r = rng.normal(size=12)
+    u = (problem.W @ r + problem.q).reshape(-1, 3)
+    from nsdyn.problem import cones
+
+    z = r.reshape(-1, 3) - cones.saxce(u, problem.mu)
+    expected = np.linalg.norm(r.reshape(-1, 3) - cones.project(z, problem.mu)) / np.linalg.norm(problem.q)
+    assert problem.error(r) == pytest.approx(expected, rel=1e-13)
+
+
+def test_gap_bounds_the_velocity_error(rng):
+    """½|v - v*|²_M <= gap for any r in K with u_N >= 0, against a frozen problem solved by an independent method."""
+    from scipy.optimize import minimize
+
+    from nsdyn.problem import cones
+
+    problem, M, H = corner_box(mu=0.3, push=(0.2, 0.1))
+    v_free = np.array([0.2, 0.1, -1.0, 0, 0, 0])
+    for _ in range(5):
+        r = cones.project(np.tile([0.26, 0, 0], (BOX, 1)) + 0.02 * rng.normal(size=(BOX, 3)), problem.mu).ravel()
+        u = problem.velocity(r)
+        certificate = gauss.certify(problem, r, u)[0]
+        shift = problem.mu * np.hypot(u[1::3], u[2::3])
+        lift = np.maximum(0.0, -u[0::3])
+
+        def constraint(v, shift=shift, lift=lift):
+            w = H.T @ v
+            return w[0::3] + lift + shift - problem.mu * np.sqrt(w[1::3] ** 2 + w[2::3] ** 2 + 1e-18)
+
+        best = minimize(
+            lambda v: 0.5 * (v - v_free) @ M @ (v - v_free),
+            v_free + np.linalg.solve(M, H @ r),
+            constraints={"type": "ineq", "fun": constraint},
+            method="SLSQP",
+            options={"ftol": 1e-14, "maxiter": 500},
+        )
+        v = v_free + np.linalg.solve(M, H @ r)
+        # SLSQP's own accuracy.
+        assert 0.5 * (v - best.x) @ M @ (v - best.x) <= certificate.gap + 1e-7
+
+
+def test_blocks_against_dense(rng):
+    """H, M⁻¹ and W of random blocks of different sizes, fixed sides included; W is symmetric to the last bit."""
+    sizes, nc = np.array([6, 3, 6, 7]), 9
+    offset = np.concatenate(([0], np.cumsum(sizes)))
+    block = np.array([[0, 1], [1, -1], [-1, 2], [2, 3], [3, 0], [0, -1], [1, 2], [3, -1], [0, 1]])
+    start, h = np.zeros((nc, 2), np.int64), []
+    for c in range(nc):
+        for s in range(2):
+            start[c, s] = sum(x.size for x in h)
+            if block[c, s] >= 0:
+                h.append(rng.normal(size=3 * sizes[block[c, s]]))
+    m = []
+    for n in sizes:
+        A = rng.normal(size=(n, n))
+        m.append(A @ A.T + n * np.eye(n))
+    inverses = [np.linalg.inv(x) for x in m]
+    blocks = Blocks(
+        offset,
+        block,
+        start,
+        np.concatenate(h),
+        np.concatenate(([0], np.cumsum(sizes**2)))[:-1],
+        np.concatenate([x.ravel() for x in m]),
+        np.concatenate([0.5 * (x + x.T).ravel() for x in inverses]),
+    )
+    M, H = blocks.dense()
+    W = blocks.delassus()
+    # Round-off of sums of about ten terms of order 1.
+    np.testing.assert_allclose(W.toarray(), H.T @ np.linalg.solve(M, H), rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(W.toarray(), W.toarray().T)
+    assert sp.bsr_array(W).has_sorted_indices or (np.diff(W.indices[: W.indptr[1]]) > 0).all()
+    v, r = rng.normal(size=offset[-1]), rng.normal(size=3 * nc)
+    np.testing.assert_allclose(blocks.relative_velocity(v), H.T @ v, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(blocks.velocity_change(r), np.linalg.solve(M, H @ r), rtol=0, atol=1e-13)
+    expected = [np.linalg.eigvalsh(W.toarray()[3 * c : 3 * c + 3, 3 * c : 3 * c + 3])[-1] for c in range(nc)]
+    problem = nd.FC3D.from_blocks(blocks, np.zeros(3 * nc), np.ones(nc))
+    np.testing.assert_allclose(problem.scales, expected, rtol=1e-13)
+
+
+def test_factors_of_a_given_matrix():
+    problem, _, _ = corner_box()
+    blocks = Blocks.from_delassus(problem.W)
+    assert blocks.n == 6
+    np.testing.assert_allclose(blocks.delassus().toarray(), problem.W.toarray(), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"W": np.eye(6)[:, :5]}, "W must be square"),
+        ({"W": np.eye(5)}, "W must be square"),
+        ({"W": np.full((6, 6), np.nan)}, "W must be finite"),
+        ({"W": np.zeros((6, 6))}, "diagonal block"),
+        ({"W": np.eye(3)}, "W must have 6 rows"),
+        ({"q": np.zeros(5)}, "q must have 3 entries"),
+        ({"q": np.array([np.inf, 0, 0, 0, 0, 0])}, "q must be finite"),
+        ({"mu": np.array([-0.1, 0.5])}, "mu must be finite and not negative"),
+        ({"mu": np.array([np.nan, 0.5])}, "mu must be finite and not negative"),
+    ],
+)
+def test_bad_input(change, words):
+    good = {"W": np.eye(6), "q": np.ones(6), "mu": np.array([0.5, 0.5])}
+    with pytest.raises(ValueError, match=words):
+        nd.FC3D(**good | change)
+
+
+def test_empty_problem_is_solved():
+    problem = nd.FC3D(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
+    assert nd.solve(problem).converged

@@ -1,0 +1,190 @@
+"""Every solver on every small problem, judged by the problem; agreement in velocities, never in impulses."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_problem import corner_box
+
+import nsdyn as nd
+from nsdyn._kernels.literature import anderson
+from nsdyn._kernels.literature import pgs as sweeps
+from nsdyn._kernels.problem import sparse as matrix
+from nsdyn._kernels.solvers import newton as kernels
+from nsdyn.problem import linear, operators
+
+FILES = Path(__file__).resolve().parents[3] / "shared" / "fc3d"
+
+
+def cases():
+    rng = np.random.default_rng(7)
+    yield "rest", corner_box()[0]
+    yield "slip", corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    yield "stop", corner_box(mu=0.6, push=(0.3, -0.4))[0]
+    yield "frictionless", corner_box(mu=0.0, push=(0.5, 0.2))[0]
+    yield "lift", nd.FC3D(np.eye(6), np.array([1.0, 0.3, 0.1, 0.5, 0.0, 0.0]), np.array([0.3, 0.3]))
+    for k in range(3):
+        A = rng.normal(size=(12, 12))
+        yield f"definite{k}", nd.FC3D(A @ A.T + np.eye(12), rng.normal(size=12), rng.uniform(0.1, 0.8, 4))
+
+
+CASES = dict(cases())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_solves(solver, name):
+    problem = CASES[name]
+    solution = solver(problem)
+    assert solution.converged, solution.status.message
+    assert problem.error(solution.r) <= 1e-8 and problem.residual(solution.r) <= 1e-8
+    np.testing.assert_allclose(solution.u, problem.W @ solution.r + problem.q, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_velocities_agree(name):
+    problem = CASES[name]
+    u = [nd.solve(problem, s, tol=1e-9).u for s in ("pgs", "newton", "auto")]
+    # The corner box has one velocity although not one impulse; ten times the tolerance over the stiffness of order 1.
+    np.testing.assert_allclose(u[1], u[0], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(u[2], u[0], rtol=0, atol=1e-7)
+
+
+def test_exact_guess_costs_nothing(solver):
+    problem = corner_box()[0]
+    r = np.tile([0.25, 0.0, 0.0], 4)
+    solution = solver(problem, r)
+    assert solution.iterations == 0 and (solution.r == r).all()
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_scaled_mass(factor):
+    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    scaled = nd.FC3D(problem.W / factor, problem.q, problem.mu)
+    np.testing.assert_allclose(nd.solve(scaled).u, nd.solve(problem).u, rtol=0, atol=1e-8)
+
+
+def test_permuted_contacts_give_the_same_velocity(rng):
+    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    order = rng.permutation(4)
+    rows = (3 * order[:, None] + np.arange(3)).ravel()
+    W = problem.W.toarray()[np.ix_(rows, rows)]
+    u = nd.solve(nd.FC3D(W, problem.q[rows], problem.mu[order])).u
+    np.testing.assert_allclose(u, nd.solve(problem).u[rows], rtol=0, atol=1e-8)
+
+
+def test_failure_is_a_status_not_an_exception():
+    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
+    solution = nd.solvers.PGS(tol=1e-14, max_iter=1, memory=0)(problem)
+    assert solution.status is nd.Status.MAX_ITERATIONS and not solution.converged
+    assert "limit" in solution.status.message
+
+
+def test_warm_newton_is_quick():
+    """All contacts stick and the guess is near: the states are found at once, the penalty grows to finish."""
+    problem = corner_box()[0]
+    guess = np.tile([0.25, 0.0, 0.0], 4) + 1e-3
+    assert nd.solve(problem, "newton", r0=guess).iterations <= 6
+
+
+def test_sweep_against_its_definition(rng):
+    """One sweep in NumPy: contacts in order, each solved alone with the others frozen."""
+    problem = CASES["definite0"]
+    r = rng.uniform(0, 0.1, 12)
+    expected, W = r.copy(), problem.W.toarray()
+    for c in range(4):
+        i = slice(3 * c, 3 * c + 3)
+        q = problem.q[i] + W[i] @ expected - W[i, i] @ expected[i]
+        one = nd.FC3D(W[i, i], q, problem.mu[c : c + 1])
+        expected[i] = nd.solve(one, tol=1e-13).r
+    sweeps.sweep_matrix(sweeps.matrix(*problem.csr), problem.q, problem.mu, r)
+    np.testing.assert_allclose(r, expected, rtol=0, atol=1e-11)
+
+
+def test_sweep_by_factors_is_the_sweep_by_matrix(rng):
+    """Both forms of W, on the contacts of a real step; v = M⁻¹ H r is kept up to date."""
+    problem = nd.Stepper(nd.scenes.load("pyramid")(base=3), dt=1e-2).step().problem
+    blocks = problem.blocks
+    W = sweeps.factors(blocks.arrays)
+    np.testing.assert_allclose(W.diagonal, problem.W.toarray().reshape(blocks.nc, 3, blocks.nc, 3)[
+        np.arange(blocks.nc), :, np.arange(blocks.nc)
+    ], rtol=0, atol=1e-13)  # fmt: skip
+    r = rng.uniform(-0.01, 0.1, 3 * blocks.nc)
+    expected, v = r.copy(), blocks.velocity_change(r)
+    for _ in range(3):
+        sweeps.sweep_matrix(sweeps.matrix(*problem.csr), problem.q, problem.mu, expected)
+        sweeps.sweep_factors(W, problem.q, problem.mu, v, r)
+    np.testing.assert_allclose(r, expected, rtol=0, atol=1e-13)  # round-off of impulses below 1
+    np.testing.assert_allclose(v, blocks.velocity_change(r), rtol=0, atol=1e-13)
+
+
+def test_newton_matrix_dense_and_sparse(rng):
+    """Both assemblies of K = M + Σ H A Hᵀ against dense algebra, on the contacts of a real step."""
+    stepper = nd.Stepper(nd.scenes.load("pyramid")(base=3), dt=1e-2)
+    blocks = stepper.step().problem.blocks
+    M, H = blocks.dense()
+    A = rng.normal(size=(blocks.nc, 3, 3))
+    expected = M.copy()
+    for c in range(blocks.nc):
+        rows = H[:, 3 * c : 3 * c + 3]
+        expected += rows @ A[c] @ rows.T
+    K = np.empty((blocks.n, blocks.n))
+    kernels.assemble_dense(blocks.arrays, A, K)
+    np.testing.assert_allclose(K, expected, rtol=0, atol=1e-12)
+    indptr, indices, slot, diagonal = matrix.pattern(blocks.offset, blocks.block)
+    data = np.empty(indices.size)
+    matrix.assemble_sparse(blocks.arrays, A, indptr, blocks.offset[:-1], slot, diagonal, data)
+    import scipy.sparse as sp
+
+    sparse = sp.csc_array((data, indices, indptr), shape=K.shape)
+    np.testing.assert_allclose(sparse.toarray(), expected, rtol=0, atol=1e-12)
+
+
+def test_factorisations_by_blocks_and_by_w(rng):
+    """K⁻¹ b and W (I + A W)⁻¹ g against dense algebra; a graph that was factorised before gives the same bits."""
+    problem = nd.Stepper(nd.scenes.load("pyramid")(base=4), dt=1e-2).step().problem
+    blocks, W = problem.blocks, problem.W.toarray()
+    M, H = blocks.dense()
+    A = rng.normal(size=(blocks.nc, 3, 3)) + 3.0 * np.eye(3)
+    wide = np.zeros_like(W)
+    for c in range(blocks.nc):
+        wide[3 * c : 3 * c + 3, 3 * c : 3 * c + 3] = A[c]
+    b, g = rng.normal(size=blocks.n), rng.normal(size=W.shape[0])
+    graph = linear.Factor(blocks.offset, blocks.block)
+    x = graph.solve(blocks, A, b)
+    np.testing.assert_allclose(x, np.linalg.solve(M + H @ wide @ H.T, b), rtol=1e-9, atol=1e-10)
+    even = A + A.transpose(0, 2, 1)
+    np.testing.assert_allclose(
+        graph.solve(blocks, even, b), np.linalg.solve(M + H @ (wide + wide.T) @ H.T, b), rtol=1e-9, atol=1e-10
+    )
+    expected = W @ np.linalg.solve(np.eye(W.shape[0]) + wide @ W, g)
+    for operator in (operators.Velocity(blocks), operators.Local(problem.W)):
+        first = operator.factor(A)(g)
+        np.testing.assert_allclose(first, expected, rtol=1e-8, atol=1e-10)
+        operator.factor(even)(g)
+        np.testing.assert_array_equal(operator.factor(A)(g), first)
+
+
+def test_unknown_solver_and_tolerance():
+    with pytest.raises(ValueError, match=r"solver must be one of .*, pgs, .*; got 'magic'"):
+        nd.solve(corner_box()[0], "magic")
+    with pytest.raises(ValueError, match="tol must be positive"):
+        nd.solve(corner_box()[0], tol=0.0)
+
+
+@pytest.mark.skipif(not FILES.is_dir(), reason="the folder of FCLIB problems is not here")
+@pytest.mark.parametrize("name", ["CubeH8", "GFC3D_TwoRods1", "NESpheres_10_1", "local_problem_test"])
+def test_problems_of_the_literature(name):
+    problem = nd.fclib.read(FILES / f"{name}.hdf5")
+    assert nd.solve(problem, tol=1e-8).converged
+
+
+def test_mixture_of_anderson_is_the_least_squares_one(rng):
+    """The weights of the past, which sum to one, of the least combined defect, against a dense least-squares solve."""
+    F, G, gram, x = rng.normal(size=(4, 9)), rng.normal(size=(4, 9)), np.zeros((4, 4)), np.empty(9)
+    for used, slot in ((1, 0), (2, 1), (3, 2), (4, 3), (4, 0)):
+        F[slot], G[slot] = rng.normal(size=(2, 9))
+        anderson.mix(F, G, gram, slot, used, x)
+        others = [j for j in range(used) if j != slot]
+        weights = np.linalg.lstsq((F[others] - F[slot]).T, -F[slot], rcond=None)[0]
+        # The ridge of 1e-10 of the trace moves weights of order one by no more than that times the condition.
+        np.testing.assert_allclose(x, G[slot] + weights @ (G[others] - G[slot]), rtol=0, atol=1e-7)

@@ -1,0 +1,154 @@
+"""Slip that turns round within a step: friction is against it until then, and the other way afterwards."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mechanisms import add, pendulum
+from scipy.integrate import solve_ivp
+
+import nsdyn as nd
+from nsdyn.scene import shapes
+
+g = 9.81
+SLOPE = math.radians(35.0)
+
+
+def worst(run, exact, steps):
+    """Largest errors of four runs with about so many steps, in which slip turns at other moments."""
+    errors = []
+    for n in range(steps, steps + 4):
+        trajectory, found = run(n)
+        e = trajectory.energy
+        assert np.abs(e.defect).max() <= 1e-13 * (e.kinetic.max() + np.ptp(e.potential))
+        assert e.friction.max() <= 1e-15
+        errors.append(np.abs(np.array(found) - exact))
+    return np.max(errors, axis=0)
+
+
+def second_order(run, exact, steps):
+    """Asserts that errors fall by three at least from each number of steps to the next, its double.
+
+    Four in the mean: how much slip errs depends on when in a step it turns.
+    """
+    errors = [worst(run, exact, n) for n in steps]
+    assert (np.array(errors[:-1]) >= 3.0 * np.array(errors[1:])).all(), errors
+
+
+@pytest.mark.parametrize("steps", [25, 51, 200])
+def test_a_block_that_comes_back_down_a_slope_is_exact(steps):
+    """Shot up at 2 m/s it turns when v = 0; its forces are constant before and after."""
+    mu, speed = 0.3, 2.0
+    up, down = g * (math.sin(SLOPE) + mu * math.cos(SLOPE)), g * (math.sin(SLOPE) - mu * math.cos(SLOPE))
+    top, time = speed**2 / 2 / up, 1.0 - speed / up
+    fallen = down * time**2 / 2
+    exact = np.array((top - fallen, -down * time, -mu * g * math.cos(SLOPE) * (top + fallen)))
+    normal, along = np.array([math.sin(SLOPE), 0, math.cos(SLOPE)]), np.array([-math.cos(SLOPE), 0, math.sin(SLOPE)])
+
+    def run(n):
+        scene, material = nd.Scene(), nd.Material(mu)
+        scene.add_halfspace("slope", normal=tuple(normal), material=material)
+        scene.add_box(
+            "b",
+            (0.2, 0.2, 0.1),
+            1.0,
+            position=tuple(0.05 * normal),
+            linear_velocity=tuple(speed * along),
+            quaternion=(0, math.sin(SLOPE / 2), 0, math.cos(SLOPE / 2)),
+            material=material,
+        )
+        trajectory = nd.simulate(scene, 1.0, 1.0 / n)
+        b = trajectory.body("b")
+        return trajectory, (b.position[-1] @ along, b.linear_velocity[-1] @ along, trajectory.energy.friction.sum())
+
+    assert worst(run, exact, steps).max() <= 1e-12
+
+
+def test_a_block_that_friction_holds_stops_and_stays():
+    """μ > tan α: it stops within a step, and from then on nothing moves."""
+    mu, speed = 0.8, 2.0
+    scene, material = nd.Scene(gravity=(g * math.sin(SLOPE), 0, -g * math.cos(SLOPE))), nd.Material(mu)
+    scene.add_halfspace("slope", material=material)
+    scene.add_box("b", (0.2, 0.2, 0.1), 1.0, position=(0, 0, 0.05), linear_velocity=(-speed, 0, 0), material=material)
+    b = nd.simulate(scene, 1.0, 0.0123).body("b")
+    after = math.ceil(speed / g / (math.sin(SLOPE) + mu * math.cos(SLOPE)) / 0.0123)
+    assert np.linalg.norm(b.linear_velocity[after:], axis=1).max() <= 1e-12
+    assert np.ptp(b.position[after:], axis=0).max() <= 1e-12
+
+
+def test_a_block_that_its_belt_overtakes_is_exact():
+    """The belt speeds up by more than friction gives: it first slows the block, then pulls it along."""
+    mu, speed, belt = 0.2, 1.0, 3.0
+    met = speed / (belt + mu * g)
+    v = speed - mu * g * met
+    exact = np.array(
+        ((speed + v) / 2 * met + v * (0.6 - met) + mu * g * (0.6 - met) ** 2 / 2, v + mu * g * (0.6 - met))
+    )
+
+    def run(n):
+        scene, material = nd.Scene(), nd.Material(mu)
+        scene.add_halfspace("belt", material=material)
+        scene.set_motion("belt", surface_velocity=lambda t: (belt * t, 0, 0))
+        scene.add_box(
+            "b", (0.4, 0.4, 0.1), 1.0, position=(0, 0, 0.05), linear_velocity=(speed, 0, 0), material=material
+        )
+        b = nd.simulate(scene, 0.6, 0.6 / n).body("b")
+        return b.position[-1, 0], b.linear_velocity[-1, 0]
+
+    for n in (30, 31, 32, 100):
+        np.testing.assert_allclose(run(n), exact, rtol=0, atol=1e-12)
+
+
+def test_a_dry_joint_past_its_reversals_is_second_order():
+    """A rod that swings against a dry hinge, turning twice, by an integration from reversal to reversal."""
+    J, most = 1 / 3 + 1e-9, 0.5
+    q, v, t, work, sign = 1.0, 0.0, 0.0, 0.0, -1.0
+    while t < 2.0:
+
+        def rate(_, y, sign=sign):
+            return y[1], (-0.5 * g * math.sin(y[0]) - most * sign) / J, -most * abs(y[1])
+
+        def turns(_, y):
+            return y[1]
+
+        turns.terminal, turns.direction = True, -sign
+        piece = solve_ivp(rate, (t, 2.0), (q, v, work), events=turns, rtol=1e-12, atol=1e-13, first_step=1e-6)
+        t, (q, _, work) = piece.t[-1], piece.y[:, -1]
+        v, sign = 0.0, -sign
+    exact = piece.y[:, -1]
+
+    def run(n):
+        scene = nd.Scene()
+        add(scene, "a", pendulum(), q=[1.0], friction=[most])
+        trajectory = nd.simulate(scene, 2.0, 2.0 / n)
+        return trajectory, (trajectory.q[-1, 0], trajectory.v[-1, 0], trajectory.energy.friction.sum())
+
+    second_order(run, exact, (100, 200, 400))
+
+
+def test_a_controlled_slide_that_turns_on_a_slope_is_second_order():
+    """A ball on two rails, across and along a slope, with a control against its motion, in closed form."""
+    mu, c, mass, speed = 0.3, 0.5, 2.0, 2.0
+    model, joint = pin.Model(), 0
+    for kind in (pin.JointModelPX(), pin.JointModelPZ()):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"rail{joint}")
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    # v' = a - c v: x and v after t seconds.
+    up, down = (g * (math.sin(SLOPE) + s * mu * math.cos(SLOPE)) / c for s in (1.0, -1.0))
+    turn = math.log(1.0 + speed / up) / c
+    top = up * turn - speed / c
+    rest = 1.0 - turn
+    fallen, v = down * rest - down * (1 - math.exp(-c * rest)) / c, down * (1 - math.exp(-c * rest))
+    exact = np.array((top + fallen, v, -mu * mass * g * math.cos(SLOPE) * (fallen - top)))
+
+    def run(n):
+        scene, material = nd.Scene(gravity=(g * math.sin(SLOPE), 0, -g * math.cos(SLOPE))), nd.Material(mu)
+        scene.add_halfspace("slope", material=material)
+        ball = {"rail1": [(shapes.sphere(0.1), pin.SE3.Identity())]}
+        scene.add_model("a", model, collisions=ball, q=[0.0, 0.1], v=[-speed, 0.0], material=material)
+        trajectory = nd.simulate(scene, 1.0, 1.0 / n, controller=lambda t, q, v: {"a": (-mass * c * v[0], 0.0)})
+        return trajectory, (trajectory.q[-1, 0], trajectory.v[-1, 0], trajectory.energy.friction.sum())
+
+    second_order(run, exact, (25, 50, 100))

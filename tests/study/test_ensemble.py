@@ -1,0 +1,336 @@
+"""Sweeps: every combination once, in order, with the same bits from every executor."""
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+from nsdyn import cli
+from nsdyn.study import gathering
+from nsdyn.study import sweep as ensemble
+from nsdyn.study.store import Store
+
+
+def len_of(trajectory):
+    return trajectory.steps
+
+
+def end(trajectory):
+    return trajectory.q[-1]
+
+
+# From 21 bricks on their coordinates are too many for the dense factorisation.
+VALUES = {"mu": [0.3, 0.6], "rows": [3, 4], "columns": [7]}
+OPTIONS = {"duration": 0.1, "dt": 0.01}
+
+
+@pytest.fixture(scope="module")
+def serial():
+    return nd.sweep("wall", VALUES, **OPTIONS)
+
+
+def test_members_are_the_product_in_order(serial):
+    assert [m.parameters for m in serial] == [{"mu": m, "rows": r, "columns": 7} for m in (0.3, 0.6) for r in (3, 4)]
+    for m in serial:
+        assert m.failure == "" and m.result.steps == 10
+        # The wall of the named scene, alone.
+        alone = nd.simulate(nd.scenes.load("wall")(**m.parameters), **OPTIONS)
+        np.testing.assert_array_equal(m.result.q, alone.q)
+        np.testing.assert_array_equal(m.result.energy.friction, alone.energy.friction)
+
+
+@pytest.mark.parametrize("kind", ["threads", "processes"])
+def test_same_bits_from_every_executor(serial, kind):
+    """A function of a named scene goes to other processes by its name; what `keep` makes of a run comes back."""
+    pool = ThreadPoolExecutor(4) if kind == "threads" else ProcessPoolExecutor(1, get_context("spawn"))
+    with pool:
+        found = nd.sweep(nd.scenes.load("wall"), VALUES, executor=pool, keep=end, **OPTIONS)
+    for one, other in zip(serial, found, strict=True):
+        assert one.parameters == other.parameters
+        np.testing.assert_array_equal(one.result.q[-1], other.result)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed (extra `cluster`)")
+@pytest.mark.filterwarnings("default")  # dask's own
+def test_same_bits_from_dask(serial):
+    from distributed import Client, LocalCluster
+
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        found = nd.sweep("wall", VALUES, executor=executor, keep=end, **OPTIONS)
+    for one, other in zip(serial, found, strict=True):
+        np.testing.assert_array_equal(one.result.q[-1], other.result)
+
+
+def killed_once(trajectory):
+    """Kills its worker in the fifth run, the first time."""
+    marker = Path(os.environ["NSDYN_TEST_MARKER"])
+    if trajectory.v[0, 0] == 5.0 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return float(trajectory.q[-1, 0])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed (extra `cluster`)")
+@pytest.mark.filterwarnings("default")  # dask's own
+def test_nothing_is_lost_with_a_worker_of_dask(tmp_path, monkeypatch):
+    """Two workers, one of which is killed on the way: all 300 runs are there, with the bits of one process."""
+    from distributed import Client, LocalCluster
+
+    monkeypatch.setenv("NSDYN_TEST_MARKER", str(tmp_path / "marker"))
+    values = {"speed": np.arange(1.0, 301.0).tolist()}
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        found = nd.sweep("slide", values, 0.02, executor=executor, keep=killed_once, dt=0.01)
+    assert (tmp_path / "marker").exists()
+    alone = nd.sweep("slide", values, 0.02, keep=killed_once, dt=0.01)
+    assert [m.failure for m in found] == [""] * 300
+    assert [m.result for m in found] == [m.result for m in alone]
+
+
+def loses(*values):
+    raise RuntimeError(f"lost {values}")
+
+
+def test_a_message_that_is_lost_is_sent_again_one_by_one(monkeypatch):
+    """An executor that loses whatever comes with task 3: only that is lost, and what failed is told."""
+    monkeypatch.setattr(gathering, "MESSAGES", 4)
+
+    class Lossy(ThreadPoolExecutor):
+        def submit(self, function, *arguments):
+            lost = (3,) in arguments[1]
+            return super().submit(loses if lost else function, *arguments)
+
+    with Lossy(2) as executor:
+        found = sorted(gathering.gather(abs, {k: (k,) for k in range(10)}, executor))
+    assert [k for k, _, _ in found] == list(range(10))
+    assert [(k, out) for k, out, reason in found if not reason] == [(k, k) for k in range(10) if k != 3]
+    assert found[3][1] is None and found[3][2].startswith("its worker was lost twice: RuntimeError: lost ")
+
+
+def test_a_run_that_does_not_converge_loses_only_itself():
+    """Nothing reaches 1e-300, but a ball in flight need not."""
+    solver = nd.solvers.by_name("pgs", 1e-300)
+    flying, sliding = nd.sweep(
+        lambda name: nd.scenes.load(name)(), {"name": ["bounce", "slide"]}, 0.02, solver=solver, on_fail="raise"
+    )
+    assert flying.failure == "" and flying.result.steps == 20
+    assert sliding.result is None and "did not converge" in sliding.failure
+
+
+def test_bad_arguments():
+    for values in ([], 0.3, "0.3"):
+        with pytest.raises(ValueError, match="mu must have a list of at least one value"):
+            nd.sweep("slide", {"mu": values}, 0.1)
+    with pytest.raises(ValueError, match="scene must be one of"):
+        nd.sweep("sleigh", {"mu": [0.3]}, 0.1)
+    with pytest.raises(ValueError, match="mu"), ThreadPoolExecutor(1) as pool:
+        nd.sweep("slide", {"mu": [-1.0]}, 0.1, executor=pool)
+
+
+def test_a_run_that_is_refused_loses_only_itself():
+    good, bad = nd.sweep("slide", {"mu": [0.3, -1.0]}, 0.02, dt=0.01)
+    assert good.failure == "" and bad.result is None and "mu must not be negative" in bad.failure
+
+
+def dies(trajectory):
+    """Kills its process where mu is 0.2, the first time only; where it is 0.4, always."""
+    mu = trajectory.scene["geoms"][0]["mu"]
+    marker = Path(os.environ["NSDYN_TEST_MARKER"])
+    if mu == 0.4 or (mu == 0.2 and not marker.exists()):
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return float(mu)
+
+
+@pytest.mark.slow  # it starts six processes
+def test_a_process_that_dies_loses_its_run_only_and_that_is_tried_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("NSDYN_TEST_MARKER", str(tmp_path / "marker"))
+    values = {"mu": [0.1, 0.2, 0.3, 0.4, 0.5]}
+    store = tmp_path / "s.jsonl"
+    found = nd.sweep("slide", values, 0.02, executor=2, keep=dies, dt=0.01, store=store)
+    assert [m.result for m in found] == [0.1, 0.2, 0.3, None, 0.5]
+    assert "its worker was lost twice: BrokenProcessPool" in found[3].failure
+    # What was lost is not stored, and tried again.
+    assert len(store.read_text().splitlines()) == 5
+
+
+def counted(trajectory):
+    with open(os.environ["NSDYN_TEST_MARKER"], "a") as file:
+        file.write("x")
+    return {"x": trajectory.q[-1, 0], "bad": float("nan")}
+
+
+def test_what_cannot_be_sent_is_named():
+    """Before a process is started; in this one it may stay."""
+    calls = {"external_force": lambda t, q, v: {}, "keep": lambda run: run.steps}
+    for name, given in calls.items():
+        words = f"{name} can't be pickled, to be sent to other processes: define it at module level, got <function"
+        with pytest.raises(ValueError, match=words):
+            nd.sweep("slide", {"mu": [0.5]}, 0.02, executor=2, dt=0.01, **{name: given})
+        with ProcessPoolExecutor(1) as executor, pytest.raises(ValueError, match=words):
+            nd.sweep("slide", {"mu": [0.5]}, 0.02, executor=executor, dt=0.01, **{name: given})
+    assert [run.result for run in nd.sweep("slide", {"mu": [0.5]}, 0.02, dt=0.01, **calls)] == [2]
+
+
+def stopped(trajectory):
+    """Ctrl-C in the third run."""
+    if trajectory.meta["parameters"] == '{"mu": 0.3}' or trajectory.scene["geoms"][0]["mu"] == 0.3:
+        raise KeyboardInterrupt
+    return 1.0
+
+
+def test_one_process_writes_a_store(tmp_path):
+    store, options = tmp_path / "s.jsonl", {"duration": 0.02, "dt": 0.01, "keep": len_of}
+    nd.sweep("slide", {"mu": [0.1]}, store=store, **options)
+    before = store.read_bytes()
+    head = json.loads(before.splitlines()[0])["sweep"]
+    with Store(store, head), pytest.raises(ValueError, match=r"s\.jsonl is being written by another process"):
+        nd.sweep("slide", {"mu": [0.1, 0.2]}, store=store, **options)
+    assert store.read_bytes() == before
+    assert len(nd.sweep("slide", {"mu": [0.1, 0.2]}, store=store, **options)) == 2
+    assert len(store.read_bytes().splitlines()) == 3
+
+
+def test_a_sweep_that_is_stopped_says_what_is_done(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(ensemble, "figures", stopped)
+    values = "sweep", "slide", "--set", "mu=0.1,0.2,0.3,0.4", "--time", "0.02", "--dt", "0.01", "--workers", "1"
+    assert cli.main([*values, "--store", str(tmp_path / "s.jsonl")]) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "nsdyn: interrupted: 2 of 4 done; the same command goes on"
+    assert len((tmp_path / "s.jsonl").read_bytes().splitlines()) == 3
+    assert cli.main([*values]) == 130
+    assert "2 of 4 done; without a store they are lost" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_ctrl_c_of_two_workers_loses_no_run_that_is_told(tmp_path):
+    """As a terminal sends it, to all processes at once, in the midst of runs."""
+    store = tmp_path / "s.jsonl"
+    values = ["--set", "mu=" + ",".join(f"0.{k}" for k in range(2, 10)), "--time", "4", "--workers", "2"]
+    command = [sys.executable, "-m", "nsdyn", "sweep", "slide", *values, "--store", str(store)]
+    sweep = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+    deadline = time.monotonic() + 120.0  # kernels may have to be compiled
+    while not store.exists() or store.read_bytes().count(b"\n") < 3:
+        assert time.monotonic() < deadline and sweep.poll() is None
+        time.sleep(0.02)
+    os.killpg(sweep.pid, signal.SIGINT)
+    told = sweep.communicate(timeout=60)[1].decode()
+    rows = store.read_bytes().splitlines()[1:]
+    assert sweep.returncode == 130 and 2 <= len(rows) < 8
+    assert told.splitlines()[-1] == f"nsdyn: interrupted: {len(rows)} of 8 done; the same command goes on"
+    assert "Traceback" not in told
+    subprocess.run(command, check=True, capture_output=True)
+    after = store.read_bytes().splitlines()[1:]
+    assert after[: len(rows)] == rows
+    assert sorted(json.loads(row)["parameters"]["mu"] for row in after) == [float(f"0.{k}") for k in range(2, 10)]
+
+
+def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):
+    """Runs that are stored are not run again, a line that a kill has cut is; another sweep is refused."""
+    runs, store = tmp_path / "runs", tmp_path / "s.jsonl"
+    monkeypatch.setenv("NSDYN_TEST_MARKER", str(runs))
+    options = {"duration": 0.02, "dt": 0.01, "keep": counted, "store": store}
+    first = nd.sweep("slide", {"mu": [0.1, 0.2]}, **options)
+    assert runs.read_text() == "xx"
+    lines = store.read_bytes().splitlines(keepends=True)
+    store.write_bytes(b"".join(lines[:-1]) + lines[-1][:20])
+    again = nd.sweep("slide", {"mu": np.array([0.1, 0.2, 0.3])}, **options)
+    assert runs.read_text() == "xxxx" and store.read_bytes().startswith(b"".join(lines))
+    for a, b in zip(first, again, strict=False):
+        assert a.parameters == b.parameters and a.result["x"] == b.result["x"] and np.isnan(b.result["bad"])
+    alone = nd.sweep("slide", {"mu": [0.3]}, 0.02, dt=0.01)[0].result
+    assert again[2].result["x"] == alone.q[-1, 0]
+    for others, words in (
+        ({"dt": 0.02}, r"its options is .*'dt': '0.01'.*; give another name"),
+        ({"duration": 0.03}, "its duration is 0.02, not 0.03"),
+        ({"keep": end}, "its keep is "),
+        ({"keep": None}, "keep must say what of a run is stored"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            nd.sweep("slide", {"mu": [0.1]}, **options | others)
+    with pytest.raises(ValueError, match="is the store of another sweep: its "):
+        nd.sweep("stack", {"mu": [0.1]}, **options)
+    store.write_text("no store\n")
+    with pytest.raises(ValueError, match=r"s\.jsonl is not the store of a sweep"):
+        nd.sweep("slide", {"mu": [0.1]}, **options)
+    with pytest.raises(ValueError, match="a store holds numbers, texts, lists and dicts of them: got Trajectory"):
+        nd.sweep("slide", {"mu": [0.1]}, 0.02, dt=0.01, keep=lambda run: run, store=tmp_path / "other.jsonl")
+
+
+def test_any_function_is_a_scene():
+    (one,) = nd.sweep(lambda speed: nd.scenes.load("slide")(speed=speed), {"speed": [1.0]}, 0.05, dt=0.01)
+    assert ensemble.figures(one.result)["displacement"] == pytest.approx(0.05 - 0.5 * 0.5 * 9.81 * 0.05**2)
+
+
+ONE = "--workers", "1"
+
+
+def run(capsys, *arguments):
+    code = cli.main(["sweep", *arguments])
+    return code, *capsys.readouterr()
+
+
+def test_command(capsys, tmp_path):
+    settings = ["--set", "mu=0.1,0.2", "--set", "speed=1", "--time", "0.05", "--dt", "0.01"]
+    code, out, _ = run(capsys, "slide", *settings, *ONE, "--csv", str(tmp_path / "s.csv"))
+    lines = out.splitlines()
+    assert code == 0 and len(lines) == 3 and lines[0].split()[:3] == ["mu", "speed", "displacement"]
+    assert lines[2].split()[:3] == ["0.2", "1", f"{0.05 - 0.1 * 9.81 * 0.05**2:.6g}"]
+    assert len((tmp_path / "s.csv").read_text().splitlines()) == 3
+    # Text and JSON, stored and read from there, one process and several: the same figures.
+    store = str(tmp_path / "s.jsonl")
+    one, several, stored, again = (
+        json.loads(run(capsys, "slide", *settings, "--json", *more)[1])
+        for more in ([*ONE], ["--workers", "2"], [*ONE, "--store", store], [*ONE, "--store", store])
+    )
+    assert one == several == stored == again and [r["mu"] for r in one["runs"]] == [0.1, 0.2]
+
+
+def test_command_with_a_failing_run(capsys):
+    code, out, err = run(
+        capsys, "slide", *ONE, *"--solver pgs --tol 1e-300 --time 0.02 --on-fail raise --set mu=0.1".split()
+    )
+    assert code == 1 and out.splitlines()[0].split() == ["mu"] and "failed: {'mu': 0.1}: step" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["sleigh"], "scene must be one of"),
+        (["slide", "--set", "mu=0.1,much"], "mu must be a number, got 'much'"),
+        (["slide", "--set", "colour=red"], "parameter of scene slide must be one of mu, speed,"),
+        (["slide", "--workers", "0"], "--workers must be at least 1"),
+        (["slide", "--store", "/dev/null"], "it is no regular file"),
+    ],
+)
+def test_bad_commands(capsys, arguments, words):
+    code, out, err = run(capsys, *arguments)
+    assert code == 2 and out == "" and words in err
+
+
+def test_a_named_scene_comes_with_what_drives_it():
+    """As `nsdyn run` has it: balls that nobody pushes do not roll."""
+    setup = nd.scenes.setup("rolling", balls=2)
+    alone = nd.simulate(setup.scene, 0.1, **setup.options(dt=0.01))
+    (member,) = nd.sweep("rolling", {"balls": [2]}, 0.1, dt=0.01)
+    np.testing.assert_array_equal(member.result.q, alone.q)
+    assert np.abs(alone.v[-1]).max() > 0.01
+    still = nd.simulate(setup.scene, 0.1, **setup.options(dt=0.01, external_force=None))
+    assert np.abs(still.v[-1]).max() < 1e-8

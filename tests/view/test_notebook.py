@@ -1,0 +1,155 @@
+"""What a notebook shows: the tutorial runs from top to bottom, and objects show themselves in a few words."""
+
+import ast
+import json
+import os
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+from nsdyn.view import browser, embedding
+
+TUTORIAL = Path(__file__).resolve().parent.parent.parent / "demos" / "tutorial.ipynb"
+
+
+class Cells(HTMLParser):
+    """Texts of the cells of tables, and whether every element that is opened is closed."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.open, self.cells = [], []
+        self.feed(html)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        if tag in ("td", "th"):
+            self.cells.append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("td", "th"):
+            self.cells[-1] += data
+
+
+def shown(value):
+    return Cells(value._repr_html_()).cells
+
+
+def ran(source, names):
+    """Run a cell as a notebook does; the value of its last line, if that is an expression."""
+    body = ast.parse(source).body
+    last = ast.Expression(body.pop().value) if isinstance(body[-1], ast.Expr) else None
+    exec(compile(ast.Module(body, []), "cell", "exec"), names)
+    return eval(compile(last, "cell", "eval"), names) if last else None
+
+
+@pytest.mark.slow
+def test_tutorial(tmp_path, monkeypatch):
+    """Cell after cell in one set of names, as Jupyter runs it. What it claims it asserts."""
+    monkeypatch.chdir(tmp_path)
+    plt = pytest.importorskip("matplotlib.pyplot")
+    plt.switch_backend("agg")
+    notebook = json.loads(TUTORIAL.read_text())
+    names: dict = {"__name__": "tutorial"}
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    values = [ran(source, names) for source in cells]
+    assert sum("assert " in source for source in cells) >= 5
+    assert sum(hasattr(value, "_repr_html_") for value in values) >= 4
+    for value in values:
+        if hasattr(value, "_repr_html_") and type(value).__module__.startswith("nsdyn"):
+            assert shown(value)
+    assert os.listdir(tmp_path)  # it saves a recording
+    plt.close("all")
+
+
+def test_outputs_of_the_tutorial_are_those_of_its_cells():
+    """Run in order, each once, and nothing failed."""
+    cells = [cell for cell in json.loads(TUTORIAL.read_text())["cells"] if cell["cell_type"] == "code"]
+    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
+    kinds = {output["output_type"] for cell in cells for output in cell["outputs"]}
+    assert "error" not in kinds and "display_data" in kinds | {"display_data"} and kinds
+    assert TUTORIAL.stat().st_size < 1_000_000
+
+
+@pytest.fixture(scope="module")
+def run():
+    return nd.simulate(nd.scenes.load("slide")(), 0.1, dt=1e-2)
+
+
+def test_texts_are_short(run):
+    """One line each; arrays and models are not printed."""
+    robot = nd.scenes.load("quadruped")()
+    stepper = nd.Stepper(nd.scenes.load("slide")(), dt=1e-2)
+    step = stepper.step()
+    objects = [
+        robot,
+        robot.articulations["quadruped"],
+        *robot.bodies.values(),
+        stepper,
+        stepper.get_state(),
+        step,
+        step.contacts,
+        step.problem,
+        step.solution,
+        run,
+        run.body("box"),
+        run.gauss,
+        run.energy,
+        run.solver,
+    ]
+    for value in objects:
+        assert len(repr(value)) <= 200 and "\n" not in repr(value), repr(value)
+    assert repr(robot.articulations["quadruped"]).startswith("<Articulation 'quadruped': 18 coordinates, 5 shapes")
+
+
+def test_a_status_is_told_by_its_name():
+    assert f"{nd.Status.LOOSE}" == str(nd.Status.LOOSE) == "LOOSE" and f"{nd.Status.OVERLAP:>8}" == " OVERLAP"
+    assert nd.Status.CONVERGED == 0 and json.dumps(nd.Status.LOOSE) == "6"  # in files it is a number
+
+
+def test_tables_of_objects(run):
+    trajectory = shown(run)
+    assert "simulated time [s]" in trajectory and "0.1" in trajectory and "10 CONVERGED" in trajectory
+    contacts = run.contacts(-1)
+    cells = np.reshape(shown(contacts), (5, 9))
+    assert cells[1:, 1].tolist() == ["box"] * 4 and cells[1:, 8].tolist() == ["slip"] * 4
+    np.testing.assert_allclose(cells[1:, 5].astype(float), contacts.impulse[:, 0], rtol=1e-3)  # of four digits
+    solution = nd.solve(nd.FC3D(np.eye(3), [-1.0, 0.2, 0.0], [0.5]))
+    assert shown(solution)[6:] == ["1", "-0.2", "0", "0", "0", "0"]
+
+
+def test_a_trajectory_plays_in_its_cell(run, tmp_path, monkeypatch):
+    shown = run._repr_html_()
+    assert len(shown) < embedding.LARGEST and Cells(shown).open == []
+    if browser.chromium():
+        path = tmp_path / "notebook.html"
+        path.write_text(f"{shown}<script>window.ready = true</script>")
+        with browser.browsing() as page:
+            page.open(path, (1000, 800))
+            page.run(
+                "new Promise((done, fail) => { const look = () => { const cell = frames[0];"
+                " if (cell.failure) fail(cell.failure); else if (cell.ready) done(); else setTimeout(look, 20); };"
+                " look(); })"
+            )
+            assert page.run("frames[0].nsdyn.clock.playing") is False
+            page.run("frames[0].nsdyn.dock.step(1, false)")
+            assert page.run("frames[0].nsdyn.clock.t") == run.t[1]
+            assert [e for e in page.events if e.get("method") == "Runtime.exceptionThrown"] == []
+            (tmp_path / "notebook.png").write_bytes(page.picture())
+    monkeypatch.setattr(embedding, "LARGEST", 1000)
+    assert "<iframe" not in run._repr_html_() and "write it with to_html" in run._repr_html_()
+
+
+def test_a_scene_shows_its_bodies_and_nothing_of_theirs_is_markup():
+    scene = nd.Scene(name="<b>")
+    for k in range(30):
+        scene.add_sphere(f"<i>{k}", 0.1, 1.0, position=(k, 0, 1))
+    cells = shown(scene)
+    assert cells[6:12] == ["<i>0", "sphere", "1", "(0, 0, 1)", "0.5", "0"] and "... 10 more" in cells
+    assert "<i>" not in scene._repr_html_() and "<b>" not in scene._repr_html_()

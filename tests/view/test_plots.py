@@ -1,0 +1,285 @@
+"""Plots: the numbers of the recording, labels that do not collide, legends off the data, no round-off at full scale."""
+
+import re
+from itertools import combinations
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import nsdyn as nd
+from nsdyn.cli import figures, main
+from nsdyn.recording import file
+from nsdyn.study.drawings import draw_refinement, draw_sweep, varied
+from nsdyn.study.sweep import Member
+from nsdyn.view import panels, plots
+
+PAGE = Path(plots.__file__).parent / "page" / "ledger.js"
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """An arm that strikes a box, which then slides."""
+    setup = nd.scenes.setup("arm_pushes_box")
+    return nd.simulate(setup.scene, 0.6, **setup.options(dt=5e-3))
+
+
+@pytest.fixture(scope="module")
+def resting():
+    return nd.simulate(nd.scenes.load("stack")(height=14), 0.1, dt=0.01)
+
+
+@pytest.fixture(scope="module")
+def slide():
+    return nd.simulate(nd.scenes.load("slide")(), 0.5, dt=0.01)
+
+
+def drawn(draw, size=(140, 90), points=10):
+    """A figure that has been laid out."""
+    figure = Figure(figsize=(size[0] / 25.4, size[1] / 25.4), layout="constrained")
+    with matplotlib.rc_context({"font.size": points}):
+        draw(figure)
+        figure.draw_without_rendering()
+    return figure
+
+
+def texts(figure):
+    """Boxes of all texts that are seen, by what they say."""
+    out = []
+    for ax in figure.axes:
+        out += [ax.xaxis.label, ax.yaxis.label, ax.title, ax._left_title, ax._right_title, *ax.texts]
+        for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+            ticks = [*axis.get_major_ticks(), *axis.get_minor_ticks()]
+            out += [tick.label1 for tick in ticks if low <= tick.get_loc() <= high and tick.label1.get_visible()]
+            out.append(axis.get_offset_text())
+    for legend in legends(figure):
+        out += legend.get_texts()
+    return [(text.get_text(), text.get_window_extent()) for text in out if text.get_visible() and text.get_text()]
+
+
+def legends(figure):
+    return [*figure.legends, *(legend for part in figure.subfigs for legend in legends(part))]
+
+
+def check(figure):
+    """What a bad picture would fail."""
+    found = texts(figure)
+    for (one, a), (other, b) in combinations(found, 2):
+        across = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
+        assert min(across) <= 1.0, f"{one!r} collides with {other!r}"  # of a pixel
+    for text, box in found:
+        inside = figure.bbox.padded(1.0)
+        assert inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1, text
+    for legend in legends(figure):
+        for ax in figure.axes:
+            assert not legend.get_window_extent().padded(-1.0).overlaps(ax.get_window_extent())
+    for ax in figure.axes:
+        assert ax.lines or ax.collections, "an empty panel"
+        assert ax.get_window_extent().width > 0.4 * figure.bbox.width
+
+
+@pytest.mark.parametrize("size", [(140, 90), (85, 65)])
+@pytest.mark.parametrize("kind", plots.KINDS)
+def test_labels_do_not_collide(arm, kind, size):
+    check(drawn(lambda figure: plots.draw(arm, kind, figure=figure), size, 10 if size[0] > 100 else 8))
+
+
+@pytest.mark.parametrize("kind", [kind for kind in plots.KINDS if kind not in ("joint", "phase")])
+def test_round_off_is_not_drawn_at_full_scale(resting, kind):
+    """A stack at rest: what is shown spans at least a millionth of what is at play, or a decade of round-off."""
+    figure = drawn(lambda figure: plots.draw(resting, kind, figure=figure))
+    check(figure)
+    (ax,) = figure.axes  # one panel: friction and what moves sideways are noise
+    low, high = ax.get_ylim()
+    scale = {
+        "position": 2.6,
+        "speed": 9.81 * 0.1,
+        "force": 14 * 9.81,
+        "slip": 9.81 * 0.1,
+        "gap": 2.6,
+        "energy": resting.largest_energy,
+        "power": resting.largest_energy,
+        "friction": 9.81,
+    }
+    if kind in scale:
+        assert high - low > 0.9e-6 * scale[kind]
+    else:
+        assert low >= 1e-12 and high >= 10.0 * low
+    if kind == "energy":
+        assert [text.get_text() for text in ax.texts] == ["at rest: nothing of 192.3 J moves"]
+
+
+def curves(run, kind, name="*"):
+    """Curves of the panels of a kind by their names."""
+    return [
+        {line.get_label(): line.get_ydata() for line in ax.lines}
+        for ax in drawn(lambda figure: plots.draw(run, kind, name, figure)).axes
+    ]
+
+
+def test_plots_draw_what_is_recorded(slide, arm):
+    t = slide.t_steps
+    (x,) = curves(slide, "position")  # nothing moves along y and z
+    np.testing.assert_array_equal(x["box"], slide.body("box").position[:, 0])
+    (speed,) = curves(slide, "speed")
+    np.testing.assert_allclose(speed["box"], np.maximum(2.0 - 0.5 * 9.81 * slide.t, 0.0), rtol=0, atol=1e-6)
+    normal, friction = curves(slide, "force")
+    np.testing.assert_allclose(normal["ground | box"], 9.81, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(friction["ground | box"][t < 0.4], 0.5 * 9.81, rtol=0, atol=1e-5)
+    (slip,) = curves(slide, "slip", "box")
+    np.testing.assert_allclose(slip["ground | box"][t < 0.4], 2.0 - 0.5 * 9.81 * t[t < 0.4], rtol=0, atol=1e-6)
+    angle, rate = curves(arm, "joint", "arm/elbow")
+    np.testing.assert_array_equal(angle["arm/elbow"], arm.joint("arm/elbow").position)
+    np.testing.assert_array_equal(rate["arm/elbow"], arm.joint("arm/elbow").velocity)
+    (phase,) = curves(arm, "phase", "arm/elbow")
+    np.testing.assert_array_equal(phase["arm/elbow"], arm.joint("arm/elbow").velocity)
+    (ledger,) = curves(slide, "energy")
+    np.testing.assert_allclose(ledger["sum"], 2.0, rtol=0, atol=1e-9)  # the page's flat line
+    (certificate,) = curves(slide, "certificate")
+    np.testing.assert_array_equal(np.nan_to_num(certificate["bound [√J]"]), slide.gauss.bound)
+    (depth,) = curves(arm, "penetration")
+    deepest = [max(0.0, -arm.contacts(k).gap.min(initial=0.0)) for k in range(1, arm.steps + 1)]
+    assert "deepest gap" in depth or max(deepest) < 1e-11
+    (cones,) = curves(slide, "friction")
+    assert sum(len(cones[name]) for name in cones if name.startswith(("stick", "slip"))) == 4 * slide.steps
+    with pytest.raises(ValueError, match=r"did you mean 'speed'\? kind must be one of position, .*; got 'sped'"):
+        plots.draw(slide, "sped")
+    with pytest.raises(ValueError, match="joints must be one of none"):
+        plots.draw(slide, "phase")
+
+
+@pytest.mark.parametrize("kind", ["position", "speed", "force", "joint"])
+def test_curves_can_be_told_apart(arm, kind):
+    """Links that move as one, which have one colour on the page, too."""
+    figure = drawn(lambda figure: plots.draw(arm, kind, figure=figure))
+    for ax in figure.axes:
+        looks = {(line.get_color(), line.get_linestyle()) for line in ax.lines}
+        assert len(looks) == len(ax.lines) > 1
+
+
+def test_works_of_pairs_are_their_power(slide):
+    figure = drawn(lambda figure: plots.draw(slide, "power", figure=figure))
+    heights = figure.axes[0].collections[0].get_paths()[0].vertices[:, 1]
+    assert heights.max() == pytest.approx(-slide.energy.friction.min() / slide.dt, rel=1e-12)
+
+
+def test_peaks_of_impacts_do_not_hide_the_rest(arm):
+    """A ball that bounces once: its weight is seen beside the impact, which is said."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.3))
+    run = nd.simulate(scene, 0.6, dt=1e-3)
+    figure = drawn(lambda figure: plots.draw(run, "force", figure=figure))
+    check(figure)
+    ax = figure.axes[0]
+    peak = run.table("pairs")["normal_force"].max()
+    assert peak > 1000.0 and 9.81 < ax.get_ylim()[1] < 100.0
+    assert ax.get_title(loc="right") == f"peaks reach {peak / 1000:.4g} kN"
+
+
+def test_what_is_alone_and_what_has_not_begun():
+    """A free body, which nothing touches, and a recording that a kill left before its first step."""
+    scene = nd.Scene()
+    scene.add_sphere("ball", 0.1, 1.0)
+    run = nd.simulate(scene, 0.05, dt=0.01)
+    begun = nd.Trajectory(run.meta, run.scene, file.until(run.columns, 0))
+    assert plots.usual(run) == ["energy", "speed"]
+    for recording in (run, begun):
+        for kind in plots.KINDS.keys() - {"joint", "phase"}:
+            figure = drawn(lambda figure, kind=kind, recording=recording: plots.draw(recording, kind, figure=figure))
+            (text,) = [text.get_text() for text in figure.axes[0].texts] or [""]
+            assert (text == "nothing touches") == (kind in ("force", "slip", "gap", "power")), kind
+
+
+def test_many_bodies_have_few_names():
+    scene = nd.Scene(gravity=(0, 0, 0))
+    for k in range(30):
+        scene.add_sphere(f"ball{k}", 0.1, 1.0, position=(k, 0, 0), linear_velocity=(0.1 * k, 0, 0))
+    run = nd.simulate(scene, 0.1, dt=0.01)
+    figure = drawn(lambda figure: plots.draw(run, "position", figure=figure))
+    check(figure)
+    names = [text.get_text() for text in legends(figure)[0].get_texts()]
+    assert len(names) == plots.SHOWN + 1 and "18 others" in names and "ball29" in names
+
+
+def test_colours_are_those_of_the_page():
+    """One palette: bodies by `nsdyn.view.solids`, energies as `ledger.js` has them."""
+    told = dict(re.findall(r'name: "(\w+)", label: "[\w ]+", colour: "(#\w+)"', PAGE.read_text()))
+    assert {name: told[name] for name in panels.LEDGER} == panels.LEDGER
+    assert panels.look(1)["color"] == tuple(part / 255 for part in panels.PALETTE[1])
+
+
+def test_refinement_is_drawn_with_its_orders():
+    found = nd.refine("double_pendulum", [1e-2, 5e-3, 2.5e-3], 0.05)
+    figure = drawn(lambda figure: draw_refinement(found, figure))
+    check(figure)
+    line = figure.axes[0].lines[0]
+    assert line.get_xdata().tolist() == [1e-2, 5e-3] and line.get_ydata()[0] == found.rows[0].position
+    assert "order" in line.get_label() and figure.axes[0].get_xscale() == "log"
+    nothing = nd.refine("slide", [1e-2, 5e-3, 2.5e-3], 0.05)
+    figure = drawn(lambda figure: draw_refinement(nothing, figure))
+    check(figure)
+    assert [text.get_text() for text in figure.axes[0].texts] == ["nothing but round-off"]
+
+
+def test_sweep_is_drawn_over_its_numbers():
+    parameters = {"mu": [0.1, 0.2, 0.3], "shape": ["a", "b"]}
+    members = [
+        Member({"mu": mu, "shape": shape}, {"displacement": mu, "kinetic": 1.0, "friction": -mu, "normal": 1e-15}, "")
+        for mu in parameters["mu"]
+        for shape in parameters["shape"]
+    ]
+    members[0] = Member(members[0].parameters, None, "failed")
+    figure = drawn(lambda figure: draw_sweep(parameters, members, figure), (140, 178))
+    check(figure)
+    assert [ax.get_ylabel() for ax in figure.axes] == [
+        "displacement\n[m]",
+        "kinetic at the end\n[J]",
+        "work of friction\n[J]",
+    ]
+    assert {line.get_label() for line in figure.axes[0].lines} == {"shape=a", "shape=b"}
+    np.testing.assert_array_equal(figure.axes[0].lines[1].get_ydata(), parameters["mu"])
+    with pytest.raises(ValueError, match="a plot of a sweep needs a parameter with two numbers or more"):
+        varied({"mu": [0.1], "shape": ["a", "b"]})
+
+
+def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
+    from PIL import Image
+
+    monkeypatch.chdir(tmp_path)
+    slide.save("run.h5")
+    assert main(["plot", "run.h5"]) == 0 and capsys.readouterr().out == "run.png\n"
+    assert main(["plot", "run.h5", "--kind", "force", "--name", "box", "--size", "85", "60", "-o", "p.png"]) == 0
+    with Image.open("p.png") as image:
+        assert image.size == (669, 472)  # 200 points an inch
+    assert main(["plot", "run.h5", "--kind", "energy", "--kind", "slip", "--style", "grayscale", "-o", "p.svg"]) == 0
+    assert main(["plot", "run.h5", "--kind", "speed", "-o", "p.pdf"]) == 0
+    assert Path("p.svg").read_bytes().startswith(b"<?xml") and Path("p.pdf").read_bytes().startswith(b"%PDF")
+    capsys.readouterr()
+    for given, words in (
+        (["--name", "bo"], "did you mean 'box'"),
+        (["--kind", "joint"], "joints must be one of none"),
+        (["--style", "nope"], "--style must be a style of matplotlib or a file of one, got nope"),
+        (["--size", "1", "60"], "--size must be two lengths of 20 to 2000 mm, got [1.0, 60.0]"),
+    ):
+        assert main(["plot", "run.h5", "-o", "no.png", *given]) == 2
+        assert words in capsys.readouterr().err and not Path("no.png").exists()
+    bare = nd.simulate(nd.scenes.load("slide")(), 0.02, dt=0.01, contacts=False)
+    bare.save("bare.h5")
+    assert main(["plot", "bare.h5", "-o", "bare.png"]) == 0
+    assert main(["plot", "bare.h5", "--kind", "friction", "-o", "no.png"]) == 2
+    assert set(figures.KINDS) == set(plots.KINDS)
+
+
+def test_studies_on_the_command_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    given = "--time", "0.05"
+    assert main(["study", "slide", "--dt", "1e-2,5e-3", *given, "--plot", "study.png"]) == 0
+    swept = "sweep", "slide", "--dt", "1e-2", *given, "--workers", "1"
+    assert main([*swept, "--set", "mu=0.1,0.2", "--plot", "sweep.pdf"]) == 0
+    assert Path("study.png").read_bytes()[1:4] == b"PNG" and Path("sweep.pdf").read_bytes().startswith(b"%PDF")
+    capsys.readouterr()
+    assert main([*swept, "--set", "mu=0.1", "--plot", "no.png"]) == 2
+    assert "two numbers or more" in capsys.readouterr().err and not Path("no.png").exists()

@@ -1,0 +1,133 @@
+"""Pages on telephones and in small or magnified windows: nothing lies on the scene or on another control."""
+
+import io
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+from nsdyn.view import browser, viewer
+
+pytestmark = pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+
+PHONE, ZOOMED, LYING = (390, 844), (640, 360), (844, 390)
+
+# All that is seen: [name, left, top, right, bottom, whether it is what the pointer meets in its middle, names of those
+# around it]. What scrolls counts as far as it is seen.
+SEEN = """
+(() => {
+  const parts = ".heading, .legend > span, .view, .sheet, .values, .curves .plot, button, .scrubber, #clock, #speed *";
+  const shown = e => e.checkVisibility() && !e.closest("dialog");
+  const elements = Array.from(document.querySelectorAll(parts)).filter(shown);
+  const name = e => e.id || e.className || e.tagName;
+  return elements.map(e => {
+    const box = e.getBoundingClientRect(), frame = e.parentElement.closest(".sheet")?.getBoundingClientRect();
+    const top = Math.max(box.top, frame?.top ?? -Infinity), bottom = Math.min(box.bottom, frame?.bottom ?? Infinity);
+    const met = document.elementFromPoint((box.left + box.right) / 2, (top + bottom) / 2);
+    const around = elements.filter(other => other !== e && other.contains(e)).map(other => elements.indexOf(other));
+    return [name(e), box.left, top, box.right, bottom, e.contains(met), around, e.matches("button, input, .scrubber")];
+  }).filter(([, left, top, right, bottom]) => right > left && bottom > top);
+})()
+"""
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return [nd.simulate(nd.scenes.load("slide")(mu=mu), 0.3, dt=2e-3) for mu in (0.2, 0.5)]
+
+
+@pytest.fixture(scope="module")
+def pages(runs, tmp_path_factory):
+    """Pages of one recording and of two."""
+    folder = tmp_path_factory.mktemp("pages")
+    viewer.write_html(runs[0], folder / "1.html")
+    viewer.write_html(runs[0], folder / "2.html", beside=runs[1])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def window():
+    with browser.browsing() as page:
+        yield page
+
+
+def blue(picture, box):
+    """How many pixels in a box of a picture have the colours of the body."""
+    from PIL import Image
+
+    pixels = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=int)
+    left, top, right, bottom = (round(x) for x in box)
+    part = pixels[top:bottom, left:right]
+    return int(((part[:, :, 2] - part[:, :, 0]) > 40).sum())
+
+
+def check(page, size, count, name, folder):
+    """The geometry of what is seen, and a picture of it, which goes to a folder."""
+    page.run("(nsdyn.show(0.1), new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done))))")
+    seen = page.run(SEEN)
+    width, height = size
+    for k, (what, left, top, right, bottom, met, around, control) in enumerate(seen):
+        assert left >= 0 and top >= 0 and right <= width and bottom <= height, f"{what} is not in the window"
+        assert met, f"something lies on {what}"
+        if control:
+            scrolls = any(seen[j][0] == "sheet" for j in around)
+            assert right - left >= 32 and (bottom - top >= 32 or scrolls), f"{what} is small"
+        for j, (other, *box, _, _, _) in enumerate(seen[:k]):
+            if j not in around and k not in seen[j][6]:
+                # Buttons of a group share a border, 1 px wide.
+                apart = right <= box[0] + 1 or left >= box[2] - 1 or bottom <= box[1] + 1 or top >= box[3] - 1
+                assert apart, f"{what} and {other} overlap"
+    assert page.run("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]") == [width, height]
+    views = [row[1:5] for row in seen if row[0] == "view"]
+    shares = [(bottom - top) / height for _, top, _, bottom in views]
+    picture = page.picture()
+    (folder / f"{count} {name} {width}x{height}.png").write_bytes(picture)
+    assert len(views) == count and len({(right - left, round(bottom - top)) for left, top, right, bottom in views}) == 1
+    assert all(blue(picture, box) > 200 for box in views)
+    return min(shares)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("size", [PHONE, ZOOMED, LYING])
+def test_nothing_lies_on_the_scene_or_on_a_control(window, pages, size, count, tmp_path):
+    window.open((pages / f"{count}.html").as_uri() + "#t=0.1", size)
+    window.call("Emulation.setTouchEmulationEnabled", enabled=True)
+    press = "document.querySelector('.tools .{}').click()".format
+    pick = "nsdyn.panes[0].inspector.{}".format
+    stacked = count == 2 and size == PHONE
+    least = 1 / 6 if stacked else 1 / 3
+    assert check(window, size, count, "plain", tmp_path) >= least
+    if count == 2:
+        window.run(press("overlay"))
+    window.run(press("forces"))
+    check(window, size, count, "forces", tmp_path)
+    window.run(press("cones"))
+    check(window, size, count, "cones", tmp_path)
+    for name in ("forces", "cones"):
+        window.run(press(name))
+    for name, panel in (("body", "body(1)"), ("contact", "contact(nsdyn.panes[0].overlay.contacts[0])")):
+        window.run(pick(panel))
+        assert check(window, size, count, name, tmp_path) >= least
+        # The body is where it can be seen, and the pointer finds it there.
+        assert window.run(
+            "(({stage}) => { const box = stage.viewer.dom_element.getBoundingClientRect();"
+            " const [x, y] = stage.project(stage.origin(0));"
+            " const met = document.elementFromPoint(box.left + x, box.top + y);"
+            " return met.closest('.view') !== null && stage.pick(x, y) !== null; })(nsdyn.panes[0])"
+        )
+        assert window.run("document.querySelector('.inspector h2').checkVisibility()")
+    window.run("nsdyn.panes[0].inspector.clear()")
+    window.run(press("tree"))
+    assert check(window, size, count, "tree", tmp_path) >= least
+    assert window.run("document.querySelector('.gui li').checkVisibility()")
+
+
+def test_targets_are_large_under_fingers_in_any_window(window, pages):
+    window.open((pages / "1.html").as_uri() + "#t=0", (1280, 800))
+    least = (
+        "Math.min(...Array.from(document.querySelectorAll('button, #speed input'))"
+        ".filter(e => e.checkVisibility()).map(e => e.getBoundingClientRect()).map(b => Math.min(b.width, b.height)))"
+    )
+    assert window.run(least) < 32
+    window.call("Emulation.setTouchEmulationEnabled", enabled=True)
+    assert window.run(least) >= 32

@@ -1,0 +1,103 @@
+"""Robots on pages as their files show them, or as their collision shapes."""
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+from nsdyn.tools.array_text import from_text
+from nsdyn.view import browser, looks
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "demos" / "bench"))
+import fuzz
+
+# A red box of 0.1 x 0.2 x 0.3 m from a mesh file, in two places of which one mirrors it; a small ball collides.
+URDF = """<robot name="r"><link name="base"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual><geometry><mesh filename="box.stl"/></geometry><material><color rgba="1 0 0 1"/></material></visual>
+<visual><geometry><mesh filename="box.stl" scale="-1 1 1"/></geometry><material><color rgba="1 0 0 1"/></material>
+</visual><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
+<link name="tool"><visual><origin xyz="0 0 0.5"/><geometry><box size="0.1 0.1 0.1"/></geometry></visual></link>
+<joint name="weld" type="fixed"><parent link="base"/><child link="tool"/></joint></robot>"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robot")
+    (folder / "box.stl").write_bytes(fuzz.binary_stl())
+    (folder / "r.urdf").write_text(URDF)
+    scene = nd.Scene()
+    scene.add_halfspace("ground", (0, 0, 1), -1.0)
+    scene.add_urdf("r", folder / "r.urdf", base="free")
+    return nd.simulate(scene, 0.1, dt=0.01)
+
+
+def test_arrays_of_meshes_are_those_of_the_recording(run):
+    arrays = looks.mesh_arrays(run.scene)
+    (mesh,) = run.scene["meshes"]
+    np.testing.assert_array_equal(arrays["meshes/position"], from_text(mesh["vertices"], "<f4", 3))
+    assert arrays["meshes/position_ends"].tolist() == [24] and arrays["meshes/index_ends"].tolist() == [36]
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_visual_shapes_or_collision_shapes(run, tmp_path):
+    from PIL import Image
+
+    run.to_html(tmp_path / "page.html")
+
+    def red():
+        """Pixels as red as the box."""
+        page.run("nsdyn.show(0)")
+        rgb = np.asarray(Image.open(io.BytesIO(page.picture())).convert("RGB")).astype(int)
+        return int(((rgb[..., 0] > 90) & (rgb[..., 1] < 60) & (rgb[..., 2] < 60)).sum())
+
+    with browser.browsing() as page:
+        page.open((tmp_path / "page.html").as_uri() + "#t=0", (1280, 720))
+        assert red() > 3000
+        # The corners of the box on the screen, from the middle of its mirrored half: what is clicked there is the link.
+        middle = page.run("nsdyn.panes[0].stage.project([-0.05, 0.1, 0.15])")
+        at = f"nsdyn.panes[0].stage.pick({middle[0]}, {middle[1]})"
+        assert page.run(f"nsdyn.recordings[0].bodies[{at}].name") == "r/base"
+        assert page.run("nsdyn.recordings[0].bodies.map(b => b.name)") == ["ground", "r/base", "r/tool"]
+        normals = page.run(
+            "(() => { let n; nsdyn.panes[0].stage.looks[0].traverse(o => { if (o.isMesh) "
+            "n = Array.from(o.geometry.attributes.normal.array); }); return n; })()"
+        )
+        # Of a box each corner has the normal of its side: no edge is smoothed away.
+        assert np.abs(np.reshape(normals, (-1, 3))).max(axis=1) == pytest.approx(1.0, abs=1e-6)
+        button = "document.querySelector('.tools .collision')"
+        assert page.run(f"{button}.getAttribute('aria-pressed')") == "false"
+        page.run(f"{button}.click()")
+        assert red() == 0
+        page.run(f"{button}.click()")
+        assert red() > 3000
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_scenes_without_visuals_have_no_choice(tmp_path):
+    nd.simulate(nd.scenes.load("slide")(), 0.02, dt=0.01).to_html(tmp_path / "page.html")
+    with browser.browsing() as page:
+        page.open((tmp_path / "page.html").as_uri() + "#t=0", (1280, 720))
+        assert page.run("document.querySelector('.tools .collision')") is None
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_links_that_have_no_visual_shape_show_their_collision_shape(tmp_path):
+    arm = """<link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+    </inertial><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
+    <joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/><origin xyz="1 0 0"/>
+    </joint></robot>"""
+    (tmp_path / "box.stl").write_bytes(fuzz.binary_stl())
+    (tmp_path / "r.urdf").write_text(URDF.replace("</robot>", arm))
+    scene = nd.Scene()
+    scene.add_urdf("r", tmp_path / "r.urdf", base="free")
+    nd.simulate(scene, 0.02, dt=0.01).to_html(tmp_path / "page.html")
+    with browser.browsing() as page:
+        page.open((tmp_path / "page.html").as_uri() + "#t=0", (1280, 720))
+        shown = "nsdyn.panes[0].stage.shapes.map(node => node.visible)"
+        assert page.run(shown) == [False, True]  # of the base, which has a visual shape, and of the arm
+        page.run("document.querySelector('.tools .collision').click()")
+        assert page.run(shown) == [True, True]
