@@ -187,8 +187,10 @@ def _works(poses: Poses, found: Retraced) -> Iterator[Found]:
     for name in ("normal", "friction"):
         work = c[f"contacts/work_{name}"]
         sums[name] = np.bincount(steps[~stays], work[~stays], t.steps)
-        open_to[name] = np.bincount(steps[stays], np.abs(work[stays]), t.steps)
-        open_to[name] += np.bincount(steps, found.met_twice, t.steps)
+        # Of no contacts NumPy counts whole numbers.
+        open_to[name] = sum(
+            np.bincount(s, w, t.steps) for s, w in ((steps[stays], np.abs(work[stays])), (steps, found.met_twice))
+        )
     doubt, scale = found.doubt.sum(axis=1), at_play(poses)
     left = {
         "normal": np.abs(e.normal - works["normal"] - sums["normal"]) - open_to["normal"],
