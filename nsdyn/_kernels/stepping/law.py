@@ -22,6 +22,9 @@ TURNS = 0.5
 """Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
 the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
 
+NO_SLIP = 1e-12
+"""Slip, m/s, that is round-off: what rests on the edge of its cone slips on by 1e-14 for good."""
+
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""
 
@@ -414,7 +417,7 @@ def reconsider(r, y, b, mu, local, slides, back):
             if found == 1 or (found == 2 and mean <= 0.0):
                 slides[c] = False
                 some = True
-        elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * e + u_begin[i + 2] * f > 0.0:
+        elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * e + u_begin[i + 2] * f > NO_SLIP * NO_SLIP:
             slides[c] = True
             some = True
     return some
