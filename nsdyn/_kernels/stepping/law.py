@@ -22,8 +22,8 @@ TURNS = 0.5
 """Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
 the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
 
-NO_SLIP = 1e-12
-"""Slip, m/s, that is round-off: what rests on the edge of its cone slips on by 1e-14 for good."""
+NO_SLIP = 1e-14
+"""Slip, m/s, that is round-off: what rests on the edge of its cone slips on by less for good."""
 
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""
