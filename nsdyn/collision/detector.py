@@ -143,6 +143,16 @@ class Detector:
         """The candidate pairs of geoms, sorted."""
         return self._first, self._second
 
+    @property
+    def asks(self) -> bool:
+        """Whether Coal is asked of any candidate pair."""
+        return bool(self._batches)
+
+    @property
+    def searches(self) -> tuple[Any, ...]:
+        """What `nsdyn._kernels.collision.search.search` takes first: geoms, pairs, most points of a pair, tolerance."""
+        return self._search
+
     def codes(self, contacts: ContactSet) -> Index:
         """One number for the pair of geoms of every contact, shape (nc,)."""
         return contacts.geom1 * len(self._cores) + contacts.geom2
@@ -168,12 +178,12 @@ class Detector:
         """
         poses, placed = (x, R, reach), bool(self._batches)
         if placed:
-            self._ask(*poses)
+            self.ask(*poses)
         # Mostly there are as many contacts as before.
         out, before = _room(memory.names.shape[1]), (memory.names, memory.points)
         count, next_key = search.search(*self._search, placed, poses, before, memory.next_key, out)
         if count == search.LEFT:
-            self._ask(*poses)
+            self.ask(*poses)
             count, next_key = search.search(*self._search, True, poses, before, memory.next_key, out)
         elif not placed:
             self._served += 1
@@ -356,7 +366,7 @@ class Detector:
         remembered = ContactMemory(names.take(order, axis=1), points.take(order, axis=1), next_key)
         return Touches(found._replace(key=names[4, -count:].copy()), np.concatenate(fractions), remembered)
 
-    def _ask(self, x: Array, R: Array, reach: Array) -> None:
+    def ask(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and ask Coal for the distances of the candidate pairs."""
         self._renew(x, R, reach)
         for batch in self._batches:

@@ -14,6 +14,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Solver
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.instant import Impulses
+from nsdyn.stepping.state import Step
 from nsdyn.tools.arrays import Array
 
 __all__ = ["JAM", "Paradoxes"]
@@ -47,6 +48,26 @@ class Paradoxes:
         radius = np.sqrt(np.linalg.eigvalsh(dynamics.J)[:, 0] / dynamics.mass) if free else np.empty(0)
         steep = 2.0 * radius / np.maximum(arm[:free], 1e-300)
         self.possible = mu > 0.0 and bool(dynamics.trees or (mu > steep).any())
+
+    def met(self, step: Step, rate: Array) -> bool:
+        """Whether there is one in a step of free bodies in one move, whose free acceleration is `rate` (n,)."""
+        s, nc = step, step.gap.size
+        none = np.empty((7, 0)), np.empty((0, 6))
+        acted = Impulses(
+            s.contacts,
+            s.frame,
+            s.u,
+            s.r,
+            s.contact_status,
+            s.couple,
+            s.work_normal,
+            s.work_friction,
+            *none,
+            0.0,
+            s.contact_time,
+            s.dt,
+        )
+        return nc > 0 and self.told([acted], [(s.problem, s.solution)], Works(), s.dt, rate)[2] is not None
 
     def told(
         self, done: list[Impulses], solved: list[tuple[FC3D, Solution]], works: Works, dt: float, rate: Array

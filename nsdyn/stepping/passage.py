@@ -15,7 +15,7 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
 from nsdyn.stepping.instant import DEEP, SHALLOW, Impulses, Instant, System, among, take
 from nsdyn.stepping.move import Trial, finish, trial
-from nsdyn.stepping.quiet import Moves, quiet, quiet_trees
+from nsdyn.stepping.quiet import Moves, quiet_trees
 from nsdyn.stepping.sight import Unmet, approach
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
@@ -171,7 +171,7 @@ def _quietly(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks
     if s.dynamics.trees:
         half = first_half(s, begin, t, h, callbacks)
         return quiet_trees(s, begin, half, callbacks), half
-    return (quiet(s, begin, h) if callbacks is None else None), None
+    return None, None
 
 
 def _moves(

@@ -6,138 +6,174 @@ other, and where anything else shows, `nsdyn.stepping.move` begins again: in sma
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn._kernels.stepping import account as _account
+from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import law as _law
-from nsdyn._kernels.stepping import reversal as _reversal
+from nsdyn._kernels.stepping import quiet as _quiet
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
-from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.gauss import WEAK, Certificate, Opening
 from nsdyn.problem.solution import Solution
-from nsdyn.stepping import free
-from nsdyn.stepping.encounter import Basis, Encounter, Warm, Way, foresee, solve
+from nsdyn.solvers.auto import LIMITS, Auto, sharp
+from nsdyn.solvers.newton import MARGIN
+from nsdyn.stepping.encounter import Encounter, Way, foresee, solve
 from nsdyn.stepping.energy import Works
+from nsdyn.stepping.flat import Flat, Found
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
-from nsdyn.stepping.instant import FAST, NOTHING, Impulses, Instant, System, account
+from nsdyn.stepping.instant import FAST, NOTHING, STILL, Impulses, Instant, System, account
 from nsdyn.stepping.move import tree_works
 from nsdyn.stepping.persistence import NO_COUPLE, unfinished
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import approach
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Moves", "quiet", "quiet_trees"]
+__all__ = ["Moves", "Quiet", "quiet_trees"]
+
+Certify = Callable[[FC3D, Array, Array, Opening | None], tuple[Certificate, Opening | None]]
 
 Moves = tuple[Instant, Array, bool, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
 """End of some moves, the last free acceleration, whether the end is clear, what acted, what was solved and the works of
 all parts: as of `nsdyn.stepping.move.Move`."""
 
 
-def quiet(s: System, begin: Instant, h: float) -> Moves | None:
-    """A move of h seconds under gravity alone; None where more may happen than that impulses act at closed contacts.
+class Quiet:
+    """Steps of free bodies under gravity alone, in one call of a kernel as long as nothing is met.
 
     Nothing strikes, opens, closes or overlaps, and what slides goes on to.
+
+    Parameters
+    ----------
+    system : System
+    polish : bool
+        Whether certificates are polished: no one of the kernel is then enough.
     """
-    d, old, memory, looked = s.dynamics, begin.contacts, begin.memory, begin.looked
-    if not d.alone:
-        return None
-    where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
-    approach, all_closed = _law.fastest(old.gap, s.closed, where, begin.twists)
-    if not all_closed or approach < -s.slow / h:
-        return None
-    x, quaternion, v, R, v_free, rate, reach, far, same = free.half(s, begin, h)
-    if far > FAST * s.smallest or (s.elastic and _bounces(s, begin, (v_free - begin.v) / h)):
-        return None
-    seen = (old, memory, looked) if same else _looked(s, looked, (x, R, reach), old, memory, s.closed)
-    if seen is None:
-        return None
-    contacts, memory, begun = seen
-    looked = begun
-    rows, frame, local, end_gap, place, slides, problem = free.meet(
-        s, contacts, looked, v, v_free, begin, reach, s.closing(h, False), h
-    )
-    solution, mu, nc = s.solver(problem, local[4]), contacts.mu, contacts.mu.size
-    r = solution.r
-    last, basis = begin.warm, begin.warm.basis
-    pair = last.pair if basis is not None and basis.contacts is contacts else s.detector.codes(contacts)
-    stays, sticks = np.empty(nc, np.bool_), np.empty(nc, np.bool_)
-    if not _reversal.goes_on(
-        (r, solution.u, problem.q, mu),
-        local,
-        slides,
-        (contacts.key, pair),
-        (last.key, last.pair, last.status),
-        (old.key, old.gap, s.closed, h),
-        end_gap,
-        (stays, sticks),
-    ):
-        return None
-    v_plus, x, quaternion, v_end, R_end, twists, same = free.end(
-        s, x, quaternion, rows, r, v_free, s.theta * h, looked, d.nowhere
-    )
-    seen = (contacts, memory, looked) if same else _looked(s, looked, (x, R_end, d.nowhere), contacts, memory, np.inf)
-    if seen is None or _few.least(seen[0].gap) < -s.closed:
-        return None
-    found, memory, looked = seen
-    if looked is not begun:
-        met = Encounter(
-            contacts,
-            None,
-            rows,
-            frame,
-            None,
-            mu,
-            contacts.restitution,
-            place,
-            last.status,
-            local,
-            end_gap,
-            stays=stays,
-            sticks=sticks,
+
+    def __init__(self, system: System, polish: bool) -> None:
+        s, d, solver = system, system.dynamics, system.solver
+        closing, own = s.closing(s.dt, False), isinstance(solver, Auto)
+        moments, axes, inverse_mass, inverse_J, radius = d.bodies
+        block_of_frame, offset, m_start, m, minv = d.masses
+        numbers = (
+            d.weight,
+            s.dt,
+            s.theta,
+            s.closed,
+            closing.shallow,
+            closing.until,
+            FAST * s.smallest,
+            s.slow,
+            STILL * s.closed,
+            FAST,
+            s.elastic,
+            *s.bounces,
+            solver.tol,
+            own,
+            *((sharp(solver.tol), MARGIN * solver.accept * solver.tol) if isinstance(solver, Auto) else (0.0, 0.0)),
+            *LIMITS,
+            math.nan if polish else WEAK,
+            s.inscribed.size,
         )
-        if unfinished(s, met, begun, looked, found, R, h, 0.5 * (v + v_plus), r, slides) is not None:
+        floats = [moments, axes, inverse_mass, inverse_J, radius, d.mass, d.J, m, minv, d.gravity, d.no_load, s.arm]
+        floats += [d.nowhere, s.inscribed, np.array(numbers, dtype=float)]
+        self._arrays, self._solver, self._detector = (
+            pack(floats, [block_of_frame, offset, m_start])[:2],
+            solver,
+            s.detector,
+        )
+        self._dynamics, self._size, self._moved, self._work = d, d.free, False, _room(d.free, 0)
+        self._none = Found.room(0)
+
+    def step(self, old: Flat, certify: Certify) -> Flat | None:
+        """The next state, None where more may happen."""
+        n, nc, detector = self._size, old.found.nc, self._detector
+        if self._work[1].size != 2 * nc + 2:
+            self._work = _room(n, nc)
+        floats = np.empty(_quiet.RESULTS + _quiet.BODY * n + _quiet.CONTACT * nc)
+        new = floats, np.empty(2 * nc, np.int64), np.empty(nc, np.int8)
+        middle = end = Found.room(nc) if self._moved else self._none
+        if self._moved:
+            end = Found.room(nc)
+        before, direction = tuple(old[3:6]), old.opening.d if old.opening else NOTHING
+        stage, ready, looks = 0, False, 0
+        while True:
+            code = _quiet.quiet(
+                self._arrays,
+                detector.searches,
+                before,
+                tuple(old.found),
+                new,
+                tuple(middle),
+                tuple(end),
+                old.next_key,
+                direction,
+                self._work,
+                stage,
+                ready,
+                detector.asks,
+            )
+            if code in (_quiet.DONE, _quiet.OTHERWISE):
+                break
+            if code == _quiet.SOLVE:
+                looks = 0
+                if not self._solve(old, middle if floats[_quiet.WENT] else old.found, floats, n, nc):
+                    return None
+            else:
+                looks = looks + 1 if code == stage else 1
+                if middle is self._none:
+                    middle, end = Found.room(nc), Found.room(nc)
+                ready = detector.asks or looks > 1
+                if ready:
+                    detector.ask(*self._looked(floats, code, n))
+            stage = code
+        self._moved = bool(floats[_quiet.WENT] or floats[_quiet.GOES])
+        if code == _quiet.OTHERWISE or not math.isfinite(floats[_quiet.KINETIC] + floats[_quiet.POTENTIAL]):
             return None
-    out = status, normal, friction, u, world = (
-        np.empty(nc, np.int8),
-        np.empty(nc),
-        np.empty(nc),
-        np.empty(3 * nc),
-        np.empty((nc, 3)),
-    )
-    external, beyond, normal_work, friction_work, rest = _account.account(
-        (d.mass, d.gravity, d.no_load, d.no_load),
-        (h, s.theta),
-        (v, v, v_plus),
-        (rows.full.arrays, NOTHING, mu, local, frame),
-        r,
-        (stays, sticks, NOTHING, NOTHING),
-        s.solver.tol,
-        out,
-    )
-    slots, on_joints = d.no_impulses
-    time = np.empty(nc)
-    time.fill((1.0 - s.theta) * h)
-    impulses = Impulses(
-        contacts,
-        frame,
-        u.reshape(-1, 3),
-        r.reshape(-1, 3),
-        status,
-        np.zeros((nc, 3)),
-        normal,
-        friction,
-        on_joints,
-        d.no_push,
-        0.0,
-        time,
-        h,
-    )
-    warm = Warm(contacts.key, pair, world, status, slots, Basis(contacts, rows, frame, problem))
-    position, there = begin.position.moved(x, quaternion), Placement(x, R_end, ())
-    end = Instant(position, v_end, there, found, begin.limits, memory, looked, warm, twists, ())
-    works = Works(external, normal_work, friction_work, 0.0, 0.0, beyond + rest, 0.0)
-    return end, rate, True, [impulses], [(problem, solution)], [works]
+        met = middle if floats[_quiet.WENT] else old.found
+        out = old._replace(
+            count=old.count + 1,
+            floats=floats,
+            acted=new[1],
+            status=new[2],
+            met=met,
+            found=end if floats[_quiet.GOES] else met,
+        )
+        if not floats[_quiet.CERTIFIED]:
+            solution = out.solution(self._solver.tol)
+            certificate, opening = certify(out.problem(self._dynamics), solution.r, solution.u, old.opening)
+            floats[_quiet.GAP : _quiet.WENT] = certificate
+            out = out._replace(opening=opening)
+        return out
+
+    def _looked(self, floats: Array, code: int, n: int) -> tuple[Array, Array, Array]:
+        """Where contacts are looked for, (x, R, reach) of all bodies."""
+        columns = self._work[0][_quiet.LOOKED_THERE * n :]
+        if code == _quiet.LOOK_AHEAD:
+            columns = floats[_quiet.RESULTS + _quiet.LOOKED * n :]
+        return columns[: 3 * n].reshape(n, 3), columns[3 * n : 12 * n].reshape(n, 3, 3), columns[12 * n : 13 * n]
+
+    def _solve(self, old: Flat, met: Found, floats: Array, n: int, nc: int) -> bool:
+        """Solve the problem of a step where the kernel does not; whether that is an answer."""
+        own, a = self._work[0][_quiet.BODY_WORK * n :], floats[_quiet.RESULTS + _quiet.BODY * n :]
+        b = a[_quiet.FREE * nc : _quiet.U_END * nc]
+        blocks, norm = met.blocks(self._dynamics), float(floats[_quiet.NORM])
+        problem = FC3D.prepared(blocks, b, met.scalars[1], met.scales, norm)
+        solution = self._solver(problem, own[(_quiet.LOCAL + 12) * nc : (_quiet.LOCAL + 15) * nc])
+        if not solution.accepted:
+            return False
+        a[_quiet.IMPULSE * nc : _quiet.U * nc], a[_quiet.U * nc : _quiet.FREE * nc] = solution.r, solution.u
+        floats[_quiet.ERROR : _quiet.CERTIFIED] = solution[3:7]
+        return True
+
+
+def _room(n: int, nc: int) -> tuple[Array, Index, Bools]:
+    """What the kernel needs to work with so many bodies and contacts."""
+    floats = np.empty(_quiet.BODY_WORK * n + _quiet.CONTACT_WORK * nc)
+    return floats, np.empty(2 * nc + 2, np.int64), np.empty((4, nc), np.bool_)
 
 
 def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> Moves | None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict
+
+from numpy.typing import NDArray
 
 from nsdyn.recording.recorder import Recorder
 from nsdyn.recording.trajectory import Trajectory
@@ -17,6 +20,7 @@ from nsdyn.solvers import Solver
 from nsdyn.stepping import checkpoint
 from nsdyn.stepping.functions import Callback
 from nsdyn.stepping.impacts import Law
+from nsdyn.stepping.state import State
 from nsdyn.stepping.stepper import Stepper
 
 __all__ = ["Options", "RunOptions", "command", "simulate"]
@@ -153,8 +157,13 @@ def simulate(
         # disable=None: tqdm draws only on a terminal
         disable = None if progress else True
         for _ in tqdm(range(done, steps), unit="step", initial=done, total=steps, disable=disable):
-            recorder.append(stepper.step(), partial(checkpoint.pack, stepper.get_state()))
+            recorder.append(stepper.step(), partial(_packed, stepper.later()))
     return recorder.trajectory()
+
+
+def _packed(later: Callable[[], State]) -> dict[str, NDArray[Any]]:
+    """A state that is made when it is written."""
+    return checkpoint.pack(later())
 
 
 def _recorder(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,8 +119,10 @@ class Touch(NamedTuple):
     status: NDArray[np.int8]
 
 
-class Step(NamedTuple):
+class Step:
     """What one step did.
+
+    It does not change. What a quiet step did is looked up when it is asked for, and then kept.
 
     Attributes
     ----------
@@ -202,6 +205,24 @@ class Step(NamedTuple):
     twists: tuple[Array, Array]
     dt: float
     names: Names
+
+    def __init__(self, **what: Any) -> None:
+        self.__dict__.update(what)
+
+    @classmethod
+    def later(cls, make: Callable[[], dict[str, Any]], **known: Any) -> Step:
+        """A step of which some is known, and all else is made when any of it is asked for."""
+        return cls(_make=make, **known)
+
+    def __getattr__(self, name: str) -> Any:
+        if "_make" in self.__dict__:
+            self.__dict__.update(self.__dict__.pop("_make")())
+        if name not in self.__dict__:
+            raise AttributeError(f"a step has no {name!r}")
+        return self.__dict__[name]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"a step does not change: {name} cannot be set")
 
     def __repr__(self) -> str:
         return f"<Step to t = {self.t:.6g} s: {self.gap.size} contacts, {self.solution.status.name}>"

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nsdyn._kernels.stepping.quiet import RATE
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -26,6 +28,7 @@ from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping.contradictions import Prescribed
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
+from nsdyn.stepping.flat import Flat, told
 from nsdyn.stepping.functions import Callback, Functions
 from nsdyn.stepping.impacts import Law, as_law
 from nsdyn.stepping.indeterminacy import Paradoxes
@@ -33,6 +36,7 @@ from nsdyn.stepping.initial import begin
 from nsdyn.stepping.instant import Impulses
 from nsdyn.stepping.islands import Islands
 from nsdyn.stepping.names import Names
+from nsdyn.stepping.quiet import Quiet
 from nsdyn.stepping.state import Pieces, Start, State, Step
 from nsdyn.stepping.system import check_options, system_of
 from nsdyn.tools import callbacks
@@ -165,6 +169,8 @@ class Stepper:
         if self.dynamics.prescribed:
             self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
         self._islands = Islands(self.system)
+        calm = self.dynamics.alone and self.dynamics.free and controller is None and external_force is None
+        self._quiet = Quiet(self.system, polish) if calm else None
         self._names, self._begin = Names(scene, geoms), partial(begin, self.system, geoms, float(overlap), lift)
         self.reset()
 
@@ -176,7 +182,7 @@ class Stepper:
     @property
     def t(self) -> float:
         """Time in s."""
-        return self._state.t
+        return self._now.t
 
     @property
     def solver(self) -> Solver:
@@ -210,11 +216,16 @@ class Stepper:
         """
         instant, d = self._begin(q, v), self.dynamics
         energies = d.energies(instant.position, instant.v, instant.energies)
-        self._state = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies)
+        self._now: State | Flat = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies)
 
     def get_state(self) -> State:
         """State after the last step; with `set_state` a run goes on bit for bit, warm start included."""
-        return self._state
+        return self.later()()
+
+    def later(self) -> Callable[[], State]:
+        """The present state, to be made when it is asked for."""
+        now = self._now
+        return (lambda: now) if isinstance(now, State) else now.state
 
     def set_state(self, state: State) -> None:
         """Go on from a state of a stepper of the same scene; ValueError if it does not fit."""
@@ -225,12 +236,12 @@ class Stepper:
             raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {v.shape}")
         if state.dt != self.dt:
             state = state._replace(origin=state.t, dt=self.dt, count=0)
-        self._state = state
+        self._now = state
 
     def start(self) -> Start:
         """The present state as row 0 of a recording."""
-        s, d = self._state.instant, self.dynamics
-        kinetic, potential = self._state.energies
+        state, d = self.get_state(), self.dynamics
+        s, (kinetic, potential) = state.instant, state.energies
         q, v = d.pinocchio_state(s.position, s.v)
         x, quaternion = d.poses(s.position, s.placement)
         return Start(self.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
@@ -244,7 +255,7 @@ class Stepper:
 
         M v̇ + bias = joint forces + Jᵀ contact forces, but for joint springs and damping; v in Pinocchio's layout.
         """
-        d, i = self.dynamics, self._state.instant
+        d, i = self.dynamics, self.get_state().instant
         _, v = d.pinocchio_state(i.position, i.v)
         linear, spin = v[: 6 * d.free].reshape(-1, 2, 3).swapaxes(0, 1)
         R = i.placement.R[: d.free]
@@ -267,13 +278,13 @@ class Stepper:
             motions and surfaces add.
         """
         frame, _, H = self._factors()
-        for k, R in enumerate(self._state.instant.placement.R[: self.dynamics.free]):
+        for k, R in enumerate(self.get_state().instant.placement.R[: self.dynamics.free]):
             H[6 * k : 6 * k + 3] = R.T @ H[6 * k : 6 * k + 3]  # from the world's axes to the body's
-        return self._state.instant.contacts, frame, H.T
+        return self.get_state().instant.contacts, frame, H.T
 
     def _factors(self) -> tuple[Array, Array, Array]:
         """(frames of the contacts, M, H) at the present state, in the step's own coordinates."""
-        d, i = self.dynamics, self._state.instant
+        d, i = self.dynamics, self.get_state().instant
         rows, frame = d.rows(i.contacts, i.placement, d.inertia(i.position, i.v), None)
         return frame, *rows.full.dense()
 
@@ -295,7 +306,7 @@ class Stepper:
         try:
             return self._advance()
         except Exception as failure:
-            where = f"step {self._state.count + 1} from t = {self.t:.6g} s"
+            where = f"step {self._now.count + 1} from t = {self.t:.6g} s"
             if (own := callbacks.below(failure)) is not None:
                 failure.add_note(f"in {where}")
                 failure.__traceback__ = own
@@ -306,7 +317,9 @@ class Stepper:
             raise ValueError(f"{where} is not possible: {failure}{hint}") from failure
 
     def _advance(self) -> Step:
-        s = self._state
+        if self._quiet is not None and (step := self._quietly(self._quiet)) is not None:
+            return step
+        s = self._now = self.get_state()
         now, rate, clear, done, solved, works, _ = self._islands.step(
             s, lambda t: self.functions.at(t, self.dynamics, s.last)
         )
@@ -323,7 +336,7 @@ class Stepper:
         energies = self.dynamics.energies(now.position, now.v, now.energies)
         if not math.isfinite(sum(energies)):
             raise ArithmeticError("positions or velocities are no longer finite")
-        self._state = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
+        self._now = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
         problem, solution = solved[k]
         total = Works.total(works)
         if self._paradoxes.possible:
@@ -335,7 +348,19 @@ class Stepper:
             solution = solution._replace(status=Status.OVERLAP)
         step = self._record(done, ledger, certificate, problem, solution)
         if self.functions.take_last:
-            self._state = self._state._replace(last=step)
+            self._now = self._now._replace(last=step)
+        return step
+
+    def _quietly(self, quiet: Quiet) -> Step | None:
+        """A step of the kernel; None where it is more than that."""
+        before = self._now if isinstance(self._now, Flat) else Flat.of(self._now)
+        if before is None or (after := quiet.step(before, self._certificate)) is None:
+            return None
+        make = partial(told, after, before.energies, (self.theta, self.system.solver.tol), self.dynamics)
+        step = Step.later(make, t=after.t, dt=after.dt, names=self._names)
+        if self._paradoxes.possible and self._paradoxes.met(step, after.body(RATE, 6)):
+            return None
+        self._now = after
         return step
 
     def _certify(
@@ -355,7 +380,7 @@ class Stepper:
         self, done: list[Impulses], ledger: Ledger, certificate: gauss.Certificate, problem: FC3D, solution: Solution
     ) -> Step:
         """What the moves and impacts of a step did."""
-        d, end = self.dynamics, self._state.instant
+        d, end = self.dynamics, self.get_state().instant
         acted = done[0] if len(done) == 1 else Impulses.joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
@@ -367,30 +392,30 @@ class Stepper:
             joints = acted.joints[:, 6 * d.free :]
             pieces = Pieces.of(done, 6 * d.free) if len(done) > 1 else None
         return Step(
-            self.t,
-            q,
-            v,
-            x,
-            quaternion,
-            acted.contacts,
-            gap,
-            acted.frame,
-            acted.u,
-            acted.r,
-            acted.couple,
-            acted.status,
-            acted.time,
-            acted.normal,
-            acted.friction,
-            joints,
-            acted.links,
-            pieces,
-            acted.created,
-            ledger,
-            certificate,
-            problem,
-            solution,
-            end.twists,
-            self.dt,
-            self._names,
+            t=self.t,
+            q=q,
+            v=v,
+            frames_x=x,
+            frames_quat=quaternion,
+            contacts=acted.contacts,
+            gap=gap,
+            frame=acted.frame,
+            u=acted.u,
+            r=acted.r,
+            couple=acted.couple,
+            contact_status=acted.status,
+            contact_time=acted.time,
+            work_normal=acted.normal,
+            work_friction=acted.friction,
+            joints=joints,
+            links=acted.links,
+            pieces=pieces,
+            created=acted.created,
+            ledger=ledger,
+            gauss=certificate,
+            problem=problem,
+            solution=solution,
+            twists=end.twists,
+            dt=self.dt,
+            names=self._names,
         )

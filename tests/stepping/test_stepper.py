@@ -9,7 +9,7 @@ import pytest
 
 import nsdyn as nd
 from nsdyn.collision.contacts import ContactMemory, Poses
-from nsdyn.stepping import failures, passage, sight
+from nsdyn.stepping import failures, passage, quiet, sight
 
 
 @pytest.mark.parametrize("name", nd.scenes.names())
@@ -506,37 +506,58 @@ def test_choices_say_what_was_meant():
             nd.Stepper(scene, **{keyword: word})
 
 
-def check_lane(lane, scene, steps, options, monkeypatch):
-    """Whether moves go a straight lane of `passage` more than 20 times, and end as they do without it, bit for bit."""
-    quiet, went = getattr(passage, lane), []
+def check_lane(owner, lane, scene, steps, options, monkeypatch):
+    """Whether moves go a straight lane more than 20 times, and end as they do without it, bit for bit."""
+    quiet, went = getattr(owner, lane), []
 
     def counted(*arguments):
         went.append(quiet(*arguments))
         return went[-1]
 
-    monkeypatch.setattr(passage, lane, counted)
+    monkeypatch.setattr(owner, lane, counted)
     straight = nd.simulate(scene, steps * options["dt"], **options)
     assert sum(moves is not None for moves in went) > 20
-    monkeypatch.setattr(passage, lane, lambda *_: None)
+    monkeypatch.setattr(owner, lane, lambda *_: None)
     general = nd.simulate(scene, steps * options["dt"], **options)
     for column in straight.columns.keys() - {"wall_time", "solver/time"}:
         assert straight.columns[column].tobytes() == general.columns[column].tobytes(), column
 
 
 @pytest.mark.parametrize(
-    ("name", "parameters", "dt"),
-    [("slide", {}, 5e-3), ("stack", {"height": 3}, 5e-3), ("rolling", {"balls": 2}, 2e-3), ("tumble", {}, 5e-3)],
+    ("name", "parameters", "options"),
+    [
+        ("slide", {}, {"dt": 5e-3}),
+        ("slide", {}, {"dt": 5e-3, "solver": "newton"}),
+        ("slide", {}, {"dt": 5e-3, "polish": True}),
+        ("stack", {"height": 3}, {"dt": 5e-3}),
+        ("rolling", {"balls": 2}, {"dt": 2e-3}),
+        ("tumble", {}, {"dt": 5e-3}),
+        ("bounce", {}, {"dt": 1e-2}),
+    ],
 )
-def test_quiet_moves_are_the_general_ones(name, parameters, dt, monkeypatch):
-    """What goes the straight way through its moves ends with the bits of the way that asks what else might happen."""
-    check_lane("quiet", nd.scenes.load(name)(**parameters), 120, {"dt": dt}, monkeypatch)
+def test_quiet_steps_are_the_general_ones(name, parameters, options, monkeypatch):
+    """What one kernel does in a call ends with the bits of the way that asks what else might happen."""
+    check_lane(quiet.Quiet, "step", nd.scenes.load(name)(**parameters), 120, options, monkeypatch)
+
+
+def test_a_step_does_not_change():
+    """What it did is made when it is asked for, once, and is of that step after others too."""
+    stepper = nd.Stepper(nd.scenes.load("slide")(), dt=1e-3)
+    step = stepper.step()
+    r = step.r
+    stepper.step()
+    assert step.r is r and step.t == 1e-3 and step.solution.r.tobytes() == r.tobytes()
+    with pytest.raises(AttributeError, match="a step does not change: t cannot be set"):
+        step.t = 0.0
+    with pytest.raises(AttributeError):
+        _ = step.speed
 
 
 @pytest.mark.parametrize("name", ["quadruped", "arm_pushes_box", "bricard", "double_pendulum"])
 def test_quiet_moves_of_trees_are_the_general_ones(name, monkeypatch):
     """The same of robots under control, in contact and not, with closed loops and without."""
     setup = nd.scenes.setup(name)
-    check_lane("quiet_trees", setup.scene, 300 if name == "quadruped" else 120, setup.options(), monkeypatch)
+    check_lane(passage, "quiet_trees", setup.scene, 300 if name == "quadruped" else 120, setup.options(), monkeypatch)
 
 
 def test_what_is_squeezed_out_of_a_wedge_is_not_lifted_far():

@@ -1,0 +1,26 @@
+"""The time inside kernels."""
+
+import time
+
+import numpy as np
+from numba.core import types
+from numba.extending import overload
+
+_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
+
+MONOTONIC = time.CLOCK_MONOTONIC
+"""What the system calls it: that of `time.perf_counter`."""
+
+
+def seconds(room):
+    """Time in s since some moment; room (2,) of integers is for work."""
+    return time.perf_counter()
+
+
+@overload(seconds)
+def _seconds(room):
+    def compiled(room):
+        _clock_gettime(np.int32(MONOTONIC), np.uintp(room.ctypes.data))
+        return room[0] + 1e-9 * room[1]
+
+    return compiled
