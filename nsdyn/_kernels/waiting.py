@@ -29,7 +29,7 @@ def announce() -> None:
     words = "compiling more kernels"
     with suppress(AttributeError, OSError):  # there is no folder, or another process has told it
         os.close(os.open(folder() / "told", os.O_CREAT | os.O_EXCL, 0o600))
-        words = "compiling the kernels, once on this machine: about a minute"
+        words = "compiling the kernels, once on this machine: a minute or two"
     with tqdm.external_write_mode(sys.stderr):
         _log.warning(words)
 

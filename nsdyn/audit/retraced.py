@@ -20,9 +20,6 @@ __all__ = ["Retraced", "retraced"]
 COARSE = 1e-3
 """Most that the fourth-order flow of a step may err, as a fraction of what moves: more is no motion of this tree."""
 
-SURE = 30.0
-"""By how many times a motion may err more than two rules of one order differ: 23 at most in 200 random robots."""
-
 SMALL = 1e-6
 """Displacement, rad or m, whose round-off is 1e-9 of it."""
 
@@ -123,7 +120,8 @@ def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
         for part in (*kick.given, kick.pushed, *kick.stiff, kick.h * m.weight(kick.q))
     )
     doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
-    doubt = SURE * doubt if m.loops else np.minimum(SURE * doubt, COARSE * speed * np.array([h, 1.0]))
+    # The constants of two rules of one order differ by some times.
+    doubt = 10.0 * doubt if m.loops else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
     # What is left of the gaps of loops is looked at by itself.
     off = size(displacement(m.model, way.q, close(m, q)))
