@@ -34,6 +34,9 @@ CREEP = 1e-2
 """rad/s or m/s: slip is measured by the speed of the joint and this, beside which that of one that sticks, which is
 round-off and what solvers leave, is nothing."""
 
+STICKS = 1e-5
+"""rad/s or m/s: what solvers, and a motion that is found anew, leave of the slip of a joint that sticks, many times."""
+
 ON = 1e-8
 """rad or m: gaps of limits that joints rest on, many times."""
 
@@ -164,7 +167,8 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
         bound = over / max(most_drag[j], NOTHING * a.most, 1e-300), over, a.step, a.label[j]
         # Within a piece that begins and ends with other signs anything may be against the motion.
         speed = np.linalg.norm(speeds, axis=1)
-        wasted = float((most_drag[j] * speed + speeds @ pull).min())
+        # What sticks takes any friction within its bound.
+        wasted = float(np.where(speed > STICKS, most_drag[j] * speed + speeds @ pull, 0.0).min())
         turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
         most = dt * a.m.friction[j] * (float(speed.max()) + CREEP)
         figure = 0.0 if turns else wasted / max(most, 1e-300)

@@ -471,7 +471,8 @@ class Dynamics:
         if joints is None:
             return Rows(full, bases, *NO_CLUTCHES), frame
         pressed = np.flatnonzero(joints.clutch[0])
-        clutches = nc + pressed, joints.clutch[:, pressed], self.joints.other[joints.slot[pressed]] >= 0
+        slots = joints.slot[pressed]
+        clutches = nc + pressed, joints.clutch[:, pressed], self.joints.other[slots] >= 0, self.joints.ball[slots]
         return Rows(self.joints.append(joints, full), bases, *clutches), frame
 
     def free_rows(self, block: Index, start: Index, H: Array) -> Rows:

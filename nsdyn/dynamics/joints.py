@@ -3,7 +3,8 @@
 A limit is a frictionless contact whose normal row is ±e_j. A clutch |τ| ≤ τ_c is a contact with μ = 1 whose first
 tangent row is e_j, pressed on a coordinate of its own so that r_N = h τ_c exactly: sticking is exact, and the solvers
 need nothing new. Dry friction is a clutch to what does not move; that of a planar joint against sliding, ‖τ‖ ≤ τ_c, has
-the other coordinate for its second tangent row. An actuator at its limit, τ = clip(τ₀ - b v_j, ±L), is one to a
+the other coordinate for its second tangent row; that of a ball joint is one of both kinds, pressed with h τ_c cos α and
+h τ_c sin α, see `nsdyn.stepping.ball_joints`. An actuator at its limit, τ = clip(τ₀ - b v_j, ±L), is one to a
 rotor: a coordinate of its own, of mass h b, which turns at τ₀/b without the clutch. While that sticks the
 impulse is h (τ₀ - b v_j), while it slips ±h L. Where loops or driven joints restrict a tree, v = v_p + Z y, and the
 solver sees y.
@@ -12,6 +13,7 @@ solver sees y.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +27,7 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["NO_CLUTCHES", "JointLaws", "JointRows", "Rows"]
 
 NOTHING = np.empty(0)
-NO_CLUTCHES = np.empty(0, np.int64), np.empty((3, 0)), np.empty(0, np.bool_)
+NO_CLUTCHES = np.empty(0, np.int64), np.empty((3, 0)), np.empty(0, np.bool_), np.empty(0, np.bool_)
 TINY = np.finfo(float).tiny
 
 NEAR = 1e-2
@@ -77,20 +79,31 @@ class JointLaws:
     trees : sequence of Tree
     first : int
         Block of the first tree; the others follow.
+
+    Attributes
+    ----------
+    ball : ndarray of bool, shape (slots,)
+        Disks of ball joints: the next slot is the clutch about the third axis.
+    turning : ndarray of bool, shape (slots,)
+        Of joints whose slip is along axes that turn with them.
     """
 
     def __init__(self, trees: Sequence[Tree], first: int) -> None:
-        table = []
+        table: list[tuple[float, ...]] = []
+        balls: list[int] = []
         for block, t in enumerate(trees, start=first):
             a, start = t.articulation, t.coordinates.start
             lower, upper = t.limits()
+            paired = t.planes | t.balls
             for j in range(a.model.nv):
                 near = NEAR * (upper[j] - lower[j]) if np.isfinite(upper[j] - lower[j]) else NEAR
                 for sign, bound in ((1.0, lower[j]), (-1.0, upper[j])):
                     if np.isfinite(bound) and not t.held[j]:
                         table.append((start + j, block, sign, bound, near, a.restitution, -1))
-                if a.friction[j] > 0.0 and j - 1 not in t.planes:
-                    other = start + j + 1 if j in t.planes else -1
+                if a.friction[j] > 0.0 and j - 1 not in paired:
+                    other = start + j + 1 if j in paired else -1
+                    if j in t.balls:
+                        balls.append(len(table))
                     table.append((start + j, block, 0.0, a.friction[j], 0.0, 0.0, other))
         self.passive = len(table)
         self._actuators = self.passive - (trees[0].coordinates.start if trees else 0)
@@ -101,6 +114,9 @@ class JointLaws:
         self.coordinate, self.block = columns[0].astype(np.int64), columns[1].astype(np.int64)
         self.sign, self.bound, self.near, self.restitution = (np.ascontiguousarray(c) for c in columns[2:6])
         self.other = columns[6].astype(np.int64)
+        self.ball = np.zeros(self.coordinate.size, np.bool_)
+        self.ball[balls] = True
+        self.turning = (self.other >= 0) | np.roll(self.ball, 1)
         self.size = len(table)
         self.limits, self._no_impulses = np.flatnonzero(self.sign), np.zeros((self.size, 3))
         of_passive = self.coordinate, self.sign, self.bound, self.near
@@ -125,6 +141,9 @@ class JointLaws:
         friction = self.sign[slot] == 0.0
         clutch = np.zeros((3, count))
         clutch[0] = np.where(friction, h * self.bound[slot], 0.0)
+        disk = self.ball[slot]
+        if disk.any():  # even shares, until more is known
+            clutch[0, disk | np.roll(disk, 1)] *= np.sqrt(0.5)
         return JointRows(slot, self.gaps(slot, angle), self.restitution[slot], friction.astype(float), clutch)
 
     def actuators(self, coordinates: slice) -> slice:
@@ -189,6 +208,8 @@ class Rows:
         As of `JointRows`.
     plane : ndarray of bool, shape (k,)
         Which have two tangents.
+    ball : ndarray of bool, shape (k,)
+        Which of them share the friction of a ball joint with the next.
 
     Attributes
     ----------
@@ -198,9 +219,13 @@ class Rows:
         Velocities without impulses of the coordinates of clutches, m/s; empty where nothing presses.
     """
 
-    def __init__(self, full: Blocks, bases: Mapping[int, Array], pressed: Index, clutch: Array, plane: Bools) -> None:
+    def __init__(
+        self, full: Blocks, bases: Mapping[int, Array], pressed: Index, clutch: Array, plane: Bools, ball: Bools
+    ) -> None:
         self.full = self.blocks = full
         self.press, self._pressed, self._impulse, self._plane = NOTHING, pressed, clutch[0], plane
+        disks = np.flatnonzero(ball)
+        self.balls, self._shared = pressed[disks], np.hypot(clutch[0, disks], clutch[0, disks + 1])
         if not bases and not pressed.size:
             return
         z_start = np.cumsum([0, *(Z.size for Z in bases.values())])
@@ -208,6 +233,28 @@ class Rows:
         keys = np.fromiter(bases, np.int64, len(bases))
         reduced, self._where, self.press = _joints.reduce_rows(full.arrays, keys, z_start, self._z, pressed, clutch)
         self.blocks = Blocks(*reduced)
+        self._mobility = -self.press[3 * pressed] / clutch[0]
+
+    def ball_axes(self, x: Array) -> Array:
+        """What x (3 nc,) says of the three axes of ball joints with dry friction, shape (balls, 3)."""
+        first = 3 * self.balls[:, None] + np.array([1, 2, 4])
+        out: Array = x[first]
+        return out
+
+    @property
+    def shares(self) -> Array:
+        """What presses both parts of the friction of ball joints, shape (balls, 2), N m s."""
+        disks = np.flatnonzero(np.isin(self._pressed, self.balls))
+        return np.column_stack((self._impulse[disks], self._impulse[disks + 1]))
+
+    def sharing(self, angle: Array) -> Rows:
+        """The same with the friction of ball joints parted by the angles α (balls,), rad."""
+        out, disks = copy(self), np.flatnonzero(np.isin(self._pressed, self.balls))
+        out._impulse, out.press = self._impulse.copy(), self.press.copy()
+        out._impulse[disks], out._impulse[disks + 1] = self._shared * np.cos(angle), self._shared * np.sin(angle)
+        both = np.concatenate((disks, disks + 1))
+        out.press[3 * self._pressed[both]] = -out._impulse[both] * self._mobility[both]
+        return out
 
     def held(self, r: Array) -> Array:
         """The impulses r (3 nc,) with clutches pressed as they are and no more than slipping, beyond any tolerance."""

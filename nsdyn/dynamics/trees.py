@@ -16,7 +16,7 @@ from nsdyn.dynamics.loops import Closures, admissible, factored, indefinite, sup
 from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
-from nsdyn.scene.articulations import PLANAR, Articulation
+from nsdyn.scene.articulations import BALL, PLANAR, Articulation
 from nsdyn.scene.gears import Gear, GearGaps, joint_at
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -51,8 +51,8 @@ class Tree:
         freedom.
     bodies : dict of str to int
         Frames of the model's moving bodies and joints, by name.
-    planes : frozenset of int
-        First coordinates of planar joints, of sliding, as is the next.
+    planes, balls : frozenset of int
+        First coordinates of planar joints, of sliding, and of ball joints; both slip together with the next.
     held_links : ndarray of bool, shape (k,)
         The links of `joints` that nothing else moves.
     """
@@ -110,7 +110,9 @@ class Tree:
         }
         self._zero = np.zeros(nv)  # not read-only, for which all kernels would be compiled once more
         self._no_impulses = np.zeros((nv, 3))
-        self.planes = frozenset(j.idx_v for j in self.model.joints[1:] if j.shortname() == PLANAR)
+        self.planes, self.balls = (
+            frozenset(j.idx_v for j in self.model.joints[1:] if j.shortname() == kind) for kind in (PLANAR, BALL)
+        )
         self._round = np.zeros(nv, dtype=bool)
         self._round[[j for j, _ in self._turning]] = True
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))

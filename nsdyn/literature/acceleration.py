@@ -120,7 +120,7 @@ def _joint_terms(d: Dynamics, position: Position, v: Array, closed: float, still
     at = rows.slot[reached & (rate <= still)]
     on = rows.slot[friction]
     if (d.joints.other[on] >= 0).any():
-        raise ValueError("accelerations are not found with dry friction of a planar joint: take it out")
+        raise ValueError("accelerations are not found with dry friction of a planar or ball joint: take it out")
     speed, coordinate = v[d.joints.coordinate[on]], d.joints.coordinate[at]
     slip = np.where(np.abs(speed) > still, np.sign(speed), 0.0)
     columns = e[:, coordinate] * d.joints.sign[at], e[:, d.joints.coordinate[on]]

@@ -130,9 +130,11 @@ class Mechanism:
             int
         )
         self.winding = any(j.shortname() in WINDING for j in list(self.model.joints)[1:])
-        planes = [j.idx_v for j in list(self.model.joints)[1:] if j.shortname() == "JointModelPlanar"]
-        own = [j for j in range(self.nv) if j - 1 not in planes]
-        self.rubbing = [np.array([j, j + 1] if j in planes else [j]) for j in own]
+        together = {"JointModelPlanar": 2, "JointModelSpherical": 3}  # how many coordinates slip as one
+        self.rubbing: list[Index] = []
+        for joint in list(self.model.joints)[1:]:
+            one, last = together.get(joint.shortname(), 1), joint.idx_v + joint.nv
+            self.rubbing += [np.arange(joint.idx_v, joint.idx_v + one), *np.arange(joint.idx_v + one, last)[:, None]]
         self.round = [(j.idx_v, j.idx_q) for j in list(self.model.joints)[1:] if (j.nq, j.nv) == (2, 1)]
         self.place(pin.neutral(self.model))
         self.turns = np.linalg.norm(self.data.J.reshape(6, -1, order="A")[3:], axis=0)

@@ -25,6 +25,7 @@ from nsdyn.scene.visuals import Colour, Visual
 from nsdyn.tools.arrays import Array
 
 __all__ = [
+    "BALL",
     "PLANAR",
     "WORLD",
     "Articulation",
@@ -40,7 +41,7 @@ __all__ = [
 WORLD = "world"
 """Name of the body of an MJCF file that does not move."""
 
-PLANAR = "JointModelPlanar"
+PLANAR, BALL = "JointModelPlanar", "JointModelSpherical"
 """Pinocchio's name of joints that slide in a plane, in two coordinates, and turn in it, in a third."""
 
 COORDINATES = 256
@@ -104,7 +105,8 @@ class Articulation:
     restitution : float
         Newton's coefficient of the limits, in [0, 1].
     friction : ndarray, shape (nv,)
-        Dry joint friction, N m or N; of a planar joint the first two are the same, the most against sliding.
+        Dry joint friction, N m or N; of a planar joint the first two are the same, the most against sliding, of a ball
+        joint all three, the most against any turning.
     damping : ndarray, shape (nv,)
         Viscous, N m s/rad or N s/m.
     armature : ndarray, shape (nv,)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks, exclusions
 from nsdyn.scene.articulations import (
+    BALL,
     DEFAULTS,
     PLANAR,
     WORLD,
@@ -162,7 +163,7 @@ def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:
 
 
 def _check_friction(name: str, model: Any, friction: Array) -> None:
-    """ValueError for dry friction of joints whose coordinates slip together, but for that of planar joints."""
+    """ValueError for dry friction of joints whose coordinates slip together, but for planar and ball joints."""
     for joint in range(1, model.njoints):
         own = friction[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]]
         kind, label = model.joints[joint].shortname(), f"joint {model.names[joint]!r}"
@@ -170,7 +171,11 @@ def _check_friction(name: str, model: Any, friction: Array) -> None:
             raise ValueError(
                 f"friction of {name!r} must be the same along both axes of the planar {label}, got {own[:2].tolist()}"
             )
-        if model.nqs[joint] != model.nvs[joint] > 1 and kind != PLANAR and own.any():
+        if kind == BALL and np.ptp(own):
+            raise ValueError(
+                f"friction of {name!r} must be the same about all axes of the ball {label}, got {own.tolist()}"
+            )
+        if model.nqs[joint] != model.nvs[joint] > 1 and kind not in (PLANAR, BALL) and own.any():
             raise ValueError(
                 f"friction of {name!r} must be 0 in {label}, a {kind}, whose dry friction is not modelled, "
                 f"got {own.tolist()}"

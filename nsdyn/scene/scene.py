@@ -250,8 +250,9 @@ class Scene:
             Newton's coefficient of the limits.
         friction, damping, armature : sequences, shape (nv,)
             Dry friction, viscous damping and inertia of the joints, in place of those in the model. Against sliding of
-            a planar joint friction is a disk, ‖τ‖ ≤ τ_c, for which both its axes have the same τ_c; of free and ball
-            joints it must be 0. Efforts in the file are the default limit of `nsdyn.PD` control.
+            a planar joint friction is a disk, ‖τ‖ ≤ τ_c, against turning of a ball joint a ball, for which all its axes
+            have the same τ_c; of free joints it must be 0. Efforts in the file are the default limit of `nsdyn.PD`
+            control.
         stiffness, rest : sequences, shape (nv,)
             Springs τ = -stiffness (q - rest) in revolute and prismatic joints.
         inertias : {"check", "trust"}

@@ -34,6 +34,7 @@ from nsdyn.dynamics.values import Forces, Middle, Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Graded, Solver
+from nsdyn.stepping.ball_joints import SHARES, Search, angles
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["SOLVES", "Basis", "Closing", "Encounter", "Warm", "foresee", "solve"]
@@ -379,6 +380,13 @@ class Encounter(NamedTuple):
         local[4] = r
         return self.otherwise()._replace(end_gap=end_gap, late=late, local=local)
 
+    def sharing(self, angle: Array, r: Array) -> Encounter:
+        """The same with the friction of ball joints parted by angles (balls,), and impulses to start from."""
+        rows, local = self.rows.sharing(angle), self.local.copy()
+        local[2] += rows.press - self.rows.press
+        local[4] = r
+        return self.otherwise()._replace(rows=rows, local=local)
+
     def off(self, gap: Array, r: Array, most: Array, closed: float) -> Bools:
         """Which rows stay and are pressed by r, but end with a gap (rows,), of no more than `most`."""
         away, pressed = np.abs(gap), r[0 : 3 * gap.size : 3] > 0.0
@@ -402,18 +410,21 @@ class Way(NamedTuple):
         Most solves more for them.
     rough : bool
         Whether what `Graded.roughly` gives is enough.
+    shares : int
+        Most solves more for the friction of ball joints.
     """
 
     closing: Closing
     back: bool
     most: int
     rough: bool = False
+    shares: int = SHARES
 
 
 def solve(
     met: Encounter, solver: Solver, last: Solution | None, slides: Bools, way: Way
-) -> tuple[FC3D, Solution, bool]:
-    """Impulses that make the motion obey the contact law, their problem, and whether some contacts slip otherwise.
+) -> tuple[Encounter, FC3D, Solution, bool]:
+    """What is met, impulses that make it obey the contact law, their problem, and whether some slip otherwise.
 
     Parameters
     ----------
@@ -426,7 +437,26 @@ def solve(
         Which contacts slide through, as `foresee` says; changed to what the impulses show.
     way : Way
     """
-    closing, back, most, rough = way
+    if not met.rows.balls.size:
+        return met, *_solve(met, solver, last, slides, way)
+    rows, local = met.rows, met.local
+    pushed, free = rows.ball_axes(local[4]), rows.ball_axes(local[2])
+    met = met.sharing(angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free)), local[4])
+    problem, solution, otherwise = _solve(met, solver, last, slides, way)
+    search = Search()
+    for _ in range(way.shares):
+        if (angle := search.next(met.rows, solution.r, solution.u, problem.scales)) is None:
+            break
+        met = met.sharing(angle, solution.r)
+        problem, solution, otherwise = _solve(met, solver, solution, slides, way)
+    return met, problem, solution, otherwise
+
+
+def _solve(
+    met: Encounter, solver: Solver, last: Solution | None, slides: Bools, way: Way
+) -> tuple[FC3D, Solution, bool]:
+    """The same with the shares that the friction of ball joints has."""
+    closing, back, most, rough, _ = way
     if met.posed is not None:
         problem = met.posed
     elif met.alike is not None:
@@ -469,7 +499,7 @@ def _of_joints(
     h, ahead = move
     local[4] = h * warm.joints[joints.slot].ravel()
     # As of springs, the law of actuators is on the velocity here, and that of what slips in axes that turn.
-    here = joints.actuated | (dynamics.joints.other[joints.slot] >= 0)
+    here = joints.actuated | dynamics.joints.turning[joints.slot]
     local[3].reshape(-1, 3)[here, 1:] = 0.0
     end_gap[:] = joints.gap - 0.5 * ahead * local[3, ::3]
 

@@ -17,6 +17,7 @@ from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
+from nsdyn.stepping.ball_joints import unbalanced
 from nsdyn.stepping.collisions import striking
 from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
@@ -216,6 +217,9 @@ class Islands:
             if a.met.joints is not None:
                 out.append(d.joints.block[a.met.joints.slot[ends[c.gap.size :] > 0]])
         out += self._nodes(c, a.slides)
+        if a.met.joints is not None and (balls := a.met.rows.balls).size:
+            off = unbalanced(a.met.rows, a.solution.r, a.solution.u, a.problem.scales)
+            out.append(d.joints.block[a.met.joints.slot[balls[off] - c.gap.size]])
         if not a.solution.converged:
             out += self._nodes(c, np.ones(c.gap.size, np.bool_))
         half = tried.half

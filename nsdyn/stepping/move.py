@@ -15,6 +15,7 @@ from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free as _free
+from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import SOLVES, Closing, Encounter, Way, foresee
 from nsdyn.stepping.energy import Works
@@ -338,7 +339,7 @@ def _respond(
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if barred is None else (SOLVES if label is None else 0, last is not None)
-    way = Way(closing, back, most, rough)
+    way = Way(closing, back, most, rough, SHARES if label is None else 0)
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     impulse: Array | None = None

@@ -161,7 +161,7 @@ def solve_workless(
     middle, forces, alone, R, couple = half.middle, half.forces, met, half.middle.placement.R, start
     if start.dv.size:
         met = alone.turned(start.dv, alone.local[4])
-    problem, solution, otherwise = solve(met, s.solver, last, slides, way)
+    met, problem, solution, otherwise = solve(met, s.solver, last, slides, way)
     if apart is not None:
         apart.keep(slides)
         solution = solution if last is None or apart.off is None else apart.thawed(last, solution, apart.off)
@@ -183,7 +183,7 @@ def solve_workless(
         if not _persistence.turn(full, pairs, velocities, bodies, pressed, flags, laws, found, (local, b)):
             break
         couple, met = Couple(turned, NO_COUPLE.work, dv), alone._replace(local=local, posed=problem.with_velocity(b))
-        problem, again, changed = solve(met, s.solver, solution, slides, way._replace(back=True))
+        met, problem, again, changed = solve(met, s.solver, solution, slides, way._replace(back=True))
         otherwise = otherwise or changed
         if apart is None:
             solution = again

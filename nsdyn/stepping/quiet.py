@@ -204,7 +204,7 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     met = Encounter.of(d, contacts, None, middle.seen(looked), forces, start, reach, still, h, half.ahead, closing)
     met = met.lasting(s.detector.codes(contacts), begin.warm, (old, NOTHING), s.closed, h, False)
     slides = foresee(met)
-    problem, solution, otherwise = solve(met, s.solver, None, slides, Way(closing, False, 0))
+    met, problem, solution, otherwise = solve(met, s.solver, None, slides, Way(closing, False, 0))
     if otherwise or reversal(met, s.solver, problem, solution) < 1.0:
         return None
     r = solution.r

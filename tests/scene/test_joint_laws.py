@@ -1,12 +1,14 @@
-"""Laws of joints with several coordinates: dry friction of a planar joint is a disk, what is not modelled refused."""
+"""Laws of joints with several coordinates: dry friction is a disk or a ball, what is not modelled is refused."""
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import INERTIAL
+from scipy.integrate import solve_ivp
 
 import nsdyn as nd
 from nsdyn import cli
+from nsdyn.scene import shapes
 
 MASS, INERTIA, MOST = 2.0, 0.1, 1.0
 
@@ -70,10 +72,84 @@ def test_planar_joint_breaks_away_at_its_friction(angle, excess):
     np.testing.assert_allclose(np.linalg.norm(run.v[-1]), expected, rtol=1e-6, atol=1e-14)
 
 
+AXES = [(1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 0, 1), (-2, 1, 5)]
+TORQUE = 0.1
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_ball_joint_turns_against_its_friction_whatever_the_axis(axis):
+    way = np.array(axis) / np.linalg.norm(axis)
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_model("a", model_of(pin.JointModelSpherical()), v=2.0 * way, friction=[TORQUE] * 3)
+    run = nd.simulate(scene, 1.0, 1e-2)
+    assert nd.check(run).passed, nd.check(run)
+    np.testing.assert_allclose(run.v[-1], (2.0 - TORQUE / INERTIA) * way, rtol=0.0, atol=1e-12)
+    assert run.energy.friction.sum() == pytest.approx(-TORQUE * (2.0 - 0.5 * TORQUE / INERTIA), rel=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(run.joint("a/j").friction, axis=1), TORQUE, rtol=1e-12)
+
+
+@pytest.mark.parametrize("excess", [-1e-6, 1e-6])
+@pytest.mark.parametrize("axis", AXES)
+def test_ball_joint_breaks_away_at_its_friction(axis, excess):
+    push = (1.0 + excess) * TORQUE * np.array(axis) / np.linalg.norm(axis)
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_model("a", model_of(pin.JointModelSpherical()), friction=[TORQUE] * 3)
+    run = nd.simulate(scene, 1.0, 1e-2, controller=lambda t, q, v: {"a": push})
+    expected = max(0.0, excess) * TORQUE / INERTIA
+    np.testing.assert_allclose(np.linalg.norm(run.v[-1]), expected, rtol=1e-6, atol=1e-14)
+
+
+def test_friction_of_a_ball_joint_turns_with_the_spin_of_a_body_of_three_inertias():
+    """J ω̇ = J ω × ω - τ_c ω/‖ω‖: the direction of friction is that of the end of each step, which is of first order."""
+    J, begin, most = np.array((0.1, 0.25, 0.3)), np.array((1.0, 2.0, -1.5)), 0.3
+    found = solve_ivp(
+        lambda t, w: (-np.cross(w, J * w) - most * w / np.linalg.norm(w)) / J,
+        (0.0, 0.8),
+        begin,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-13,
+    )
+    model, errors = pin.Model(), []
+    j = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "j")
+    model.appendBodyToJoint(j, pin.Inertia(1.0, np.zeros(3), np.diag(J)), pin.SE3.Identity())
+    for dt in (1e-2, 5e-3):
+        scene = nd.Scene(gravity=(0, 0, 0))
+        scene.add_model("a", model, v=begin, friction=[most] * 3)
+        run = nd.simulate(scene, 0.8, dt)
+        assert nd.check(run).passed, nd.check(run)
+        errors.append(np.abs(run.v[-1] - found.y[:, -1]).max())
+    assert errors[0] < 2.5e-3 and errors[0] > 1.9 * errors[1]
+
+
+def test_chain_of_ball_joints_lands_and_comes_to_rest_under_their_friction():
+    """Five shares at once, with contacts: friction is in every ball, and against the spin wherever there is any."""
+    model, parent, at, n = pin.Model(), 0, pin.SE3.Identity(), 5
+    middle = pin.SE3(np.eye(3), np.array([0, 0, -0.2]))
+    for k in range(n):
+        parent = model.addJoint(parent, pin.JointModelSpherical(), at, f"j{k}")
+        model.addJointFrame(parent)
+        model.appendBodyToJoint(
+            parent, pin.Inertia(1.0, middle.translation, np.diag((0.02, 0.02, 0.005))), pin.SE3.Identity()
+        )
+        at = pin.SE3(np.eye(3), np.array([0, 0, -0.4]))
+    scene, material = nd.Scene(), nd.Material(mu=0.5)
+    scene.add_halfspace("ground", offset=-1.7, material=material)
+    q = pin.integrate(model, pin.neutral(model), 0.5 * np.random.default_rng(2).normal(size=model.nv))
+    links = {f"j{k}": [(shapes.capsule(0.03, 0.3), middle)] for k in range(n)}
+    scene.add_model(
+        "a", model, q=q, friction=[1.0] * model.nv, material=material, collisions=links, self_collisions=False
+    )
+    run = nd.simulate(scene, 1.5, 1e-2)
+    assert nd.check(run).passed, nd.check(run)
+    friction = np.concatenate([run.joint(f"a/j{k}").friction for k in range(n)])
+    assert np.linalg.norm(friction, axis=1).max() <= 1.0 + 1e-9  # what pieces of a step add up to
+
+
 @pytest.mark.parametrize(
     ("joint", "keywords", "words"),
     [
-        (pin.JointModelSpherical(), {"friction": [0.1] * 3}, r"friction of 'a' must be 0 in joint 'j', a .*Spherical"),
+        (pin.JointModelSpherical(), {"friction": (0.1, 0.1, 0.2)}, r"the same about all axes of the ball joint 'j'"),
         (pin.JointModelFreeFlyer(), {"friction": [0.1] * 6}, r"friction of 'a' must be 0 in joint 'j', a .*FreeFlyer"),
         (pin.JointModelPlanar(), {"friction": (0.1, 0.2, 0)}, r"the same along both axes of the planar joint 'j'"),
         (
