@@ -428,7 +428,7 @@ def _set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array
                 report.missing.append(f"{label}: range of a {kind} joint")
             if value("stiffness"):
                 report.missing.append(f"{label}: stiffness of a {kind} joint")
-            if value("frictionloss"):
+            if value("frictionloss") and kind == "free":
                 report.missing.append(f"{label}: frictionloss of a {kind} joint")
                 friction[rows] = 0.0
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
