@@ -19,6 +19,7 @@ TOLERANCES = {
     "normal": 1e-3,
     "points": 1e-3,
     "materials": 1e-12,  # round-off of their rules
+    "axes": 1e-12,  # some hundred roundings
     "cone": 1e-8,
     "friction": 1e-5,
     "slip": 1e-3,  # friction is against the mean slip of a step, whose direction differs from that at its end by O(h)
@@ -42,6 +43,7 @@ TOLERANCES = {
     "joint_slip": 1e-6,
     "loads": 0.0,
     "wrenches": 0.0,
+    "pushes": 1e-8,  # as velocities are
     "strength": 1e-9,  # round-off of sums
     "lift": 1.0,
     "joint_momentum": 1e-8,  # beyond what flows of the order of the step's err, which is found by halving
@@ -58,6 +60,7 @@ MEANING = {
     "normal": "overlap along the normal of a contact with an impulse, beyond the true one / smallest extent",
     "points": "an impulse's point from the surfaces of both bodies, beyond what they move there / smallest extent",
     "materials": "friction and restitution of a contact - those of its materials",
+    "axes": "products of the normal and the tangent of a contact - those of unit vectors at right angles",
     "cone": "how far an impulse is outside its cone, beyond round-off of momenta / largest impulse of the step",
     "friction": "work of friction at a contact at the velocity at the end of the step / energy at play",
     "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
@@ -80,6 +83,7 @@ MEANING = {
     "joint_slip": "h tau_c |v| + r v of dry friction of a joint, 0 where it turns round / dt tau_c by the largest |v|",
     "loads": "joint forces where no controller gives any / largest",
     "wrenches": "external wrenches on links where nothing gives any / largest",
+    "pushes": "impulses of wrenches on links on the coordinates - those recorded there / largest",
     "strength": "impulse of an actuator in a step or a piece - its limit times that time / that",
     "lift": "displacement of an articulation by projections / what it moves in the step, in the kinetic norm",
     "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, kinetic norms",

@@ -10,6 +10,7 @@ import numpy as np
 
 from nsdyn.audit.findings import Found, not_audited, worst_of
 from nsdyn.audit.retraced import Retraced
+from nsdyn.recording.columns import ON_LINKS
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Kick
 from nsdyn.tools.arrays import Array, Index
@@ -24,6 +25,7 @@ UNITS = {
     "joint_slip": "J",
     "loads": "N·m·s",
     "wrenches": "N·m·s",
+    "pushes": "N·m·s",
     "strength": "N·m·s",
 }
 
@@ -87,6 +89,7 @@ def on_joints(found: Retraced) -> Iterator[Found]:
     yield _worst("joint_cone", [bound for bound, _ in rubs])
     yield _worst("joint_slip", [slip for _, slip in rubs])
     yield from _loads(found)
+    yield _pushes(found)
     yield _strength(found)
 
 
@@ -198,6 +201,25 @@ def _acted(found: Retraced, name: str) -> tuple[Array, Index]:
     t, c = found.trees.trajectory, found.trees.trajectory.columns
     step = np.concatenate([np.arange(t.steps), np.repeat(np.arange(t.steps), np.diff(c["pieces/offset"]))])
     return np.concatenate([c[f"joints/{name}"], c[f"pieces/{name}"]]), step + 1
+
+
+def _pushes(found: Retraced) -> Found:
+    """What external wrenches on links do to the coordinates, where a step is one move: it is not told of its pieces."""
+    c, rows, first = found.trees.trajectory.columns, list[Row](), 0
+    for m, ways in zip(found.trees.mechanisms, found.ways, strict=True):
+        links, label = m.model.njoints - 1, _labels(m)
+        for k, way in enumerate(ways if ON_LINKS in c else ()):
+            if len(way.kicks) != 1:
+                continue
+            (kick,) = way.kicks
+            m.place(kick.q)
+            wrenches = c[ON_LINKS][k, first : first + links]
+            off = np.abs(m.pushed(wrenches) - kick.given[3])
+            j = int(off.argmax())
+            scale = max(float(np.abs(kick.given[3]).max()), float(np.abs(wrenches).max()), 1e-300)
+            rows.append((off[j] / scale, off[j], k + 1, label[j]))
+        first += links
+    return _worst("pushes", rows)
 
 
 def _strength(found: Retraced) -> Found:

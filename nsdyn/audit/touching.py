@@ -132,6 +132,7 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
         "friction": "J",
         "slip": "J",
         "materials": "-",
+        "axes": "-",
     }
     missing = list(units) if not t.has_contacts else ["distance", "normal", "points"] if t.every > 1 else []
     yield from (not_audited(name, units[name], left_out(t)) for name in missing)
@@ -152,6 +153,9 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     if flight is not None:
         yield from _where(poses, flight, c, step, largest)
     yield _coefficients(poses, c, (first, second), step, names)
+    n, t1 = c["normal"], c["tangent"]
+    skew = np.abs(np.stack([(n * n).sum(axis=1) - 1.0, (t1 * t1).sum(axis=1) - 1.0, (n * t1).sum(axis=1)])).max(axis=0)
+    yield worst_of("axes", skew, skew, "-", step, names)
     outside = np.maximum(-r[:, 0], drag - mu * np.maximum(r[:, 0], 0.0)) - _round_off(poses)[step]
     scale = np.maximum(largest[step], 1e-300)
     yield worst_of("cone", outside / scale, outside, "N·s", step, names)

@@ -202,6 +202,14 @@ class Mechanism:
         out: Array = J.T @ np.concatenate((impulse, np.cross(point, impulse)))
         return out
 
+    def pushed(self, wrenches: Array) -> Array:
+        """What wrenches on the links about the world's origin (links, 6) do to the coordinates where it was placed."""
+        out: Array = np.zeros(self.nv)
+        for joint in np.flatnonzero(wrenches.any(axis=1)).tolist():
+            J = pin.getJointJacobian(self.model, self.data, joint + 1, pin.WORLD).reshape(6, -1, order="A")
+            out += J.T @ wrenches[joint]
+        return out
+
     def carried(self, joint: int, point: Array, v: Array) -> Array:
         """Velocity of a point of a link where the mechanism was placed, m/s."""
         J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")

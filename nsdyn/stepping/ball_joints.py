@@ -1,0 +1,101 @@
+"""Dry friction of ball joints, ‖τ‖ ≤ τ_c, of the cones with two tangents that the solvers have.
+
+The first two axes slip as a disk pressed with p cos α, the third as a clutch pressed with p sin α, where p = h τ_c.
+Whatever α is, both resist what slips, and together they are in the ball. They are its law,
+
+    τ = -p ω/‖ω‖  where ω ≠ 0,   ‖τ‖ ≤ p  where ω = 0,
+
+where both stick, or α is the angle of τ - s ω between the plane of the disk and the third axis, for any s > 0. This
+fixed point is found by secants: only velocities of the problem change with α, and few solves more are needed in a step,
+for the last impulses tell where to begin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsdyn.dynamics.joints import Rows
+from nsdyn.tools.arrays import Array, Bools
+
+__all__ = ["SHARES", "Search", "angles", "unbalanced"]
+
+SHARES = 40
+"""Most solves more for the shares of a move: secants need one to four for one joint, eight for five in a chain."""
+
+ALIKE = 1e-9
+"""rad: the direction of friction is right up to this, and its size to the last bit."""
+
+SLANT = 1e-3
+"""Least change of what is off along a secant, of its length: flatter ones say nothing."""
+
+AWAY = 2.0
+"""How much more may be off after a secant than before it."""
+
+STICKS = 1.0 - 1e-9
+"""Fraction of what it is pressed with below which a part sticks."""
+
+
+def angles(axes: Array) -> Array:
+    """Angles α of vectors (balls, 3) with the plane of the first two axes, rad."""
+    out: Array = np.arctan2(np.abs(axes[:, 2]), np.hypot(axes[:, 0], axes[:, 1]))
+    return out
+
+
+def _wanted(rows: Rows, r: Array, u: Array, scales: Array) -> Array:
+    """Angles that impulses r and velocities u of all rows ask for; those there are where both parts stick."""
+    tau, shares = rows.ball_axes(r), rows.shares
+    inside = (np.hypot(tau[:, 0], tau[:, 1]) < STICKS * shares[:, 0]) & (np.abs(tau[:, 2]) < STICKS * shares[:, 1])
+    mobility = np.maximum(scales[rows.balls], scales[rows.balls + 1])
+    return np.where(inside, _now(rows), angles(tau - rows.ball_axes(u) / mobility[:, None]))
+
+
+def _now(rows: Rows) -> Array:
+    out: Array = np.arctan2(rows.shares[:, 1], rows.shares[:, 0])
+    return out
+
+
+def unbalanced(rows: Rows, r: Array, u: Array, scales: Array) -> Bools:
+    """Which ball joints slip along another direction than their friction, shape (balls,).
+
+    Parameters
+    ----------
+    rows : Rows
+    r, u : ndarray, shape (3 nc,)
+        Impulses [N m s] and velocities [rad/s] of all rows.
+    scales : ndarray, shape (nc,)
+        Mobilities of the rows, as of `FC3D`.
+    """
+    out: Bools = np.abs(_wanted(rows, r, u, scales) - _now(rows)) > ALIKE
+    return out
+
+
+class Search:
+    """Broyden's secants for the angles α of all ball joints of a move.
+
+    They begin with the fixed point's own step, and do so again where a secant leaves the quadrant or has led far away.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[Array, Array] | None = None
+        self._inverse = np.empty((0, 0))
+
+    def next(self, rows: Rows, r: Array, u: Array, scales: Array) -> Array | None:
+        """Angles to try after a solve with those of `rows`, rad; None where they are found."""
+        now = _now(rows)
+        wanted = _wanted(rows, r, u, scales)
+        off = wanted - now
+        if (np.abs(off) <= ALIKE).all():
+            return None
+        if self._last is None:
+            self._inverse = np.eye(now.size)
+        else:
+            moved, change = now - self._last[0], self._last[1] - off
+            along = moved @ self._inverse
+            if abs(scale := float(along @ change)) > SLANT * float(moved @ moved):
+                self._inverse += np.outer(moved - self._inverse @ change, along) / scale
+        out: Array = now + self._inverse @ off
+        beyond = (out < 0.0) | (out > 0.5 * np.pi)
+        if beyond.any() or (self._last is not None and np.linalg.norm(off) > AWAY * np.linalg.norm(self._last[1])):
+            self._inverse = np.eye(now.size)
+        self._last = now, off
+        return np.where(beyond, wanted, out)

@@ -1,0 +1,51 @@
+"""Every column of a recording is either vouched for by the audit, or named here as what it does not look at."""
+
+import falsified
+import numpy as np
+import pytest
+
+import nsdyn as nd
+from nsdyn.recording.trajectory import Trajectory
+
+OWN = {  # what a run says of its solves and its times, which the motion does not show
+    *(f"gauss/{name}" for name in ("gap", "shift", "bound", "coulomb")),
+    *(f"solver/{name}" for name in ("error", "residual", "time")),
+    "energy/defect",
+    "wall_time",
+}
+NOT_LOOKED_AT = {"contacts/gap", "contacts/u", "contacts/couple", "contacts/time"}
+ROUND_OFF = 1e-8
+"""Of the energy at play: what is less in a column of works is not at play."""
+
+RUNS = {
+    "arm": lambda: falsified.true("arm"),
+    "snake": lambda: falsified.true("snake"),
+    "dominoes": lambda: nd.simulate(nd.scenes.load("domino")(), 0.3, 5e-3),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_column_that_is_a_hundredth_larger_does_not_pass(name):
+    run = RUNS[name]()
+    assert nd.check(run).passed
+    play = max(float(np.ptp(run.energy.kinetic)), float(np.ptp(run.energy.potential)))
+    looked_at = passed = 0
+    for key, values in run.columns.items():
+        finite = np.where(np.isfinite(values), np.abs(values), 0.0) if values.dtype.kind == "f" else np.zeros(1)
+        least = ROUND_OFF * play if "energy" in key or "work" in key else 0.0
+        if finite.max(initial=0.0) <= least or key in OWN | NOT_LOOKED_AT or key == "frames/quat":
+            continue  # of quaternions see below
+        other = Trajectory(dict(run.meta), run.scene, run.columns | {key: 1.01 * values})
+        looked_at += 1
+        passed += nd.check(other).passed
+        assert not passed, f"{key} is not vouched for"
+    assert looked_at > 10
+
+
+def test_quaternions_and_axes_of_length_other_than_one_do_not_pass():
+    run = falsified.true("arm")
+    for key in ("frames/quat", "contacts/normal", "contacts/tangent"):
+        values = run.columns[key].copy()
+        values[len(values) // 2] *= 1.0 + 1e-10
+        other = Trajectory(dict(run.meta), run.scene, run.columns | {key: values})
+        assert not nd.check(other).passed, key
