@@ -108,18 +108,19 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
 
     Notes
     -----
-    Articulations are followed through every step by equations of motion of their own (`nsdyn.recording.retrace`), from
-    the model that the recording holds. Not audited: the momenta of free bodies where external forces act, what a
-    controller gives, the works of moving surfaces, limits that rebound together or with contacts; what contacts are
-    said to be besides their points, axes, impulses, works and coefficients: gaps, velocities but for the direction of
-    slip, couples that fit the change of spin, and when within a step a free body was pushed; and what a run says of its
-    own solves, as certificates are those of problems that are not recorded, and of its times. Where only every N-th step
-    is recorded there are no balances of momentum, nor of the works of contacts one by one, nor is it known where those
-    of the last step were in its middle; the ledger is audited, being of all steps. Where contacts are not recorded,
-    nothing is audited that they do. In recordings before format 7 articulations have no model, and nothing is audited
-    of them but overlaps and contacts; before format 6 it is not known when impulses acted, and angular momenta are not
-    audited; before format 3 not whether external forces acted, nor which links may overlap, so links of one
-    articulation are not compared. What is set of pairs of bodies is recorded since coefficients are audited.
+    Articulations are followed through every step by equations of motion of their own (`nsdyn.recording.retrace`),
+    from the model that the recording holds. Not audited: the momenta of free bodies where external forces act, what
+    a controller gives, the works of moving surfaces, limits that rebound together or with contacts; what contacts
+    are said to be besides their points, axes, impulses, works and coefficients: gaps, velocities but for the
+    direction of slip, couples that fit the change of spin, and when within a step a free body was pushed; and what
+    a run says of its own solves, as certificates are those of problems that are not recorded, and of its times.
+    Where only every N-th step is recorded there are no balances of momentum, nor of the works of contacts one by
+    one, nor is it known where those of the last step were in its middle; the ledger is audited, being of all steps.
+    Where contacts are not recorded, nothing is audited that they do. In recordings before format 7 articulations
+    have no model, and nothing is audited of them but overlaps and contacts; before format 6 it is not known when
+    impulses acted, and angular momenta are not audited; before format 3 not whether external forces acted, nor
+    which links may overlap, so links of one articulation are not compared. What is set of pairs of bodies is
+    recorded since coefficients are audited.
 
     Examples
     --------
