@@ -99,6 +99,14 @@ def random_run(seed: int) -> nd.Trajectory:
     def some(most: float, chance: float = 0.5) -> np.ndarray:
         return scalar * most * rng.uniform(size=model.nv) * (rng.uniform() < chance)
 
+    def together(friction: np.ndarray) -> np.ndarray:
+        """With dry friction of joints whose coordinates slip as one."""
+        own = np.random.default_rng([20261125, seed])
+        for joint in list(model.joints)[1:]:
+            count = {"JointModelSpherical": 3, "JointModelPlanar": 2}.get(joint.shortname(), 0)
+            friction[joint.idx_v : joint.idx_v + count] = own.choice([0.0, 0.3 * own.uniform()])
+        return friction
+
     e = float(rng.choice([0.0, 0.0, 0.5, 1.0]))
     material = nd.Material(float(rng.choice([0.0, 0.5])), float(rng.choice([0.0, e])))
     touching = rng.uniform() < 0.6
@@ -117,7 +125,7 @@ def random_run(seed: int) -> nd.Trajectory:
         material=material,
         collisions={f"j{k}": [ball] for k in range(model.njoints - 1)},
         self_collisions=False,
-        friction=some(0.3),
+        friction=together(some(0.3)),
         damping=some(0.5),
         stiffness=some(20.0),
         armature=some(0.05),
