@@ -254,9 +254,8 @@ def test_mjcf(mjcf):
     assert linked == Gear("ja", 7, 6, 1.0, np.radians(10.0))
     assert a.dropped == ("option: gravity", "contact: <pair> of 'ga' and 'gb'")
     assert a.unused == (
-        "mujoco: <option> (1)",
-        "mujoco: <sensor> (1)",
-        "body 'world': <light> (1)",
+        "mujoco: <sensor>",
+        "worldbody 'world': <light>",
         "keyframe 'home'",
     )
     assert a.report == (*a.missing, *a.dropped, *a.unused)
@@ -272,16 +271,16 @@ def test_mjcf_names_every_attribute_it_leaves_out(tmp_path):
         "</worldbody></mujoco>"
     )
     scene = nd.Scene()
-    with pytest.warns(UserWarning, match="'m' leaves out: option: density; option: flag"):
+    with pytest.warns(UserWarning, match="'m' leaves out: option: density; flag: contact"):
         scene.add_mjcf("m", path)
     assert scene.articulations["m"].report == (
         "option: density",
-        "option: flag contact='disable'",
-        "joint None: springdamper",
-        "joint None: margin",
+        "flag: contact",
+        "body 'body0': springdamper of <joint>",
+        "body 'body0': margin of <joint>",
+        "body 'body0': solref of <geom>",
         "joint None: actuatorfrcrange that is not ± the same, or of a ball joint",
-        "mujoco: <option> (1)",
-        "geom: solref (1)",
+        "option: timestep",
     )
 
 

@@ -11,12 +11,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from nsdyn.scene.materials import Material
+from nsdyn.scene.robot_files.elements import POSE
 from nsdyn.scene.robot_files.mjcf_visuals import Look, look_of
 from nsdyn.scene.robot_files.xml import Notes, Report, numbers
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["POSE", "Geoms", "mesh_name"]
+__all__ = ["Geoms", "mesh_name"]
 
 SIZES = {"plane": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "mesh": 0}
 """Sizes of the types of geoms that have a shape here."""
@@ -31,8 +32,6 @@ LONG = ("capsule", "cylinder", "ellipsoid", "box")
 
 NEAREST = 1e-14
 """Half a distance of such points, m, below which MuJoCo refuses them."""
-
-POSE = {"pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"}
 
 
 @dataclass(frozen=True)
@@ -143,7 +142,7 @@ def _write_size(geom: Element, kind: str, label: str) -> None:
         size = np.r_[np.full(SIZES[kind] - 1, size[0]), length]
         if numbers(geom.get("pos"), 3, (0, 0, 0), f"pos of geom {label!r}").any():
             raise ValueError(f"geom {label!r} must have pos or fromto, got both")
-        for attribute in POSE:
+        for attribute in POSE.split():
             geom.attrib.pop(attribute, None)
         geom.set("pos", _text(ends[3:] + half))
         geom.set("quat", _text(_turn(half / length)))

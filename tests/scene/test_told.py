@@ -1,0 +1,253 @@
+"""Nothing in a file that changes the motion is left out without a warning that names it; what is usual is quiet."""
+
+import warnings
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import nsdyn as nd
+from nsdyn.scene.robot_files.elements import changes_nothing
+
+MJCF = (
+    "<mujoco {mujoco}><compiler {compiler}/><option {option}>{flag}</option>{top}<worldbody>{world}"
+    '<body name="b" {body}>'
+    '<joint name="j" {joint}/>{free}<inertial pos="0 0 0" mass="1" diaginertia="1 1 1" {inertial}/>'
+    '<geom name="g" size=".1" {geom}/>{more}</body><body name="c" pos="1 0 0"><joint name="k"/><geom size=".1"/></body>'
+    "</worldbody>{end}</mujoco>"
+)
+
+SOFT = [("solref", "0.01 1", "0.02 1"), ("solimp", ".8 .9 .001", "0.9 0.95 0.001 0.5 2")]
+
+# Place in the file, attribute, a value that changes the motion, one that does not.
+MJCF_ATTRIBUTES = [
+    ("compiler", "boundinertia", "1", "0"),
+    ("compiler", "balanceinertia", "true", "false"),
+    ("compiler", "settotalmass", "3", "-1"),
+    ("compiler", "inertiagrouprange", "0 1", "0 5"),
+    ("compiler", "coordinate", "global", "local"),
+    ("compiler", "strippath", "true", "false"),
+    ("compiler", "alignfree", "true", "false"),
+    ("compiler", "misspelt", "1", None),
+    ("option", "gravity", "0 0 -1", "0 0 -9.81"),
+    ("option", "wind", "1 0 0", "0 0 0"),
+    ("option", "density", "1.2", "0"),
+    ("option", "viscosity", "1e-5", "0.0"),
+    ("option", "impratio", "10", "1"),
+    ("option", "actuatorgroupdisable", "1", None),
+    ("option", "misspelt", "1", None),
+    ("body", "gravcomp", "0.5", "0.0"),
+    ("body", "mocap", "true", "false"),
+    ("body", "misspelt", "1", None),
+    ("inertial", "misspelt", "1", None),
+    ("joint", "margin", "0.1", "0"),
+    ("joint", "springdamper", "1 1", "0 0"),
+    ("joint", "actuatorgravcomp", "true", "false"),
+    *((("joint", f"{law}{of}", *values)) for law, *values in SOFT for of in ("limit", "friction")),
+    ("joint", "springyield", "1", None),
+    ("joint", "misspelt", "1", None),
+    ("geom", "margin", "0.01", "0"),
+    ("geom", "gap", "0.01", "0.0"),
+    ("geom", "priority", "1", "0"),
+    ("geom", "solmix", "2", "1"),
+    *(("geom", *values) for values in SOFT),
+    ("geom", "fluidshape", "ellipsoid", "none"),
+    ("geom", "adhesion", "1", "0"),
+    ("geom", "surfacevel", "1 0 0", "0 0 0"),
+    ("geom", "misspelt", "1", None),
+]
+
+
+def mjcf(**places):
+    return MJCF.format(
+        **dict.fromkeys("mujoco compiler option flag top world body joint free".split(), "")
+        | dict.fromkeys("inertial geom more end".split(), "")
+        | places
+    )
+
+
+def loaded(tmp_path, kind, text):
+    """(What the file's warning names, the report) of a file."""
+    path, scene = tmp_path / f"r.{kind}", nd.Scene()
+    path.write_text(text)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        getattr(scene, f"add_{kind}")("r", path)
+    return "; ".join(str(w.message) for w in caught), scene.articulations["r"]
+
+
+@pytest.mark.parametrize(("place", "name", "value", "still"), MJCF_ATTRIBUTES)
+def test_attributes_of_mjcf(tmp_path, place, name, value, still):
+    told, _ = loaded(tmp_path, "mjcf", mjcf(**{place: f'{name}="{value}"'}))
+    assert f": {name}" in told
+    if still is not None:
+        assert loaded(tmp_path, "mjcf", mjcf(**{place: f'{name}="{still}"'}))[0] == ""
+
+
+@pytest.mark.parametrize(
+    ("place", "text", "note"),
+    [
+        *(
+            ("flag", f'<flag {flag}="disable"/>', f"flag: {flag}")
+            for flag in "constraint contact equality limit frictionloss passive spring damper gravity filterparent "
+            "clampctrl actuation".split()
+        ),
+        ("flag", '<flag override="enable"/>', "flag: override"),
+        ("flag", '<flag ipc="enable"/>', "flag: ipc"),
+        ("top", "<misspelt/>", "mujoco: <misspelt>"),
+        ("top", '<default><jiont damping="1"/></default>', "default: <jiont>"),
+        ("top", '<default><default class="c"><misspelt/></default></default>', "default: <misspelt>"),
+        ("top", '<default><geom margin="1"/></default>', "geom 'g': margin (2)"),
+        ("top", '<option density="1"/>', "option: density"),
+        ("end", '<deformable><flex name="f"/></deformable>', "deformable: <flex>"),
+        ("end", "<asset><misspelt/></asset>", "asset: <misspelt>"),
+        ("end", "<contact><misspelt/></contact>", "contact: <misspelt>"),
+        ("end", '<contact><pair geom1="g" geom2="h"/></contact>', "<pair> of 'g' and 'h'"),
+        ("end", '<tendon><fixed name="t" stiffness="1"/></tendon>', "<tendon> 't'"),
+        ("end", '<tendon><spatial name="t"/></tendon>', "<tendon> 't'"),
+        ("end", '<equality><weld name="w" body1="b" torquescale="2"/></equality>', "weld 'w': torquescale"),
+        ("end", '<equality><weld name="w" body1="b" solref="1 1"/></equality>', "weld 'w': solref"),
+        ("end", '<equality><connect body1="b" anchor="0 0 0" solimp="0 0"/></equality>', "connect: solimp"),
+        ("end", '<equality><joint name="e" joint1="j" solref="1 1"/></equality>', "joint 'e': solref"),
+        ("end", '<equality><tendon name="e"/></equality>', "equality 'e' of type 'tendon'"),
+        ("end", '<actuator><motor joint="j" armature="1"/></actuator>', "actuator 'j': armature"),
+        ("more", "<misspelt/>", "body 'b': <misspelt>"),
+        ("more", '<site name="s" misspelt="1"/>', "site 's': misspelt"),
+        ("world", '<body><joint type="ball" stiffness="1"/><geom size=".1"/></body>', "stiffness of a ball joint"),
+        ("world", '<body><freejoint align="true"/><geom size="1" pos="9 9 9"/></body>', "align of <freejoint>"),
+        ("world", '<geom name="h" type="hfield" hfield="f"/>', "geom 'h' of type 'hfield'"),
+    ],
+)
+def test_elements_of_mjcf(tmp_path, place, text, note):
+    assert note in loaded(tmp_path, "mjcf", mjcf(**{place: text}))[0]
+
+
+def test_usual_mjcf_is_quiet(tmp_path):
+    text = mjcf(
+        mujoco='model="m"',
+        compiler='angle="radian" autolimits="true" meshdir="assets" discardvisual="false" fusestatic="false"',
+        option='timestep="1e-3" integrator="implicitfast" cone="elliptic" iterations="5"',
+        flag='<flag eulerdamp="disable" contact="enable" multiccd="enable"/>',
+        top='<default><default class="c"><geom group="3" rgba="1 1 1 1"/></default></default><visual/><statistic/>'
+        '<custom/><size njmax="5"/>',
+        world='<light/><camera/><geom type="plane" size="1 1 1" pos="0 0 -9" material="grid"/>',
+        geom='condim="3" friction="1 .005 .0001" user="1"',
+        joint='damping="1" range="-1 1" group="2"',
+        more='<camera/><light/><site name="s" size=".1"/>',
+        end='<sensor/><asset><texture/><material name="grid"/></asset>',
+    )
+    told, a = loaded(tmp_path, "mjcf", text)
+    assert told == "" and a.missing == a.dropped == ()
+    assert {"mujoco: <visual>", "option: timestep", "mujoco: <sensor>", "body 'b': <camera>"} <= {*a.unused}
+
+
+def test_sections_that_come_twice_are_one(tmp_path):
+    """Also where an included file has its own; of an attribute the last counts."""
+    (tmp_path / "more.xml").write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><body name="d"><joint name="l" range="-1 1"/>'
+        '<geom size=".1" pos="9 0 0"/></body></worldbody></mujoco>'
+    )
+    _, a = loaded(
+        tmp_path, "mjcf", mjcf(compiler='angle="degree"', end='<include file="more.xml"/>', joint='range="-2 2"')
+    )
+    assert a.model.nv == 3
+    np.testing.assert_array_equal(a.model.lowerPositionLimit, (-2, -np.inf, -1))
+
+
+def test_equalities_take_the_defaults_of_their_class(tmp_path):
+    weld = '<equality><weld name="w" body1="b"{}/></equality>'
+    top = '<default><equality active="false"/><default class="on"><equality active="true"/></default></default>'
+    assert not loaded(tmp_path, "mjcf", mjcf(top=top, end=weld.format("")))[1].loops
+    assert loaded(tmp_path, "mjcf", mjcf(top=top, end=weld.format(' class="on"')))[1].loops
+
+
+POSES = [
+    ("", 'euler="10 20 30"'),
+    ('angle="radian"', 'euler=".1 .2 .3"'),
+    ('eulerseq="ZYX"', 'euler="10 20 30"'),
+    ('eulerseq="XyZ"', 'euler="10 20 30"'),
+    ('eulerseq="zxz"', 'euler="10 20 30"'),
+    ("", 'axisangle="1 2 3 40"'),
+    ("", 'quat="2 1 0 1"'),
+    ("", 'xyaxes="0 1 0 1 0 .2"'),
+    ("", 'zaxis="0 1 1"'),
+]
+
+
+@pytest.mark.parametrize(("compiler", "pose"), POSES)
+def test_orientations_are_those_of_mujoco(tmp_path, compiler, pose):
+    """Of bodies, inertias and geoms, by the mass matrix."""
+    mujoco = pytest.importorskip("mujoco", reason="the extra 'peers' is not installed")
+    text = (
+        f'<mujoco><compiler {compiler}/><worldbody><body {pose}><joint axis="1 2 3"/><joint axis="0 1 0"/>'
+        f'<inertial pos=".1 .2 .3" mass="1" diaginertia=".1 .2 .25" {pose}/><body name="b"><joint axis="1 0 0"/>'
+        f'<geom type="box" size=".1 .2 .3" {pose}/></body></body></worldbody></mujoco>'
+    )
+    _, a = loaded(tmp_path, "mjcf", text)
+    theirs = mujoco.MjModel.from_xml_string(text)
+    data, M = mujoco.MjData(theirs), np.zeros((3, 3))
+    mujoco.mj_forward(theirs, data)
+    mujoco.mj_fullM(theirs, data, M)
+    np.testing.assert_allclose(
+        np.array(pin.crba(a.model, a.model.createData(), a.q)), M, rtol=0, atol=1e-14 * np.abs(M).max()
+    )
+
+
+def test_turns_about_several_axes(tmp_path):
+    """Small letters turn with the body, large ones stay; an axis need not be of length 1."""
+    box = '<geom name="g" size="1 2 3" type="box" {}/>'
+
+    def turn(compiler, pose):
+        text = f"<mujoco><compiler {compiler}/><worldbody><body><joint/>{box.format(pose)}</body></worldbody></mujoco>"
+        return loaded(tmp_path, "mjcf", text)[1].links[0].placement.rotation
+
+    x, y, z = (pin.utils.rotate(axis, np.radians(angle)) for axis, angle in (("x", 10), ("y", 20), ("z", 30)))
+    for compiler, expected in (
+        ("", x @ y @ z),
+        ('eulerseq="XYZ"', z @ y @ x),
+        ('eulerseq="XyZ"', z @ x @ y),
+    ):
+        np.testing.assert_allclose(turn(compiler, 'euler="10 20 30"'), expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(turn("", 'axisangle="0 0 2 30"'), z, rtol=0, atol=1e-15)
+    for compiler, pose, words in (
+        ('eulerseq="xyw"', "", "eulerseq must be three of x, y, z, X, Y, Z, got 'xyw'"),
+        ("", 'axisangle="0 0 0 1"', "axisangle of <geom> 'g' must have an axis that is not zero"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            turn(compiler, pose)
+
+
+def test_gains_that_defaults_of_another_kind_give_are_told(tmp_path):
+    """In MuJoCo kp, kv and gainprm are one and the same; a motor has none of them."""
+    for default, kind, told in (
+        ('general gainprm="7"', "position", True),
+        ('general gainprm="7"', 'position kp="3"', False),
+        ('position kp="7"', "general", True),
+        ('position kp="7"', 'general gainprm="3"', False),
+        ('position kp="7"', "velocity", False),
+        ('position kp="7"', "motor", False),
+    ):
+        text = mjcf(top=f"<default><{default}/></default>", end=f'<actuator><{kind} joint="j"/></actuator>')
+        assert ("of the default of" in loaded(tmp_path, "mjcf", text)[0]) == told, (default, kind)
+
+
+def test_what_a_keyframe_says_beyond_its_configuration(tmp_path):
+    key = '<keyframe><key name="k" qpos="0 0" ctrl="{}" mpos="1" time="3"/></keyframe>'
+    path = tmp_path / "r.xml"
+    path.write_text(mjcf(end=key.format("0 1")))
+    with pytest.warns(UserWarning, match="keyframe 'k': ctrl; keyframe 'k': mpos"):
+        nd.Scene().add_mjcf("r", path, keyframe="k")
+
+
+def test_meshes_of_shapes_are_where_they_are(tmp_path):
+    """refpos moves a mesh that touches; one that is only seen may do as it likes."""
+    mesh = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" refpos="1 0 0"/></asset>'
+    for masks, told in (("", True), ('contype="0" conaffinity="0"', False)):
+        text = mjcf(top=mesh, more=f'<geom type="mesh" mesh="m" {masks}/>')
+        assert ("mesh 'm': refpos" in loaded(tmp_path, "mjcf", text)[0]) == told
+
+
+def test_values_that_change_nothing():
+    assert changes_nothing(" 0.020 ", "0.02 1") and changes_nothing("TRUE", "1") and changes_nothing("auto", "no|auto")
+    assert not changes_nothing("", "0") and not changes_nothing("0.02 2", "0.02 1") and not changes_nothing("x", "0")
+    assert not changes_nothing("0 0", "0")
