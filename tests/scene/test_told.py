@@ -251,3 +251,17 @@ def test_values_that_change_nothing():
     assert changes_nothing(" 0.020 ", "0.02 1") and changes_nothing("TRUE", "1") and changes_nothing("auto", "no|auto")
     assert not changes_nothing("", "0") and not changes_nothing("0.02 2", "0.02 1") and not changes_nothing("x", "0")
     assert not changes_nothing("0 0", "0")
+
+
+def test_joints_written_after_the_bodies_they_carry(tmp_path):
+    """What acts in a joint is that of its own element: Pinocchio numbers a body before those that it carries."""
+    parts = '<joint name="j" damping="1" range="-1 1" axis="0 1 0"/>', '<geom name="g" size=".1"/>'
+    inner = '<body name="d" pos="1 0 0"><geom size=".1"/><joint name="l" type="slide" damping="2" axis="0 0 1"/></body>'
+    for order in ((*parts, inner), (inner, *parts)):
+        text = (
+            f'<mujoco><compiler angle="radian"/><worldbody><body name="b">{"".join(order)}</body></worldbody></mujoco>'
+        )
+        a = loaded(tmp_path, "mjcf", text)[1]
+        assert dict(a.coordinates) == {"j": 0, "l": 1} and list(a.model.names)[1:] == ["j", "l"]
+        np.testing.assert_array_equal(a.damping, (1, 2))
+        np.testing.assert_array_equal(a.model.upperPositionLimit, (1, np.inf))

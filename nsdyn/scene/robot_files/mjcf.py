@@ -225,6 +225,7 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     taken = {name for name, tree in trees.items() if tree != WORLD} | {e.get("name", "") for e in world.iter("joint")}
     for body in [world, *world.iter("body")]:
         where = body.get("name", "")
+        body[:] = sorted(body, key=lambda child: child.tag == "body")  # a body comes before those that it carries
         for child in list(body):
             if child.tag in MACROS.split():
                 raise ValueError(
