@@ -265,3 +265,250 @@ def test_joints_written_after_the_bodies_they_carry(tmp_path):
         assert dict(a.coordinates) == {"j": 0, "l": 1} and list(a.model.names)[1:] == ["j", "l"]
         np.testing.assert_array_equal(a.damping, (1, 2))
         np.testing.assert_array_equal(a.model.upperPositionLimit, (1, np.inf))
+
+
+URDF = (
+    '<robot name="r" {robot}><link name="a"/><link name="b" {link}><inertial>{inertial}<mass value="1"/>'
+    '<inertia ixx=".1" iyy=".2" izz=".15" ixy="0" ixz="0" iyz="0"/></inertial><collision>{collision}'
+    '<geometry {geometry}><sphere radius=".1"/></geometry></collision>{more}</link>'
+    '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1" {axis}/>'
+    '<limit lower="-1" upper="1" effort="2" velocity="{velocity}" {limit}/>'
+    '<dynamics damping="1" {dynamics}/>{joint}</joint>{end}</robot>'
+)
+
+
+def urdf(**places):
+    places = {"velocity": "0"} | places
+    named = "robot link inertial collision geometry more axis limit dynamics joint end".split()
+    return URDF.format(**dict.fromkeys(named, "") | places)
+
+
+@pytest.mark.parametrize(
+    ("places", "note"),
+    [
+        ({"velocity": "3"}, "velocity of <limit>"),
+        ({"limit": 'acceleration="3"'}, "joint 'j': acceleration of <limit>"),
+        ({"dynamics": 'K="3"'}, "joint 'j': K of <dynamics>"),
+        ({"dynamics": 'spring_stiffness="3"'}, "spring_stiffness of <dynamics>"),
+        ({"joint": '<safety_controller k_velocity="1"/>'}, "joint 'j': <safety_controller>"),
+        ({"joint": "<misspelt/>"}, "joint 'j': <misspelt>"),
+        ({"axis": 'xzy="1"'}, "joint 'j': xzy of <axis>"),
+        ({"link": 'kinematic="1"'}, "link 'b': kinematic"),
+        ({"more": '<contact><lateral_friction value="1"/></contact>'}, "link 'b': <contact>"),
+        ({"more": "<self_collision_checking/>"}, "link 'b': <self_collision_checking>"),
+        ({"inertial": '<origin xyz="0 0 0" rot="1"/>'}, "link 'b': rot of <origin>"),
+        ({"collision": '<contact_coefficients mu="1"/>'}, "link 'b': <contact_coefficients> of <collision>"),
+        ({"collision": "<surface/>"}, "link 'b': <surface> of <collision>"),
+        ({"geometry": 'scale="2"'}, "link 'b': scale of <geometry>"),
+        ({"end": '<loop_joint name="l"/>'}, "robot 'r': <loop_joint>"),
+        ({"end": "<misspelt/>"}, "robot 'r': <misspelt>"),
+        ({"end": '<gazebo><link name="x"/></gazebo>'}, "<link> of <gazebo>"),
+        ({"end": '<gazebo><joint name="x"/></gazebo>'}, "<joint> of <gazebo>"),
+        ({"end": '<gazebo><plugin name="p"/></gazebo>'}, "<plugin> of <gazebo>"),
+        *(
+            ({"end": f'<gazebo reference="b"><{tag}>{value}</{tag}></gazebo>'}, f"gazebo 'b': <{tag}>")
+            for tag, value in (
+                *((tag, "0.5") for tag in "mu mu1 mu2 kp kd maxVel minDepth stopCfm stopErp fudgeFactor slip1".split()),
+                *((tag, "1") for tag in "dampingFactor springStiffness springReference velocity_decay".split()),
+                ("fdir1", "1 0 0"),
+                ("selfCollide", "false"),
+                ("turnGravityOff", "true"),
+                ("gravity", "0"),
+                ("kinematic", "true"),
+                ("static", "true"),
+                ("enable_wind", "true"),
+                ("pose", "0 0 1 0 0 0"),
+                ("misspelt", "1"),
+            )
+        ),
+    ],
+)
+def test_elements_of_urdf(tmp_path, places, note):
+    assert note in loaded(tmp_path, "urdf", urdf(**places))[0]
+
+
+def test_usual_urdf_is_quiet(tmp_path):
+    gazebo = (
+        "<material>Red</material><selfCollide>1</selfCollide><turnGravityOff>false</turnGravityOff><gravity>1</gravity>"
+        "<kinematic>0</kinematic><sensor><plugin/></sensor><springStiffness>0.0</springStiffness><laserRetro>1</laserRetro>"
+    )
+    text = urdf(
+        robot='version="1.0"',
+        velocity="1e20",
+        more='<visual><geometry><sphere radius="1"/></geometry><material name="m"/></visual>',
+        joint='<calibration rising="0"/>',
+        end=f'<material name="m"/><transmission name="t"/><gazebo reference="b">{gazebo}</gazebo>',
+    )
+    told, a = loaded(tmp_path, "urdf", text)
+    assert told == "" and a.missing == a.dropped == ()
+    assert {"robot 'r': <transmission>", "joint 'j': <calibration>", "gazebo 'b': <sensor>"} <= {*a.unused}
+
+
+@pytest.mark.parametrize("version", ["", 'version="1.1"'])
+def test_quaternions_of_urdf(tmp_path, version):
+    """Of inertias and shapes; urdfdom reads them where the file says a version."""
+    places = {"inertial": '<origin xyz="1 2 3" {}/>', "collision": "<origin {}/>"}
+    ways = 'rpy="0 0 1.2870022175866"', 'quat_xyzw="0 0 1.2 1.6"'
+    written = [urdf(robot=version, **{k: text.format(way) for k, text in places.items()}) for way in ways]
+    a, b = (loaded(tmp_path, "urdf", text)[1] for text in written)
+    np.testing.assert_allclose(a.model.inertias[1].inertia, b.model.inertias[1].inertia, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(a.links[0].placement.rotation, b.links[0].placement.rotation, rtol=0, atol=1e-12)
+    assert np.abs(a.links[0].placement.rotation - np.eye(3)).max() > 0.5
+
+
+SDF = (
+    '<sdf version="1.11"><world name="w">{world}<model name="m" {model_attribute}>{model}'
+    '<link name="a" {link_attribute}>{link}'
+    "<inertial><mass>1</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>1</izz></inertia>{inertial}</inertial>"
+    '<collision name="c">{collision}<geometry><sphere><radius>1</radius>{sphere}</sphere></geometry><surface>{surface}'
+    '</surface></collision></link><joint name="j" type="revolute"><parent>world</parent><child>a</child><axis>'
+    "<xyz>0 0 1</xyz><limit><lower>-1</lower><upper>1</upper>{limit}</limit><dynamics>{dynamics}</dynamics>{axis}"
+    "</axis><physics><ode>{ode}</ode></physics>{joint}</joint></model></world></sdf>"
+)
+
+
+def sdf(**places):
+    named = "world model_attribute model link_attribute link inertial collision sphere surface limit dynamics axis ode"
+    return SDF.format(**dict.fromkeys([*named.split(), "joint"], "") | places)
+
+
+def nested(path, value):
+    """Elements in each other with a value in the last."""
+    for tag in reversed(path.split("/")):
+        value = f"<{tag}>{value}</{tag}>"
+    return value
+
+
+# Place in the file, elements, a value that changes the motion, one that does not.
+SDF_ELEMENTS = [
+    ("world", "gravity", "0 0 -1", "0 0 -9.8"),
+    ("world", "wind/linear_velocity", "1 0 0", "0 0 0"),
+    ("world", "include", "<uri>model://ground_plane</uri>", None),
+    ("world", "joint", "", None),
+    ("world", "plugin", "", None),
+    ("world", "state", "", None),
+    ("world", "population", "", None),
+    ("world", "misspelt", "", None),
+    ("model", "enable_wind", "true", "false"),
+    ("model", "plugin", "", None),
+    ("model", "gripper", "", None),
+    ("model", "misspelt", "", None),
+    ("link", "gravity", "0", "1"),
+    ("link", "kinematic", "true", "false"),
+    ("link", "enable_wind", "true", "0"),
+    ("link", "self_collide", "true", "false"),
+    ("link", "velocity_decay/linear", "0.1", "0.0"),
+    ("link", "velocity_decay/angular", "0.1", "0"),
+    ("link", "plugin", "", None),
+    ("link", "misspelt", "", None),
+    ("inertial", "fluid_added_mass/xx", "1", "0"),
+    ("inertial", "misspelt", "1", None),
+    ("collision", "misspelt", "1", None),
+    ("sphere", "misspelt", "1", None),
+    ("surface", "bounce/restitution_coefficient", "0.5", "0"),
+    ("surface", "friction/ode/mu2", "0.5", "1"),
+    ("surface", "friction/ode/fdir1", "1 0 0", "0 0 0"),
+    ("surface", "friction/ode/slip1", "0.1", "0"),
+    ("surface", "friction/ode/slip2", "0.1", "0"),
+    ("surface", "friction/bullet/friction", "0.1", "1"),
+    ("surface", "friction/bullet/rolling_friction", "0.1", "1"),
+    ("surface", "friction/torsional/patch_radius", "0.1", "0"),
+    ("surface", "friction/torsional/surface_radius", "0.1", "0"),
+    ("surface", "friction/torsional/ode/slip", "0.1", "0"),
+    ("surface", "friction/misspelt", "1", None),
+    ("surface", "contact/ode/kp", "1e5", "1e12"),
+    ("surface", "contact/ode/kd", "5", "1"),
+    ("surface", "contact/ode/soft_cfm", "0.1", "0"),
+    ("surface", "contact/ode/soft_erp", "0.1", "0.2"),
+    ("surface", "contact/ode/max_vel", "1", "0.01"),
+    ("surface", "contact/ode/min_depth", "0.1", "0.001"),
+    ("surface", "contact/bullet/kp", "1e5", "1e12"),
+    ("surface", "contact/collide_without_contact", "true", "false"),
+    ("surface", "contact/collide_bitmask", "1", "0xffff"),
+    ("surface", "contact/category_bitmask", "1", "65535"),
+    ("surface", "contact/elastic_modulus", "1", "-1"),
+    ("surface", "soft_contact/dart", "", None),
+    ("surface", "misspelt", "1", None),
+    ("limit", "velocity", "2", "1e16"),
+    ("limit", "velocity", "2", "inf"),
+    ("limit", "velocity", "2", "-1"),
+    ("limit", "stiffness", "2", "1e8"),
+    ("limit", "dissipation", "2", "1"),
+    ("limit", "misspelt", "2", None),
+    ("dynamics", "misspelt", "2", None),
+    ("axis", "initial_position", "0.5", "0"),
+    ("axis", "misspelt", "0.5", None),
+    ("joint", "gearbox_ratio", "2", "1"),
+    ("joint", "thread_pitch", "2", "1"),
+    ("joint", "screw_thread_pitch", "2", "1"),
+    ("joint", "misspelt", "2", None),
+    *(("ode", tag, "0.5", "0") for tag in "fudge_factor cfm bounce max_force velocity".split()),
+    ("ode", "erp", "0.5", "0.2"),
+    ("ode", "limit/cfm", "0.5", "0"),
+    ("ode", "limit/erp", "0.5", "0.2"),
+    ("ode", "suspension/cfm", "0.5", "0"),
+]
+
+
+@pytest.mark.parametrize(("place", "path", "value", "still"), SDF_ELEMENTS)
+def test_elements_of_sdf(tmp_path, place, path, value, still):
+    told, _ = loaded(tmp_path, "sdf", sdf(**{place: nested(path, value)}))
+    # A friction across may be the same as that along, a velocity is told with the others; soft_contact as a whole.
+    expected = {"mu2": "friction across", "velocity": "velocity", "dart": "<soft_contact>"}
+    last = path.rpartition("/")[2]
+    assert expected.get(last, f"<{last}>") in told
+    if still is not None:
+        assert loaded(tmp_path, "sdf", sdf(**{place: nested(path, still)}))[0] == ""
+
+
+@pytest.mark.parametrize(
+    ("places", "note"),
+    [
+        ({"model_attribute": 'placement_frame="f"'}, "model 'm': placement_frame"),
+        ({"model": '<pose relative_to="f">0 0 0 0 0 0</pose>'}, "model 'm': relative_to of <pose>"),
+        ({"link_attribute": 'misspelt="1"'}, "link 'a': misspelt"),
+        ({"link": '<pose frame="f">0 0 0 0 0 0</pose>'}, "link 'a': frame of <pose>"),
+        ({"link": '<pose rotation="f">0 0 0 0 0 0</pose>'}, "link 'a': rotation of <pose>"),
+    ],
+)
+def test_attributes_of_sdf(tmp_path, places, note):
+    assert note in loaded(tmp_path, "sdf", sdf(**places))[0]
+
+
+def test_usual_sdf_is_quiet(tmp_path):
+    text = sdf(
+        world="<physics/><scene/><light/><gui/><gravity>0 0 -9.8</gravity><atmosphere/><magnetic_field/>",
+        model_attribute='canonical_link="a" placement_frame=""',
+        model="<static>false</static><self_collide>false</self_collide><allow_auto_disable>1</allow_auto_disable>",
+        link='<pose frame="">0 0 0 0 0 0</pose><gravity>true</gravity><visual name="v"><geometry><box>'
+        "<size>1 1 1</size></box></geometry><material/></visual><sensor><plugin/></sensor><must_be_base_link/>",
+        collision='<max_contacts>10</max_contacts><laser_retro>1</laser_retro><pose degrees="true">0 0 0 0 0 0</pose>',
+        surface="<friction><ode><mu>0.4</mu><mu2>0.4</mu2></ode></friction>",
+        joint="<sensor/>",
+    )
+    told, a = loaded(tmp_path, "sdf", text)
+    assert told == "" and a.missing == a.dropped == ()
+    assert {"world 'w': <physics>", "link 'a': <sensor>", "joint 'j': <sensor>"} <= {*a.unused}
+
+
+def test_poses_in_a_link_may_be_relative_to_any_frame(tmp_path):
+    frame = '<frame name="f" attached_to="a"><pose>1 2 3 0 0 1</pose></frame>'
+    turned = '<pose relative_to="f">0 0 1 0 0 0</pose>'
+    _, a = loaded(tmp_path, "sdf", sdf(model=frame, collision=turned, inertial=turned))
+    expected = pin.SE3(pin.rpy.rpyToMatrix(0, 0, 1), np.array([1.0, 2.0, 4.0]))
+    assert a.links[0].placement.isApprox(expected, 1e-15)
+    np.testing.assert_allclose(a.model.inertias[1].lever, (1, 2, 4), rtol=0, atol=1e-15)
+
+
+def test_truth_is_written_in_two_ways(tmp_path):
+    pose = '<pose degrees="{}">0 0 0 0 0 90</pose>'
+    a, b = (loaded(tmp_path, "sdf", sdf(collision=pose.format(yes)))[1] for yes in ("true", "1"))
+    assert a.links[0].placement.isApprox(b.links[0].placement, 0.0)
+    text = sdf().replace("<inertial>", '<inertial auto="1">')
+    assert "link 'a': automatic inertia" in loaded(tmp_path, "sdf", text)[0]
+
+
+def test_an_empty_collision_is_no_missing_shape(tmp_path):
+    text = sdf().replace("<sphere><radius>1</radius></sphere>", "<empty/>")
+    told, a = loaded(tmp_path, "sdf", text)
+    assert told == "" and a.links == ()

@@ -40,8 +40,8 @@ class Rules(NamedTuple):
 
 def changes_nothing(text: str | None, still: str) -> bool:
     """Whether a text says the same as one of the values in `still`, or no more than its first numbers."""
-    given = _values(text)
-    return bool(given) and any(given == _values(value)[: len(given)] for value in still.split("|"))
+    given, same = _values(text), [_values(value) for value in still.split("|")]
+    return any(given == words[: len(given)] and bool(given) == bool(words) for words in same)
 
 
 def _values(text: str | None) -> list[float | str]:
