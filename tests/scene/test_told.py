@@ -2,6 +2,7 @@
 
 import warnings
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -512,3 +513,48 @@ def test_an_empty_collision_is_no_missing_shape(tmp_path):
     text = sdf().replace("<sphere><radius>1</radius></sphere>", "<empty/>")
     told, a = loaded(tmp_path, "sdf", text)
     assert told == "" and a.links == ()
+
+
+@pytest.fixture
+def chain():
+    """Three balls on hinges, and what they are as collision shapes."""
+    model, geometry, parent = pin.Model(), pin.GeometryModel(), 0
+    for k in range(3):
+        parent = model.addJoint(parent, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([1.0, 0, 0])), f"j{k}")
+        model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
+        geometry.addGeometryObject(pin.GeometryObject(f"g{k}", parent, pin.SE3.Identity(), coal.Sphere(0.1)))
+    return model, geometry
+
+
+def of_model(model, geometry):
+    scene = nd.Scene()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene.add_model("r", model, geometry)
+    return "; ".join(str(w.message) for w in caught), scene.articulations["r"]
+
+
+def test_values_of_a_model(chain):
+    model, geometry = chain
+    assert of_model(*chain)[0] == ""
+    for name, value, note in (
+        ("lowerDryFrictionLimit", np.array([0, -1.0, 0]), "joint 'j1': lowerDryFrictionLimit that is not -upper"),
+        ("upperEffortLimit", np.array([1.0, 1, 1]), "joint 'j0': lowerEffortLimit that is not -upperEffortLimit (3)"),
+        ("upperVelocityLimit", np.array([1e308, 1e308, 2.0]), "joint 'j2': velocity limit (1)"),
+        ("gravity", pin.Motion.Zero(), "gravity of the model"),
+    ):
+        changed = model.copy()
+        setattr(changed, name, value)
+        assert note in of_model(changed, geometry)[0]
+
+
+def test_pairs_of_a_geometry_model(chain):
+    """Those that it lists, if any; shapes whose collision is disabled take no part."""
+    _, geometry = chain
+    assert of_model(*chain)[1].excluded == {(0, 1), (1, 2)}  # neighbours
+    geometry.addCollisionPair(pin.CollisionPair(0, 1))
+    assert of_model(*chain)[1].excluded == {(0, 1), (1, 2), (0, 2)}
+    geometry.addAllCollisionPairs()
+    assert of_model(*chain)[1].excluded == {(0, 1), (1, 2)}
+    geometry.geometryObjects[1].disableCollision = True
+    assert [link.name for link in of_model(*chain)[1].links] == ["g0", "g2"]

@@ -26,7 +26,9 @@ from nsdyn.tools.naming import choice
 __all__ = ["read_urdf"]
 
 TABLE = {
-    "robot": Rules("name version link joint material gazebo", unused="transmission", missing="loop_joint"),
+    "robot": Rules(
+        "name version link joint material gazebo", unused="transmission ros2_control sensor", missing="loop_joint"
+    ),
     "link": Rules("name type inertial collision visual", unused="sensor"),
     "inertial": Rules("name origin mass inertia"),
     "collision": Rules("name origin geometry", unused="verbose material"),
@@ -39,7 +41,7 @@ TABLE = {
     "cylinder": Rules("name radius length"),
     "capsule": Rules("name radius length"),
     "mesh": Rules("name filename scale"),
-    "joint": Rules("name type parent child origin axis limit dynamics mimic", unused="calibration"),
+    "joint": Rules("name type dont_collapse parent child origin axis limit dynamics mimic", unused="calibration"),
     "axis": Rules("xyz"),
     "limit": Rules("lower upper effort velocity"),
     "dynamics": Rules("damping friction"),
