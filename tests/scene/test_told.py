@@ -129,7 +129,7 @@ def test_usual_mjcf_is_quiet(tmp_path):
         compiler='angle="radian" autolimits="true" meshdir="assets" discardvisual="false" fusestatic="false"',
         option='timestep="1e-3" integrator="implicitfast" cone="elliptic" iterations="5"',
         flag='<flag eulerdamp="disable" contact="enable" multiccd="enable"/>',
-        top='<default><default class="c"><geom group="3" rgba="1 1 1 1"/></default></default><visual/><statistic/>'
+        top='<default><default class="c"><geom group="3" rgba="1 1 1 1"/></default></default><visual><headlight active="1"/></visual><statistic/>'
         '<custom/><size njmax="5"/>',
         world='<light/><camera/><geom type="plane" size="1 1 1" pos="0 0 -9" material="grid"/>',
         geom='condim="3" friction="1 .005 .0001" user="1"',
@@ -558,3 +558,30 @@ def test_pairs_of_a_geometry_model(chain):
     assert of_model(*chain)[1].excluded == {(0, 1), (1, 2)}
     geometry.geometryObjects[1].disableCollision = True
     assert [link.name for link in of_model(*chain)[1].links] == ["g0", "g2"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "words"),
+    [
+        ("mjcf", mjcf(compiler='angle="radians"'), r"did you mean 'radian'\? angle of <compiler> '' must be one of"),
+        ("mjcf", mjcf(compiler='autolimits="no"'), "autolimits of <compiler> '' must be one of true, false; got 'no'"),
+        ("mjcf", mjcf(joint='limited="True" range="0 1"'), "limited of <joint> 'j' must be one of true, false, auto"),
+        ("mjcf", mjcf(geom='condim="2"'), "condim of <geom> 'g' must be one of 1, 3, 4, 6; got '2'"),
+        ("mjcf", mjcf(end='<actuator><motor joint="j" ctrllimited="1"/></actuator>'), "ctrllimited of <motor> '' must"),
+        ("mjcf", mjcf(end='<contact><exclude body1="b" body2="z"/></contact>'), "body2 of an <exclude> must be one of"),
+        ("mjcf", mjcf(end='<contact><exclude body1="b" bodytwo="c"/></contact>'), "body2 of an <exclude> must be one"),
+        ("sdf", sdf(model="<static>yes</static>"), "must be true or false, got 'yes'"),
+    ],
+)
+def test_words_that_are_none_are_refused(tmp_path, kind, text, words):
+    with pytest.raises(ValueError, match=words):
+        loaded(tmp_path, kind, text)
+
+
+def test_a_range_from_0_to_0_is_none(tmp_path):
+    """MuJoCo's default, which defaults of classes may give again; told to be limited, it is one."""
+    text = mjcf(joint='range="0 0"', end='<actuator><motor joint="j" ctrlrange="0 0.0" forcerange="0 0"/></actuator>')
+    a = loaded(tmp_path, "mjcf", text)[1]
+    assert a.model.upperPositionLimit[0] == np.inf
+    assert a.actuators[0].control_range == a.actuators[0].force_range == (-np.inf, np.inf)
+    assert loaded(tmp_path, "mjcf", mjcf(joint='range="0 0" limited="true"'))[1].model.upperPositionLimit[0] == 0.0

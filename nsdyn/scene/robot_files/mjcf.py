@@ -31,7 +31,7 @@ from nsdyn.scene.robot_files.mjcf_geoms import Geoms, mesh_name
 from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
-from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Report, inside, is_range, mesh_file, numbers, parse
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
@@ -46,6 +46,15 @@ PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
 
 NUMBERS = {*POSE.split(), "axis", "size", "fromto", "ref", "scale", "vertex"}
 """Attributes that are numbers: Pinocchio takes what is none for anything."""
+
+CHOICES = {
+    "angle": "degree radian",
+    "autolimits": "true false",
+    "inertiafromgeom": "true false auto",
+    "active": "true false",
+    "condim": "1 3 4 6",
+} | dict.fromkeys(("limited", "ctrllimited", "forcelimited", "actuatorfrclimited"), "true false auto")
+"""Attributes that are one of some words: what is none of them must not pass for the default."""
 
 
 def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
@@ -75,7 +84,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         links, bodies = links_of(model, geometry.geometryObjects, report.dropped)
         drawn = [k for k, body in enumerate(bodies) if trees[body] != WORLD or not any(geoms.masks[links[k].name])]
         visuals = visuals_of(geoms, [(links[k], bodies[k]) for k in drawn], geometry, path.parent, report.unused)
-        excluded = frozenset(frozenset((e.get("body1", ""), e.get("body2", ""))) for e in root.iter("exclude"))
+        excluded = frozenset(_excluded(root, trees))
         solid = [k for k, link in enumerate(links) if any(geoms.masks[link.name])]
         links, bodies = [links[k] for k in solid], [bodies[k] for k in solid]
         filtered = frozenset(
@@ -179,7 +188,10 @@ def _note(root: Element, report: Report) -> None:
     for element in root.iterfind("tendon/*"):
         notes = report.missing if PASSIVE & element.attrib.keys() else report.dropped
         notes.append(f"<tendon> {element.get('name')!r}")
-    for element in root.iter():
+    for element in (e for section in root if section.tag != "visual" for e in section.iter()):
+        for attribute in CHOICES.keys() & element.attrib.keys():
+            label = f"{attribute} of <{element.tag}> {element.get('name', '')!r}"
+            choice(element.attrib[attribute], CHOICES[attribute].split(), label)
         for attribute in NUMBERS & element.attrib.keys():
             label = f"{attribute} of <{element.tag}> {element.get('name', '')!r}"
             numbers(element.attrib[attribute], None, None, label)
@@ -313,6 +325,12 @@ def _of_joints(trees: Mapping[str, str], model: Any) -> dict[str, str]:
 # -- joints ----------------------------------------------------------------------------------------------------
 
 
+def _excluded(root: Element, known: Mapping[str, str]) -> Iterator[frozenset[str]]:
+    """Pairs of bodies that never touch each other."""
+    for element in root.iterfind("contact/exclude"):
+        yield frozenset(choice(element.get(end, ""), known, f"{end} of an <exclude>") for end in ("body1", "body2"))
+
+
 def _joints(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
     """(element, type, its part of q, its part of v) of every joint, in the order of Pinocchio: depth first."""
     q = v = 0
@@ -346,7 +364,9 @@ def _set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array
         factor = unit if kind == "hinge" else 1.0
         limited = element.get("limited", "auto")
         if limited == "auto":
-            limited = "true" if settings.get("autolimits", "true") == "true" and element.get("range") else "false"
+            limited = (
+                "true" if settings.get("autolimits", "true") == "true" and is_range(element.get("range")) else "false"
+            )
         if element.get("actuatorfrcrange") and element.get("actuatorfrclimited", "auto") != "false":
             low, high = numbers(element.get("actuatorfrcrange"), 2, None, f"actuatorfrcrange of {label}")
             effort[rows] = high

@@ -12,7 +12,7 @@ import numpy as np
 
 from nsdyn.scene.actuation import Actuator
 from nsdyn.scene.robot_files.mjcf_elements import DRIVES
-from nsdyn.scene.robot_files.xml import Notes, numbers
+from nsdyn.scene.robot_files.xml import Notes, is_range, numbers
 
 __all__ = ["ACTUATORS", "actuators_of", "of_other_kinds"]
 
@@ -115,7 +115,7 @@ def _read(element: Element, label: str, joint: str, v: int, autolimits: bool) ->
     def limits(what: str) -> tuple[float, float]:
         limited = element.get(f"{what}limited", "auto")
         given = element.get(f"{what}range")
-        if limited == "false" or (limited == "auto" and not (autolimits and given)):
+        if limited == "false" or (limited == "auto" and not (autolimits and is_range(given))):
             return NONE
         low, high = numbers(given, 2, None, f"{what}range of actuator {label!r}")
         return float(low), float(high)

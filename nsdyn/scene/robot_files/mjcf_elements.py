@@ -84,6 +84,7 @@ TABLE = {
     ),
     "deformable": Rules(unused="skin", missing="flex"),
     "contact": Rules("pair exclude"),
+    "exclude": Rules("name body1 body2"),
     "equality": Rules("connect weld joint tendon flex flexstrain flexvert distance"),
     "connect": Rules("name class active body1 body2 site1 site2 anchor", still=SOFT),
     "weld": Rules("name class active body1 body2 site1 site2 anchor relpose", still=SOFT | {"torquescale": "1"}),

@@ -418,7 +418,10 @@ class _Reader:
 
 
 def _true(text: str | None) -> bool:
-    return (text or "").strip() in ("true", "1")
+    word = (text or "false").strip().lower()
+    if word not in ("true", "1", "false", "0"):
+        raise ValueError(f"<static>, <self_collide> and their like must be true or false, got {text!r}")
+    return word in ("true", "1")
 
 
 def _pose(element: Element | None) -> Any:

@@ -16,7 +16,7 @@ from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import is_file
 
-__all__ = ["UNLIMITED", "Notes", "Report", "inside", "is_limit", "mesh_file", "numbers", "parse"]
+__all__ = ["UNLIMITED", "Notes", "Report", "inside", "is_limit", "is_range", "mesh_file", "numbers", "parse"]
 
 DEEPEST = 400
 """Elements inside each other: what reads them calls itself for each, which ends the process at some thousands."""
@@ -103,6 +103,11 @@ def is_limit(text: str | None) -> bool:
         return 0.0 < float(text or 0.0) < UNLIMITED
     except ValueError:
         return bool(text and text.strip())
+
+
+def is_range(text: str | None) -> bool:
+    """Whether a text is a range of MJCF; 0 to 0 stands for none."""
+    return any(word.strip("+-0.") for word in (text or "").split())
 
 
 def mesh_file(uri: str, folders: Sequence[Path], remedy: str = "; give its folder in package_dirs") -> Path:
