@@ -102,6 +102,11 @@ def test_attributes_of_mjcf(tmp_path, place, name, value, still):
         ("top", '<option density="1"/>', "option: density"),
         ("end", '<deformable><flex name="f"/></deformable>', "deformable: <flex>"),
         ("end", "<asset><misspelt/></asset>", "asset: <misspelt>"),
+        (
+            "world",
+            "<body><joint/>" + 2 * '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>' + "</body>",
+            "a second <i",
+        ),
         ("end", "<contact><misspelt/></contact>", "contact: <misspelt>"),
         ("end", '<contact><pair geom1="g" geom2="h"/></contact>', "<pair> of 'g' and 'h'"),
         ("end", '<tendon><fixed name="t" stiffness="1"/></tendon>', "<tendon> 't'"),
@@ -129,7 +134,8 @@ def test_usual_mjcf_is_quiet(tmp_path):
         compiler='angle="radian" autolimits="true" meshdir="assets" discardvisual="false" fusestatic="false"',
         option='timestep="1e-3" integrator="implicitfast" cone="elliptic" iterations="5"',
         flag='<flag eulerdamp="disable" contact="enable" multiccd="enable"/>',
-        top='<default><default class="c"><geom group="3" rgba="1 1 1 1"/></default></default><visual><headlight active="1"/></visual><statistic/>'
+        top='<default><default class="c"><geom group="3" rgba="1 1 1 1"/></default></default>'
+        '<visual><headlight active="1"/></visual><statistic/>'
         '<custom/><size njmax="5"/>',
         world='<light/><camera/><geom type="plane" size="1 1 1" pos="0 0 -9" material="grid"/>',
         geom='condim="3" friction="1 .005 .0001" user="1"',
@@ -293,6 +299,8 @@ def urdf(**places):
         ({"dynamics": 'spring_stiffness="3"'}, "spring_stiffness of <dynamics>"),
         ({"joint": '<safety_controller k_velocity="1"/>'}, "joint 'j': <safety_controller>"),
         ({"joint": "<misspelt/>"}, "joint 'j': <misspelt>"),
+        ({"joint": '<axis xyz="1 0 0"/>'}, "joint 'j': a second <axis>"),
+        ({"more": "<inertial/>"}, "link 'b': a second <inertial>"),
         ({"axis": 'xzy="1"'}, "joint 'j': xzy of <axis>"),
         ({"link": 'kinematic="1"'}, "link 'b': kinematic"),
         ({"more": '<contact><lateral_friction value="1"/></contact>'}, "link 'b': <contact>"),
@@ -467,6 +475,7 @@ def test_elements_of_sdf(tmp_path, place, path, value, still):
     [
         ({"model_attribute": 'placement_frame="f"'}, "model 'm': placement_frame"),
         ({"model": '<pose relative_to="f">0 0 0 0 0 0</pose>'}, "model 'm': relative_to of <pose>"),
+        ({"joint": "<axis/>"}, "joint 'j': a second <axis>"),
         ({"link_attribute": 'misspelt="1"'}, "link 'a': misspelt"),
         ({"link": '<pose frame="f">0 0 0 0 0 0</pose>'}, "link 'a': frame of <pose>"),
         ({"link": '<pose rotation="f">0 0 0 0 0 0</pose>'}, "link 'a': rotation of <pose>"),
@@ -570,6 +579,7 @@ def test_pairs_of_a_geometry_model(chain):
         ("mjcf", mjcf(end='<actuator><motor joint="j" ctrllimited="1"/></actuator>'), "ctrllimited of <motor> '' must"),
         ("mjcf", mjcf(end='<contact><exclude body1="b" body2="z"/></contact>'), "body2 of an <exclude> must be one of"),
         ("mjcf", mjcf(end='<contact><exclude body1="b" bodytwo="c"/></contact>'), "body2 of an <exclude> must be one"),
+        ("sdf", sdf(model='<link name="a"/>'), "link 'a' must have a name of its own"),
         ("sdf", sdf(model="<static>yes</static>"), "must be true or false, got 'yes'"),
     ],
 )
@@ -585,3 +595,10 @@ def test_a_range_from_0_to_0_is_none(tmp_path):
     assert a.model.upperPositionLimit[0] == np.inf
     assert a.actuators[0].control_range == a.actuators[0].force_range == (-np.inf, np.inf)
     assert loaded(tmp_path, "mjcf", mjcf(joint='range="0 0" limited="true"'))[1].model.upperPositionLimit[0] == 0.0
+
+
+def test_all_of_a_static_model_is_fixed(tmp_path):
+    """Whatever its joints; as in Gazebo."""
+    assert loaded(tmp_path, "sdf", sdf())[1].model.nv == 1
+    a = loaded(tmp_path, "sdf", sdf(model="<static>true</static>", axis='<mimic joint="j"/>'))[1]
+    assert a.model.nv == 0 and [link.joint for link in a.links] == [0] and not a.gears

@@ -30,12 +30,15 @@ class Rules(NamedTuple):
         Names without which the mechanism is another.
     still : mapping of str to str
         Values, with | between them, at which any name changes nothing.
+    many : str
+        Elements of which there may be several; of others the first counts.
     """
 
     read: str = ""
     unused: str = ""
     missing: str = ""
     still: Mapping[str, str] = {}
+    many: str = ""
 
 
 def changes_nothing(text: str | None, still: str) -> bool:
@@ -77,7 +80,13 @@ def tell(elements: Iterable[Element], table: Mapping[str, Rules], report: Report
                 kind = next((k for k in ("unused", "missing") if word in getattr(rules, k).split()), "dropped")
                 note = f"{owner or element.tag}: {shown}{of}"
                 found.setdefault((kind, key, word), []).append(note)
+        seen: set[str] = set()
         for child in element:
+            if child.tag in seen and child.tag in rules.read.split() and child.tag not in rules.many.split():
+                found.setdefault(("dropped", key, f"{child.tag} again"), []).append(
+                    f"{owner}: a second <{child.tag}>{of}"
+                )
+            seen.add(child.tag)
             inner = next((k for k in (f"{element.tag}/{child.tag}", child.tag) if k in table), "")
             if inner and child.tag in rules.read.split():
                 look(child, inner, owner)

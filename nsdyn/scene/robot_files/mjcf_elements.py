@@ -13,9 +13,15 @@ SOFT = {"solref": "0.02 1", "solimp": "0.9 0.95 0.001 0.5 2"}
 DRIVES = "general motor position velocity intvelocity orientation pid damper cylinder muscle adhesion dcmotor plugin"
 """All kinds of actuators."""
 
+KINDS = f"default joint geom mesh material site camera light pair equality tendon {DRIVES}"
+"""Elements that have defaults."""
+
+EQUALITIES = "connect weld joint tendon flex flexstrain flexvert distance"
+
 BODY = Rules(
     f"name childclass class user body joint freejoint inertial geom site {POSE} {MACROS}",
     unused="camera light",
+    many=f"body joint freejoint geom site {MACROS}",
     still={"gravcomp": "0", "mocap": "false"},
 )
 
@@ -23,8 +29,9 @@ TABLE = {
     "mujoco": Rules(
         "model compiler option default worldbody equality contact asset keyframe actuator tendon deformable",
         unused="custom extension sensor size statistic visual",
+        many="default",
     ),
-    "default": Rules(f"class default joint geom mesh material site camera light pair equality tendon {DRIVES}"),
+    "default": Rules(f"class {KINDS}", many=KINDS),
     "compiler": Rules(
         # What is fixed, only seen or written back makes no difference; meshes that shapes are fitted to are refused.
         "angle eulerseq autolimits inertiafromgeom boundmass meshdir assetdir texturedir discardvisual fusestatic "
@@ -42,6 +49,7 @@ TABLE = {
     ),
     "option": Rules(
         "flag",
+        many="flag",
         # How MuJoCo computes; magnetic fields are for sensors, o_... for flag override.
         unused="timestep integrator solver iterations tolerance ls_iterations ls_tolerance noslip_iterations "
         "noslip_tolerance ccd_iterations ccd_tolerance mpr_iterations mpr_tolerance sdf_iterations sdf_initpoints "
@@ -76,18 +84,18 @@ TABLE = {
         | {"adhesion": "0", "surfacevel": "0 0 0 0 0 0"},
     ),
     "site": Rules(f"name class group user type size fromto mesh rgba material {POSE}"),
-    "asset": Rules("mesh hfield model material", unused="texture skin"),
+    "asset": Rules("mesh hfield model material", unused="texture skin", many="mesh hfield model material"),
     # Meshes that are only seen are as they may be.
     "mesh of shape": Rules(
         "name class file scale vertex face normal texcoord content_type smoothnormal material inertia",
         still={"refpos": "0 0 0", "refquat": "1 0 0 0", "maxhullvert": "-1"},
     ),
     "deformable": Rules(unused="skin", missing="flex"),
-    "contact": Rules("pair exclude"),
+    "contact": Rules("pair exclude", many="pair exclude"),
     "exclude": Rules("name body1 body2"),
-    "equality": Rules("connect weld joint tendon flex flexstrain flexvert distance"),
+    "equality": Rules(EQUALITIES, many=EQUALITIES),
     "connect": Rules("name class active body1 body2 site1 site2 anchor", still=SOFT),
     "weld": Rules("name class active body1 body2 site1 site2 anchor relpose", still=SOFT | {"torquescale": "1"}),
     "equality/joint": Rules("name class active joint1 joint2 polycoef", still=SOFT),
-    "keyframe": Rules("key"),
+    "keyframe": Rules("key", many="key"),
 }

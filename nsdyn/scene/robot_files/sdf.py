@@ -86,6 +86,7 @@ class _Reader:
     def __init__(self, element: Element, folders: Sequence[Path]) -> None:
         self.element, self.folders = element, folders
         self.report = Report()
+        self.static = _true(element.findtext("static"))  # then all of it is fixed, whatever its joints
         self.flaws: list[str] = []
         for tag in ("model", "include"):
             if element.find(tag) is not None:
@@ -93,6 +94,10 @@ class _Reader:
         self.links = {e.get("name", ""): e for e in element.findall("link")}
         if not self.links:
             raise ValueError("it has no <link>")
+        for tag in ("link", "joint"):
+            (name, count), *_ = [*Counter(e.get("name", "") for e in element.findall(tag)).most_common(1), ("", 0)]
+            if count > 1:
+                raise ValueError(f"{tag} {name!r} must have a name of its own")
         joints = element.findall("joint")
         self.frames = {e.get("name", ""): e for e in [*element.findall("link"), *joints, *element.findall("frame")]}
         self.joints = [self._joint(e) for e in joints]
@@ -176,10 +181,9 @@ class _Reader:
 
     def description(self) -> Description:
         """Build the model and describe it."""
-        static = _true(self.element.findtext("static"))
         for link in self.links:
             if link not in self.parts:
-                self._hang(link, 0 if static else self._free(link))
+                self._hang(link, 0 if self.static else self._free(link))
                 self._descend(link)
         self._descend("world")
         lost = [link for link in self.links if link not in self.where]
@@ -219,7 +223,8 @@ class _Reader:
 
     def _gears(self) -> Iterator[Gear]:
         """Gears of <mimic>: multiplier times the other's position beyond a reference, and an offset."""
-        for joint, k, tag in ((j, k, tag) for j in self.joints for k, tag in enumerate(AXES[j.kind])):
+        moving = [] if self.static else self.joints
+        for joint, k, tag in ((j, k, tag) for j in moving for k, tag in enumerate(AXES[j.kind])):
             for mimic in joint.element.iterfind(f"{tag}/mimic"):
                 label, pair = f"mimic of {joint.name!r}", (mimic.get("joint", ""), joint.name)
                 ratio, offset, zero = (
@@ -257,7 +262,7 @@ class _Reader:
     def _add(self, joint: _Joint) -> int:
         """Joint of the model that carries the child; that of the parent if the joint is fixed."""
         parent = 0 if joint.parent == "world" else self.where[joint.parent]
-        if joint.kind == "fixed":
+        if joint.kind == "fixed" or self.static:
             return parent
         axes = [self._axis(joint, tag) for tag in AXES[joint.kind]]
         if joint.kind == "ball":

@@ -12,17 +12,19 @@ AXIS = Rules("xyz use_parent_model_frame dynamics limit mimic", still={"initial_
 POSE = Rules("relative_to rotation_format degrees", still={"frame": ""})
 
 TABLE = {
-    "sdf": Rules("version world model", unused="actor light"),
+    "sdf": Rules("version world model", unused="actor light", many="world model"),
     "world": Rules(
         "name model gravity wind frame",
         # Air and magnetic fields are for sensors and plugins.
         unused="audio magnetic_field atmosphere gui physics scene light road spherical_coordinates actor",
         missing="include joint",
+        many="model frame",
     ),
     "wind": Rules(still={"linear_velocity": "0 0 0"}),
     "model": Rules(
         "name canonical_link link joint frame pose static self_collide",
         unused="allow_auto_disable namespace",
+        many="link joint frame",
         still={"enable_wind": "false", "placement_frame": ""},
     ),
     "model/pose": Rules("rotation_format degrees", still={"relative_to": "", "frame": ""}),
@@ -30,6 +32,7 @@ TABLE = {
     "pose": POSE,
     "link": Rules(
         "name pose inertial collision visual velocity_decay",
+        many="collision visual",
         unused="must_be_base_link sensor projector audio_sink audio_source battery light particle_emitter",
         still={"gravity": "true", "kinematic": "false", "enable_wind": "false", "self_collide": "false"},
     ),

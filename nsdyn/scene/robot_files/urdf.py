@@ -27,9 +27,12 @@ __all__ = ["read_urdf"]
 
 TABLE = {
     "robot": Rules(
-        "name version link joint material gazebo", unused="transmission ros2_control sensor", missing="loop_joint"
+        "name version link joint material gazebo",
+        many="link joint material gazebo",
+        unused="transmission ros2_control sensor",
+        missing="loop_joint",
     ),
-    "link": Rules("name type inertial collision visual", unused="sensor"),
+    "link": Rules("name type inertial collision visual", unused="sensor", many="collision visual"),
     "inertial": Rules("name origin mass inertia"),
     "collision": Rules("name origin geometry", unused="verbose material"),
     "origin": Rules("xyz rpy"),
@@ -49,6 +52,7 @@ TABLE = {
     # What Gazebo adds to a link or joint; contact between links is here where it is not turned off.
     "gazebo": Rules(
         "reference material visual frame",
+        many="material visual frame",
         unused="sensor light laserRetro provideFeedback implicitSpringDamper cfmDamping maxContacts "
         "preserveFixedJoint disableFixedJointLumping canonicalBody",
         missing="joint link",
