@@ -602,3 +602,18 @@ def test_all_of_a_static_model_is_fixed(tmp_path):
     assert loaded(tmp_path, "sdf", sdf())[1].model.nv == 1
     a = loaded(tmp_path, "sdf", sdf(model="<static>true</static>", axis='<mimic joint="j"/>'))[1]
     assert a.model.nv == 0 and [link.joint for link in a.links] == [0] and not a.gears
+
+
+def test_masses_of_shapes_that_have_none_here(tmp_path):
+    mesh = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
+    seen = 'contype="0" conaffinity="0"'
+    for places, note in (
+        ({"more": f'<geom type="mesh" mesh="m" {seen}/>'}, ""),
+        (
+            {"more": f'<geom type="mesh" mesh="m" {seen}/>', "compiler": 'inertiafromgeom="true"'},
+            "inertia of its meshes",
+        ),
+        ({"more": f'<geom name="s" type="sdf" mesh="m" {seen}/>'}, "geom 's' of type 'sdf'"),
+    ):
+        told, _ = loaded(tmp_path, "mjcf", mjcf(top=mesh, **places))
+        assert note in told and bool(note) == bool(told)

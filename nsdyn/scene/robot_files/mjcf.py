@@ -232,6 +232,7 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     carriers = [b for b in world.iter("body") if any(e.tag in ("joint", "freejoint") for e in b)]
     moving = {e.get("name", "") for carrier in carriers for e in carrier.iter("body")}
     paints = {e.get("name", ""): e for e in root.iterfind("asset/material")}
+    by_geoms = any(e.get("inertiafromgeom") == "true" for e in root.iterfind("compiler"))
     trees, geoms = _trees(world, moving), Geoms(_meshes(root), paints)
     # What is fixed is a body of the scene, whose name no link and no joint has.
     taken = {name for name, tree in trees.items() if tree != WORLD} | {e.get("name", "") for e in world.iter("joint")}
@@ -246,7 +247,7 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
             if child.tag not in ("body", "joint", "freejoint", "inertial", "geom", "site"):
                 body.remove(child)
         solids = [g for g in body.findall("geom") if g.get("type", "sphere") == "mesh" and g.get("mass") != "0"]
-        if solids and body.find("inertial") is None and where in moving:
+        if solids and where in moving and (by_geoms or body.find("inertial") is None):
             report.missing.append(f"body {where!r}: inertia of its meshes")
         if trees[where] == WORLD:  # of which only the shapes count; Pinocchio says that a plane has 1 kg
             for inertial in body.findall("inertial"):

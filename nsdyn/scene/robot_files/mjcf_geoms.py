@@ -70,7 +70,7 @@ class Geoms:
             kind = choice(geom.get("type", "sphere"), [*SIZES, *SHAPELESS], f"type of geom {label!r}")
             masks = _mask(geom, "contype", label), _mask(geom, "conaffinity", label)
             if kind in SHAPELESS:
-                notes = report.missing if any(masks) else report.unused
+                notes = report.missing if any(masks) or kind == "sdf" else report.unused  # an sdf has mass
                 notes.append(f"geom {label!r} of type {kind!r} on body {where!r}")
                 body.remove(geom)
                 continue
