@@ -227,7 +227,7 @@ class Scene:
         model : pinocchio.Model
             Copied, so that several articulations may share it.
         geometry_model : pinocchio.GeometryModel, optional
-            Its collision shapes.
+            Its collision shapes; of the pairs of them only those that it lists may touch, if it lists any.
         position, quaternion : sequences
             Where the model's world lies in the scene: the pose of a fixed base, the initial one of a free base.
         q, v : sequences, shapes (nq,), (nv,)

@@ -72,7 +72,8 @@ def test_a_sheet_is_told_in_one_line(run, tmp_path):
         ({"more": '<equality><joint name="e" joint1="ja" joint2="jb"/></equality>'}, None, None),
         ({"more": '<equality><joint joint1="ja" active="false"/></equality>'}, None, None),
         ({"more": '<equality><connect body1="a" body2="b" anchor="0.5 0 0"/></equality>'}, None, None),
-        ({"more": "<deformable><skin/></deformable>"}, "missing", "<deformable>"),
+        ({"more": "<deformable><skin/></deformable>"}, None, None),
+        ({"more": "<deformable><flex/></deformable>"}, "missing", "deformable: <flex>"),
         ({"more": '<contact><pair geom1="ga" geom2="gb"/></contact>'}, "dropped", "contact: <pair> of 'ga' and 'gb'"),
         (
             {"more": '<contact><pair geom1="ga" geom2="gb"/></contact>', "geom": 'contype="2" conaffinity="2"'},

@@ -207,8 +207,7 @@ def test_what_files_say_of_joints_without_an_angle_fails_the_check(tmp_path, cap
         scene.add_urdf("r", path)
     a = scene.articulations["r"]
     assert a.missing == ("joint 'j': <limit> of a planar joint", "joint 'j': <dynamics> of a planar joint")
-    assert a.dropped == ("gazebo 'a': <mu1>", "gazebo 'a': <turnGravityOff>")
-    assert a.unused == ("robot: <gazebo> (1)", "joint: <safety_controller> (1)")
+    assert a.dropped == ("joint 'j': <safety_controller>", "gazebo 'a': <mu1>", "gazebo 'a': <turnGravityOff>")
     assert cli.main(["check", str(path)]) == 1
     assert "<dynamics> of a planar joint" in capsys.readouterr().out
     path = tmp_path / "m.xml"
@@ -229,4 +228,4 @@ def test_what_files_say_of_joints_without_an_angle_fails_the_check(tmp_path, cap
     with pytest.warns(UserWarning, match="'s' leaves out: joint 'j': <axis> of a ball joint; world: <gravity>"):
         scene.add_sdf("s", path)
     assert scene.articulations["s"].missing == ("joint 'j': <axis> of a ball joint",)
-    assert scene.articulations["s"].dropped == ("world: <gravity>", "world: <wind/linear_velocity>")
+    assert scene.articulations["s"].dropped == ("world: <gravity>", "world 'w': <linear_velocity> of <wind>")

@@ -22,13 +22,16 @@ import pinocchio as pin
 
 from nsdyn.scene import meshes
 from nsdyn.scene.articulations import WORLD, Description, check_count, check_size, describe_model
+from nsdyn.scene.robot_files.elements import POSE, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, SHARED, actuators_of
+from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, of_other_kinds
+from nsdyn.scene.robot_files.mjcf_elements import MACROS, TABLE
 from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
-from nsdyn.scene.robot_files.mjcf_geoms import POSE, Geoms, mesh_name
+from nsdyn.scene.robot_files.mjcf_geoms import Geoms, mesh_name
+from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
-from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Report, inside, is_range, mesh_file, numbers, parse
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
@@ -38,71 +41,20 @@ __all__ = ["read_mjcf"]
 SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
 """(nq, nv) of every type of joint."""
 
-MACROS = {"attach", "composite", "flexcomp", "frame", "plugin", "replicate"}
-"""Elements inside bodies that MuJoCo's compiler replaces by others."""
-
-COMPILER = {
-    "settotalmass": "missing",
-    "inertiagrouprange": "missing",
-    "balanceinertia": "dropped",
-    "fitaabb": "dropped",
-}
-"""Attributes of the compiler that are not read, and where that is told."""
-
-OPTIONS = {"density": "0", "viscosity": "0", "wind": "0 0 0", "gravity": "0 0 -9.81"}
-"""Options that change the motion, and their defaults; gravity is that of the scene."""
-
-FLAGS = {"constraint", "contact", "damper", "equality", "frictionloss", "gravity", "limit", "passive", "spring"}
-"""Flags by which MuJoCo leaves a force out; actuation is left out anyway."""
-
 PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
 """Attributes by which a tendon acts of itself; without them it does what an actuator says."""
 
-NUMBERS = {*POSE, "axis", "size", "fromto", "ref", "scale", "vertex"}
+NUMBERS = {*POSE.split(), "axis", "size", "fromto", "ref", "scale", "vertex"}
 """Attributes that are numbers: Pinocchio takes what is none for anything."""
 
-ATTRIBUTES = {
-    "joint": {
-        "name",
-        "type",
-        "pos",
-        "axis",
-        "range",
-        "limited",
-        "ref",
-        "stiffness",
-        "springref",
-        "springdamper",
-        "damping",
-        "armature",
-        "frictionloss",
-        "margin",
-        "actuatorfrcrange",
-        "actuatorfrclimited",
-    },
-    "geom": {
-        "name",
-        "type",
-        "size",
-        "fromto",
-        "mesh",
-        "mass",
-        "density",
-        "contype",
-        "conaffinity",
-        "friction",
-        "condim",
-        "hfield",
-        "rgba",
-        "group",
-        "material",
-        *POSE,
-    },
-    "connect": {"name", "active", "body1", "body2", "site1", "site2", "anchor"},
-    "weld": {"name", "active", "body1", "body2", "site1", "site2", "relpose"},
-    "mesh": {"name", "file", "scale", "vertex"},
-}
-"""What is used of the attributes of an element, or warned of."""
+CHOICES = {
+    "angle": "degree radian",
+    "autolimits": "true false",
+    "inertiafromgeom": "true false auto",
+    "active": "true false",
+    "condim": "1 3 4 6",
+} | dict.fromkeys(("limited", "ctrllimited", "forcelimited", "actuatorfrclimited"), "true false auto")
+"""Attributes that are one of some words: what is none of them must not pass for the default."""
 
 
 def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
@@ -112,6 +64,8 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <mujoco>")
     report = Report()
     try:
+        _merge(root)
+        tell(root.findall("default"), {"default": TABLE["default"]}, report)
         _write_out_defaults(root)
         driven = root.findall("actuator/*")
         geoms, trees = _simplify(root, report)
@@ -130,7 +84,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         links, bodies = links_of(model, geometry.geometryObjects, report.dropped)
         drawn = [k for k, body in enumerate(bodies) if trees[body] != WORLD or not any(geoms.masks[links[k].name])]
         visuals = visuals_of(geoms, [(links[k], bodies[k]) for k in drawn], geometry, path.parent, report.unused)
-        excluded = frozenset(frozenset((e.get("body1", ""), e.get("body2", ""))) for e in root.iter("exclude"))
+        excluded = frozenset(_excluded(root, trees))
         solid = [k for k, link in enumerate(links) if any(geoms.masks[link.name])]
         links, bodies = [links[k] for k in solid], [bodies[k] for k in solid]
         filtered = frozenset(
@@ -184,6 +138,16 @@ def _with_includes(name: str, path: Path, element: Element, seen: set[Path]) -> 
     return element
 
 
+def _merge(root: Element) -> None:
+    """Make one of sections that come several times, as a file and what it includes may have them."""
+    first: dict[str, Element] = {}
+    for section in list(root):
+        if first.setdefault(section.tag, section) is not section and section.tag != "default":
+            first[section.tag].attrib.update(section.attrib)
+            first[section.tag].extend(section)
+            root.remove(section)
+
+
 def _write_out_defaults(root: Element) -> None:
     """Give every joint, geom, site and mesh the attributes of its class, and take the classes away."""
     classes: dict[str, dict[str, dict[str, str]]] = {"main": {}}
@@ -197,52 +161,37 @@ def _write_out_defaults(root: Element) -> None:
         for child in default.findall("default"):
             collect(child, name, child.get("class", ""))
 
-    def apply(element: Element, inherited: str) -> None:
+    def apply(element: Element, inherited: str, tag: str) -> None:
         inherited = element.get("childclass", inherited)
         element.attrib.pop("childclass", None)
         name = element.attrib.pop("class", inherited)
         if name not in classes:
             raise ValueError(f"class {name!r} of a <{element.tag}> is not defined")
-        tag = "tendon" if element.tag in ("fixed", "spatial") else element.tag
         own = dict(classes[name].get(tag, {}))
         if tag in ACTUATORS:
-            of_others = (given for other, given in classes[name].items() if other in ACTUATORS)
-            own = {k: v for given in of_others for k, v in given.items() if k in SHARED} | own
+            own = of_other_kinds(tag, own | element.attrib, classes[name]) | own
         element.attrib.update(own | element.attrib)
         for child in element:
-            apply(child, inherited)
+            apply(child, inherited, child.tag)
 
     for default in root.findall("default"):
         collect(default, "main", "main")
         root.remove(default)
     for section in root:
-        apply(section, "main")
+        for child in section:
+            apply(child, "main", section.tag if section.tag in ("tendon", "equality") else child.tag)
 
 
-def _note(root: Element, world: Element, report: Report) -> None:
+def _note(root: Element, report: Report) -> None:
     """Note what is not read, and refuse what is no number."""
-    missing, dropped, unused = report.missing, report.dropped, report.unused
-    compiler, option = root.find("compiler"), root.find("option")
-    for attribute, notes in COMPILER.items():
-        if compiler is not None and compiler.get(attribute):
-            getattr(report, notes).append(f"compiler: {attribute}")
+    tell([root], TABLE, report)
     for element in root.iterfind("tendon/*"):
-        (missing if PASSIVE & element.attrib.keys() else dropped).append(f"<tendon> {element.get('name')!r}")
-    missing += [f"<{tag}>" for tag in ("deformable",) if root.find(tag) is not None]
-    for attribute, default in OPTIONS.items():
-        given = default if option is None else option.get(attribute, default)
-        if [float(x) for x in given.split()] != [float(x) for x in default.split()] and any(given.split()):
-            dropped.append(f"option: {attribute}")
-    for flag in root.iterfind("option/flag"):
-        dropped += [f"option: flag {a}='disable'" for a in sorted(FLAGS) if flag.get(a) == "disable"]
-    for e in world.iter("joint"):
-        changing = [a for a in ("springdamper", "margin") if any(float(x) for x in e.get(a, "").split())]
-        dropped += [f"joint {e.get('name')!r}: {attribute}" for attribute in changing]
-    read = {"compiler", "worldbody", "equality", "contact", "asset", "keyframe", "actuator", "tendon", "deformable"}
-    unused.of_children([root], read, "mujoco")
-    for tag, used in ATTRIBUTES.items():
-        unused.of_attributes([e for e in root.iter(tag) if "joint1" not in e.attrib], used, tag)
-    for element in root.iter():
+        notes = report.missing if PASSIVE & element.attrib.keys() else report.dropped
+        notes.append(f"<tendon> {element.get('name')!r}")
+    for element in (e for section in root if section.tag != "visual" for e in section.iter()):
+        for attribute in CHOICES.keys() & element.attrib.keys():
+            label = f"{attribute} of <{element.tag}> {element.get('name', '')!r}"
+            choice(element.attrib[attribute], CHOICES[attribute].split(), label)
         for attribute in NUMBERS & element.attrib.keys():
             label = f"{attribute} of <{element.tag}> {element.get('name', '')!r}"
             numbers(element.attrib[attribute], None, None, label)
@@ -275,32 +224,30 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     world = root.find("worldbody")
     if world is None:
         raise ValueError("it has no <worldbody>")
-    _note(root, world, report)
     for number, body in enumerate(world.iter("body")):
         body.attrib.setdefault("name", f"body{number}")
     world.set("name", WORLD)
+    _note(root, report)
+    write_quaternions(root)
     carriers = [b for b in world.iter("body") if any(e.tag in ("joint", "freejoint") for e in b)]
     moving = {e.get("name", "") for carrier in carriers for e in carrier.iter("body")}
     paints = {e.get("name", ""): e for e in root.iterfind("asset/material")}
+    by_geoms = any(e.get("inertiafromgeom") == "true" for e in root.iterfind("compiler"))
     trees, geoms = _trees(world, moving), Geoms(_meshes(root), paints)
     # What is fixed is a body of the scene, whose name no link and no joint has.
     taken = {name for name, tree in trees.items() if tree != WORLD} | {e.get("name", "") for e in world.iter("joint")}
     for body in [world, *world.iter("body")]:
         where = body.get("name", "")
-        used = {"body", "joint", "freejoint", "inertial", "geom", "site"}
-        report.unused.of_children([body], used | MACROS, f"body {where!r}")
-        for attribute in ("mocap", "gravcomp"):
-            if body.get(attribute, "0") not in ("0", "false"):
-                report.dropped.append(f"body {where!r}: {attribute}")
+        body[:] = sorted(body, key=lambda child: child.tag == "body")  # a body comes before those that it carries
         for child in list(body):
-            if child.tag in MACROS:
+            if child.tag in MACROS.split():
                 raise ValueError(
                     f"body {where!r} has a <{child.tag}>: save the file as MuJoCo compiles it, then read that"
                 )
-            if child.tag not in used:
+            if child.tag not in ("body", "joint", "freejoint", "inertial", "geom", "site"):
                 body.remove(child)
         solids = [g for g in body.findall("geom") if g.get("type", "sphere") == "mesh" and g.get("mass") != "0"]
-        if solids and body.find("inertial") is None and where in moving:
+        if solids and where in moving and (by_geoms or body.find("inertial") is None):
             report.missing.append(f"body {where!r}: inertia of its meshes")
         if trees[where] == WORLD:  # of which only the shapes count; Pinocchio says that a plane has 1 kg
             for inertial in body.findall("inertial"):
@@ -316,6 +263,7 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     for asset in root.findall("asset"):
         for child in [c for c in asset if c.tag != "mesh" or mesh_name(c) not in needed]:
             asset.remove(child)
+        tell(asset, TABLE, report, "mesh of shape")
     ElementTree.SubElement(root, "worldbody").append(world)
     return geoms, trees
 
@@ -378,6 +326,12 @@ def _of_joints(trees: Mapping[str, str], model: Any) -> dict[str, str]:
 # -- joints ----------------------------------------------------------------------------------------------------
 
 
+def _excluded(root: Element, known: Mapping[str, str]) -> Iterator[frozenset[str]]:
+    """Pairs of bodies that never touch each other."""
+    for element in root.iterfind("contact/exclude"):
+        yield frozenset(choice(element.get(end, ""), known, f"{end} of an <exclude>") for end in ("body1", "body2"))
+
+
 def _joints(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
     """(element, type, its part of q, its part of v) of every joint, in the order of Pinocchio: depth first."""
     q = v = 0
@@ -411,7 +365,9 @@ def _set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array
         factor = unit if kind == "hinge" else 1.0
         limited = element.get("limited", "auto")
         if limited == "auto":
-            limited = "true" if settings.get("autolimits", "true") == "true" and element.get("range") else "false"
+            limited = (
+                "true" if settings.get("autolimits", "true") == "true" and is_range(element.get("range")) else "false"
+            )
         if element.get("actuatorfrcrange") and element.get("actuatorfrclimited", "auto") != "false":
             low, high = numbers(element.get("actuatorfrcrange"), 2, None, f"actuatorfrcrange of {label}")
             effort[rows] = high
@@ -448,6 +404,8 @@ def _initial(root: Element, model: Any, keyframe: str | None, report: Report) ->
     for _, kind, at, _ in _joints(root):
         if kind in ("free", "ball"):  # MuJoCo writes w x y z
             q[at.stop - 4 : at.stop] = np.roll(q[at.stop - 4 : at.stop], -1)
-    if key.get("qvel") and numbers(key.get("qvel"), model.nv, None, f"qvel of keyframe {keyframe!r}").any():
-        report.dropped.append(f"keyframe {keyframe!r}: qvel")
+    for what in sorted(key.attrib.keys() - {"name", "time", "qpos"}):
+        count = model.nv if what == "qvel" else None
+        if numbers(key.get(what), count, None, f"{what} of keyframe {keyframe!r}").any():
+            report.dropped.append(f"keyframe {keyframe!r}: {what}")
     return q

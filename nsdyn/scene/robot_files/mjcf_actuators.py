@@ -11,9 +11,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from nsdyn.scene.actuation import Actuator
-from nsdyn.scene.robot_files.xml import Notes, numbers
+from nsdyn.scene.robot_files.mjcf_elements import DRIVES
+from nsdyn.scene.robot_files.xml import Notes, is_range, numbers
 
-__all__ = ["ACTUATORS", "SHARED", "actuators_of"]
+__all__ = ["ACTUATORS", "actuators_of", "of_other_kinds"]
 
 OWN = {
     "motor": set(),
@@ -23,13 +24,19 @@ OWN = {
 }
 """What each kind has of its own."""
 
-SHARED = {"gear", "ctrllimited", "forcelimited", "ctrlrange", "forcerange"}
+USED = {"gear", "ctrllimited", "forcelimited", "ctrlrange", "forcerange"}
+"""What all have, and is read."""
+
+SHARED = USED | {"armature", "cranklength", "damping", "delay", "nsample"}
 """What all have, also where the default of another kind gives it."""
 
-ACTUATORS = {*OWN, "intvelocity", "damper", "cylinder", "muscle", "adhesion", "plugin"}
+ACTUATORS = {*DRIVES.split()}
 """All kinds of MuJoCo."""
 
-USED = {"name", "joint", "group", "lengthrange", "user", *SHARED}
+HARMLESS = {"name", "joint", "group", "lengthrange", "user", "interp"}
+
+GAINS = {"general": "gainprm", "position": "kp", "velocity": "kv"}
+"""Attributes that are one and the same in MuJoCo: that of general also gives those of the others."""
 
 NONE = (-math.inf, math.inf)
 
@@ -59,7 +66,7 @@ def actuators_of(
             continue
         if label in out:
             raise ValueError(f"actuator {label!r} comes twice: name both")
-        if others := sorted(element.attrib.keys() - USED - OWN[element.tag]):
+        if others := sorted(element.attrib.keys() - USED - HARMLESS - OWN[element.tag]):
             dropped.append(f"actuator {label!r}: {', '.join(others)}")
         out[label] = a
     count = Counter(a.coordinate for a in out.values())
@@ -69,6 +76,19 @@ def actuators_of(
             dropped.append(f"actuator {label!r}: forcerange of a servo that is not ± the same, or has others beside it")
             out[label] = a._replace(force_range=NONE)
     return tuple(out.values())
+
+
+def of_other_kinds(tag: str, given: Mapping[str, str], defaults: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """What the defaults of other kinds of actuators say of one that is `given`; under their name a gain, to be told."""
+    out: dict[str, str] = {}
+    for other, values in defaults.items():
+        if other not in ACTUATORS - {tag}:
+            continue
+        out |= {k: v for k, v in values.items() if k in SHARED}
+        gain = GAINS.get(other, "kp")
+        if gain in values and "general" in (tag, other) and GAINS.get(tag, gain) not in {*given, gain}:
+            out[f"{gain} of the default of {other!r}"] = ""
+    return out
 
 
 def _unused(element: Element, joint: str, places: Mapping[str, tuple[int, int]]) -> str:
@@ -95,7 +115,7 @@ def _read(element: Element, label: str, joint: str, v: int, autolimits: bool) ->
     def limits(what: str) -> tuple[float, float]:
         limited = element.get(f"{what}limited", "auto")
         given = element.get(f"{what}range")
-        if limited == "false" or (limited == "auto" and not (autolimits and given)):
+        if limited == "false" or (limited == "auto" and not (autolimits and is_range(given))):
             return NONE
         low, high = numbers(given, 2, None, f"{what}range of actuator {label!r}")
         return float(low), float(high)

@@ -11,12 +11,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from nsdyn.scene.materials import Material
+from nsdyn.scene.robot_files.elements import POSE
 from nsdyn.scene.robot_files.mjcf_visuals import Look, look_of
 from nsdyn.scene.robot_files.xml import Notes, Report, numbers
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["POSE", "Geoms", "mesh_name"]
+__all__ = ["Geoms", "mesh_name"]
 
 SIZES = {"plane": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "mesh": 0}
 """Sizes of the types of geoms that have a shape here."""
@@ -31,8 +32,6 @@ LONG = ("capsule", "cylinder", "ellipsoid", "box")
 
 NEAREST = 1e-14
 """Half a distance of such points, m, below which MuJoCo refuses them."""
-
-POSE = {"pos", "quat", "axisangle", "xyaxes", "zaxis", "euler"}
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Geoms:
             kind = choice(geom.get("type", "sphere"), [*SIZES, *SHAPELESS], f"type of geom {label!r}")
             masks = _mask(geom, "contype", label), _mask(geom, "conaffinity", label)
             if kind in SHAPELESS:
-                notes = report.missing if any(masks) else report.unused
+                notes = report.missing if any(masks) or kind == "sdf" else report.unused  # an sdf has mass
                 notes.append(f"geom {label!r} of type {kind!r} on body {where!r}")
                 body.remove(geom)
                 continue
@@ -143,7 +142,7 @@ def _write_size(geom: Element, kind: str, label: str) -> None:
         size = np.r_[np.full(SIZES[kind] - 1, size[0]), length]
         if numbers(geom.get("pos"), 3, (0, 0, 0), f"pos of geom {label!r}").any():
             raise ValueError(f"geom {label!r} must have pos or fromto, got both")
-        for attribute in POSE:
+        for attribute in POSE.split():
             geom.attrib.pop(attribute, None)
         geom.set("pos", _text(ends[3:] + half))
         geom.set("quat", _text(_turn(half / length)))

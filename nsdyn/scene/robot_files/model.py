@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -39,12 +40,31 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
     ]
     if fast:
         dropped.append(f"joint {fast[0]!r}: velocity limit ({len(fast)})")
-    links, bodies = links_of(model, geometry.geometryObjects if geometry else (), dropped)
+    for what in ("DryFriction", "Effort"):
+        lower, upper = (np.array(getattr(model, f"{side}{what}Limit")) for side in ("lower", "upper"))
+        if rows := np.flatnonzero(lower != -upper).tolist():
+            joint = next(j for j in range(model.njoints) if rows[0] < model.idx_vs[j] + model.nvs[j])
+            dropped.append(
+                f"joint {model.names[joint]!r}: lower{what}Limit that is not -upper{what}Limit ({len(rows)})"
+            )
+    if np.abs(model.gravity.vector - (0.0, 0.0, -9.81, 0.0, 0.0, 0.0)).max() > 0.0:
+        dropped.append("gravity of the model: that of the scene counts")
+    objects = [] if geometry is None else [g for g in geometry.geometryObjects if not g.disableCollision]
+    links, bodies = links_of(model, objects, dropped)
     for joint, body in zip(model.names, model.inertias, strict=True):
         if not np.isfinite([body.mass, *body.lever, *body.inertia.ravel()]).all():
             raise ValueError(f"mass and inertia of joint {joint!r} of {name!r} must be finite, got {body}")
         check_mass(body.mass, f"joint {joint!r} of {name!r}")
-    return describe_model(model, links, bodies, dropped=tuple(dropped))
+    return describe_model(model, links, bodies, dropped=tuple(dropped), filtered=_filtered(geometry))
+
+
+def _filtered(geometry: Any | None) -> frozenset[frozenset[str]]:
+    """Pairs of shapes that are not among those that a geometry model lists; none where it lists none."""
+    if geometry is None or not len(geometry.collisionPairs):
+        return frozenset()
+    names = [g.name for g in geometry.geometryObjects]
+    listed = {frozenset((names[pair.first], names[pair.second])) for pair in geometry.collisionPairs}
+    return frozenset(frozenset(pair) for pair in combinations(names, 2)) - listed
 
 
 def links_of(model: Any, objects: Iterable[Any], dropped: Notes) -> tuple[list[Link], list[str]]:

@@ -21,8 +21,10 @@ from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, Loop, describe_model
 from nsdyn.scene.gears import Gear, following, gear
 from nsdyn.scene.materials import Material
+from nsdyn.scene.robot_files.elements import changes_nothing, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.xml import Report, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.sdf_elements import TABLE
+from nsdyn.scene.robot_files.xml import UNLIMITED, Report, is_limit, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import MeshFile, Visual, mesh_visual
 from nsdyn.tools import noise
@@ -41,12 +43,10 @@ AXES = {
 }
 """Axes of the types of joints that are read."""
 
-BEHAVIOUR = {"gravity": "true", "kinematic": "false", "enable_wind": "false", "velocity_decay": None}
-"""Elements of a link that change how it moves, and what they say where they do not, if they can."""
-
 DYNAMICS = "damping", "friction", "spring_stiffness", "spring_reference"
-UNLIMITED = 1e15
-"""A limit of this size means none: SDF writes 1e16, or the largest number there is."""
+
+FRICTION = "surface/friction/ode"
+"""Where a collision has its coefficients of friction."""
 
 
 def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description:
@@ -59,12 +59,10 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
         if len(found) != 1:
             raise ValueError(f"it must hold one model, got {[m.get('name') for m in found]}")
         reader = _Reader(found[0], [path.parent, *package_dirs])
-        dropped, unused = reader.report.dropped, reader.report.unused
-        unused.of_children([root, *root.findall("world")], {"model", "world", "gravity"}, "world")
-        # Gravity is that of the scene; 9.8 is SDF's default.
-        for where, still, near in (("gravity", (0.0, 0.0, -9.81), 0.02), ("wind/linear_velocity", (0, 0, 0), 0.0)):
-            given = [numbers(e.text, 3, None, f"<{where}>") for e in root.iterfind(f"world/{where}")]
-            dropped += [f"world: <{where}>" for value in given if np.abs(value - still).max() > near]
+        for gravity in root.iterfind("world/gravity"):  # that of the scene counts; 9.8 is SDF's default
+            if np.abs(numbers(gravity.text, 3, None, "<gravity>") - (0.0, 0.0, -9.81)).max() > 0.02:
+                reader.report.dropped.append("world: <gravity>")
+        tell([root], TABLE, reader.report)
         return reader.description()
     except (ValueError, RuntimeError) as failure:  # the latter Pinocchio's, of inertias below zero
         raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, [])}") from None
@@ -88,6 +86,7 @@ class _Reader:
     def __init__(self, element: Element, folders: Sequence[Path]) -> None:
         self.element, self.folders = element, folders
         self.report = Report()
+        self.static = _true(element.findtext("static"))  # then all of it is fixed, whatever its joints
         self.flaws: list[str] = []
         for tag in ("model", "include"):
             if element.find(tag) is not None:
@@ -95,6 +94,10 @@ class _Reader:
         self.links = {e.get("name", ""): e for e in element.findall("link")}
         if not self.links:
             raise ValueError("it has no <link>")
+        for tag in ("link", "joint"):
+            (name, count), *_ = [*Counter(e.get("name", "") for e in element.findall(tag)).most_common(1), ("", 0)]
+            if count > 1:
+                raise ValueError(f"{tag} {name!r} must have a name of its own")
         joints = element.findall("joint")
         self.frames = {e.get("name", ""): e for e in [*element.findall("link"), *joints, *element.findall("frame")]}
         self.joints = [self._joint(e) for e in joints]
@@ -112,20 +115,8 @@ class _Reader:
         self.visuals: list[Visual] = []
 
     def _note_unused(self, joints: Sequence[Element]) -> None:
-        missing, dropped, unused = self.report.missing, self.report.dropped, self.report.unused
-        links = list(self.links.values())
-        used = {"link", "joint", "frame", "pose", "static", "self_collide", "enable_wind"}
-        unused.of_children([self.element], used, "model")
-        unused.of_children(links, {"pose", "inertial", "collision", "visual", *BEHAVIOUR}, "link")
-        unused.of_children([i for e in links for i in e.findall("inertial")], {"pose", "mass", "inertia"}, "inertial")
-        unused.of_children(joints, {"parent", "child", "pose", "axis", "axis2"}, "joint")
-        collisions = [c for e in links for c in e.findall("collision")]
-        unused.of_children(collisions, {"pose", "geometry", "surface"}, "collision")
-        surfaces = [s for c in collisions for s in c.findall("surface")]
-        unused.of_children(surfaces, {"friction"}, "surface")
-        unused.of_children([f for s in surfaces for f in s.iter("friction")], {"ode"}, "friction")
-        unused.of_children([o for s in surfaces for o in s.iterfind("friction/ode")], {"mu"}, "friction")
-        fast = [e.get("name") for e in joints for v in e.iterfind("*/limit/velocity") if float(v.text or 0.0) > 0.0]
+        missing, dropped = self.report.missing, self.report.dropped
+        fast = [e.get("name") for e in joints for v in e.iterfind("*/limit/velocity") if is_limit(v.text)]
         if fast:
             dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
         missing += [
@@ -134,19 +125,13 @@ class _Reader:
             for tag in ("axis", "axis2")
             if e.get("type") != "fixed" and e.find(tag) is not None and tag not in AXES.get(e.get("type", ""), ())
         ]
-        axes = [axis for e in joints for axis in e if axis.tag in ("axis", "axis2")]
-        unused.of_children(axes, {"xyz", "use_parent_model_frame", "dynamics", "limit", "mimic"}, "axis")
-        unused.of_children([d for a in axes for d in a.iter("dynamics")], {*DYNAMICS}, "dynamics")
-        of_limits = {"lower", "upper", "effort", "velocity"}
-        unused.of_children([e for a in axes for e in a.iter("limit")], of_limits, "limit")
-        switches = [("model", self.element, "enable_wind"), *(("link", e, tag) for e in links for tag in BEHAVIOUR)]
+        inertials = [(link, e) for link, element in self.links.items() for e in element.findall("inertial")]
+        missing += [f"link {link!r}: automatic inertia" for link, e in inertials if _true(e.get("auto"))]
         dropped += [
-            f"{kind} {e.get('name')!r}: <{tag}>"
-            for kind, e, tag in switches
-            if e.find(tag) is not None and e.findtext(tag, "").strip() != BEHAVIOUR[tag]
-        ]
-        missing += [
-            f"link {e.get('name')!r}: automatic inertia" for e in links if e.find("inertial[@auto='true']") is not None
+            f"collision {c.get('name')!r}: friction across that is not that along"
+            for c in self.element.iter("collision")
+            if (across := c.findtext(f"{FRICTION}/mu2")) is not None
+            and not changes_nothing(across, c.findtext(f"{FRICTION}/mu", "1"))
         ]
 
     # -- poses ---------------------------------------------------------------------------------------------
@@ -166,6 +151,11 @@ class _Reader:
         default = {"joint": element.findtext("child", ""), "frame": element.get("attached_to", "")}.get(element.tag, "")
         relative_to = (None if pose is None else pose.get("relative_to")) or default
         return self._pose_of(relative_to, (*seen, name)) * _pose(pose)
+
+    def _pose_in(self, link: str, pose: Element | None) -> Any:
+        """Pose in a link of what is in it, which may be given in any frame."""
+        frame = "" if pose is None else pose.get("relative_to", "")
+        return (self._pose_of(link).actInv(self._pose_of(frame)) if frame else pin.SE3.Identity()) * _pose(pose)
 
     def _joint(self, element: Element) -> _Joint:
         name, kind = element.get("name", ""), element.get("type", "")
@@ -191,10 +181,9 @@ class _Reader:
 
     def description(self) -> Description:
         """Build the model and describe it."""
-        static = self.element.findtext("static", "false").strip() in ("true", "1")
         for link in self.links:
             if link not in self.parts:
-                self._hang(link, 0 if static else self._free(link))
+                self._hang(link, 0 if self.static else self._free(link))
                 self._descend(link)
         self._descend("world")
         lost = [link for link in self.links if link not in self.where]
@@ -214,7 +203,7 @@ class _Reader:
             setattr(model, which, values)
         model.damping, model.lowerDryFrictionLimit, model.upperDryFrictionLimit = damping, -friction, friction
         apart: frozenset[frozenset[str]] = frozenset()
-        if self.element.findtext("self_collide", "false").strip() not in ("true", "1"):
+        if not _true(self.element.findtext("self_collide")):
             apart = frozenset(frozenset(pair) for pair in combinations(self.links, 2))
         return describe_model(
             model,
@@ -234,7 +223,8 @@ class _Reader:
 
     def _gears(self) -> Iterator[Gear]:
         """Gears of <mimic>: multiplier times the other's position beyond a reference, and an offset."""
-        for joint, k, tag in ((j, k, tag) for j in self.joints for k, tag in enumerate(AXES[j.kind])):
+        moving = [] if self.static else self.joints
+        for joint, k, tag in ((j, k, tag) for j in moving for k, tag in enumerate(AXES[j.kind])):
             for mimic in joint.element.iterfind(f"{tag}/mimic"):
                 label, pair = f"mimic of {joint.name!r}", (mimic.get("joint", ""), joint.name)
                 ratio, offset, zero = (
@@ -272,7 +262,7 @@ class _Reader:
     def _add(self, joint: _Joint) -> int:
         """Joint of the model that carries the child; that of the parent if the joint is fixed."""
         parent = 0 if joint.parent == "world" else self.where[joint.parent]
-        if joint.kind == "fixed":
+        if joint.kind == "fixed" or self.static:
             return parent
         axes = [self._axis(joint, tag) for tag in AXES[joint.kind]]
         if joint.kind == "ball":
@@ -299,7 +289,7 @@ class _Reader:
         axis = joint.element.find(f"{tag}/xyz")
         text, frame = (None, None) if axis is None else (axis.text, axis.get("expressed_in"))
         xyz = numbers(text, 3, (0, 0, 1), f"{tag} of joint {joint.name!r}")
-        if joint.element.findtext(f"{tag}/use_parent_model_frame", "0").strip() in ("true", "1"):
+        if _true(joint.element.findtext(f"{tag}/use_parent_model_frame")):
             frame = "__model__"
         if frame:
             xyz = joint.pose.rotation.T @ self._pose_of(frame).rotation @ xyz
@@ -339,14 +329,16 @@ class _Reader:
             label = f"{link}_{number}"
             with self.report.dropped.of_warnings(label):
                 found = self._shape(collision.find("geometry"))
+            if found is None and collision.find("geometry/empty") is not None:
+                continue
             if found is None:
                 self.report.missing.append(f"collision {collision.get('name')!r} of link {link!r}: its shape")
                 continue
             shape, shift = found
-            placement = pose * _pose(collision.find("pose")) * pin.SE3(np.eye(3), shift)
+            placement = pose * self._pose_in(link, collision.find("pose")) * pin.SE3(np.eye(3), shift)
             self.shapes.append(Link(label, joint, placement, shape))
             self.bodies.append(link)
-            mu = collision.findtext("surface/friction/ode/mu")
+            mu = collision.findtext(f"{FRICTION}/mu")
             if mu is not None:
                 self.materials[label] = Material(float(numbers(mu, 1, None, f"mu of link {link!r}")[0]))
         for visual in element.findall("visual"):
@@ -370,7 +362,7 @@ class _Reader:
         else:
             scale = numbers(mesh.findtext("scale"), 3, (1, 1, 1), "scale of <mesh>")
             shape = mesh_visual(mesh_file(mesh.findtext("uri", "").strip(), self.folders), scale)
-        placement = pose * _pose(visual.find("pose")) * pin.SE3(np.eye(3), shift)
+        placement = pose * self._pose_in(link, visual.find("pose")) * pin.SE3(np.eye(3), shift)
         yield Visual(link, joint, placement, shape, colour)
 
     def _close(self, joint: _Joint, index: int) -> None:
@@ -394,7 +386,7 @@ class _Reader:
         xx, yy, zz = (value(f"inertia/i{a}", 1.0) for a in ("xx", "yy", "zz"))
         xy, xz, yz = (value(f"inertia/i{a}", 0.0) for a in ("xy", "xz", "yz"))
         inertia = part * np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        centre = self._pose_of(link) * _pose(None if element is None else element.find("pose"))
+        centre = self._pose_of(link) * self._pose_in(link, None if element is None else element.find("pose"))
         mass = check_mass(value("mass", 1.0), f"link {link!r}")
         if fault := flaw(inertia, f"link {link!r}"):
             self.flaws.append(fault)
@@ -430,6 +422,13 @@ class _Reader:
                 return None
 
 
+def _true(text: str | None) -> bool:
+    word = (text or "false").strip().lower()
+    if word not in ("true", "1", "false", "0"):
+        raise ValueError(f"<static>, <self_collide> and their like must be true or false, got {text!r}")
+    return word in ("true", "1")
+
+
 def _pose(element: Element | None) -> Any:
     """SE3 of a <pose>: x y z and roll pitch yaw, or a quaternion x y z w."""
     if element is None or element.text is None:
@@ -438,5 +437,5 @@ def _pose(element: Element | None) -> Any:
         values = numbers(element.text, 7, None, "<pose>")
         return pin.XYZQUATToSE3(np.r_[values[:3], values[3:] / np.linalg.norm(values[3:])])
     values = numbers(element.text, 6, None, "<pose>")
-    unit = np.pi / 180.0 if element.get("degrees") == "true" else 1.0
+    unit = np.pi / 180.0 if _true(element.get("degrees")) else 1.0
     return pin.SE3(pin.rpy.rpyToMatrix(unit * values[3:]), values[:3])

@@ -14,8 +14,9 @@ import pinocchio as pin
 from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, describe_model
 from nsdyn.scene.gears import Gear, following, gear
+from nsdyn.scene.robot_files.elements import Rules, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.xml import XACRO, Report, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import XACRO, Report, is_limit, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import Colour, MeshFile, Visual, mesh_visual
 from nsdyn.tools import noise
@@ -24,22 +25,55 @@ from nsdyn.tools.naming import choice
 
 __all__ = ["read_urdf"]
 
-GAZEBO = {
-    "dampingFactor",
-    "fdir1",
-    "gravity",
-    "kinematic",
-    "maxVel",
-    "minDepth",
-    "mu1",
-    "mu2",
-    "springReference",
-    "springStiffness",
-    "stopCfm",
-    "stopErp",
-    "turnGravityOff",
+TABLE = {
+    "robot": Rules(
+        "name version link joint material gazebo",
+        many="link joint material gazebo",
+        unused="transmission ros2_control sensor",
+        missing="loop_joint",
+    ),
+    "link": Rules("name type inertial collision visual", unused="sensor", many="collision visual"),
+    "inertial": Rules("name origin mass inertia"),
+    "collision": Rules("name origin geometry", unused="verbose material"),
+    "origin": Rules("xyz rpy"),
+    "mass": Rules("value"),
+    "inertia": Rules("ixx iyy izz ixy ixz iyz"),
+    "geometry": Rules("name box sphere cylinder capsule mesh"),
+    "box": Rules("name size"),
+    "sphere": Rules("name radius"),
+    "cylinder": Rules("name radius length"),
+    "capsule": Rules("name radius length"),
+    "mesh": Rules("name filename scale"),
+    "joint": Rules("name type dont_collapse parent child origin axis limit dynamics mimic", unused="calibration"),
+    "axis": Rules("xyz"),
+    "limit": Rules("lower upper effort velocity"),
+    "dynamics": Rules("damping friction"),
+    "mimic": Rules("joint multiplier offset"),
+    # What Gazebo adds to a link or joint; contact between links is here where it is not turned off.
+    "gazebo": Rules(
+        "reference material visual frame",
+        many="material visual frame",
+        unused="sensor light laserRetro provideFeedback implicitSpringDamper cfmDamping maxContacts "
+        "preserveFixedJoint disableFixedJointLumping canonicalBody",
+        missing="joint link",
+        still={
+            "gravity": "true",
+            "turnGravityOff": "false",
+            "kinematic": "false",
+            "static": "false",
+            "enable_wind": "false",
+            "selfCollide": "true",
+            "self_collide": "true",
+            "dampingFactor": "0",
+            "springStiffness": "0",
+            "springReference": "0",
+            "fdir1": "0 0 0",
+            "slip1": "0",
+            "slip2": "0",
+        },
+    ),
 }
-"""Elements of <gazebo> that change how a link or joint moves."""
+"""What is read of the elements of a URDF; visual shapes are not looked at."""
 
 
 def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) -> Description:
@@ -55,12 +89,12 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
         raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <robot>")
     if any("xacro" in e.tag or "${" in "".join(e.attrib.values()) for e in root.iter()):
         raise ValueError(f"path of {name!r}: {path} {XACRO}")
+    _write_angles(name, path, root)
     report = Report()
     dropped, unused = report.dropped, report.unused
-    elements, joints = list(root.iter("link")), [e for e in root if e.tag == "joint"]
-    _note_unread(report, root, elements, joints)
+    elements, joints = root.findall("link"), [e for e in root if e.tag == "joint"]
+    _note_unread(report, root, joints)
     collisions = [(e.get("name", ""), c) for e in elements for c in e.findall("collision")]
-    unused.of_children([c for _, c in collisions], {"origin", "geometry"}, "collision")
     looks = [(e.get("name", ""), v) for e in elements for v in e.findall("visual")]
     colours = {e.get("name"): e for e in root.findall("material")}
     for element in elements:
@@ -103,26 +137,27 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
     return describe_model(model, links, bodies, **more, **report.told())
 
 
-def _note_unread(report: Report, root: Element, links: Sequence[Element], joints: Sequence[Element]) -> None:
+def _write_angles(name: str, path: Path, root: Element) -> None:
+    """Write quat_xyzw as rpy: urdfdom reads it where the file says a version, and says nothing where it does not."""
+    for origin in root.iter("origin"):
+        if "quat_xyzw" in origin.attrib:
+            x, y, z, w = numbers(origin.attrib.pop("quat_xyzw"), 4, None, f"path of {name!r}: {path}, quat_xyzw")
+            angles = pin.rpy.matrixToRpy(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix())
+            origin.set("rpy", " ".join(map(repr, angles.tolist())))
+
+
+def _note_unread(report: Report, root: Element, joints: Sequence[Element]) -> None:
     """Note what of a file Pinocchio or nsdyn does not read."""
-    missing, dropped, unused = report.missing, report.dropped, report.unused
-    missing += [
+    report.missing.extend(
         f"joint {joint.get('name')!r}: <{e.tag}> of a {joint.get('type')} joint"
         for joint in joints
         for e in joint
         if joint.get("type") in ("planar", "floating") and e.tag in ("limit", "dynamics", "mimic")
-    ]
-    for tag, used in (("limit", {"lower", "upper", "effort", "velocity"}), ("dynamics", {"damping", "friction"})):
-        unused.of_attributes([e for joint in joints for e in joint.iter(tag)], used, tag)
-    for e in root.findall("gazebo"):
-        physics = sorted({child.tag for child in e} & GAZEBO)
-        dropped += [f"gazebo {e.get('reference')!r}: <{tag}>" for tag in physics]
-    fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if e.get("velocity", "0").strip("0.")]
+    )
+    fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if is_limit(e.get("velocity"))]
     if fast:
-        dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
-    unused.of_children([root], {"link", "joint", "material"}, "robot")
-    unused.of_children(links, {"inertial", "collision", "visual"}, "link")
-    unused.of_children(joints, {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"}, "joint")
+        report.dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
+    tell([root], TABLE, report)
 
 
 def _mimics(joints: Sequence[Element], model: Any) -> tuple[Array, tuple[Gear, ...]]:

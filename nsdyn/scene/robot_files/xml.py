@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,10 +16,13 @@ from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import is_file
 
-__all__ = ["Notes", "Report", "inside", "mesh_file", "numbers", "parse"]
+__all__ = ["UNLIMITED", "Notes", "Report", "inside", "is_limit", "is_range", "mesh_file", "numbers", "parse"]
 
 DEEPEST = 400
 """Elements inside each other: what reads them calls itself for each, which ends the process at some thousands."""
+
+UNLIMITED = 1e15
+"""A limit of this size means none: SDF writes 1e16, or the largest number there is."""
 
 XACRO = "has xacro macros: expand them first (xacro FILE.urdf.xacro > FILE.urdf)"
 
@@ -35,16 +37,6 @@ class Notes(list[str]):
             warnings.simplefilter("always")
             yield
         self += [f"{where}: {w.message}" for w in caught]
-
-    def of_children(self, elements: Iterable[Element], used: set[str], where: str) -> None:
-        """Note the children of `elements` whose tag is not `used`."""
-        found = Counter(child.tag for element in elements for child in element if child.tag not in used)
-        self += [f"{where}: <{tag}> ({n})" for tag, n in sorted(found.items())]
-
-    def of_attributes(self, elements: Iterable[Element], used: set[str], where: str) -> None:
-        """Note the attributes of `elements` that are not `used`."""
-        found = Counter(attribute for element in elements for attribute in element.attrib if attribute not in used)
-        self += [f"{where}: {attribute} ({n})" for attribute, n in sorted(found.items())]
 
 
 @dataclass(frozen=True)
@@ -103,6 +95,19 @@ def numbers(text: str | None, count: int | None, default: Sequence[float] | None
         wanted += f" of at most {LARGEST:g} in size" if np.isfinite(out).all() and out.size else ""
         raise ValueError(f"{what} must be {wanted}, got {text!r}")
     return out
+
+
+def is_limit(text: str | None) -> bool:
+    """Whether a text is a limit: a number above 0 that does not stand for none."""
+    try:
+        return 0.0 < float(text or 0.0) < UNLIMITED
+    except ValueError:
+        return bool(text and text.strip())
+
+
+def is_range(text: str | None) -> bool:
+    """Whether a text is a range of MJCF; 0 to 0 stands for none."""
+    return any(word.strip("+-0.") for word in (text or "").split())
 
 
 def mesh_file(uri: str, folders: Sequence[Path], remedy: str = "; give its folder in package_dirs") -> Path:
