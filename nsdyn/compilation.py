@@ -120,7 +120,7 @@ def _problems() -> None:
         opening = gauss.Opening(np.zeros(problem.blocks.n), problem.nc, 1.0)
         gauss.certify(problem, np.zeros_like(problem.q), -np.ones_like(problem.q), opening)
         polished.certify(problem, np.zeros_like(problem.q))
-        paradox.paradoxical(problem)
+        paradox.ambiguous(problem, problem.q, np.zeros_like(problem.q))
     polished.certify(matrix, np.zeros_like(matrix.q))
 
 

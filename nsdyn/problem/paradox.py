@@ -29,7 +29,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 
-__all__ = ["all_of_one", "jams", "others", "paradoxical"]
+__all__ = ["all_of_one", "ambiguous", "jams", "others"]
 
 Solve = Callable[[FC3D, Array], Solution]
 
@@ -44,15 +44,15 @@ FALL, ODD = 1e-3, 10.0
 jam: where friction is a force it is at most of the order of μ."""
 
 
-def paradoxical(problem: FC3D) -> NDArray[np.bool_]:
-    """Contacts with W_NN < μ‖W_NT‖, shape (nc,), by the factors of the problem."""
+def ambiguous(problem: FC3D, u: Array, r: Array) -> NDArray[np.bool_]:
+    """Contacts whose own law admits several solutions, the impulses r (3 nc,) of others given, shape (nc,)."""
     if problem.blocks is None:
         W = problem.W.toarray()
         n = np.arange(0, 3 * problem.nc, 3)
         return np.asarray(W[n, n] < problem.mu * np.hypot(W[n, n + 1], W[n, n + 2]))
-    out = np.empty(problem.nc)
-    _kernels.coupled(problem.blocks.arrays, problem.mu, out)
-    return out < 0.0
+    out = np.empty(problem.nc, np.bool_)
+    _kernels.ambiguous(problem.blocks.arrays, problem.mu, u, r, out)
+    return out
 
 
 def all_of_one(W: Array, q: Array, mu: float) -> list[Array]:
@@ -103,7 +103,7 @@ def others(problem: FC3D, r: Array, solve: Solve) -> Array | None:
         A solver.
     """
     u = problem.velocity(r)
-    for c in np.flatnonzero(paradoxical(problem)):
+    for c in np.flatnonzero(ambiguous(problem, u, r)):
         for guess in _instead(problem, r, u, int(c)):
             solution = Solution.judge(problem, guess, 1e-8, 0, 0.0)  # m/s, and of q
             if not solution.converged:

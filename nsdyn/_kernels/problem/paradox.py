@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import in_place, kernel
 
 
 @in_place
@@ -34,23 +34,73 @@ def _product(blocks, c, s, n, i, j):
     return total
 
 
-@in_place
-def coupled(blocks, mu, out):
-    """W_NN - μ|W_NT| of every contact, into out (nc,), 1/kg; returns the least.
+DIRECTIONS = 180
+"""Of slip, in which solutions of one contact are looked for; of two that are closer than 2° none is seen."""
 
-    Where it is negative friction presses the contact on faster than the normal impulse opens it.
+ROUND_OFF = 1e-12
+"""Of velocities of a contact, from which on they are of one sign."""
+
+
+@kernel
+def ambiguous(blocks, mu, u, r, out):
+    """Contacts whose own law admits several solutions, the impulses of others given, into out (nc,); whether any does.
+
+    Only where W_NN < μ‖W_NT‖: friction presses the contact on faster than the normal impulse opens it.
     """
     offset, block = blocks[0], blocks[1]
-    least = np.inf
+    W, q, some = np.empty((3, 3)), np.empty(3), False
     for c in range(mu.size):
-        normal = first = second = 0.0
+        out[c] = False
+        if mu[c] == 0.0:
+            continue
+        W[:] = 0.0
         for s in range(2):
             if block[c, s] >= 0:
                 n = offset[block[c, s] + 1] - offset[block[c, s]]
-                normal += _product(blocks, c, s, n, 0, 0)
-                if mu[c] > 0.0:
-                    first += _product(blocks, c, s, n, 0, 1)
-                    second += _product(blocks, c, s, n, 0, 2)
-        out[c] = normal - mu[c] * math.sqrt(first * first + second * second)
-        least = min(least, out[c])
-    return least
+                for i in range(3):
+                    for j in range(i, 3):
+                        W[i, j] += _product(blocks, c, s, n, i, j)
+        if W[0, 0] >= mu[c] * math.sqrt(W[0, 1] ** 2 + W[0, 2] ** 2):
+            continue
+        W[1, 0], W[2, 0], W[2, 1] = W[0, 1], W[0, 2], W[1, 2]
+        for i in range(3):
+            q[i] = u[3 * c + i]
+            for j in range(3):
+                q[i] -= W[i, j] * r[3 * c + j]
+        out[c] = _count(W, q, mu[c]) > 1
+        some = some or out[c]
+    return some
+
+
+@in_place
+def _count(W, q, mu):
+    """How many solutions u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K has of one contact: open, stick, and slip."""
+    size = abs(q[0]) + abs(q[1]) + abs(q[2])
+    found = 1 if q[0] >= -ROUND_OFF * size else 0
+    x0, x1 = W[1, 1] * W[2, 2] - W[1, 2] ** 2, W[0, 2] * W[1, 2] - W[0, 1] * W[2, 2]
+    x2 = W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1]
+    det = W[0, 0] * x0 + W[0, 1] * x1 + W[0, 2] * x2
+    if abs(det) > ROUND_OFF * W[0, 0] * W[1, 1] * W[2, 2]:
+        y1, y2 = W[0, 0] * W[2, 2] - W[0, 2] ** 2, W[0, 0] * W[1, 1] - W[0, 1] ** 2
+        z = W[0, 1] * W[0, 2] - W[0, 0] * W[1, 2]
+        normal = -(x0 * q[0] + x1 * q[1] + x2 * q[2]) / det
+        first, second = -(x1 * q[0] + y1 * q[1] + z * q[2]) / det, -(x2 * q[0] + z * q[1] + y2 * q[2]) / det
+        if normal > 0.0 and math.sqrt(first * first + second * second) <= (1.0 + ROUND_OFF) * mu * normal:
+            found += 1
+    last, known = 0.0, False
+    for k in range(DIRECTIONS + 1):
+        # Slip along t takes the impulse r_N (1, -μ t), of which r_N leaves u_N = 0, and is across t nowhere else.
+        angle = 2.0 * math.pi * (k + 0.5) / DIRECTIONS
+        t1, t2 = math.cos(angle), math.sin(angle)
+        stiff = W[0, 0] - mu * (W[0, 1] * t1 + W[0, 2] * t2)
+        normal = -q[0] / stiff if stiff != 0.0 else -1.0
+        if normal <= 0.0:
+            known = False
+            continue
+        u1 = q[1] + normal * (W[0, 1] - mu * (W[1, 1] * t1 + W[1, 2] * t2))
+        u2 = q[2] + normal * (W[0, 2] - mu * (W[1, 2] * t1 + W[2, 2] * t2))
+        across = t1 * u2 - t2 * u1
+        if known and (across > 0.0) != (last > 0.0) and t1 * u1 + t2 * u2 > 0.0:
+            found += 1
+        last, known = across, True
+    return found
