@@ -20,18 +20,25 @@ def stopped(q, u, r, nc):
 
 
 @in_place
-def _product(blocks, c, s, n, i, j):
-    """Rows i and j of what block s, of n coordinates, adds to W_cc."""
-    _, block, start, H, m_start, _, minv = blocks
-    k = block[c, s]
-    a, b, total = start[c, s] + i * n, start[c, s] + j * n, 0.0
-    for p in range(n):
-        x = H[a + p]
-        if x != 0.0:
-            base = m_start[k] + p * n
+def _add(blocks, c, i, y, W):
+    """Row i of W_cc, from its diagonal on, into W (3, 3), with room y for what a row does to a block."""
+    offset, block, start, H, m_start, _, minv = blocks
+    for s in range(2):
+        k = block[c, s]
+        if k < 0:
+            continue
+        n, first = offset[k + 1] - offset[k], start[c, s]
+        for q in range(n):
+            y[q] = 0.0
+        for p in range(n):
+            x = H[first + i * n + p]
+            if x != 0.0:
+                base = m_start[k] + p * n
+                for q in range(n):
+                    y[q] += x * minv[base + q]
+        for j in range(i, 3):
             for q in range(n):
-                total += x * minv[base + q] * H[b + q]
-    return total
+                W[i, j] += y[q] * H[first + j * n + q]
 
 
 DIRECTIONS = 180
@@ -47,21 +54,23 @@ def ambiguous(blocks, mu, u, r, out):
 
     Only where W_NN < μ‖W_NT‖: friction presses the contact on faster than the normal impulse opens it.
     """
-    offset, block = blocks[0], blocks[1]
-    W, q, some = np.empty((3, 3)), np.empty(3), False
+    offset = blocks[0]
+    W, q, some, widest = np.empty((3, 3)), np.empty(3), False, 0
+    for k in range(offset.size - 1):
+        widest = max(widest, offset[k + 1] - offset[k])
+    y = np.empty(widest)
     for c in range(mu.size):
         out[c] = False
         if mu[c] == 0.0:
             continue
-        W[:] = 0.0
-        for s in range(2):
-            if block[c, s] >= 0:
-                n = offset[block[c, s] + 1] - offset[block[c, s]]
-                for i in range(3):
-                    for j in range(i, 3):
-                        W[i, j] += _product(blocks, c, s, n, i, j)
+        for i in range(3):
+            for j in range(3):
+                W[i, j] = 0.0
+        _add(blocks, c, 0, y, W)
         if W[0, 0] >= mu[c] * math.sqrt(W[0, 1] ** 2 + W[0, 2] ** 2):
             continue
+        _add(blocks, c, 1, y, W)
+        _add(blocks, c, 2, y, W)
         W[1, 0], W[2, 0], W[2, 1] = W[0, 1], W[0, 2], W[1, 2]
         for i in range(3):
             q[i] = u[3 * c + i]
@@ -88,10 +97,10 @@ def _count(W, q, mu):
         if normal > 0.0 and math.sqrt(first * first + second * second) <= (1.0 + ROUND_OFF) * mu * normal:
             found += 1
     last, known = 0.0, False
-    for k in range(DIRECTIONS + 1):
+    t1, t2, cos, sin = 1.0, 0.0, math.cos(2.0 * math.pi / DIRECTIONS), math.sin(2.0 * math.pi / DIRECTIONS)
+    for _ in range(DIRECTIONS + 1):
         # Slip along t takes the impulse r_N (1, -μ t), of which r_N leaves u_N = 0, and is across t nowhere else.
-        angle = 2.0 * math.pi * (k + 0.5) / DIRECTIONS
-        t1, t2 = math.cos(angle), math.sin(angle)
+        t1, t2 = cos * t1 - sin * t2, sin * t1 + cos * t2
         stiff = W[0, 0] - mu * (W[0, 1] * t1 + W[0, 2] * t2)
         normal = -q[0] / stiff if stiff != 0.0 else -1.0
         if normal <= 0.0:
