@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels.problem import paradox as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["all_of_one", "ambiguous", "jams", "others"]
 
@@ -44,15 +44,14 @@ FALL, ODD = 1e-3, 10.0
 jam: where friction is a force it is at most of the order of μ."""
 
 
-def ambiguous(problem: FC3D, u: Array, r: Array) -> NDArray[np.bool_]:
-    """Contacts whose own law admits several solutions, the impulses r (3 nc,) of others given, shape (nc,)."""
+def ambiguous(problem: FC3D, u: Array, r: Array) -> Index:
+    """Contacts whose own law admits several solutions, the impulses r (3 nc,) of others given."""
     if problem.blocks is None:
         W = problem.W.toarray()
         n = np.arange(0, 3 * problem.nc, 3)
-        return np.asarray(W[n, n] < problem.mu * np.hypot(W[n, n + 1], W[n, n + 2]))
-    out = np.empty(problem.nc, np.bool_)
-    _kernels.ambiguous(problem.blocks.arrays, problem.mu, u, r, out)
-    return out
+        return np.flatnonzero(W[n, n] < problem.mu * np.hypot(W[n, n + 1], W[n, n + 2]))
+    out = np.empty(problem.nc, np.int64)
+    return out[: _kernels.ambiguous(problem.blocks.arrays, problem.mu, u, r, out)]
 
 
 def all_of_one(W: Array, q: Array, mu: float) -> list[Array]:
@@ -90,7 +89,7 @@ def all_of_one(W: Array, q: Array, mu: float) -> list[Array]:
     return found
 
 
-def others(problem: FC3D, r: Array, solve: Solve) -> Array | None:
+def others(problem: FC3D, r: Array, solve: Solve, u: Array | None = None) -> Array | None:
     """Another impulse (3 nc,) that solves the problem as r does, with another velocity; None if none is found.
 
     Parameters
@@ -101,9 +100,11 @@ def others(problem: FC3D, r: Array, solve: Solve) -> Array | None:
         A solution, N·s.
     solve : callable
         A solver.
+    u : ndarray, shape (3 nc,), optional
+        Its velocity, where it is known, m/s.
     """
-    u = problem.velocity(r)
-    for c in np.flatnonzero(ambiguous(problem, u, r)):
+    u = problem.velocity(r) if u is None else u
+    for c in ambiguous(problem, u, r):
         for guess in _instead(problem, r, u, int(c)):
             solution = Solution.judge(problem, guess, 1e-8, 0, 0.0)  # m/s, and of q
             if not solution.converged:

@@ -93,6 +93,7 @@ class Paradoxes:
                     done[k] = acted._replace(status=states, normal=normal, friction=friction)
                     total = math.fsum(moved)
                     works = works._replace(normal=works.normal + total, friction=works.friction - total)
-            if status is None and problem.nc <= FEW and paradox.others(problem, solution.r, self._solver) is not None:
-                status = Status.SEVERAL
+            if status is None and problem.nc <= FEW:
+                other = paradox.others(problem, solution.r, self._solver, solution.u)
+                status = None if other is None else Status.SEVERAL
         return done, works, status

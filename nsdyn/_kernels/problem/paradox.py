@@ -50,17 +50,16 @@ ROUND_OFF = 1e-12
 
 @kernel
 def ambiguous(blocks, mu, u, r, out):
-    """Contacts whose own law admits several solutions, the impulses of others given, into out (nc,); whether any does.
+    """Contacts whose own law admits several solutions, the impulses of others given, into out; how many they are.
 
     Only where W_NN < μ‖W_NT‖: friction presses the contact on faster than the normal impulse opens it.
     """
     offset = blocks[0]
-    W, q, some, widest = np.empty((3, 3)), np.empty(3), False, 0
+    W, q, some, widest = np.empty((3, 3)), np.empty(3), 0, 0
     for k in range(offset.size - 1):
         widest = max(widest, offset[k + 1] - offset[k])
     y = np.empty(widest)
     for c in range(mu.size):
-        out[c] = False
         if mu[c] == 0.0:
             continue
         for i in range(3):
@@ -76,8 +75,9 @@ def ambiguous(blocks, mu, u, r, out):
             q[i] = u[3 * c + i]
             for j in range(3):
                 q[i] -= W[i, j] * r[3 * c + j]
-        out[c] = _count(W, q, mu[c]) > 1
-        some = some or out[c]
+        if _count(W, q, mu[c]) > 1:
+            out[some] = c
+            some += 1
     return some
 
 
