@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.units import with_unit
 from nsdyn.view.solids import PALETTE
 
-__all__ = ["LEDGER", "OTHERS", "PALETTE", "Curve", "Panel", "draw", "look"]
+__all__ = ["LEDGER", "OTHERS", "PALETTE", "Curve", "Panel", "draw", "look", "looks"]
 
 LEDGER = {
     "kinetic": "#3b75af",
@@ -28,8 +29,11 @@ LEDGER = {
 }
 """Colours of energies and of who took them, as the page has them (`ledger.js`)."""
 
-OTHERS = "#9aa5b1"
+OTHERS = "#b9c2cb"
 """Of what has no colour of its own."""
+
+DASHES = "-", "--", ":", "-."
+"""Of as many curves of one colour."""
 
 NOISE = 1e-6
 """What spans less of what is at play is round-off, or the solver's tolerance."""
@@ -37,8 +41,8 @@ NOISE = 1e-6
 FLOOR, LOST = 1e-12, 1e-11
 """Of logarithmic axes: where they begin at the lowest, and curves below which are left out, in the unit of the axis."""
 
-ROWS, LETTER = 3, 0.6
-"""Most rows of a legend above its panels, and width of a letter over the size of its font."""
+ROWS, PILED, LETTER = 3, 6, 0.6
+"""Most rows of a legend above its panels, with these together, and width of a letter over the size of its font."""
 
 APART = 1.5
 """Ticks of a logarithmic axis at its values are at least by this factor."""
@@ -184,7 +188,19 @@ class Panel:
 def look(k: int) -> dict[str, Any]:
     """Colour and dashes of the k-th of several curves: the page's colours of bodies, dashed from the seventh on."""
     colour = tuple(part / 255 for part in PALETTE[k % len(PALETTE)])
-    return {"color": colour, "ls": ("-", "--", ":", "-.")[k // len(PALETTE) % 4]}
+    return {"color": colour, "ls": DASHES[k // len(PALETTE) % len(DASHES)]}
+
+
+def looks(numbers: Mapping[str, int]) -> dict[str, dict[str, Any]]:
+    """Looks of curves by name, no two the same while there are any: that of its number, or the next that none has.
+
+    Numbers are those of the page's colours, so that what is one colour there is no other here unless it has to be.
+    """
+    own = dict[int, str]()
+    for name, k in numbers.items():
+        own.setdefault(k % len(PALETTE), name)
+    first, free = {name: k for k, name in own.items()}, (k for k in count() if k not in own)
+    return {name: look(first[name] if name in first else next(free)) for name in numbers}
 
 
 def draw(figure: Any, panels: Sequence[Panel]) -> Any:
@@ -203,21 +219,21 @@ def draw(figure: Any, panels: Sequence[Panel]) -> Any:
             ax.set_ylabel(panel.ylabel.replace(" [", "\n["))
     figure.align_ylabels(axes)
     if len(handles) > 1 or any(panel.peak for panel in shown):
-        _legend(figure, handles)
+        _legend(figure, handles, min(ROWS, PILED - len(shown)))
     elif handles:
         axes[0].set_title(next(iter(handles)), loc="left", fontsize="small")
     return axes
 
 
-def _legend(figure: Any, handles: Mapping[str, Any]) -> None:
-    """Above the panels in a few rows, else to their right where there is room."""
+def _legend(figure: Any, handles: Mapping[str, Any], rows: int) -> None:
+    """Above the panels in so many rows at most, else to their right where there is room."""
     from matplotlib import font_manager  # heavy, and for pictures only
 
     size = font_manager.FontProperties(size="small").get_size_in_points() / 72.0
     entry = (5.0 + LETTER * max(map(len, handles))) * size
     width = figure.bbox.width / figure.dpi
     columns = max(1, int(width / entry))
-    above = -(-len(handles) // columns) <= ROWS or entry > 0.4 * width
+    above = -(-len(handles) // columns) <= rows or entry > 0.4 * width
     where = (
         {"loc": "outside upper left", "ncols": min(columns, len(handles))} if above else {"loc": "outside right upper"}
     )

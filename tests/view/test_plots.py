@@ -194,14 +194,35 @@ def test_what_is_alone_and_what_has_not_begun():
 
 
 def test_many_bodies_have_few_names():
-    scene = nd.Scene(gravity=(0, 0, 0))
+    """Those that move most stand out, each in a colour of its own, though three of them have one on the page."""
+    scene, fast = nd.Scene(gravity=(0, 0, 0)), {0: 9, 6: 8, 24: 7, 27: 6, 28: 5, 29: 4}
     for k in range(30):
-        scene.add_sphere(f"ball{k}", 0.1, 1.0, position=(k, 0, 0), linear_velocity=(0.1 * k, 0, 0))
+        v = (fast.get(k, 0.1), 1e-12 * (k == 13), 0)  # beside which what is round-off in another direction is nothing
+        scene.add_sphere(f"ball{k}", 0.1, 1.0, position=(0, k, 0), linear_velocity=v)
     run = nd.simulate(scene, 0.1, dt=0.01)
-    figure = drawn(lambda figure: plots.draw(run, "position", figure=figure))
-    check(figure)
-    names = [text.get_text() for text in legends(figure)[0].get_texts()]
-    assert len(names) == plots.SHOWN + 1 and "18 others" in names and "ball29" in names
+    for kind in ("position", "speed"):
+        figure = drawn(lambda figure, kind=kind: plots.draw(run, kind, figure=figure))
+        check(figure)
+        names = [text.get_text() for text in legends(figure)[0].get_texts()]
+        assert names == [*(f"ball{k}" for k in fast), "and 24 others"]
+        looks = {line.get_label(): (line.get_color(), line.get_linestyle()) for line in figure.axes[0].lines}
+        assert len(set(looks.values())) == len(names) and {dash for _, dash in looks.values()} == {"-"}
+        below = {line.get_label(): line.get_zorder() for line in figure.axes[0].lines}
+        assert below["and 24 others"] < below["ball0"] and looks["and 24 others"][0] == panels.OTHERS
+
+
+def test_no_two_curves_look_the_same():
+    assert panels.looks({str(k): k for k in range(24)}) == {str(k): panels.look(k) for k in range(24)}
+    assert panels.looks({"a": 3, "b": 27, "c": 4}) == {"a": panels.look(3), "b": panels.look(0), "c": panels.look(4)}
+
+
+def test_coordinates_in_two_units_can_be_told_apart():
+    """Twelve angles of a quadruped, and the place of its trunk."""
+    setup = nd.scenes.setup("quadruped")
+    run = nd.simulate(setup.scene, 0.02, **setup.options(dt=5e-3))
+    figure = drawn(lambda figure: plots.draw(run, "joint", figure=figure))
+    looks = {line.get_label(): (line.get_color(), line.get_linestyle()) for ax in figure.axes for line in ax.lines}
+    assert len(set(looks.values())) == len(looks) == 15
 
 
 def test_colours_are_those_of_the_page():
