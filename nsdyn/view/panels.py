@@ -109,7 +109,16 @@ class Panel:
     def quiet(self) -> bool:
         """Whether nothing but noise is to be seen."""
         low, high = self.range()
-        return high == 0.0 if self.log else high - low <= NOISE * max(self.scale, abs(low), abs(high))
+        return high == 0.0 if self.log else high - low <= self._noise
+
+    @property
+    def _noise(self) -> float:
+        """What is no more than this is round-off."""
+        return LOST if self.log else NOISE * max(self.scale, *map(abs, self.range()))
+
+    @property
+    def _unit(self) -> str:
+        return self.ylabel.partition("[")[2].rstrip("]")
 
     def draw(self, ax: Any) -> None:
         """Draw it on matplotlib axes."""
@@ -128,43 +137,52 @@ class Panel:
             ax.plot(
                 [] if lost else c.x,
                 [] if lost else c.y,
-                **c.look,
+                **_lone(c),
                 label=f"{c.label}, below {LOST:g}" if lost else c.label,
             )
         ax.set_ylabel(self.ylabel)
+        self._set_x(ax)
+        if self.log and not self.quiet:
+            ax.set(yscale="log")
+        else:
+            ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4), useMathText=True)
+        ax.set_ylim(*self._limits())
+        if self.quiet:
+            self._say_quiet(ax)
+
+    def _set_x(self, ax: Any) -> None:
+        if self.log == "xy":
+            places = sorted({float(x) for c in self.curves for x in c.x})
+            kept = [x for k, x in enumerate(places) if k == 0 or x > APART * places[k - 1]]
+            ax.set(xscale="log", xlim=(places[0] / 1.1, 1.1 * places[-1]))
+            ax.set_xticks([], minor=True)
+            ax.set_xticks(kept, [f"{x:g}" for x in kept])
+            return
+        ax.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4), useMathText=True)
         if self.xlabel == "t [s]":
             ax.margins(x=0)
             ax.set_xlim(0.0, max((c.x[-1] for c in (*self.curves, *self.areas) if c.x.size), default=0.0) or 1.0)
-        if self.log:
-            ax.set(yscale="log")
-            if self.log == "xy":
-                places = sorted({float(x) for c in self.curves for x in c.x})
-                kept = [x for k, x in enumerate(places) if k == 0 or x > APART * places[k - 1]]
-                ax.set(xscale="log", xlim=(places[0] / 1.1, 1.1 * places[-1]))
-                ax.set_xticks([], minor=True)
-                ax.set_xticks(kept, [f"{x:g}" for x in kept])
-        else:
-            ax.ticklabel_format(style="sci", scilimits=(-3, 4), useMathText=True)
-        ax.set_ylim(*self._limits())
-        if self.quiet:
-            ax.text(
-                0.5,
-                0.7,
-                self.note or ("nothing but round-off" if self.curves or self.areas else "nothing touches"),
-                transform=ax.transAxes,
-                ha="center",
-                va="center",
-            )
+
+    def _say_quiet(self, ax: Any) -> None:
+        """Words, and of the numbers on the axis, which would be those of noise, only 0."""
+        if self.zero:
+            ax.set_yticks([0.0], ["0"])
+        noise = f"{LOST:g}" if self.log else with_unit(self._noise, self._unit)
+        least = f",\nless than {noise}" if self._noise else ""
+        words = self.note or (f"nothing but round-off{least}" if self.curves or self.areas else "nothing touches")
+        ax.text(0.5, 0.7, words, transform=ax.transAxes, ha="center", va="center")
 
     def _limits(self) -> tuple[float, float]:
         """What the axis spans: whole decades, with a margin, or what would be no noise."""
         low, high = self.range()
+        if self.quiet and self.zero:
+            return -0.1 * (self._noise or 1.0), self._noise or 1.0
         if self.log:
             low, high = max(low, FLOOR), max(high, 10 * FLOOR)
             return 10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high))
         if self.quiet:
-            size = max(self.scale, abs(low), abs(high)) or 1.0
-            return (-0.1 * NOISE * size, NOISE * size) if self.zero else (low - 0.05 * size, high + 0.05 * size)
+            room = 0.05 * (self._noise / NOISE or 1.0)
+            return low - room, high + room
         if self.peak:
             high = self.top
         return low - 0.05 * (high - low) * (low < 0.0 or not self.areas), high + 0.05 * (high - low)
@@ -181,8 +199,16 @@ class Panel:
     @property
     def peak(self) -> str:
         """What is said of peaks that are cut, empty where none is."""
-        most, unit = self.range()[1], self.ylabel.partition("[")[2].rstrip("]")
-        return f"peaks reach {with_unit(most, unit)}" if most > self.top else ""
+        most = self.range()[1]
+        return f"peaks reach {with_unit(most, self._unit)}" if most > self.top and not self.quiet else ""
+
+
+def _lone(curve: Curve) -> dict[str, Any]:
+    """Its look, with dots where a line would show nothing: at values between what is not known."""
+    known = np.pad(np.isfinite(curve.y), 1)
+    alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
+    shown = "marker" in curve.look or not alone.size
+    return curve.look if shown else {"marker": ".", "markevery": alone, **curve.look}
 
 
 def look(k: int) -> dict[str, Any]:

@@ -48,7 +48,7 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
         joint, phase : angle or position, velocity and torque of joints; velocity over angle.
         energy, power : where the energy is and who took it, as on the page [J]; what each pair dissipates [W].
         friction : of every contact, over the most that Coulomb's law allows [N].
-        certificate, penetration : error of each step and its bound; deepest overlap by the recorded gaps [m].
+        certificate, penetration : error of each step and its bound; of shapes, by the recorded gaps [m].
     name : str
         Which bodies, pairs or joints, as of `nsdyn.Trajectory.table`.
     figure : matplotlib Figure or SubFigure, optional
@@ -129,19 +129,24 @@ def _position(trajectory: Trajectory, name: str) -> list[Panel]:
     table, numbers = _bodies(trajectory, name)
     shown = _shown(numbers, _most(table, table["body"], *"xyz", size=np.ptp))
     moved = {axis: _curves(table, shown, table["body"], axis) for axis in "xyz"}
-    spans = [float(np.ptp(c.y)) for curves in moved.values() for c in curves]
-    scale, out = max(spans, default=0.0), []
-    for axis, curves in moved.items():
-        if max(float(np.ptp(c.y)) for c in curves) > panels.NOISE * scale or scale == 0.0:
-            out.append(Panel(f"{axis} [m]", curves, scale, zero=False))
-    return out
+    spans = {axis: max(float(np.ptp(c.y)) for c in curves) for axis, curves in moved.items()}
+    scale = max(*spans.values(), _fallen(trajectory)[0])
+    out = {axis: Panel(f"{axis} [m]", curves, scale, zero=False) for axis, curves in moved.items()}
+    # Where nothing moves, bodies can be told apart along one axis.
+    apart = max(out, key=lambda axis: float(np.ptp(out[axis].range())))
+    return [out[axis] for axis in "xyz" if spans[axis] > panels.NOISE * scale] or [out[apart]]
+
+
+def _fallen(trajectory: Trajectory) -> tuple[float, float]:
+    """How far and how fast what falls would have got, m, m/s: beside it round-off and what is at rest are seen as 0."""
+    g, t = float(np.linalg.norm(trajectory.scene["gravity"])), float(trajectory.t[-1])
+    return 0.5 * g * t * t, g * t
 
 
 def _speed(trajectory: Trajectory, name: str) -> list[Panel]:
     table, numbers = _bodies(trajectory, name)
     shown = _shown(numbers, _most(table, table["body"], "speed"))
-    fallen = float(np.linalg.norm(trajectory.scene["gravity"]) * trajectory.t[-1])
-    return [Panel("speed [m/s]", _curves(table, shown, table["body"], "speed"), fallen)]
+    return [Panel("speed [m/s]", _curves(table, shown, table["body"], "speed"), _fallen(trajectory)[1])]
 
 
 def _pairs(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, int], Any]:
@@ -168,9 +173,8 @@ def _force(trajectory: Trajectory, name: str) -> list[Panel]:
 
 def _slip(trajectory: Trajectory, name: str) -> list[Panel]:
     table, numbers, key = _pairs(trajectory, name)
-    fallen = float(np.linalg.norm(trajectory.scene["gravity"]) * trajectory.t[-1])
     shown = _shown(numbers, _most(table, key, "slip"))
-    return [Panel("slip [m/s]", _curves(table, shown, key, "slip"), fallen)]
+    return [Panel("slip [m/s]", _curves(table, shown, key, "slip"), _fallen(trajectory)[1])]
 
 
 def _gap(trajectory: Trajectory, name: str) -> list[Panel]:
@@ -187,7 +191,12 @@ def _joint(trajectory: Trajectory, name: str) -> list[Panel]:
     for unit, (table, key) in tables.items():
         place, rate, effort = (_curves(table, shown, key, c) for c in ("position", "velocity", "torque"))
         word, drive = UNITS[unit]
-        out += [Panel(f"{word} [{unit}]", place, zero=False), Panel(f"velocity [{unit}/s]", rate), Panel(drive, effort)]
+        far, fast = _fallen(trajectory) if unit == "m" else (1.0, 1.0)
+        out += [
+            Panel(f"{word} [{unit}]", place, far, zero=False),
+            Panel(f"velocity [{unit}/s]", rate, fast),
+            Panel(drive, effort),
+        ]
     return out or [Panel("joints", [], note="no joint has an angle or a position")]
 
 
@@ -270,27 +279,23 @@ def _friction(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _certificate(trajectory: Trajectory, name: str) -> list[Panel]:
-    t, style = trajectory.t_steps, {"marker": ".", "ms": 3, "lw": 0.6}
-    curves = [
-        Curve(label, t, np.where(values > 0.0, values, np.nan), {"color": LEDGER[colour], **style})
-        for label, values, colour in (
-            ("bound [√J]", trajectory.gauss.bound, "normal"),
-            ("residual [m/s]", trajectory.solver.residual, "kinetic"),
-        )
-    ]
-    return [Panel("error of the step", curves, log="y")]
+    found = (
+        ("bound [√J]", trajectory.gauss.bound, "normal"),
+        ("residual [m/s]", trajectory.solver.residual, "kinetic"),
+    )
+    return [Panel("error of the step", [_dots(trajectory, *one) for one in found], log="y")]
 
 
 def _penetration(trajectory: Trajectory, name: str) -> list[Panel]:
     table, depth = tabulated(trajectory, "contacts", name), np.zeros(trajectory.steps)
     np.maximum.at(depth, table["step"] - 1, -table["gap"])
-    curve = Curve(
-        "deepest gap",
-        trajectory.t_steps,
-        np.where(depth > 0.0, depth, np.nan),
-        {"color": LEDGER["damping"], "marker": ".", "ms": 3, "lw": 0.6},
-    )
-    return [Panel("overlap [m]", [curve], log="y")]
+    return [Panel("penetration [m]", [_dots(trajectory, "deepest contact", depth, "damping")], log="y")]
+
+
+def _dots(trajectory: Trajectory, label: str, values: Array, colour: str) -> Curve:
+    """What each step has of its own, which may be nothing in the next: dots, for lines between them would be a comb."""
+    look = {"color": LEDGER[colour], "ls": "", "marker": ".", "ms": 3}
+    return Curve(label, trajectory.t_steps, np.where(values > 0.0, values, np.nan), look)
 
 
 KINDS: dict[str, Callable[[Trajectory, str], list[Panel]]] = {

@@ -93,6 +93,9 @@ def test_round_off_is_not_drawn_at_full_scale(resting, kind):
     check(figure)
     (ax,) = figure.axes  # one panel: friction and what moves sideways are noise
     low, high = ax.get_ylim()
+    if kind not in ("position", "force", "friction", "certificate"):
+        assert [tick.get_text() for tick in ax.get_yticklabels()] == ["0"]
+        assert not ax.yaxis.get_offset_text().get_text() and not ax.get_title(loc="right")
     scale = {
         "position": 2.6,
         "speed": 9.81 * 0.1,
@@ -105,10 +108,38 @@ def test_round_off_is_not_drawn_at_full_scale(resting, kind):
     }
     if kind in scale:
         assert high - low > 0.9e-6 * scale[kind]
-    else:
+    elif kind == "certificate":
         assert low >= 1e-12 and high >= 10.0 * low
+    if kind == "speed":
+        assert [text.get_text() for text in ax.texts] == ["nothing but round-off,\nless than 981 nm/s"]
     if kind == "energy":
         assert [text.get_text() for text in ax.texts] == ["at rest: nothing of 192.3 J moves"]
+
+
+def test_what_rests_where_it_is_has_no_axis_of_noise():
+    """A ball at rest in the middle of the world: its place is that to some digits, and 1e-17 is none of them."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground", offset=-0.1)
+    scene.add_sphere("ball", 0.1, 1.0)
+    run = nd.simulate(scene, 0.1, dt=0.01)
+    run.columns["q"][1:, :3] += 1e-17 * np.arange(1, 11)[:, None]
+    (ax,) = drawn(lambda figure: plots.draw(run, "position", figure=figure)).axes
+    low, high = ax.get_ylim()
+    assert low < -1e-4 and high > 1e-4 and "round-off" in ax.texts[0].get_text()
+
+
+def test_errors_of_steps_are_dots(arm):
+    """A step may have none where the next has one: lines would be a comb."""
+    for kind in ("certificate", "penetration"):
+        figure = drawn(lambda figure, kind=kind: plots.draw(arm, kind, figure=figure))
+        assert {(line.get_linestyle(), line.get_marker()) for line in figure.axes[0].lines} == {("None", ".")}
+
+
+def test_what_lasts_one_step_is_seen():
+    run = nd.simulate(nd.scenes.load("bounce")(), 0.6, dt=1e-3)
+    (line,) = drawn(lambda figure: plots.draw(run, "gap", figure=figure)).axes[0].lines
+    (touched,) = np.flatnonzero(np.isfinite(line.get_ydata()))
+    assert line.get_marker() == "." and line.get_markevery().tolist() == [touched]
 
 
 def curves(run, kind, name="*"):
@@ -141,7 +172,7 @@ def test_plots_draw_what_is_recorded(slide, arm):
     np.testing.assert_array_equal(np.nan_to_num(certificate["bound [√J]"]), slide.gauss.bound)
     (depth,) = curves(arm, "penetration")
     deepest = [max(0.0, -arm.contacts(k).gap.min(initial=0.0)) for k in range(1, arm.steps + 1)]
-    assert "deepest gap" in depth or max(deepest) < 1e-11
+    assert "deepest contact" in depth or max(deepest) < 1e-11
     (cones,) = curves(slide, "friction")
     assert sum(len(cones[name]) for name in cones if name.startswith(("stick", "slip"))) == 4 * slide.steps
     with pytest.raises(ValueError, match=r"did you mean 'speed'\? kind must be one of position, .*; got 'sped'"):
@@ -242,7 +273,7 @@ def test_refinement_is_drawn_with_its_orders():
     nothing = nd.refine("slide", [1e-2, 5e-3, 2.5e-3], 0.05)
     figure = drawn(lambda figure: draw_refinement(nothing, figure))
     check(figure)
-    assert [text.get_text() for text in figure.axes[0].texts] == ["nothing but round-off"]
+    assert [text.get_text() for text in figure.axes[0].texts] == ["nothing but round-off,\nless than 1e-11"]
 
 
 def test_sweep_is_drawn_over_its_numbers():
