@@ -30,6 +30,10 @@ NEGLIGIBLE = 1e-9
 """Works of this part of the largest energy are left out, as on the page."""
 
 
+OF_JOINTS = "joint", "phase"
+OF_CONTACTS = "force", "slip", "gap", "power", "friction", "penetration"
+"""Kinds that draw nothing of a recording without those."""
+
 UNITS = {"rad": ("angle", "torque [N m]"), "m": ("position", "actuation [N]")}
 """Of coordinates of joints: what they are and what drives them."""
 
@@ -69,7 +73,13 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
     >>> run = nd.simulate(nd.scenes.load("slide")(), 0.5, dt=0.01)
     >>> nd.plots.draw(run, "speed", "box").savefig("speed.pdf")  # doctest: +SKIP
     """
-    found = KINDS[choice(kind, KINDS, "kind")](trajectory, name)
+    choice(kind, KINDS, "kind")
+    missing = _missing(trajectory)
+    for what, kinds in missing.items():
+        if kind in kinds:
+            told = ", ".join(k for k in KINDS if not any(k in without for without in missing.values()))
+            raise ValueError(f"the recording has no {what} to draw {kind} of; what can be drawn: {told}")
+    found = KINDS[kind](trajectory, name)
     if figure is None:
         import matplotlib.pyplot as plt
 
@@ -80,13 +90,18 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
 
 def usual(trajectory: Trajectory) -> list[str]:
     """The kinds that are drawn where none is asked for."""
-    joints = any(a.get("sizes") for a in trajectory.scene["articulations"])
     return [
         "energy",
         "speed",
         *(["force"] if trajectory.columns["contacts/offset"][-1] > 0 else []),
-        *(["joint"] if joints else []),
+        *([] if "joints" in _missing(trajectory) else ["joint"]),
     ]
+
+
+def _missing(trajectory: Trajectory) -> dict[str, tuple[str, ...]]:
+    """What a recording does not have, and the kinds that would draw it."""
+    joints = any(a.get("sizes") for a in trajectory.scene["articulations"])
+    return ({} if joints else {"joints": OF_JOINTS}) | ({} if trajectory.has_contacts else {"contacts": OF_CONTACTS})
 
 
 def _rows(table: Table, key: Any) -> dict[str, Table]:

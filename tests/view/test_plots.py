@@ -177,7 +177,7 @@ def test_plots_draw_what_is_recorded(slide, arm):
     assert sum(len(cones[name]) for name in cones if name.startswith(("stick", "slip"))) == 4 * slide.steps
     with pytest.raises(ValueError, match=r"did you mean 'speed'\? kind must be one of position, .*; got 'sped'"):
         plots.draw(slide, "sped")
-    with pytest.raises(ValueError, match="joints must be one of none"):
+    with pytest.raises(ValueError, match=r"no joints to draw phase of; what can be drawn: position, .*, penetration$"):
         plots.draw(slide, "phase")
 
 
@@ -312,7 +312,10 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     for given, words in (
         (["--name", "bo"], "did you mean 'box'"),
-        (["--kind", "joint"], "joints must be one of none"),
+        (
+            ["--kind", "joint"],
+            "no joints to draw joint of; what can be drawn: position, speed, force, slip",
+        ),
         (["--style", "nope"], "--style must be a style of matplotlib or a file of one, got nope"),
         (["--size", "1", "60"], "--size must be two lengths of 20 to 2000 mm, got [1.0, 60.0]"),
     ):
@@ -322,6 +325,8 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
     bare.save("bare.h5")
     assert main(["plot", "bare.h5", "-o", "bare.png"]) == 0
     assert main(["plot", "bare.h5", "--kind", "friction", "-o", "no.png"]) == 2
+    told = "no contacts to draw friction of; what can be drawn: position, speed, energy, certificate\n"
+    assert capsys.readouterr().err.endswith(told)
     assert set(figures.KINDS) == set(plots.KINDS)
 
 
