@@ -30,6 +30,9 @@ NEGLIGIBLE = 1e-9
 """Works of this part of the largest energy are left out, as on the page."""
 
 
+LONGEST = 2.0
+"""Frictions up to so many times what 90 % stay below are drawn as they are, like the forces on the page."""
+
 OF_JOINTS = "joint", "phase"
 OF_CONTACTS = "force", "slip", "gap", "power", "friction", "penetration"
 """Kinds that draw nothing of a recording without those."""
@@ -281,15 +284,25 @@ def _power(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _friction(trajectory: Trajectory, name: str) -> list[Panel]:
+    """Impacts, beside which what carries a load would be one dot, are marked where their ray from 0 leaves the rest."""
     table = tabulated(trajectory, "contacts", name)
     most, drag = (table["mu"] * table["impulse_N"] / trajectory.dt, table["impulse_T"] / trajectory.dt)
-    top, dots = float(most.max(initial=0.0)), {"ls": "", "marker": ".", "ms": 3, "rasterized": True}
-    curves = []
+    pushes = most > 0.0
+    largest = float(most.max(initial=0.0))
+    top = min(largest, LONGEST * float(np.quantile(most[pushes], panels.USUAL))) if pushes.any() else 0.0
+    beyond, curves = most > top, []
     for state, colour in (("stick", LEDGER["kinetic"]), ("slip", LEDGER["friction"])):
-        some = (table["state"] == state) & (most > 0.0)
+        some = (table["state"] == state) & pushes & ~beyond
         if some.any():
-            curves.append(Curve(f"{state} ({some.sum()})", most[some], drag[some], {"color": colour, **dots}))
-    curves.append(Curve("Coulomb's limit", np.array([0.0, top]), np.array([0.0, top]), {"color": "k", "lw": 0.8}))
+            look = {"color": colour, "ls": "", "marker": ".", "ms": 5, "mew": 0.0, "rasterized": True}
+            curves.append(Curve(f"{state} ({some.sum()})", most[some], drag[some], look))
+    if beyond.any():
+        label = f"stronger ({beyond.sum()}), up to {with_unit(largest, 'N')}"
+        look = {"color": LEDGER["normal"], "ls": "", "marker": ">", "ms": 4, "clip_on": False}
+        part = top / most[beyond]
+        curves.append(Curve(label, part * most[beyond], part * drag[beyond], look))
+    edge = np.array([0.0, top])
+    curves.append(Curve("Coulomb's limit", edge, edge, {"color": "k", "lw": 0.8}))
     return [Panel("friction [N]", curves, top, xlabel="μ × normal force [N]")]
 
 

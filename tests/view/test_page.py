@@ -313,7 +313,7 @@ def test_scale_of_forces(opened, sliding):
     page.run("document.querySelector('.front').click()")
     show(page, 0.45)
     width = place(page, ".scale.forces .bar")[2]
-    force = number(text(page, ".scale.forces").removeprefix("forces "), "N")
+    force = number(text(page, ".scale.forces").removeprefix("forces ").removesuffix(", ↠ stronger"), "N")
     metres = force * page.run("nsdyn.panes[0].overlay.scale('forces')")
     x = page.run(
         "(s => { const c = s.recording.view.centre; "
@@ -323,6 +323,22 @@ def test_scale_of_forces(opened, sliding):
     # Of the box, on four points that carry a quarter of its weight each.
     forces = page.run("(a => Array.from(a['forces/force']).slice(-12))(nsdyn.recordings[0].arrays)")
     np.testing.assert_allclose(np.reshape(forces, (4, 3)), np.tile((0, 0, 2 * 9.81 / 4), (4, 1)), rtol=0, atol=1e-2)
+
+
+def test_impacts_are_cut_and_marked(opened, sliding):
+    """What carries a load is readable beside an impact of a hundred times as much, whose arrow has two heads."""
+    page = opened(sliding, forces=True)
+    page.run("(window.drawn = [], draw = arrow, arrow = (...all) => { drawn.push(all); draw(...all); })")
+    heads = {}
+    for t in (0.19, float(sliding.t[marks.find(sliding).step[0]])):
+        page.run("drawn.length = 0")
+        show(page, t)
+        arrows = page.run("drawn.map(([_, from, to, , cut]) => [Math.hypot(to[0] - from[0], to[1] - from[1]), cut])")
+        heads[t] = sorted(arrows[-1 if t == 0.19 else -2 :])
+    (weight,), (same, impact) = heads.values()
+    assert [weight[1], same[1], impact[1]] == [False, False, True]
+    assert same[0] == pytest.approx(weight[0], rel=1e-3) and 1.2 * same[0] < impact[0] < 4.0 * same[0]
+    assert text(page, ".scale.forces").endswith("N, ↠ stronger")
 
 
 def test_a_body_is_picked_where_it_is_seen(opened, sliding):

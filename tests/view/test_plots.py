@@ -210,6 +210,23 @@ def test_peaks_of_impacts_do_not_hide_the_rest(arm):
     assert ax.get_title(loc="right") == f"peaks reach {peak / 1000:.4g} kN"
 
 
+def test_friction_of_impacts_is_marked_at_the_edge(arm):
+    """The arm strikes with a hundred times the weight of the box, whose friction fills the picture."""
+    figure = drawn(lambda figure: plots.draw(arm, "friction", figure=figure))
+    check(figure)
+    table, ax = arm.table("contacts"), figure.axes[0]
+    most = table["mu"] * table["impulse_N"] / arm.dt
+    (marked,) = [line for line in ax.lines if line.get_label().startswith("stronger")]
+    high = ax.get_xlim()[1]
+    assert np.quantile(most[most > 0.0], 0.9) > 0.4 * high and most.max() > 10.0 * high
+    assert marked.get_label() == f"stronger ({(most > high).sum()}), up to {most.max():.4g} N"
+    assert marked.get_marker() == ">" and np.ptp(marked.get_xdata()) < 1e-12 * high
+    strongest = np.argsort(most[most > high])[-1]
+    part = marked.get_ydata()[strongest] / marked.get_xdata()[strongest]
+    row = int(np.argmax(most))
+    assert part == pytest.approx(table["impulse_T"][row] / (table["mu"][row] * table["impulse_N"][row]), rel=1e-12)
+
+
 def test_what_is_alone_and_what_has_not_begun():
     """A free body, which nothing touches, and a recording that a kill left before its first step."""
     scene = nd.Scene()

@@ -9,7 +9,7 @@ const KINDS = {
 const DRAWN = {
   contacts: "Contact points that stick or slip; those behind bodies are faded",
   open: "Contact points that are open, and carry nothing",
-  forces: "Contact forces on bodies, mean since the state before",
+  forces: "Contact forces on bodies, mean since the state before; with two heads those that are cut",
   cones: "Friction cones with the force inside, red at its edge; of redundant contacts those of least norm",
 };
 
