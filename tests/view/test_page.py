@@ -242,10 +242,29 @@ def test_checks_are_those_of_the_steps(opened, sliding):
     k = 77
     show(page, sliding.t[k])
     cells = page.run("nsdyn.panes[0].ledger.values('checks', nsdyn.clock.t).map(row => row[2])")
-    overlap = max(0.0, -sliding.contacts(k).gap.min())
-    expected = (sliding.solver.residual[k - 1], sliding.gauss.bound[k - 1], overlap)
+    penetration = max(0.0, -sliding.contacts(k).gap.min())
+    expected = (sliding.solver.residual[k - 1], sliding.gauss.bound[k - 1], penetration)
     assert cells == pytest.approx(expected, rel=1e-6, abs=0)
     assert page.run("nsdyn.panes[0].chart.lanes.map(lane => lane.log)") == [True] * 3
+    assert "penetration" in text(page, ".curves .values")
+    # What one step has and the next has not is no comb: all strokes are level, and at no value below the axis.
+    page.run(
+        "(window.strokes = [], window.pen = null, window.faked = {moveTo: (x, y) => { pen = y; },"
+        " lineTo: (x, y) => strokes.push([pen, y])},"
+        " nsdyn.panes[0].chart.trace(faked, nsdyn.panes[0].chart.lanes[1], nsdyn.panes[0].ledger.curve('bound')))"
+    )
+    strokes, low = np.array(page.run("strokes")), page.run("nsdyn.panes[0].chart.lanes[1].low")
+    np.testing.assert_array_equal(strokes[:, 0], strokes[:, 1])
+    assert len(strokes) == (sliding.gauss.bound.astype("f4") >= low).sum()
+
+
+def test_checks_that_are_round_off_are_told(opened):
+    scene = nd.Scene()
+    scene.add_sphere("ball", 0.1, 1.0)
+    page = opened(nd.simulate(scene, 0.05, dt=1e-2))
+    click_on(page, ".checks")
+    lanes = "nsdyn.panes[0].chart.lanes.map(lane => [lane.note, lane.low])"
+    assert page.run(lanes) == [["less than 10⁻¹¹: round-off", 1e-11]] * 3
 
 
 def test_impacts_are_marked_and_jumped_to(opened, sliding):

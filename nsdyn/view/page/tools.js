@@ -4,7 +4,7 @@ const KINDS = {
   energy: "Kinetic and potential energy, and over them what was taken: their sum is what there was",
   power: "What friction, impacts and damping take, mean of each interval",
   motion: "Speeds and heights of bodies, coordinates and loads of joints; a body that is picked stands out",
-  checks: "Residual, certificate and overlap of each step",
+  checks: "Residual, certificate and penetration of each step",
 };
 const DRAWN = {
   contacts: "Contact points that stick or slip; those behind bodies are faded",
