@@ -6,6 +6,10 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from nsdyn.problem.solution import TOLD, Status
+
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
@@ -62,15 +66,27 @@ def parameters(trajectory: Trajectory) -> str:
 
 def _power(tol: str) -> str:
     """As "1e-8"."""
-    return re.sub(r"e([-+])0+", r"e\1", f"{float(tol):g}")
+    digits, _, power = f"{float(tol):e}".partition("e")
+    return f"{float(digits):g}e{int(power)}"
 
 
 def words(trajectory: Trajectory) -> str:
-    """Step and solver of a run: "steps of 1 ms, contacts solved to 1e-8 m/s by auto"."""
+    """Step and solver of a run: "steps of 1 ms, contacts solved to 1e-8 m/s by auto, 130 of 200 steps to 1e-4"."""
     dt = f"{1e3 * trajectory.dt:g} ms" if trajectory.dt < 1.0 else f"{trajectory.dt:g} s"
     name, tol = re.findall(r"^(\w*)(?:\(tol=([^,)]*))?", str(trajectory.meta.get("solver", "")))[0]
     solved = f", contacts solved{f' to {_power(tol)} m/s' if tol else ''} by {name.lower()}" if name else ""
-    return f"steps of {dt}{solved}"
+    return f"steps of {dt}{solved}{''.join(_short_of(trajectory))}"
+
+
+def _short_of(trajectory: Trajectory) -> list[str]:
+    """How many steps met a looser tolerance than that of the solver, and how many none."""
+    status, steps = trajectory.solver.status, "steps" if trajectory.every == 1 else "recorded steps"
+    loose = re.findall(r"loose=([^,)]*)", str(trajectory.meta.get("solver", "")))
+    found = {
+        f"to {_power(loose[0])}" if loose else "to a looser one": status == Status.LOOSE,
+        "missed it": ~np.isin(status, [*TOLD, Status.OVERLAP, Status.LOOSE]),
+    }
+    return [f", {which.sum()} of {status.size} {steps} {what}" for what, which in found.items() if which.any()]
 
 
 def _settings(trajectory: Trajectory) -> dict[str, Any]:
