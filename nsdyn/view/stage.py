@@ -33,6 +33,9 @@ GROUND = (0.83, 0.845, 0.86)
 
 FIELD_OF_VIEW = 32.0  # degrees
 
+LINES = {"color": 0.9, "night": 2.2}
+"""How bright the lines of a ground are by its own colour: darker by day, brighter at night, when it is nearly black."""
+
 OUTLINE = 200
 """Directions in which the outline of a scene is taken."""
 
@@ -185,7 +188,9 @@ def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view
         reach = 6.0 * R
         grid = _grid(-(frame[:2] @ foot), _round_number(R / 2.5), reach)
         ground = faded(grid, colour, BACKGROUND, rings[-1])
-        lines = as_buffer(position=grid, color=faded(grid, shaded(colour, 0.9), ground, reach))
+        own = np.array(list(colour)[:3])
+        tones = {name: faded(grid, tone * own, ground, reach) for name, tone in LINES.items()}
+        lines = as_buffer(position=grid, **tones)
         material = {"type": "LineBasicMaterial", "vertexColors": True}
         parts.append({"type": "LineSegments", "geometry": lines, "material": material})
     matrix = np.eye(4)

@@ -554,7 +554,9 @@ def test_headings_tell_what_differs(opened, at):
     boxes = page.run("Array.from(document.querySelectorAll('.heading'), h => h.getBoundingClientRect().toJSON())")
     assert 0 <= boxes[0]["left"] < boxes[0]["right"] <= SIZE[0] / 2 <= boxes[1]["left"] < boxes[1]["right"] <= SIZE[0]
     assert all(0 <= box["top"] and 15 < box["height"] < 40 for box in boxes)
-    assert "steps of 10 ms, contacts solved to 1e-8 m/s by auto" in text(page, ".heading small")
+    assert text(page, ".heading small") == "slide, steps of 10 ms, contacts solved to 1e-8 m/s by auto"
+    page = opened(one, beside=nd.simulate(nd.scenes.load("bounce")(), 0.02, dt=5e-3), at=at)
+    assert text(page, ".heading") == "slide, dt=0.01 ssteps of 10 ms, contacts solved to 1e-8 m/s by auto"
 
 
 def test_forces_of_two_recordings_have_one_scale(opened, sliding):
@@ -744,6 +746,13 @@ def test_a_link_shows_its_joint(opened):
 def test_rest_is_rest(opened):
     page = opened(nd.simulate(nd.scenes.load("stack")(height=2), 0.05, dt=1e-2))
     assert page.run("nsdyn.panes[0].chart.lanes[0].note") == "at rest: nothing of 3.924 J moves"
+    # The axis has no numbers of noise.
+    page.run(
+        "(window.told = [], write = CanvasRenderingContext2D.prototype.fillText,"
+        " CanvasRenderingContext2D.prototype.fillText = function (...all) { told.push(all[0]); write.apply(this, all); },"
+        " nsdyn.panes[0].chart.redraw(), CanvasRenderingContext2D.prototype.fillText = write)"
+    )
+    assert page.run("told") == ["0", "energy [J]", "at rest: nothing of 3.924 J moves"]
 
 
 def test_picture_has_a_clock_and_no_controls(sliding, opened):

@@ -58,7 +58,8 @@ class Chart {
     context.strokeStyle = theme.colour("grid");
     context.lineWidth = 1;
     context.textAlign = "right";
-    const marks = lane.log ? decades(lane.low, lane.high, (bottom - top) / px(16)) : ticks(lane.low, lane.high, (bottom - top) / px(30));
+    const linear = lane.note ? [0] : ticks(lane.low, lane.high, (bottom - top) / px(30));  // of nothing, no numbers
+    const marks = lane.log ? decades(lane.low, lane.high, (bottom - top) / px(16)) : linear;
     for (const mark of marks) {
       const y = Math.round(this.y(lane, mark)) + 0.5;
       context.beginPath();

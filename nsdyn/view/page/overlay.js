@@ -108,7 +108,7 @@ class Overlay {
       rim.push(tip([contact.r[0], radius * Math.cos(turn), radius * Math.sin(turn)]));
     }
     if (!apex || rim.some(point => !point)) return;
-    const colour = contact.edge ? EDGE_COLOUR : "#4b6584";
+    const colour = contact.edge ? EDGE_COLOUR : theme.dark ? "#9db4d0" : "#4b6584";
     context.fillStyle = colour + "12";
     context.strokeStyle = colour + "a0";
     context.lineWidth = 1;

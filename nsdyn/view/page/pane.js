@@ -7,7 +7,7 @@ class Pane {
     const head = this.root.appendChild(element("div", "head"));
     const heading = head.appendChild(element("div", "heading", recording.label));
     const {label, name, words} = recording;
-    heading.append(element("small", "", [label === name ? "" : name, words].filter(Boolean).join(", ")));
+    heading.append(element("small", "", [label.startsWith(name) ? "" : name, words].filter(Boolean).join(", ")));
     this.legend = head.appendChild(element("div", "legend"));
     const view = this.root.appendChild(element("div", "view"));
     const three = view.appendChild(element("div", "three"));
