@@ -749,7 +749,8 @@ def test_rest_is_rest(opened):
     # The axis has no numbers of noise.
     page.run(
         "(window.told = [], write = CanvasRenderingContext2D.prototype.fillText,"
-        " CanvasRenderingContext2D.prototype.fillText = function (...all) { told.push(all[0]); write.apply(this, all); },"
+        " CanvasRenderingContext2D.prototype.fillText = function (...all) {"
+        "   told.push(all[0]); write.apply(this, all); },"
         " nsdyn.panes[0].chart.redraw(), CanvasRenderingContext2D.prototype.fillText = write)"
     )
     assert page.run("told") == ["0", "energy [J]", "at rest: nothing of 3.924 J moves"]
