@@ -41,7 +41,7 @@ NOISE = 1e-6
 FLOOR, LOST = 1e-12, 1e-11
 """Of logarithmic axes: where they begin at the lowest, and curves below which are left out, in the unit of the axis."""
 
-ROWS, PILED, LETTER = 3, 6, 0.6
+ROWS, PILED, LETTER = 3, 6, 0.55
 """Most rows of a legend above its panels, with these together, and width of a letter over the size of its font."""
 
 APART = 1.5

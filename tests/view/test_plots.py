@@ -323,6 +323,13 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
     assert main(["plot", "run.h5", "--kind", "force", "--name", "box", "--size", "85", "60", "-o", "p.png"]) == 0
     with Image.open("p.png") as image:
         assert image.size == (669, 472)  # 200 points an inch
+    written = []
+    with monkeypatch.context() as patched:
+        patched.setattr(figures, "picture", lambda path, fill, size: written.append(matplotlib.rcParams["font.size"]))
+        for size in (["140", "90"], ["180", "120"]):  # the latter for three kinds, none of which has more than 90 by 60
+            main(["plot", "run.h5", *(["--kind", "energy"] if size[0] == "140" else []), "--size", *size])
+    assert written == [10.0, 8.0]
+    capsys.readouterr()
     assert main(["plot", "run.h5", "--kind", "energy", "--kind", "slip", "--style", "grayscale", "-o", "p.svg"]) == 0
     assert main(["plot", "run.h5", "--kind", "speed", "-o", "p.pdf"]) == 0
     assert Path("p.svg").read_bytes().startswith(b"<?xml") and Path("p.pdf").read_bytes().startswith(b"%PDF")
