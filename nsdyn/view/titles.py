@@ -34,22 +34,18 @@ def differing(a: Trajectory, b: Trajectory) -> dict[str, tuple[Any, Any]]:
 
 
 def labels(shown: list[Trajectory]) -> list[str]:
-    """A name for one recording; for more of equal names what differs, as "mu=0.2", their names if nothing does."""
+    """Names that tell recordings apart; of equal ones what differs, as "mu=0.2", their names if nothing does."""
     names = [str(t.meta["scene_name"]) for t in shown]
-    if len(shown) == 1:
-        return names
-    settings = [_settings(t) for t in shown]
-    of_scene = _parameters(shown[0]) if len(set(names)) == 1 else ()
-    told = []
-    for key in dict.fromkeys((*of_scene, *SHOWN)):
+    if len(set(names)) > 1:
+        same = {name: iter(labels([t for t in shown if t.meta["scene_name"] == name])) for name in names}
+        own = [(name, next(same[name])) for name in names]
+        return [name if name == label else f"{name}, {label}" for name, label in own]
+    settings, told = [_settings(t) for t in shown], []
+    for key in dict.fromkeys((*_parameters(shown[0]), *SHOWN)):
         values = [own.get(key) for own in settings]
         if None not in values and any(value != values[0] for value in values):
             told.append(_told(key, *values))
-    out = []
-    for name, parts in zip(names, zip(*told, strict=True) if told else [()] * len(names), strict=True):
-        own = [name] if len(set(names)) > 1 or not parts else []
-        out.append(", ".join([*own, *parts]))
-    return out
+    return [", ".join(parts) for parts in zip(*told, strict=True)] if told else names
 
 
 def document(shown: list[Trajectory]) -> str:

@@ -556,7 +556,17 @@ def test_headings_tell_what_differs(opened, at):
     assert all(0 <= box["top"] and 15 < box["height"] < 40 for box in boxes)
     assert text(page, ".heading small") == "slide, steps of 10 ms, contacts solved to 1e-8 m/s by auto"
     page = opened(one, beside=nd.simulate(nd.scenes.load("bounce")(), 0.02, dt=5e-3), at=at)
-    assert text(page, ".heading") == "slide, dt=0.01 ssteps of 10 ms, contacts solved to 1e-8 m/s by auto"
+    assert page.run(headings) == ["slide", "bounce"]
+    page = opened(one, beside=[other, nd.simulate(nd.scenes.load("bounce")(), 0.02, dt=1e-2)], at=at)
+    assert text(page, ".heading").startswith("slide, mu=0.2steps of 10 ms")
+
+
+def test_a_room_is_drawn_where_it_is(opened):
+    """The lines along which walls meet stand in the pane of their own recording."""
+    room = nd.simulate(nd.scenes.load("pile")(boxes=1, spheres=1), 0.02, dt=1e-2)
+    page = opened(room, beside=nd.simulate(nd.scenes.load("slide")(), 0.02, dt=1e-2))
+    has = "nsdyn.panes.map(pane => 'corners' in pane.stage.viewer.scene_tree.find(['nsdyn']).children)"
+    assert page.run(has) == [True, False]
 
 
 def test_forces_of_two_recordings_have_one_scale(opened, sliding):

@@ -79,7 +79,7 @@ class Tools {
   makeHelp() {
     const help = document.getElementById("help");
     for (const {recording: {label, name, made, notes}} of this.panes) {
-      help.append(element("h2", "", label === name ? name : `${name}: ${label}`));
+      help.append(element("h2", "", label.startsWith(name) ? label : `${name}: ${label}`));
       const list = help.appendChild(element("dl"));
       for (const [key, text] of [...Object.entries(made), ...notes.map(note => ["shown", note])]) {
         list.append(element("dt", "", key), element("dd", "", text));
