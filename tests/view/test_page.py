@@ -567,6 +567,8 @@ def test_a_room_is_drawn_where_it_is(opened):
     page = opened(room, beside=nd.simulate(nd.scenes.load("slide")(), 0.02, dt=1e-2))
     has = "nsdyn.panes.map(pane => 'corners' in pane.stage.viewer.scene_tree.find(['nsdyn']).children)"
     assert page.run(has) == [True, False]
+    shadows = "nsdyn.panes[0].stage.viewer.scene_tree.find(['nsdyn', 'corners']).object.castShadow"
+    assert page.run(shadows) is False
 
 
 def test_forces_of_two_recordings_have_one_scale(opened, sliding):

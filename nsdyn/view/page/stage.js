@@ -29,6 +29,8 @@ class Stage {
     this.viewer = new MeshCat.Viewer(place);
     this.viewer.set_3d_pane_size = () => this.resize();
     for (const command of recording.commands()) this.viewer.handle_command_bytearray(command);
+    // The edges of a room, which meshcat lets cast shadows: dashes on its walls.
+    this.viewer.scene.traverse(object => { if (object.isLineSegments) object.castShadow = false; });
     const sun = this.viewer.scene_tree.find(["Lights", "Sun", "<object>"]).object;
     const {centre} = recording.view;
     sun.target.position.set(centre[0], centre[2], -centre[1]);
