@@ -29,7 +29,7 @@ KINDS = (
 """Of `nsdyn.view.plots`, which to ask for help need not load."""
 
 SMALL = 80.0
-"""mm: the letters of a picture that is not higher or wider have 8 points, not 10."""
+"""mm: where no kind has more, in height or width, the letters have 8 points, not 10."""
 
 
 def add_plot(parser: argparse.ArgumentParser) -> None:
@@ -82,8 +82,9 @@ def draw(arguments: argparse.Namespace) -> int:
                 plots.draw(trajectory, kind, arguments.name, cell)
 
     size = arguments.size or (140.0 * columns, 90.0 * len(rows))
+    letters = 10.0 if min(size[0] / columns, size[1] / len(rows)) > SMALL else 8.0
     try:
-        with style.context(["default", {"font.size": 10.0 if min(size) > SMALL else 8.0}, arguments.style or {}]):
+        with style.context(["default", {"font.size": letters}, arguments.style or {}]):
             picture(path, fill, (size[0] / 25.4, size[1] / 25.4))
     except OSError as failure:
         if arguments.style and arguments.style in str(failure):

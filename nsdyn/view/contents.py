@@ -255,7 +255,7 @@ def _notes(trajectory: Trajectory, frames: int, points: int, hits: int) -> list[
             "contacts those of the last; impacts are not marked"
         )
     if not trajectory.has_contacts:
-        notes.append("recorded without contacts: no points, forces, impacts and overlaps")
+        notes.append("recorded without contacts: no points, forces, impacts and penetrations")
     if hits > MAX_IMPACTS:
         notes.append(f"the {MAX_IMPACTS} strongest of {hits} steps with impacts are marked")
     if trajectory.scene["articulations"]:

@@ -30,8 +30,8 @@ def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array
     -------
     dict of str to ndarray
         t, s; kinetic and potential, the latter from its smallest value, and each work so far, J; residual, m/s,
-        bound, √J, and overlap by the recorded gaps, m: the largest since the point before, NaN at the first and where
-        they are not recorded.
+        bound, √J, and penetration by the recorded gaps, m: the largest since the point before, NaN at the first and
+        where they are not recorded.
     """
     rows = thinned(trajectory.t.size, MAX_POINTS) if rows is None else rows
     e = trajectory.energy
@@ -42,12 +42,12 @@ def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array
     }
     for name in WORKS:
         out[name] = np.concatenate([[0.0], np.cumsum(getattr(e, name))])[rows]
-    overlap = np.full(trajectory.steps, np.nan)
+    penetration = np.full(trajectory.steps, np.nan)
     if trajectory.has_contacts:
         step = np.repeat(np.arange(trajectory.steps), np.diff(trajectory.columns["contacts/offset"]))
-        overlap[:] = 0.0
-        np.maximum.at(overlap, step, -trajectory.columns["contacts/gap"])
-    figures = {"residual": trajectory.solver.residual, "bound": trajectory.gauss.bound, "overlap": overlap}
+        penetration[:] = 0.0
+        np.maximum.at(penetration, step, -trajectory.columns["contacts/gap"])
+    figures = {"residual": trajectory.solver.residual, "bound": trajectory.gauss.bound, "penetration": penetration}
     for name, values in figures.items():
         out[name] = np.full(rows.size, np.nan)
         if rows.size > 1:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.units import with_unit
 from nsdyn.view.solids import PALETTE
 
-__all__ = ["LEDGER", "OTHERS", "PALETTE", "Curve", "Panel", "draw", "look"]
+__all__ = ["LEDGER", "OTHERS", "PALETTE", "Curve", "Panel", "draw", "look", "looks"]
 
 LEDGER = {
     "kinetic": "#3b75af",
@@ -28,8 +29,11 @@ LEDGER = {
 }
 """Colours of energies and of who took them, as the page has them (`ledger.js`)."""
 
-OTHERS = "#9aa5b1"
+OTHERS = "#b9c2cb"
 """Of what has no colour of its own."""
+
+DASHES = "-", "--", ":", "-."
+"""Of as many curves of one colour."""
 
 NOISE = 1e-6
 """What spans less of what is at play is round-off, or the solver's tolerance."""
@@ -37,8 +41,8 @@ NOISE = 1e-6
 FLOOR, LOST = 1e-12, 1e-11
 """Of logarithmic axes: where they begin at the lowest, and curves below which are left out, in the unit of the axis."""
 
-ROWS, LETTER = 3, 0.6
-"""Most rows of a legend above its panels, and width of a letter over the size of its font."""
+ROWS, PILED, LETTER = 3, 6, 0.55
+"""Most rows of a legend above its panels, with these together, and width of a letter over the size of its font."""
 
 APART = 1.5
 """Ticks of a logarithmic axis at its values are at least by this factor."""
@@ -105,7 +109,16 @@ class Panel:
     def quiet(self) -> bool:
         """Whether nothing but noise is to be seen."""
         low, high = self.range()
-        return high == 0.0 if self.log else high - low <= NOISE * max(self.scale, abs(low), abs(high))
+        return high == 0.0 if self.log else high - low <= self._noise
+
+    @property
+    def _noise(self) -> float:
+        """What is no more than this is round-off."""
+        return LOST if self.log else NOISE * max(self.scale, *map(abs, self.range()))
+
+    @property
+    def _unit(self) -> str:
+        return self.ylabel.partition("[")[2].rstrip("]")
 
     def draw(self, ax: Any) -> None:
         """Draw it on matplotlib axes."""
@@ -124,43 +137,52 @@ class Panel:
             ax.plot(
                 [] if lost else c.x,
                 [] if lost else c.y,
-                **c.look,
+                **_lone(c),
                 label=f"{c.label}, below {LOST:g}" if lost else c.label,
             )
         ax.set_ylabel(self.ylabel)
+        self._set_x(ax)
+        if self.log and not self.quiet:
+            ax.set(yscale="log")
+        else:
+            ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4), useMathText=True)
+        ax.set_ylim(*self._limits())
+        if self.quiet:
+            self._say_quiet(ax)
+
+    def _set_x(self, ax: Any) -> None:
+        if self.log == "xy":
+            places = sorted({float(x) for c in self.curves for x in c.x})
+            kept = [x for k, x in enumerate(places) if k == 0 or x > APART * places[k - 1]]
+            ax.set(xscale="log", xlim=(places[0] / 1.1, 1.1 * places[-1]))
+            ax.set_xticks([], minor=True)
+            ax.set_xticks(kept, [f"{x:g}" for x in kept])
+            return
+        ax.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4), useMathText=True)
         if self.xlabel == "t [s]":
             ax.margins(x=0)
             ax.set_xlim(0.0, max((c.x[-1] for c in (*self.curves, *self.areas) if c.x.size), default=0.0) or 1.0)
-        if self.log:
-            ax.set(yscale="log")
-            if self.log == "xy":
-                places = sorted({float(x) for c in self.curves for x in c.x})
-                kept = [x for k, x in enumerate(places) if k == 0 or x > APART * places[k - 1]]
-                ax.set(xscale="log", xlim=(places[0] / 1.1, 1.1 * places[-1]))
-                ax.set_xticks([], minor=True)
-                ax.set_xticks(kept, [f"{x:g}" for x in kept])
-        else:
-            ax.ticklabel_format(style="sci", scilimits=(-3, 4), useMathText=True)
-        ax.set_ylim(*self._limits())
-        if self.quiet:
-            ax.text(
-                0.5,
-                0.7,
-                self.note or ("nothing but round-off" if self.curves or self.areas else "nothing touches"),
-                transform=ax.transAxes,
-                ha="center",
-                va="center",
-            )
+
+    def _say_quiet(self, ax: Any) -> None:
+        """Words, and of the numbers on the axis, which would be those of noise, only 0."""
+        if self.zero:
+            ax.set_yticks([0.0], ["0"])
+        noise = f"{LOST:g}" if self.log else with_unit(self._noise, self._unit)
+        least = f",\nless than {noise}" if self._noise else ""
+        words = self.note or (f"nothing but round-off{least}" if self.curves or self.areas else "nothing touches")
+        ax.text(0.5, 0.7, words, transform=ax.transAxes, ha="center", va="center")
 
     def _limits(self) -> tuple[float, float]:
         """What the axis spans: whole decades, with a margin, or what would be no noise."""
         low, high = self.range()
+        if self.quiet and self.zero:
+            return -0.1 * (self._noise or 1.0), self._noise or 1.0
         if self.log:
             low, high = max(low, FLOOR), max(high, 10 * FLOOR)
             return 10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high))
         if self.quiet:
-            size = max(self.scale, abs(low), abs(high)) or 1.0
-            return (-0.1 * NOISE * size, NOISE * size) if self.zero else (low - 0.05 * size, high + 0.05 * size)
+            room = 0.05 * (self._noise / NOISE or 1.0)
+            return low - room, high + room
         if self.peak:
             high = self.top
         return low - 0.05 * (high - low) * (low < 0.0 or not self.areas), high + 0.05 * (high - low)
@@ -177,14 +199,34 @@ class Panel:
     @property
     def peak(self) -> str:
         """What is said of peaks that are cut, empty where none is."""
-        most, unit = self.range()[1], self.ylabel.partition("[")[2].rstrip("]")
-        return f"peaks reach {with_unit(most, unit)}" if most > self.top else ""
+        most = self.range()[1]
+        return f"peaks reach {with_unit(most, self._unit)}" if most > self.top and not self.quiet else ""
+
+
+def _lone(curve: Curve) -> dict[str, Any]:
+    """Its look, with dots where a line would show nothing: at values between what is not known."""
+    known = np.pad(np.isfinite(curve.y), 1)
+    alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
+    shown = "marker" in curve.look or not alone.size
+    return curve.look if shown else {"marker": ".", "markevery": alone, **curve.look}
 
 
 def look(k: int) -> dict[str, Any]:
     """Colour and dashes of the k-th of several curves: the page's colours of bodies, dashed from the seventh on."""
     colour = tuple(part / 255 for part in PALETTE[k % len(PALETTE)])
-    return {"color": colour, "ls": ("-", "--", ":", "-.")[k // len(PALETTE) % 4]}
+    return {"color": colour, "ls": DASHES[k // len(PALETTE) % len(DASHES)]}
+
+
+def looks(numbers: Mapping[str, int]) -> dict[str, dict[str, Any]]:
+    """Looks of curves by name, no two the same while there are any: that of its number, or the next that none has.
+
+    Numbers are those of the page's colours, so that what is one colour there is no other here unless it has to be.
+    """
+    own = dict[int, str]()
+    for name, k in numbers.items():
+        own.setdefault(k % len(PALETTE), name)
+    first, free = {name: k for k, name in own.items()}, (k for k in count() if k not in own)
+    return {name: look(first[name] if name in first else next(free)) for name in numbers}
 
 
 def draw(figure: Any, panels: Sequence[Panel]) -> Any:
@@ -203,21 +245,21 @@ def draw(figure: Any, panels: Sequence[Panel]) -> Any:
             ax.set_ylabel(panel.ylabel.replace(" [", "\n["))
     figure.align_ylabels(axes)
     if len(handles) > 1 or any(panel.peak for panel in shown):
-        _legend(figure, handles)
+        _legend(figure, handles, min(ROWS, PILED - len(shown)))
     elif handles:
         axes[0].set_title(next(iter(handles)), loc="left", fontsize="small")
     return axes
 
 
-def _legend(figure: Any, handles: Mapping[str, Any]) -> None:
-    """Above the panels in a few rows, else to their right where there is room."""
+def _legend(figure: Any, handles: Mapping[str, Any], rows: int) -> None:
+    """Above the panels in so many rows at most, else to their right where there is room."""
     from matplotlib import font_manager  # heavy, and for pictures only
 
     size = font_manager.FontProperties(size="small").get_size_in_points() / 72.0
     entry = (5.0 + LETTER * max(map(len, handles))) * size
     width = figure.bbox.width / figure.dpi
     columns = max(1, int(width / entry))
-    above = -(-len(handles) // columns) <= ROWS or entry > 0.4 * width
+    above = -(-len(handles) // columns) <= rows or entry > 0.4 * width
     where = (
         {"loc": "outside upper left", "ncols": min(columns, len(handles))} if above else {"loc": "outside right upper"}
     )

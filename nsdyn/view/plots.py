@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from nsdyn.tools.naming import choice
 from nsdyn.tools.table import Table
 from nsdyn.tools.units import with_unit
 from nsdyn.view import panels
-from nsdyn.view.panels import LEDGER, OTHERS, PALETTE, Curve, Panel, look
+from nsdyn.view.panels import LEDGER, OTHERS, PALETTE, Curve, Panel
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -22,10 +21,26 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "draw", "usual"]
 
 SHOWN = 12
-"""Curves with names of their own, those of the largest values; more are grey."""
+"""Most curves that all have names of their own."""
+
+NAMED = len(PALETTE)
+"""Of more those that move or carry most have names, each with a colour of its own; the others are grey."""
 
 NEGLIGIBLE = 1e-9
 """Works of this part of the largest energy are left out, as on the page."""
+
+
+LONGEST = 2.0
+"""Frictions up to so many times what 90 % stay below are drawn as they are, like the forces on the page."""
+
+OF_JOINTS = "joint", "phase"
+OF_CONTACTS = "force", "slip", "gap", "power", "friction", "penetration"
+"""Kinds that draw nothing of a recording without those."""
+
+UNITS = {"rad": ("angle", "torque [N m]"), "m": ("position", "actuation [N]")}
+"""Of coordinates of joints: what they are and what drives them."""
+
+Shown = dict[str, tuple[str, dict[str, Any]]]
 
 
 def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None) -> Any:
@@ -40,7 +55,7 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
         joint, phase : angle or position, velocity and torque of joints; velocity over angle.
         energy, power : where the energy is and who took it, as on the page [J]; what each pair dissipates [W].
         friction : of every contact, over the most that Coulomb's law allows [N].
-        certificate, penetration : error of each step and its bound; deepest overlap by the recorded gaps [m].
+        certificate, penetration : error of each step and its bound; of shapes, by the recorded gaps [m].
     name : str
         Which bodies, pairs or joints, as of `nsdyn.Trajectory.table`.
     figure : matplotlib Figure or SubFigure, optional
@@ -61,7 +76,13 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
     >>> run = nd.simulate(nd.scenes.load("slide")(), 0.5, dt=0.01)
     >>> nd.plots.draw(run, "speed", "box").savefig("speed.pdf")  # doctest: +SKIP
     """
-    found = KINDS[choice(kind, KINDS, "kind")](trajectory, name)
+    choice(kind, KINDS, "kind")
+    missing = _missing(trajectory)
+    for what, kinds in missing.items():
+        if kind in kinds:
+            told = ", ".join(k for k in KINDS if not any(k in without for without in missing.values()))
+            raise ValueError(f"the recording has no {what} to draw {kind} of; what can be drawn: {told}")
+    found = KINDS[kind](trajectory, name)
     if figure is None:
         import matplotlib.pyplot as plt
 
@@ -72,13 +93,18 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
 
 def usual(trajectory: Trajectory) -> list[str]:
     """The kinds that are drawn where none is asked for."""
-    joints = any(a.get("sizes") for a in trajectory.scene["articulations"])
     return [
         "energy",
         "speed",
         *(["force"] if trajectory.columns["contacts/offset"][-1] > 0 else []),
-        *(["joint"] if joints else []),
+        *([] if "joints" in _missing(trajectory) else ["joint"]),
     ]
+
+
+def _missing(trajectory: Trajectory) -> dict[str, tuple[str, ...]]:
+    """What a recording does not have, and the kinds that would draw it."""
+    joints = any(a.get("sizes") for a in trajectory.scene["articulations"])
+    return ({} if joints else {"joints": OF_JOINTS}) | ({} if trajectory.has_contacts else {"contacts": OF_CONTACTS})
 
 
 def _rows(table: Table, key: Any) -> dict[str, Table]:
@@ -88,117 +114,128 @@ def _rows(table: Table, key: Any) -> dict[str, Table]:
     return {name: table[part] for name, part in zip(names.tolist(), parts, strict=False)}
 
 
-def _curves(table: Table, names: dict[str, dict[str, Any]], key: Any, *columns: str) -> list[list[Curve]]:
-    """Columns over time, each for some names of rows by `key`; those of the largest spans have names of their own."""
-    rows = _rows(table.select("t", *columns), key)
-    span = {
-        n: max(
-            float(np.ptp(np.nan_to_num(some[c]))) / (float(np.nanmax(np.abs(table[c]), initial=0.0)) or 1.0)
-            for c in columns
-        )
-        for n, some in rows.items()
-    }
-    named = sorted(names, key=lambda name: -span[name])[:SHOWN]
-    grey, others = {"color": OTHERS, "lw": 0.6}, f"{len(names) - SHOWN} others"
-    order = sorted(names, key=lambda name: name in named)  # the grey ones below
-    return [
-        [
-            Curve(
-                n if n in named else others, rows[n]["t"], rows[n][c], {"lw": 1.2, **names[n]} if n in named else grey
-            )
-            for n in order
-        ]
-        for c in columns
-    ]
+def _most(table: Table, key: Any, *columns: str, size: Callable[[Array], Any] = np.max) -> set[str]:
+    """Names by `key` that are told apart: all, of many those with the largest `size` of columns of one unit."""
+    rows = _rows(table.select(*columns), key)
+    sizes = {n: max(float(size(np.nan_to_num(some[c]))) for c in columns) for n, some in rows.items()}
+    return set(sorted(sizes, key=lambda n: -sizes[n])[: NAMED if len(sizes) > SHOWN else SHOWN])
 
 
-def _bodies(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, dict[str, Any]]]:
-    """The table of some bodies, and the colour that the page gives each; links that move as one have other dashes."""
+def _shown(numbers: dict[str, int], most: set[str]) -> Shown:
+    """The label and the look of every curve; those that are not told apart are drawn below."""
+    looks = panels.looks({n: k for n, k in numbers.items() if n in most})
+    others = f"and {len(numbers) - len(looks)} others", {"color": OTHERS, "lw": 0.6, "zorder": 1}
+    named = {n: (n, {"lw": 1.2, **own}) for n, own in looks.items()}
+    return named | {n: others for n in numbers if n not in named}
+
+
+def _curves(table: Table, shown: Shown, key: Any, column: str) -> list[Curve]:
+    """A column over time of every name that is in the table."""
+    rows = _rows(table.select("t", column), key)
+    return [Curve(label, rows[n]["t"], rows[n][column], own) for n, (label, own) in shown.items() if n in rows]
+
+
+def _bodies(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, int]]:
+    """The table of some bodies, and the number of each one's frame, after which the page colours it."""
     table, frames = tabulated(trajectory, "bodies", name), trajectory.scene["frames"]
     links = {link["name"]: link["frame"] for link in trajectory.scene.get("links", ())}
-    looks, used = dict[str, dict[str, Any]](), Counter[int]()
-    for body in dict.fromkeys(table["body"].tolist()):
-        frame = links[body] if body in links else frames.index(body)
-        looks[body] = look(frame + len(PALETTE) * used[frame])
-        used[frame] += 1
-    return table, looks
+    names = dict.fromkeys(table["body"].tolist())
+    return table, {body: links[body] if body in links else frames.index(body) for body in names}
 
 
 def _position(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, names = _bodies(trajectory, name)
-    moved = dict(zip("xyz", _curves(table, names, table["body"], *"xyz"), strict=True))
-    spans = [float(np.ptp(c.y)) for curves in moved.values() for c in curves]
-    scale, out = max(spans, default=0.0), []
-    for axis, curves in moved.items():
-        if max(float(np.ptp(c.y)) for c in curves) > panels.NOISE * scale or scale == 0.0:
-            out.append(Panel(f"{axis} [m]", curves, scale, zero=False))
-    return out
+    table, numbers = _bodies(trajectory, name)
+    shown = _shown(numbers, _most(table, table["body"], *"xyz", size=np.ptp))
+    moved = {axis: _curves(table, shown, table["body"], axis) for axis in "xyz"}
+    spans = {axis: max(float(np.ptp(c.y)) for c in curves) for axis, curves in moved.items()}
+    scale = max(*spans.values(), _fallen(trajectory)[0])
+    out = {axis: Panel(f"{axis} [m]", curves, scale, zero=False) for axis, curves in moved.items()}
+    # Where nothing moves, bodies can be told apart along one axis.
+    apart = max(out, key=lambda axis: float(np.ptp(out[axis].range())))
+    return [out[axis] for axis in "xyz" if spans[axis] > panels.NOISE * scale] or [out[apart]]
+
+
+def _fallen(trajectory: Trajectory) -> tuple[float, float]:
+    """How far and how fast what falls would have got, m, m/s: beside it round-off and what is at rest are seen as 0."""
+    g, t = float(np.linalg.norm(trajectory.scene["gravity"])), float(trajectory.t[-1])
+    return 0.5 * g * t * t, g * t
 
 
 def _speed(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, names = _bodies(trajectory, name)
-    fallen = float(np.linalg.norm(trajectory.scene["gravity"]) * trajectory.t[-1])
-    return [Panel("speed [m/s]", _curves(table, names, table["body"], "speed")[0], fallen)]
+    table, numbers = _bodies(trajectory, name)
+    shown = _shown(numbers, _most(table, table["body"], "speed"))
+    return [Panel("speed [m/s]", _curves(table, shown, table["body"], "speed"), _fallen(trajectory)[1])]
 
 
-def _pairs(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, dict[str, Any]], Any]:
+def _pairs(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, int], Any]:
+    """The table of some pairs, their numbers, and the name of the pair of every row."""
     table = tabulated(trajectory, "pairs", name)
     key = np.array([f"{a} | {b}" for a, b in zip(table["body1"], table["body2"], strict=True)], dtype=object)
-    return table, {n: look(k) for k, n in enumerate(dict.fromkeys(key.tolist()))}, key
+    return table, _numbered(key), key
+
+
+def _numbered(key: Any) -> dict[str, int]:
+    """Names by their first appearance."""
+    return {n: k for k, n in enumerate(dict.fromkeys(key.tolist()))}
 
 
 def _force(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, names, key = _pairs(trajectory, name)
+    table, numbers, key = _pairs(trajectory, name)
     scale = float(table["normal_force"].max(initial=0.0))
-    normal, drag = _curves(table, names, key, "normal_force", "friction_force")
-    return [Panel("normal force [N]", normal, scale, cut=True), Panel("friction [N]", drag, scale, cut=True)]
+    shown = _shown(numbers, _most(table, key, "normal_force"))
+    return [
+        Panel(label, _curves(table, shown, key, column), scale, cut=True)
+        for label, column in (("normal force [N]", "normal_force"), ("friction [N]", "friction_force"))
+    ]
 
 
 def _slip(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, names, key = _pairs(trajectory, name)
-    fallen = float(np.linalg.norm(trajectory.scene["gravity"]) * trajectory.t[-1])
-    return [Panel("slip [m/s]", _curves(table, names, key, "slip")[0], fallen)]
+    table, numbers, key = _pairs(trajectory, name)
+    shown = _shown(numbers, _most(table, key, "slip"))
+    return [Panel("slip [m/s]", _curves(table, shown, key, "slip"), _fallen(trajectory)[1])]
 
 
 def _gap(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, names, key = _pairs(trajectory, name)
+    table, numbers, key = _pairs(trajectory, name)
     free = trajectory.scene["free"]
     far = np.abs(trajectory.q[:, : 7 * free].reshape(-1, 7)[:, :3]).max(initial=0.0)
-    return [Panel("gap [m]", _curves(table, names, key, "gap")[0], float(far))]
+    shown = _shown(numbers, _most(table, key, "gap"))
+    return [Panel("gap [m]", _curves(table, shown, key, "gap"), float(far))]
 
 
 def _joint(trajectory: Trajectory, name: str) -> list[Panel]:
+    tables, shown = _joints(trajectory, name)
     out = []
-    for unit, word in (("rad", "angle"), ("m", "position")):
-        table, names, key = _joints(trajectory, name, unit)
-        if names:
-            place, rate, effort = _curves(table, names, key, "position", "velocity", "torque")
-            out += [
-                Panel(f"{word} [{unit}]", place, zero=False),
-                Panel(f"velocity [{unit}/s]", rate),
-                Panel("torque [N m]" if unit == "rad" else "actuation [N]", effort),
-            ]
+    for unit, (table, key) in tables.items():
+        place, rate, effort = (_curves(table, shown, key, c) for c in ("position", "velocity", "torque"))
+        word, drive = UNITS[unit]
+        far, fast = _fallen(trajectory) if unit == "m" else (1.0, 1.0)
+        out += [
+            Panel(f"{word} [{unit}]", place, far, zero=False),
+            Panel(f"velocity [{unit}/s]", rate, fast),
+            Panel(drive, effort),
+        ]
     return out or [Panel("joints", [], note="no joint has an angle or a position")]
 
 
-def _joints(trajectory: Trajectory, name: str, unit: str) -> tuple[Table, dict[str, dict[str, Any]], Any]:
-    """The coordinates of joints that have a unit."""
+def _joints(trajectory: Trajectory, name: str) -> tuple[dict[str, tuple[Table, Any]], Shown]:
+    """Coordinates by their unit, with the name of that of every row, and how they are shown."""
     table = tabulated(trajectory, "joints", name)
-    table = table[table["unit"] == unit]
     several = set(table["joint"][table["coordinate"] > 1].tolist())
     pairs = zip(table["joint"].tolist(), table["coordinate"].tolist(), strict=True)
     key = np.array([f"{joint} {k}" if joint in several else joint for joint, k in pairs], dtype=object)
-    return table, {n: look(k) for k, n in enumerate(dict.fromkeys(key.tolist()))}, key
+    tables = {unit: (table[own], key[own]) for unit in UNITS if (own := table["unit"] == unit).any()}
+    most = {n for one in tables.values() for n in _most(*one, "position", size=np.ptp)}
+    return tables, _shown(_numbered(key[np.isin(table["unit"], list(UNITS))]), most)
 
 
 def _phase(trajectory: Trajectory, name: str) -> list[Panel]:
+    tables, shown = _joints(trajectory, name)
     out = []
-    for unit, word in (("rad", "angle"), ("m", "position")):
-        table, names, key = _joints(trajectory, name, unit)
-        rows = _rows(table, key)
-        curves = [Curve(n, rows[n]["position"], rows[n]["velocity"], names[n]) for n in names]
-        if curves:
-            out.append(Panel(f"velocity [{unit}/s]", curves, xlabel=f"{word} [{unit}]"))
+    for unit, (table, key) in tables.items():
+        places, rates = (_curves(table, shown, key, c) for c in ("position", "velocity"))
+        curves = [Curve(rate.label, place.y, rate.y, rate.look) for place, rate in zip(places, rates, strict=True)]
+        out.append(Panel(f"velocity [{unit}/s]", curves, xlabel=f"{UNITS[unit][0]} [{unit}]"))
     return out or [Panel("joints", [], note="no joint has an angle or a position")]
 
 
@@ -232,55 +269,61 @@ def _energy(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _power(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, names, key = _pairs(trajectory, name)
+    table, numbers, key = _pairs(trajectory, name)
     taken = {n: -rows["work"] / trajectory.dt for n, rows in _rows(table.select("work"), key).items()}
-    order = sorted(names, key=lambda n: -float(np.abs(taken[n]).sum()))
+    order = sorted(numbers, key=lambda n: -float(np.abs(taken[n]).sum()))
+    looks = panels.looks({n: numbers[n] for n in order[:NAMED]})
     layers = [
-        Curve(n, trajectory.t_steps, np.maximum(taken[n], 0.0), {"color": look(k)["color"]})
-        for k, n in enumerate(order[:6])
+        Curve(n, trajectory.t_steps, np.maximum(taken[n], 0.0), {"color": own["color"]}) for n, own in looks.items()
     ]
-    if order[6:]:
-        rest = np.maximum(np.sum([taken[n] for n in order[6:]], axis=0), 0.0)
-        layers.append(Curve(f"{len(order) - 6} others", trajectory.t_steps, rest, {"color": OTHERS}))
+    if rest := order[NAMED:]:
+        power = np.maximum(np.sum([taken[n] for n in rest], axis=0), 0.0)
+        layers.append(Curve(f"and {len(rest)} others", trajectory.t_steps, power, {"color": OTHERS}))
     scale = trajectory.largest_energy / float(trajectory.t[-1] or 1.0)
     return [Panel("dissipated power [W]", [], scale, cut=True, areas=layers)]
 
 
 def _friction(trajectory: Trajectory, name: str) -> list[Panel]:
+    """Impacts, beside which what carries a load would be one dot, are marked where their ray from 0 leaves the rest."""
     table = tabulated(trajectory, "contacts", name)
     most, drag = (table["mu"] * table["impulse_N"] / trajectory.dt, table["impulse_T"] / trajectory.dt)
-    top, dots = float(most.max(initial=0.0)), {"ls": "", "marker": ".", "ms": 3, "rasterized": True}
-    curves = []
+    pushes = most > 0.0
+    largest = float(most.max(initial=0.0))
+    top = min(largest, LONGEST * float(np.quantile(most[pushes], panels.USUAL))) if pushes.any() else 0.0
+    beyond, curves = most > top, []
     for state, colour in (("stick", LEDGER["kinetic"]), ("slip", LEDGER["friction"])):
-        some = (table["state"] == state) & (most > 0.0)
+        some = (table["state"] == state) & pushes & ~beyond
         if some.any():
-            curves.append(Curve(f"{state} ({some.sum()})", most[some], drag[some], {"color": colour, **dots}))
-    curves.append(Curve("Coulomb's limit", np.array([0.0, top]), np.array([0.0, top]), {"color": "k", "lw": 0.8}))
+            look = {"color": colour, "ls": "", "marker": ".", "ms": 5, "mew": 0.0, "rasterized": True}
+            curves.append(Curve(f"{state} ({some.sum()})", most[some], drag[some], look))
+    if beyond.any():
+        label = f"stronger ({beyond.sum()}), up to {with_unit(largest, 'N')}"
+        look = {"color": LEDGER["normal"], "ls": "", "marker": ">", "ms": 4, "clip_on": False}
+        part = top / most[beyond]
+        curves.append(Curve(label, part * most[beyond], part * drag[beyond], look))
+    edge = np.array([0.0, top])
+    curves.append(Curve("Coulomb's limit", edge, edge, {"color": "k", "lw": 0.8}))
     return [Panel("friction [N]", curves, top, xlabel="μ × normal force [N]")]
 
 
 def _certificate(trajectory: Trajectory, name: str) -> list[Panel]:
-    t, style = trajectory.t_steps, {"marker": ".", "ms": 3, "lw": 0.6}
-    curves = [
-        Curve(label, t, np.where(values > 0.0, values, np.nan), {"color": LEDGER[colour], **style})
-        for label, values, colour in (
-            ("bound [√J]", trajectory.gauss.bound, "normal"),
-            ("residual [m/s]", trajectory.solver.residual, "kinetic"),
-        )
-    ]
-    return [Panel("error of the step", curves, log="y")]
+    found = (
+        ("bound [√J]", trajectory.gauss.bound, "normal"),
+        ("residual [m/s]", trajectory.solver.residual, "kinetic"),
+    )
+    return [Panel("error of the step", [_dots(trajectory, *one) for one in found], log="y")]
 
 
 def _penetration(trajectory: Trajectory, name: str) -> list[Panel]:
     table, depth = tabulated(trajectory, "contacts", name), np.zeros(trajectory.steps)
     np.maximum.at(depth, table["step"] - 1, -table["gap"])
-    curve = Curve(
-        "deepest gap",
-        trajectory.t_steps,
-        np.where(depth > 0.0, depth, np.nan),
-        {"color": LEDGER["damping"], "marker": ".", "ms": 3, "lw": 0.6},
-    )
-    return [Panel("overlap [m]", [curve], log="y")]
+    return [Panel("penetration [m]", [_dots(trajectory, "deepest contact", depth, "damping")], log="y")]
+
+
+def _dots(trajectory: Trajectory, label: str, values: Array, colour: str) -> Curve:
+    """What each step has of its own, which may be nothing in the next: dots, for lines between them would be a comb."""
+    look = {"color": LEDGER[colour], "ls": "", "marker": ".", "ms": 3}
+    return Curve(label, trajectory.t_steps, np.where(values > 0.0, values, np.nan), look)
 
 
 KINDS: dict[str, Callable[[Trajectory, str], list[Panel]]] = {

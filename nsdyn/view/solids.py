@@ -8,7 +8,7 @@ import numpy as np
 
 from nsdyn.tools.arrays import Array
 from nsdyn.view.commands import UPRIGHT, Json, as_buffer, as_hex, by_columns, set_object, shaded
-from nsdyn.view.stage import BEHIND_LINES, GROUND, View, corner_object, halfspace_object
+from nsdyn.view.stage import BEHIND_LINES, GROUND, View, corner_object, halfspace_object, halfspaces
 
 __all__ = ["FIXED_COLOUR", "PALETTE", "body_path", "colour", "geom_path", "shape_commands", "solid", "surface"]
 
@@ -54,7 +54,7 @@ def shape_commands(scene: Json, view: View) -> list[Json]:
             commands.append(set_object(path, plane))
             continue
         commands.append(set_object(path, solid(geom, colour(geom), detail, 0.72)))
-    corners = corner_object(view.planes, view)
+    corners = corner_object(halfspaces(scene["geoms"]), view)  # not those of a recording beside it
     return commands + ([set_object("/nsdyn/corners", corners)] if corners else [])
 
 

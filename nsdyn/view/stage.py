@@ -24,6 +24,7 @@ __all__ = [
     "View",
     "corner_object",
     "halfspace_object",
+    "halfspaces",
     "stage_commands",
 ]
 
@@ -32,6 +33,9 @@ BACKGROUND = (0.945, 0.955, 0.965)
 GROUND = (0.83, 0.845, 0.86)
 
 FIELD_OF_VIEW = 32.0  # degrees
+
+LINES = {"color": 0.9, "night": 2.2}
+"""How bright the lines of a ground are by its own colour: darker by day, brighter at night, when it is nearly black."""
 
 OUTLINE = 200
 """Directions in which the outline of a scene is taken."""
@@ -47,13 +51,11 @@ class View:
         points: list[Array] = []
         reach: list[Array] = []
         sizes: list[float] = []
-        planes: dict[tuple[float, ...], None] = {}
         for trajectory in trajectories:
             every = 1 + trajectory.steps // 1000  # enough to see where a body goes
             positions = [trajectory.body(name).position[::every] for name in trajectory.scene["frames"]]
             for geom in (*trajectory.scene["geoms"], *trajectory.scene.get("visuals", ())):
                 if geom["shape"] == "halfspace":
-                    planes[(*geom["size"], float(geom["offset"]))] = None
                     continue
                 placement = np.array(geom["placement"])
                 moves = geom["frame"] >= 0
@@ -61,7 +63,7 @@ class View:
                 ball = _radius(geom) + (float(np.linalg.norm(placement[:3, 3])) if moves else 0.0)
                 reach.append(np.full(len(points[-1]), ball))
                 sizes += [_radius(geom)] * moves
-        self.planes = [(np.array(normal), offset) for *normal, offset in planes]
+        self.planes = halfspaces(geom for trajectory in trajectories for geom in trajectory.scene["geoms"])
         # Where there is nothing, the unit ball.
         x, r = np.concatenate(points or [np.zeros((1, 3))]), np.concatenate(reach or [np.ones(1)])[:, None]
         lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
@@ -86,6 +88,12 @@ class View:
         high, wide = (np.abs(x @ up) + r) / slope, (np.abs(x @ right) + r) / (slope * 4 / 3)
         out: Array = self.centre + 1.05 * float((x @ back + np.maximum(high, wide)).max()) * back
         return out
+
+
+def halfspaces(geoms: Iterable[Json]) -> list[tuple[Array, float]]:
+    """Normals and offsets of the half-spaces among shapes, each once."""
+    planes = {(*geom["size"], float(geom["offset"])): None for geom in geoms if geom["shape"] == "halfspace"}
+    return [(np.array(normal), offset) for *normal, offset in planes]
 
 
 def _outline(x: Array, r: Array) -> Array:
@@ -185,7 +193,9 @@ def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view
         reach = 6.0 * R
         grid = _grid(-(frame[:2] @ foot), _round_number(R / 2.5), reach)
         ground = faded(grid, colour, BACKGROUND, rings[-1])
-        lines = as_buffer(position=grid, color=faded(grid, shaded(colour, 0.9), ground, reach))
+        own = np.array(list(colour)[:3])
+        tones = {name: faded(grid, tone * own, ground, reach) for name, tone in LINES.items()}
+        lines = as_buffer(position=grid, **tones)
         material = {"type": "LineBasicMaterial", "vertexColors": True}
         parts.append({"type": "LineSegments", "geometry": lines, "material": material})
     matrix = np.eye(4)

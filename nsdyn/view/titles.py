@@ -6,6 +6,10 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from nsdyn.problem.solution import TOLD, Status
+
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
@@ -30,22 +34,18 @@ def differing(a: Trajectory, b: Trajectory) -> dict[str, tuple[Any, Any]]:
 
 
 def labels(shown: list[Trajectory]) -> list[str]:
-    """A name for one recording; for more of equal names what differs, as "mu=0.2", their names if nothing does."""
+    """Names that tell recordings apart; of equal ones what differs, as "mu=0.2", their names if nothing does."""
     names = [str(t.meta["scene_name"]) for t in shown]
-    if len(shown) == 1:
-        return names
-    settings = [_settings(t) for t in shown]
-    of_scene = _parameters(shown[0]) if len(set(names)) == 1 else ()
-    told = []
-    for key in dict.fromkeys((*of_scene, *SHOWN)):
+    if len(set(names)) > 1:
+        same = {name: iter(labels([t for t in shown if t.meta["scene_name"] == name])) for name in names}
+        own = [(name, next(same[name])) for name in names]
+        return [name if name == label else f"{name}, {label}" for name, label in own]
+    settings, told = [_settings(t) for t in shown], []
+    for key in dict.fromkeys((*_parameters(shown[0]), *SHOWN)):
         values = [own.get(key) for own in settings]
         if None not in values and any(value != values[0] for value in values):
             told.append(_told(key, *values))
-    out = []
-    for name, parts in zip(names, zip(*told, strict=True) if told else [()] * len(names), strict=True):
-        own = [name] if len(set(names)) > 1 or not parts else []
-        out.append(", ".join([*own, *parts]))
-    return out
+    return [", ".join(parts) for parts in zip(*told, strict=True)] if told else names
 
 
 def document(shown: list[Trajectory]) -> str:
@@ -62,15 +62,27 @@ def parameters(trajectory: Trajectory) -> str:
 
 def _power(tol: str) -> str:
     """As "1e-8"."""
-    return re.sub(r"e([-+])0+", r"e\1", f"{float(tol):g}")
+    digits, _, power = f"{float(tol):e}".partition("e")
+    return f"{float(digits):g}e{int(power)}"
 
 
 def words(trajectory: Trajectory) -> str:
-    """Step and solver of a run: "steps of 1 ms, contacts solved to 1e-8 m/s by auto"."""
+    """Step and solver of a run: "steps of 1 ms, contacts solved to 1e-8 m/s by auto, 130 of 200 steps to 1e-4"."""
     dt = f"{1e3 * trajectory.dt:g} ms" if trajectory.dt < 1.0 else f"{trajectory.dt:g} s"
     name, tol = re.findall(r"^(\w*)(?:\(tol=([^,)]*))?", str(trajectory.meta.get("solver", "")))[0]
     solved = f", contacts solved{f' to {_power(tol)} m/s' if tol else ''} by {name.lower()}" if name else ""
-    return f"steps of {dt}{solved}"
+    return f"steps of {dt}{solved}{''.join(_short_of(trajectory))}"
+
+
+def _short_of(trajectory: Trajectory) -> list[str]:
+    """How many steps met a looser tolerance than that of the solver, and how many none."""
+    status, steps = trajectory.solver.status, "steps" if trajectory.every == 1 else "recorded steps"
+    loose = re.findall(r"loose=([^,)]*)", str(trajectory.meta.get("solver", "")))
+    found = {
+        f"to {_power(loose[0])}" if loose else "to a looser one": status == Status.LOOSE,
+        "missed it": ~np.isin(status, [*TOLD, Status.OVERLAP, Status.LOOSE]),
+    }
+    return [f", {which.sum()} of {status.size} {steps} {what}" for what, which in found.items() if which.any()]
 
 
 def _settings(trajectory: Trajectory) -> dict[str, Any]:

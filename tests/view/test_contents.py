@@ -8,7 +8,7 @@ from recordings import recording
 from test_viewer import contents
 
 import nsdyn as nd
-from nsdyn.view import contact_points, curves, keyframes, marks, payload, viewer
+from nsdyn.view import contact_points, curves, keyframes, marks, payload, titles, viewer
 from nsdyn.view import contents as packing
 from nsdyn.view.contents import packed
 
@@ -35,6 +35,16 @@ def test_packed_values_come_back():
     for name, array in arrays.items():
         assert back[name].dtype == array.dtype
         np.testing.assert_array_equal(back[name], array.ravel())
+
+
+def test_steps_that_miss_the_tolerance_are_told(sliding):
+    """In the heading of the page: a recording of which a part is solved loosely does not say that it is not."""
+    assert titles.words(sliding) == "steps of 10 ms, contacts solved to 1e-8 m/s by auto"
+    status = np.array([nd.Status.LOOSE] * 13 + [nd.Status.STALLED] * 2 + [nd.Status.JAM] * 5)
+    partly = nd.Trajectory(sliding.meta, sliding.scene, sliding.columns | {"solver/status": status})
+    assert titles.words(partly).endswith(" by auto, 13 of 20 steps to 1e-4, 2 of 20 steps missed it")
+    shown = payload.unpack(packed(partly, None, False, 2000, None))[0]["words"]
+    assert shown == titles.words(partly)
 
 
 def test_rounding_keeps_fifteen_bits(rng):

@@ -242,10 +242,29 @@ def test_checks_are_those_of_the_steps(opened, sliding):
     k = 77
     show(page, sliding.t[k])
     cells = page.run("nsdyn.panes[0].ledger.values('checks', nsdyn.clock.t).map(row => row[2])")
-    overlap = max(0.0, -sliding.contacts(k).gap.min())
-    expected = (sliding.solver.residual[k - 1], sliding.gauss.bound[k - 1], overlap)
+    penetration = max(0.0, -sliding.contacts(k).gap.min())
+    expected = (sliding.solver.residual[k - 1], sliding.gauss.bound[k - 1], penetration)
     assert cells == pytest.approx(expected, rel=1e-6, abs=0)
     assert page.run("nsdyn.panes[0].chart.lanes.map(lane => lane.log)") == [True] * 3
+    assert "penetration" in text(page, ".curves .values")
+    # What one step has and the next has not is no comb: all strokes are level, and at no value below the axis.
+    page.run(
+        "(window.strokes = [], window.pen = null, window.faked = {moveTo: (x, y) => { pen = y; },"
+        " lineTo: (x, y) => strokes.push([pen, y])},"
+        " nsdyn.panes[0].chart.trace(faked, nsdyn.panes[0].chart.lanes[1], nsdyn.panes[0].ledger.curve('bound')))"
+    )
+    strokes, low = np.array(page.run("strokes")), page.run("nsdyn.panes[0].chart.lanes[1].low")
+    np.testing.assert_array_equal(strokes[:, 0], strokes[:, 1])
+    assert len(strokes) == (sliding.gauss.bound.astype("f4") >= low).sum()
+
+
+def test_checks_that_are_round_off_are_told(opened):
+    scene = nd.Scene()
+    scene.add_sphere("ball", 0.1, 1.0)
+    page = opened(nd.simulate(scene, 0.05, dt=1e-2))
+    click_on(page, ".checks")
+    lanes = "nsdyn.panes[0].chart.lanes.map(lane => [lane.note, lane.low])"
+    assert page.run(lanes) == [["less than 10⁻¹¹: round-off", 1e-11]] * 3
 
 
 def test_impacts_are_marked_and_jumped_to(opened, sliding):
@@ -313,7 +332,7 @@ def test_scale_of_forces(opened, sliding):
     page.run("document.querySelector('.front').click()")
     show(page, 0.45)
     width = place(page, ".scale.forces .bar")[2]
-    force = number(text(page, ".scale.forces").removeprefix("forces "), "N")
+    force = number(text(page, ".scale.forces").removeprefix("forces ").removesuffix(", ↠ stronger"), "N")
     metres = force * page.run("nsdyn.panes[0].overlay.scale('forces')")
     x = page.run(
         "(s => { const c = s.recording.view.centre; "
@@ -323,6 +342,22 @@ def test_scale_of_forces(opened, sliding):
     # Of the box, on four points that carry a quarter of its weight each.
     forces = page.run("(a => Array.from(a['forces/force']).slice(-12))(nsdyn.recordings[0].arrays)")
     np.testing.assert_allclose(np.reshape(forces, (4, 3)), np.tile((0, 0, 2 * 9.81 / 4), (4, 1)), rtol=0, atol=1e-2)
+
+
+def test_impacts_are_cut_and_marked(opened, sliding):
+    """What carries a load is readable beside an impact of a hundred times as much, whose arrow has two heads."""
+    page = opened(sliding, forces=True)
+    page.run("(window.drawn = [], draw = arrow, arrow = (...all) => { drawn.push(all); draw(...all); })")
+    heads = {}
+    for t in (0.19, float(sliding.t[marks.find(sliding).step[0]])):
+        page.run("drawn.length = 0")
+        show(page, t)
+        arrows = page.run("drawn.map(([_, from, to, , cut]) => [Math.hypot(to[0] - from[0], to[1] - from[1]), cut])")
+        heads[t] = sorted(arrows[-1 if t == 0.19 else -2 :])
+    (weight,), (same, impact) = heads.values()
+    assert [weight[1], same[1], impact[1]] == [False, False, True]
+    assert same[0] == pytest.approx(weight[0], rel=1e-3) and 1.2 * same[0] < impact[0] < 4.0 * same[0]
+    assert text(page, ".scale.forces").endswith("N, ↠ stronger")
 
 
 def test_a_body_is_picked_where_it_is_seen(opened, sliding):
@@ -519,7 +554,21 @@ def test_headings_tell_what_differs(opened, at):
     boxes = page.run("Array.from(document.querySelectorAll('.heading'), h => h.getBoundingClientRect().toJSON())")
     assert 0 <= boxes[0]["left"] < boxes[0]["right"] <= SIZE[0] / 2 <= boxes[1]["left"] < boxes[1]["right"] <= SIZE[0]
     assert all(0 <= box["top"] and 15 < box["height"] < 40 for box in boxes)
-    assert "steps of 10 ms, contacts solved to 1e-8 m/s by auto" in text(page, ".heading small")
+    assert text(page, ".heading small") == "slide, steps of 10 ms, contacts solved to 1e-8 m/s by auto"
+    page = opened(one, beside=nd.simulate(nd.scenes.load("bounce")(), 0.02, dt=5e-3), at=at)
+    assert page.run(headings) == ["slide", "bounce"]
+    page = opened(one, beside=[other, nd.simulate(nd.scenes.load("bounce")(), 0.02, dt=1e-2)], at=at)
+    assert text(page, ".heading").startswith("slide, mu=0.2steps of 10 ms")
+
+
+def test_a_room_is_drawn_where_it_is(opened):
+    """The lines along which walls meet stand in the pane of their own recording."""
+    room = nd.simulate(nd.scenes.load("pile")(boxes=1, spheres=1), 0.02, dt=1e-2)
+    page = opened(room, beside=nd.simulate(nd.scenes.load("slide")(), 0.02, dt=1e-2))
+    has = "nsdyn.panes.map(pane => 'corners' in pane.stage.viewer.scene_tree.find(['nsdyn']).children)"
+    assert page.run(has) == [True, False]
+    shadows = "nsdyn.panes[0].stage.viewer.scene_tree.find(['nsdyn', 'corners']).object.castShadow"
+    assert page.run(shadows) is False
 
 
 def test_forces_of_two_recordings_have_one_scale(opened, sliding):
@@ -709,6 +758,14 @@ def test_a_link_shows_its_joint(opened):
 def test_rest_is_rest(opened):
     page = opened(nd.simulate(nd.scenes.load("stack")(height=2), 0.05, dt=1e-2))
     assert page.run("nsdyn.panes[0].chart.lanes[0].note") == "at rest: nothing of 3.924 J moves"
+    # The axis has no numbers of noise.
+    page.run(
+        "(window.told = [], write = CanvasRenderingContext2D.prototype.fillText,"
+        " CanvasRenderingContext2D.prototype.fillText = function (...all) {"
+        "   told.push(all[0]); write.apply(this, all); },"
+        " nsdyn.panes[0].chart.redraw(), CanvasRenderingContext2D.prototype.fillText = write)"
+    )
+    assert page.run("told") == ["0", "energy [J]", "at rest: nothing of 3.924 J moves"]
 
 
 def test_picture_has_a_clock_and_no_controls(sliding, opened):

@@ -103,6 +103,19 @@ def test_dark_as_the_system_is_or_as_one_asks(opened, sliding):
         page.call("Emulation.setEmulatedMedia", features=[])
 
 
+@pytest.mark.parametrize("dark", [False, True])
+def test_the_grid_is_seen_by_day_and_at_night(opened, sliding, dark):
+    from PIL import Image
+
+    page = opened(sliding)
+    page.run(f"theme.set({str(dark).lower()})")
+    brightness(page)  # drawn at rest
+    picture = np.asarray(Image.open(io.BytesIO(page.picture())).convert("L"), dtype=float)
+    ground = picture[330:450, 20:400]  # without bodies and shadows
+    ink = np.percentile(ground, 0.5 if not dark else 99.5) - np.median(ground)
+    assert abs(ink) > 8.0 and (ink > 0.0) == dark  # levels of 255
+
+
 def test_front_side_and_top_are_parallel(opened, sliding):
     """Edges along the view are points, to a pixel; from the first place they are not."""
     page = opened(sliding)

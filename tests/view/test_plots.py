@@ -93,6 +93,9 @@ def test_round_off_is_not_drawn_at_full_scale(resting, kind):
     check(figure)
     (ax,) = figure.axes  # one panel: friction and what moves sideways are noise
     low, high = ax.get_ylim()
+    if kind not in ("position", "force", "friction", "certificate"):
+        assert [tick.get_text() for tick in ax.get_yticklabels()] == ["0"]
+        assert not ax.yaxis.get_offset_text().get_text() and not ax.get_title(loc="right")
     scale = {
         "position": 2.6,
         "speed": 9.81 * 0.1,
@@ -105,10 +108,38 @@ def test_round_off_is_not_drawn_at_full_scale(resting, kind):
     }
     if kind in scale:
         assert high - low > 0.9e-6 * scale[kind]
-    else:
+    elif kind == "certificate":
         assert low >= 1e-12 and high >= 10.0 * low
+    if kind == "speed":
+        assert [text.get_text() for text in ax.texts] == ["nothing but round-off,\nless than 981 nm/s"]
     if kind == "energy":
         assert [text.get_text() for text in ax.texts] == ["at rest: nothing of 192.3 J moves"]
+
+
+def test_what_rests_where_it_is_has_no_axis_of_noise():
+    """A ball at rest in the middle of the world: its place is that to some digits, and 1e-17 is none of them."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground", offset=-0.1)
+    scene.add_sphere("ball", 0.1, 1.0)
+    run = nd.simulate(scene, 0.1, dt=0.01)
+    run.columns["q"][1:, :3] += 1e-17 * np.arange(1, 11)[:, None]
+    (ax,) = drawn(lambda figure: plots.draw(run, "position", figure=figure)).axes
+    low, high = ax.get_ylim()
+    assert low < -1e-4 and high > 1e-4 and "round-off" in ax.texts[0].get_text()
+
+
+def test_errors_of_steps_are_dots(arm):
+    """A step may have none where the next has one: lines would be a comb."""
+    for kind in ("certificate", "penetration"):
+        figure = drawn(lambda figure, kind=kind: plots.draw(arm, kind, figure=figure))
+        assert {(line.get_linestyle(), line.get_marker()) for line in figure.axes[0].lines} == {("None", ".")}
+
+
+def test_what_lasts_one_step_is_seen():
+    run = nd.simulate(nd.scenes.load("bounce")(), 0.6, dt=1e-3)
+    (line,) = drawn(lambda figure: plots.draw(run, "gap", figure=figure)).axes[0].lines
+    (touched,) = np.flatnonzero(np.isfinite(line.get_ydata()))
+    assert line.get_marker() == "." and line.get_markevery().tolist() == [touched]
 
 
 def curves(run, kind, name="*"):
@@ -141,12 +172,12 @@ def test_plots_draw_what_is_recorded(slide, arm):
     np.testing.assert_array_equal(np.nan_to_num(certificate["bound [√J]"]), slide.gauss.bound)
     (depth,) = curves(arm, "penetration")
     deepest = [max(0.0, -arm.contacts(k).gap.min(initial=0.0)) for k in range(1, arm.steps + 1)]
-    assert "deepest gap" in depth or max(deepest) < 1e-11
+    assert "deepest contact" in depth or max(deepest) < 1e-11
     (cones,) = curves(slide, "friction")
     assert sum(len(cones[name]) for name in cones if name.startswith(("stick", "slip"))) == 4 * slide.steps
     with pytest.raises(ValueError, match=r"did you mean 'speed'\? kind must be one of position, .*; got 'sped'"):
         plots.draw(slide, "sped")
-    with pytest.raises(ValueError, match="joints must be one of none"):
+    with pytest.raises(ValueError, match=r"no joints to draw phase of; what can be drawn: position, .*, penetration$"):
         plots.draw(slide, "phase")
 
 
@@ -179,6 +210,23 @@ def test_peaks_of_impacts_do_not_hide_the_rest(arm):
     assert ax.get_title(loc="right") == f"peaks reach {peak / 1000:.4g} kN"
 
 
+def test_friction_of_impacts_is_marked_at_the_edge(arm):
+    """The arm strikes with a hundred times the weight of the box, whose friction fills the picture."""
+    figure = drawn(lambda figure: plots.draw(arm, "friction", figure=figure))
+    check(figure)
+    table, ax = arm.table("contacts"), figure.axes[0]
+    most = table["mu"] * table["impulse_N"] / arm.dt
+    (marked,) = [line for line in ax.lines if line.get_label().startswith("stronger")]
+    high = ax.get_xlim()[1]
+    assert np.quantile(most[most > 0.0], 0.9) > 0.4 * high and most.max() > 10.0 * high
+    assert marked.get_label() == f"stronger ({(most > high).sum()}), up to {most.max():.4g} N"
+    assert marked.get_marker() == ">" and np.ptp(marked.get_xdata()) < 1e-12 * high
+    strongest = np.argsort(most[most > high])[-1]
+    part = marked.get_ydata()[strongest] / marked.get_xdata()[strongest]
+    row = int(np.argmax(most))
+    assert part == pytest.approx(table["impulse_T"][row] / (table["mu"][row] * table["impulse_N"][row]), rel=1e-12)
+
+
 def test_what_is_alone_and_what_has_not_begun():
     """A free body, which nothing touches, and a recording that a kill left before its first step."""
     scene = nd.Scene()
@@ -194,14 +242,35 @@ def test_what_is_alone_and_what_has_not_begun():
 
 
 def test_many_bodies_have_few_names():
-    scene = nd.Scene(gravity=(0, 0, 0))
+    """Those that move most stand out, each in a colour of its own, though three of them have one on the page."""
+    scene, fast = nd.Scene(gravity=(0, 0, 0)), {0: 9, 6: 8, 24: 7, 27: 6, 28: 5, 29: 4}
     for k in range(30):
-        scene.add_sphere(f"ball{k}", 0.1, 1.0, position=(k, 0, 0), linear_velocity=(0.1 * k, 0, 0))
+        v = (fast.get(k, 0.1), 1e-12 * (k == 13), 0)  # beside which what is round-off in another direction is nothing
+        scene.add_sphere(f"ball{k}", 0.1, 1.0, position=(0, k, 0), linear_velocity=v)
     run = nd.simulate(scene, 0.1, dt=0.01)
-    figure = drawn(lambda figure: plots.draw(run, "position", figure=figure))
-    check(figure)
-    names = [text.get_text() for text in legends(figure)[0].get_texts()]
-    assert len(names) == plots.SHOWN + 1 and "18 others" in names and "ball29" in names
+    for kind in ("position", "speed"):
+        figure = drawn(lambda figure, kind=kind: plots.draw(run, kind, figure=figure))
+        check(figure)
+        names = [text.get_text() for text in legends(figure)[0].get_texts()]
+        assert names == [*(f"ball{k}" for k in fast), "and 24 others"]
+        looks = {line.get_label(): (line.get_color(), line.get_linestyle()) for line in figure.axes[0].lines}
+        assert len(set(looks.values())) == len(names) and {dash for _, dash in looks.values()} == {"-"}
+        below = {line.get_label(): line.get_zorder() for line in figure.axes[0].lines}
+        assert below["and 24 others"] < below["ball0"] and looks["and 24 others"][0] == panels.OTHERS
+
+
+def test_no_two_curves_look_the_same():
+    assert panels.looks({str(k): k for k in range(24)}) == {str(k): panels.look(k) for k in range(24)}
+    assert panels.looks({"a": 3, "b": 27, "c": 4}) == {"a": panels.look(3), "b": panels.look(0), "c": panels.look(4)}
+
+
+def test_coordinates_in_two_units_can_be_told_apart():
+    """Twelve angles of a quadruped, and the place of its trunk."""
+    setup = nd.scenes.setup("quadruped")
+    run = nd.simulate(setup.scene, 0.02, **setup.options(dt=5e-3))
+    figure = drawn(lambda figure: plots.draw(run, "joint", figure=figure))
+    looks = {line.get_label(): (line.get_color(), line.get_linestyle()) for ax in figure.axes for line in ax.lines}
+    assert len(set(looks.values())) == len(looks) == 15
 
 
 def test_colours_are_those_of_the_page():
@@ -221,7 +290,7 @@ def test_refinement_is_drawn_with_its_orders():
     nothing = nd.refine("slide", [1e-2, 5e-3, 2.5e-3], 0.05)
     figure = drawn(lambda figure: draw_refinement(nothing, figure))
     check(figure)
-    assert [text.get_text() for text in figure.axes[0].texts] == ["nothing but round-off"]
+    assert [text.get_text() for text in figure.axes[0].texts] == ["nothing but round-off,\nless than 1e-11"]
 
 
 def test_sweep_is_drawn_over_its_numbers():
@@ -254,13 +323,23 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
     assert main(["plot", "run.h5", "--kind", "force", "--name", "box", "--size", "85", "60", "-o", "p.png"]) == 0
     with Image.open("p.png") as image:
         assert image.size == (669, 472)  # 200 points an inch
+    written = []
+    with monkeypatch.context() as patched:
+        patched.setattr(figures, "picture", lambda path, fill, size: written.append(matplotlib.rcParams["font.size"]))
+        for size in (["140", "90"], ["180", "120"]):  # the latter for three kinds, none of which has more than 90 by 60
+            main(["plot", "run.h5", *(["--kind", "energy"] if size[0] == "140" else []), "--size", *size])
+    assert written == [10.0, 8.0]
+    capsys.readouterr()
     assert main(["plot", "run.h5", "--kind", "energy", "--kind", "slip", "--style", "grayscale", "-o", "p.svg"]) == 0
     assert main(["plot", "run.h5", "--kind", "speed", "-o", "p.pdf"]) == 0
     assert Path("p.svg").read_bytes().startswith(b"<?xml") and Path("p.pdf").read_bytes().startswith(b"%PDF")
     capsys.readouterr()
     for given, words in (
         (["--name", "bo"], "did you mean 'box'"),
-        (["--kind", "joint"], "joints must be one of none"),
+        (
+            ["--kind", "joint"],
+            "no joints to draw joint of; what can be drawn: position, speed, force, slip",
+        ),
         (["--style", "nope"], "--style must be a style of matplotlib or a file of one, got nope"),
         (["--size", "1", "60"], "--size must be two lengths of 20 to 2000 mm, got [1.0, 60.0]"),
     ):
@@ -270,6 +349,8 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
     bare.save("bare.h5")
     assert main(["plot", "bare.h5", "-o", "bare.png"]) == 0
     assert main(["plot", "bare.h5", "--kind", "friction", "-o", "no.png"]) == 2
+    told = "no contacts to draw friction of; what can be drawn: position, speed, energy, certificate\n"
+    assert capsys.readouterr().err.endswith(told)
     assert set(figures.KINDS) == set(plots.KINDS)
 
 

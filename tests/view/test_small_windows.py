@@ -131,3 +131,16 @@ def test_targets_are_large_under_fingers_in_any_window(window, pages):
     assert window.run(least) < 32
     window.call("Emulation.setTouchEmulationEnabled", enabled=True)
     assert window.run(least) >= 32
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_speed_has_no_row_of_its_own_on_a_telephone(window, pages, count):
+    window.open((pages / f"{count}.html").as_uri() + "#t=0.1", PHONE)
+    place = "(box => [box.left, box.top, box.right, box.bottom])(document.querySelector('{}').getBoundingClientRect())"
+    clock, slider, told = (window.run(place.format(what)) for what in ("#clock", "#speed input", "#speed output"))
+    assert (
+        slider[1] + slider[3] == pytest.approx(clock[1] + clock[3], abs=4.0)
+        and clock[2] < slider[0]
+        and told[2] <= PHONE[0]
+    )
+    assert slider[2] - slider[0] > 60

@@ -37,7 +37,7 @@ class Chart {
   y(lane, value) {
     const {top, bottom} = this.box(lane);
     const f = lane.log ? Math.log10 : x => x;
-    const part = (f(Math.max(value, lane.log ? lane.low : -Infinity)) - f(lane.low)) / (f(lane.high) - f(lane.low));
+    const part = (f(value) - f(lane.low)) / (f(lane.high) - f(lane.low));
     return bottom - (bottom - top) * Math.min(1.02, part);
   }
 
@@ -58,7 +58,8 @@ class Chart {
     context.strokeStyle = theme.colour("grid");
     context.lineWidth = 1;
     context.textAlign = "right";
-    const marks = lane.log ? decades(lane.low, lane.high, (bottom - top) / px(16)) : ticks(lane.low, lane.high, (bottom - top) / px(30));
+    const linear = lane.note ? [0] : ticks(lane.low, lane.high, (bottom - top) / px(30));  // of nothing, no numbers
+    const marks = lane.log ? decades(lane.low, lane.high, (bottom - top) / px(16)) : linear;
     for (const mark of marks) {
       const y = Math.round(this.y(lane, mark)) + 0.5;
       context.beginPath();
@@ -110,19 +111,21 @@ class Chart {
     context.restore();
   }
 
-  // Add a curve to the path; what is not finite leaves a gap.
+  // Add a curve to the path; what is not finite leaves a gap. On a logarithmic axis, where one step may have nothing and
+  // the next has much, each has a dash of its own: joined they would be a comb.
   trace(context, lane, values, backwards = false, t = this.t) {
     const count = values.length;
     let pen = backwards;
     for (let i = 0; i < count; i++) {
       const k = backwards ? count - 1 - i : i;
-      if (!Number.isFinite(values[k])) {
+      if (!Number.isFinite(values[k]) || (lane.log && values[k] < lane.low)) {
         pen = false;
         continue;
       }
       const [x, y] = [this.x(t[k]), this.y(lane, values[k])];
       if (this.steps && k > 0) {
         const before = this.x(t[k - 1]);
+        if (lane.log) pen = false;
         for (const corner of backwards ? [x, before] : [before, x]) {
           if (pen) context.lineTo(corner, y); else context.moveTo(corner, y);
           pen = true;

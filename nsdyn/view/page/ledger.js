@@ -12,8 +12,9 @@ const NUMERICS = ["integration", "projection", "defect"];
 const CHECKS = [
   {name: "residual", label: "residual of the contact problem", unit: "m/s", colour: "#3b75af"},
   {name: "bound", label: "certificate: bound of the velocity's error", unit: "√J", colour: "#b5405e"},
-  {name: "overlap", label: "overlap of shapes, by their gaps", unit: "m", colour: "#5aa17f"},
+  {name: "penetration", label: "penetration of shapes, by their gaps", unit: "m", colour: "#5aa17f"},
 ];
+const FLOOR = 1e-12, LOST = 1e-11;  // where their axes begin at the lowest, and what is no more than round-off
 
 class Ledger {
   constructor(recording) {
@@ -139,10 +140,11 @@ class Ledger {
       const positive = [this, ...laid].flatMap(ledger => Array.from(ledger.curve(name))).filter(x => x > 0 && Number.isFinite(x));
       const [least, most] = [positive.reduce((a, b) => Math.min(a, b), Infinity), positive.reduce((a, b) => Math.max(a, b), 0)];
       const recorded = values.some(x => !Number.isNaN(x));
-      const low = positive.length ? 10 ** Math.max(Math.floor(Math.log10(least)), Math.floor(Math.log10(most)) - 8) : 1e-16;
-      const high = positive.length ? Math.max(10 * low, 10 ** Math.ceil(Math.log10(most) + 1e-9)) : 1e-8;
-      const note = !recorded ? "not recorded" : positive.length ? "" : "0 everywhere";
-      const lines = [{values, colour, width: 1.2}, ...laid.map(other => other.dotted(other.curve(name), colour))];
+      const seen = most > LOST;
+      const low = seen ? 10 ** Math.floor(Math.log10(Math.max(least, 1e-8 * most, FLOOR))) : LOST;
+      const high = seen ? Math.max(10 * low, 10 ** Math.ceil(Math.log10(most) + 1e-9)) : 10 * LOST;
+      const note = !recorded ? "not recorded" : seen ? "" : `less than ${powerOfTen(Math.round(Math.log10(LOST)))}: round-off`;
+      const lines = [{values, colour, width: 2}, ...laid.map(other => other.dotted(other.curve(name), colour))];
       return {label, unit, log: true, low, high, note, lines};
     });
   }

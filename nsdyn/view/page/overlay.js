@@ -4,6 +4,7 @@
 const STATE_COLOURS = ["#ffffff", "#0072b2", "#e69f00", "#c8102e"];  // open, stick, slip, jam: told apart by shape too
 const FORCE_COLOUR = "#30363d";
 const EDGE_COLOUR = "#c8102e";
+const LONGEST = 2;  // times what 90 % stay below: arrows of impacts, beside which the others would be dots, are cut there
 const HIDDEN = [0.22, 0.5];  // of a dot behind a body is seen: the less, the more there are
 
 class Overlay {
@@ -27,6 +28,18 @@ class Overlay {
     const out = [0, 0, 0, 0];
     for (const {state} of this.contacts) out[state]++;
     return out;
+  }
+
+  // Of "forces" and "cones", whether any is longer than it is drawn.
+  get cut() {
+    const {arrays, dt, units} = this.recording;
+    const most = (values, width) => {
+      let most = 0;
+      for (let k = 0; k < values?.length; k += width) most = Math.max(most, Math.hypot(...values.subarray(k, k + width)));
+      return most;
+    };
+    const [force, push] = [most(arrays["forces/force"], 3), most(arrays["contacts/r"]?.filter((_, k) => k % 3 === 0), 1) / dt];
+    return {forces: force > LONGEST * units?.forces, cones: push > LONGEST * units?.cones};
   }
 
   // Metres that a newton is long, of "forces" or "cones".
@@ -83,7 +96,8 @@ class Overlay {
     const {recording, stage} = this;
     const normal = contact.r[0] / recording.dt;
     if (!(normal > 0)) return;
-    const height = Math.min(2 * recording.lengths.cones, normal * this.scale("cones"));
+    const full = normal * this.scale("cones");
+    const height = Math.min(LONGEST * recording.lengths.cones, full);
     const metres = this.side(contact) * height / contact.r[0];  // of an impulse of 1 N·s
     const tip = impulse => stage.project(recording.world(contact, impulse).map((x, k) => contact.point[k] + metres * x));
     const apex = stage.project(contact.point);
@@ -94,7 +108,7 @@ class Overlay {
       rim.push(tip([contact.r[0], radius * Math.cos(turn), radius * Math.sin(turn)]));
     }
     if (!apex || rim.some(point => !point)) return;
-    const colour = contact.edge ? EDGE_COLOUR : "#4b6584";
+    const colour = contact.edge ? EDGE_COLOUR : theme.dark ? "#9db4d0" : "#4b6584";
     context.fillStyle = colour + "12";
     context.strokeStyle = colour + "a0";
     context.lineWidth = 1;
@@ -102,7 +116,7 @@ class Overlay {
     context.stroke(polygonOf(rim));
     for (const k of silhouette(apex, rim)) context.stroke(polygonOf([apex, rim[k]]));
     const end = tip(contact.r);
-    if (end) arrow(context, apex, end, contact.edge ? EDGE_COLOUR : FORCE_COLOUR);
+    if (end) arrow(context, apex, end, contact.edge ? EDGE_COLOUR : FORCE_COLOUR, height < full);
   }
 
   drawForces(context) {
@@ -115,10 +129,11 @@ class Overlay {
       const origin = stage.origin(frame);
       const from = world("point").map((x, c) => x + origin[c]);
       const force = world("force");
-      const scale = Math.min(this.scale("forces"), 2 * recording.lengths.forces / Math.hypot(...force));
+      const full = this.scale("forces");
+      const scale = Math.min(full, LONGEST * recording.lengths.forces / Math.hypot(...force));
       const to = from.map((x, c) => x + scale * force[c]);
       const ends = [stage.project(from), stage.project(to)];
-      if (ends[0] && ends[1]) arrow(context, ...ends, FORCE_COLOUR);
+      if (ends[0] && ends[1]) arrow(context, ...ends, FORCE_COLOUR, scale < full);
     }
   }
 
@@ -194,25 +209,29 @@ function silhouette(apex, rim) {
   return rim.map((_, k) => k).filter(k => turns[k] * turns[(k + rim.length - 1) % rim.length] < 0);
 }
 
-function arrow(context, from, to, colour) {
+// An arrow; with two heads if it is shorter than it ought to be.
+function arrow(context, from, to, colour, cut) {
   const [dx, dy] = [to[0] - from[0], to[1] - from[1]];
   const length = Math.hypot(dx, dy);
   if (length < 1) return;
-  const head = Math.min(px(10), 0.6 * length);
+  const head = Math.min(px(10), (cut ? 0.3 : 0.6) * length);
   const [ux, uy] = [dx / length, dy / length];
-  const [bx, by] = [to[0] - head * ux, to[1] - head * uy];
-  const tip = polygonOf([to, [bx - 0.45 * head * uy, by + 0.45 * head * ux], [bx + 0.45 * head * uy, by - 0.45 * head * ux]]);
+  const back = by => [to[0] - by * ux, to[1] - by * uy];
+  const tips = (cut ? [0, head] : [0]).map(by => {
+    const [point, [x, y]] = [back(by), back(by + head)];
+    return polygonOf([point, [x - 0.45 * head * uy, y + 0.45 * head * ux], [x + 0.45 * head * uy, y - 0.45 * head * ux]]);
+  });
   const shaft = new Path2D();
   shaft.moveTo(from[0], from[1]);
-  shaft.lineTo(bx, by);
+  shaft.lineTo(...back(head));
   // With a white rim, to be seen on dark bodies.
   context.strokeStyle = "white";
-  for (const [path, width] of [[shaft, 5.5], [tip, 3]]) {
+  for (const [path, width] of [[shaft, 5.5], ...tips.map(tip => [tip, 3])]) {
     context.lineWidth = px(width);
     context.stroke(path);
   }
   context.strokeStyle = context.fillStyle = colour;
   context.lineWidth = px(2.4);
   context.stroke(shaft);
-  context.fill(tip);
+  for (const tip of tips) context.fill(tip);
 }

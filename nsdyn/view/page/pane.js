@@ -7,7 +7,7 @@ class Pane {
     const head = this.root.appendChild(element("div", "head"));
     const heading = head.appendChild(element("div", "heading", recording.label));
     const {label, name, words} = recording;
-    heading.append(element("small", "", [label === name ? "" : name, words].filter(Boolean).join(", ")));
+    heading.append(element("small", "", [label.startsWith(name) ? "" : name, words].filter(Boolean).join(", ")));
     this.legend = head.appendChild(element("div", "legend"));
     const view = this.root.appendChild(element("div", "view"));
     const three = view.appendChild(element("div", "three"));
@@ -58,9 +58,10 @@ class Pane {
       number.style.minWidth = `${`${most} ${STATES[state]}`.length}ch`;  // whatever it is, the view keeps its size
       return {state, number};
     });
+    const {cut} = this.overlay;
     this.bars = ["forces", "cones"].map(layer => {
       const entry = this.legend.appendChild(element("span", `scale ${layer}`, layer + " "));
-      return {layer, entry, bar: entry.appendChild(element("span", "bar")), text: entry.appendChild(element("span"))};
+      return {layer, entry, bar: entry.appendChild(element("span", "bar")), text: entry.appendChild(element("span")), more: cut[layer] ? ", ↠ stronger" : ""};
     });
     this.showLegend();
   }
@@ -79,12 +80,12 @@ class Pane {
 
   // Round forces, and how long they are in the middle of the picture.
   scaleBars() {
-    for (const {layer, bar, text} of this.bars) {
+    for (const {layer, bar, text, more} of this.bars) {
       const pixels = this.overlay.scale(layer) * this.stage.pixelsPerMetre;
       if (!pixels) continue;
       const force = roundStep(24 / pixels);
       bar.style.width = `${force * pixels}px`;
-      text.textContent = plain(force, "N");
+      text.textContent = plain(force, "N") + more;
     }
   }
 

@@ -29,6 +29,8 @@ class Stage {
     this.viewer = new MeshCat.Viewer(place);
     this.viewer.set_3d_pane_size = () => this.resize();
     for (const command of recording.commands()) this.viewer.handle_command_bytearray(command);
+    // The edges of a room, which meshcat lets cast shadows: dashes on its walls.
+    this.viewer.scene.traverse(object => { if (object.isLineSegments) object.castShadow = false; });
     const sun = this.viewer.scene_tree.find(["Lights", "Sun", "<object>"]).object;
     const {centre} = recording.view;
     sun.target.position.set(centre[0], centre[2], -centre[1]);
@@ -80,14 +82,21 @@ class Stage {
     this.viewer.set_dirty();
   }
 
-  // The background, and the ground that fades into it, by day or at night.
+  // The background, and the ground that fades into it, by day or at night, with the lines that are seen on it then.
   shade() {
     const light = theme.dark ? NIGHT : 1;
     for (const name of ["top_color", "bottom_color"]) {
       this.viewer.set_property(["Background"], name, this.recording.view.background.map(c => c * light));
     }
     for (const ground of this.grounds) {
-      ground.traverse(({material}) => { if (material?.vertexColors) material.color.setScalar(light); });
+      ground.traverse(({material, geometry}) => {
+        if (!material?.vertexColors) return;
+        material.color.setScalar(light);
+        const {night, day, color} = geometry.attributes;
+        if (!night) return;
+        geometry.setAttribute("day", day ?? color);
+        geometry.setAttribute("color", theme.dark ? night : day ?? color);
+      });
     }
     this.viewer.set_dirty();
   }

@@ -4,12 +4,12 @@ const KINDS = {
   energy: "Kinetic and potential energy, and over them what was taken: their sum is what there was",
   power: "What friction, impacts and damping take, mean of each interval",
   motion: "Speeds and heights of bodies, coordinates and loads of joints; a body that is picked stands out",
-  checks: "Residual, certificate and overlap of each step",
+  checks: "Residual, certificate and penetration of each step",
 };
 const DRAWN = {
   contacts: "Contact points that stick or slip; those behind bodies are faded",
   open: "Contact points that are open, and carry nothing",
-  forces: "Contact forces on bodies, mean since the state before",
+  forces: "Contact forces on bodies, mean since the state before; with two heads those that are cut",
   cones: "Friction cones with the force inside, red at its edge; of redundant contacts those of least norm",
 };
 
@@ -79,7 +79,7 @@ class Tools {
   makeHelp() {
     const help = document.getElementById("help");
     for (const {recording: {label, name, made, notes}} of this.panes) {
-      help.append(element("h2", "", label === name ? name : `${name}: ${label}`));
+      help.append(element("h2", "", label.startsWith(name) ? label : `${name}: ${label}`));
       const list = help.appendChild(element("dl"));
       for (const [key, text] of [...Object.entries(made), ...notes.map(note => ["shown", note])]) {
         list.append(element("dt", "", key), element("dd", "", text));
