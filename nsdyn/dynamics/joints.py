@@ -224,10 +224,11 @@ class Rows:
     ) -> None:
         self.full = self.blocks = full
         self.press, self._pressed, self._impulse, self._plane = NOTHING, pressed, clutch[0], plane
-        disks = np.flatnonzero(ball)
-        self.balls, self._shared = pressed[disks], np.hypot(clutch[0, disks], clutch[0, disks + 1])
+        self.balls = pressed
         if not bases and not pressed.size:
             return
+        disks = np.flatnonzero(ball)
+        self.balls, self._shared = pressed[disks], np.hypot(clutch[0, disks], clutch[0, disks + 1])
         z_start = np.cumsum([0, *(Z.size for Z in bases.values())])
         self._z = np.concatenate([np.empty(0), *(Z.ravel() for Z in bases.values())])
         keys = np.fromiter(bases, np.int64, len(bases))
