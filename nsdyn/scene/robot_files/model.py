@@ -40,9 +40,9 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
     ]
     if fast:
         dropped.append(f"joint {fast[0]!r}: velocity limit ({len(fast)})")
-    for what in ("DryFriction", "Effort"):
+    for what, unset in (("DryFriction", 0.0), ("Effort", -np.finfo(float).max)):  # who sets one side means both
         lower, upper = (np.array(getattr(model, f"{side}{what}Limit")) for side in ("lower", "upper"))
-        if rows := np.flatnonzero(lower != -upper).tolist():
+        if rows := np.flatnonzero((lower != -upper) & (lower != unset)).tolist():
             joint = next(j for j in range(model.njoints) if rows[0] < model.idx_vs[j] + model.nvs[j])
             dropped.append(
                 f"joint {model.names[joint]!r}: lower{what}Limit that is not -upper{what}Limit ({len(rows)})"
