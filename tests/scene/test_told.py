@@ -548,7 +548,7 @@ def test_values_of_a_model(chain):
     assert of_model(*chain)[0] == ""
     for name, value, note in (
         ("lowerDryFrictionLimit", np.array([0, -1.0, 0]), "joint 'j1': lowerDryFrictionLimit that is not -upper"),
-        ("upperEffortLimit", np.array([1.0, 1, 1]), "joint 'j0': lowerEffortLimit that is not -upperEffortLimit (3)"),
+        ("lowerEffortLimit", -np.ones(3), "joint 'j0': lowerEffortLimit that is not -upperEffortLimit (3)"),
         ("upperVelocityLimit", np.array([1e308, 1e308, 2.0]), "joint 'j2': velocity limit (1)"),
         ("gravity", pin.Motion.Zero(), "gravity of the model"),
     ):
