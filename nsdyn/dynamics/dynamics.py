@@ -119,9 +119,13 @@ class Dynamics:
             np.concatenate([self._velocity(b) for b in bodies] + [v for _, v in starts] + [np.empty(0)]),
         )
 
-    def only(self, bodies: Index, trees: Index) -> Dynamics:
-        """Those of some free bodies and trees, and of what moves as prescribed, which nothing else moves."""
+    def only(self, bodies: Index, trees: Index, geoms: Index) -> Dynamics:
+        """Those of some free bodies and trees, and of what moves as prescribed, which nothing else moves.
+
+        The shapes of all these are `geoms`, ascending, and counted anew.
+        """
         out = copy(self)
+        out.surfaces = self.surfaces.only(geoms)
         out._compose(tuple([a[bodies] for a in self._own]), [self.trees[k] for k in trees.tolist()])
         return out
 

@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.scene.scene import Scene
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["Surfaces"]
 
@@ -36,6 +36,12 @@ class Surfaces:
         self._radius = np.array([b.shape.bounding_radius for b in scene.driven_bodies])
         place = {name: k for k, name in enumerate(names)}
         self._motion_of_geom = np.array([place.get(g.body, -1) for g in scene.geoms()], dtype=np.int64)
+
+    def only(self, geoms: Index) -> Surfaces:
+        """The same as contacts of some shapes see them, ascending, which are counted anew."""
+        out = copy(self)
+        out._motion_of_geom = self._motion_of_geom[geoms]
+        return out
 
     def during(self, t: float, h: float) -> Surfaces:
         """The same with velocities that change linearly in the h s from t on.

@@ -64,7 +64,7 @@ class Part:
         self._slots = np.flatnonzero(among(block, nodes))
         self._limits = np.flatnonzero(among(block[d.joints.limits], nodes))
         self.system = whole._replace(
-            dynamics=d.only(self._bodies, self._trees),
+            dynamics=d.only(self._bodies, self._trees, self.geoms),
             detector=whole.detector.only(self.geoms, self._frame[frame_of_geom[self.geoms]]),
             inscribed=whole.inscribed[self.geoms],
             arm=whole.arm[frames],

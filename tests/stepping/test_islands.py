@@ -136,6 +136,26 @@ def test_a_plate_that_shakes_couples_nothing():
     assert nd.check(beside).passed
 
 
+def test_a_belt_carries_what_is_on_it_wherever_it_stands_among_the_bodies():
+    """Boxes that come before it and are of other islands: of the ball's own island it is another shape."""
+
+    def carried(before):
+        scene = world()
+        cubes(scene, before, at=(FAR, 0.0))
+        scene.add_box("belt", (4, 1, 0.2), fixed=True, position=(0, 0, 0.1), material=nd.Material(0.5, 0.5))
+        scene.set_motion("belt", surface_velocity=(1.0, 0, 0))
+        scene.add_sphere("ball", 0.1, 1.0, position=(-1.5, 0, 0.6), material=nd.Material(0.5, 0.5))
+        scene.add_sphere("other", 0.1, 1.0, position=(-0.5, 0, 0.5), material=nd.Material(0.5, 0.5))
+        return scene
+
+    own = ["ball", "other"]
+    alone, beside = (states(carried(count), 120, 5e-3, own) for count in (0, 3))
+    assert alone == beside
+    trajectory = nd.simulate(carried(3), 0.6, 5e-3)
+    assert nd.check(trajectory).passed, nd.check(trajectory)
+    assert trajectory.body("ball").linear_velocity[-1, 0] > 0.1  # the belt has taken it along
+
+
 def test_islands_that_meet_within_a_step_are_made_together():
     """Two balls that fly at each other from far: the one that was struck before, a third, flies on with its speed."""
     scene, m = nd.Scene(gravity=(0, 0, 0)), nd.Material(mu=0.0, restitution=1.0)
