@@ -32,6 +32,7 @@ import numpy as np
 import nsdyn as nd
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.touching import separations
+from nsdyn.problem.solution import ACCEPTED
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 import truth
@@ -281,7 +282,7 @@ def outcome(scene: nd.Scene, how: dict[str, Any], conserves: bool, steps: int) -
             return f"{'stopped' if excused else 'stopped although a solution exists'}: {stopped}", {}
         warned = [str(w.message) for w in told]
         audit = nd.check(trajectory)
-    fine = (nd.Status.CONVERGED, nd.Status.LOOSE, nd.Status.OVERLAP)
+    fine = (*ACCEPTED, nd.Status.OVERLAP)
     missed = int((~np.isin(trajectory.solver.status, fine)).sum())
     squeezed = int((trajectory.solver.status == nd.Status.OVERLAP).sum())
     if missed and not any("did not converge" in text for text in warned):
