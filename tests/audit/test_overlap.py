@@ -152,8 +152,8 @@ def test_poses_in_one_call():
 
 
 def test_unknown_shape():
-    with pytest.raises(ValueError, match=r"Shape\.describe names, got 'torus'"):
-        overlap({"shape": "torus", "size": [1, 1, 1]}, np.eye(4), SHAPES["box"].describe(), np.eye(4))
+    with pytest.raises(ValueError, match=r"Shape\.describe names, got 'teapot'"):
+        overlap({"shape": "teapot", "size": [1, 1, 1]}, np.eye(4), SHAPES["box"].describe(), np.eye(4))
 
 
 @pytest.mark.filterwarnings("error")
