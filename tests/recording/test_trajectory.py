@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
 from nsdyn.recording import recorder as module
-from nsdyn.recording.columns import STEP
+from nsdyn.recording.columns import FORMAT_VERSION, STEP
 from nsdyn.recording.recorder import Recorder
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import unfinished
@@ -337,7 +337,7 @@ def test_failed_save_leaves_the_old_file(tmp_path):
     [
         (lambda f: f.__delitem__("meta"), "/meta with format='nsdyn' is missing"),
         (lambda f: f["meta"].attrs.__setitem__("format", "other"), "/meta with format='nsdyn' is missing"),
-        (lambda f: f["meta"].attrs.__setitem__("format_version", 10), "format_version 10"),
+        (lambda f: f["meta"].attrs.__setitem__("format_version", FORMAT_VERSION + 1), "format_version"),
         (lambda f: f.__delitem__("gauss/bound"), "/gauss/bound is missing"),
         (lambda f: f["energy/defect"].resize(2, axis=0), "/energy/defect has 2 rows, 5 expected"),
         (lambda f: f["t"].resize(0, axis=0), "is damaged"),
