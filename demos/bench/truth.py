@@ -698,7 +698,7 @@ def time_to_error(limit: float) -> Figures:
     found = engines.measure(["bounce", "tumble"], peers, limit)
 
     def ms(case: str, engine: str, error: float) -> float:
-        run = found.reach(case, engine, error)
+        run = found.within(case, engine, error)
         return math.inf if run is None else 1e3 * run.seconds
 
     out = {"bounce to 1e-6": ms("bounce", "nsdyn", 1e-6), "tumble to 1e-4": ms("tumble", "nsdyn", 1e-4)}

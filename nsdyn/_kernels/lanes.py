@@ -37,7 +37,7 @@ def _lanes(lanes: Sequence[int]) -> ir.Constant:
     return ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
 
 
-def _place(builder: Any, data: Any, index: Any, offset: int) -> Any:
+def _address(builder: Any, data: Any, index: Any, offset: int) -> Any:
     """Pointer to the row that begins at index + offset."""
     index = builder.add(index, ir.Constant(index.type, offset))
     return builder.bitcast(builder.gep(data, [index]), _ROW.as_pointer())
@@ -45,7 +45,7 @@ def _place(builder: Any, data: Any, index: Any, offset: int) -> Any:
 
 def _load(builder: Any, data: Any, index: Any, offset: int = 0) -> Any:
     """The row that begins at index + offset."""
-    row = builder.load(_place(builder, data, index, offset))
+    row = builder.load(_address(builder, data, index, offset))
     row.align = 8
     return row
 
@@ -98,6 +98,6 @@ def _add(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         for m, factor in enumerate(factors):
             product = builder.fmul(factor, _load(builder, a, i, 2 * WIDTH * m + side), flags=_FUSED)
             row = builder.fadd(row, product, flags=_FUSED)
-        store = builder.store(row, _place(builder, b, index, 0))
+        store = builder.store(row, _address(builder, b, index, 0))
         store.align = 8
     return context.get_dummy_value()

@@ -73,10 +73,10 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
     states, size = range(t.steps + 1), np.zeros((t.steps + 1, len(found.links)))
     off, far = np.zeros_like(size), np.zeros_like(size)
     order = {frame: k for k, frame in enumerate(found.links)}
-    reach = np.zeros(len(order))
+    radius = np.zeros(len(order))
     for geom, frame in enumerate(poses.frame):
         if int(frame) in order:
-            reach[order[int(frame)]] = max(reach[order[int(frame)]], poses.reach[geom])
+            radius[order[int(frame)]] = max(radius[order[int(frame)]], poses.bounding_radius[geom])
     gaps, beyond, scales, ranges, labels = [], [], [], [], []
     for i, m in enumerate(found.mechanisms):
         own = [(frame, joint) for frame, (tree, joint) in found.links.items() if tree == i]
@@ -89,7 +89,7 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
                 pose, column = m.pose(joint), order[frame]
                 turn = matrix(poses.quaternion[k, frame]) - pose.rotation
                 norm = abs(float(np.linalg.norm(poses.quaternion[k, frame])) - 1.0)
-                off[k, column] = np.linalg.norm(poses.x[k, frame] - pose.translation) + reach[column] * (
+                off[k, column] = np.linalg.norm(poses.x[k, frame] - pose.translation) + radius[column] * (
                     np.linalg.norm(turn) + norm
                 )
                 far[k, column] = np.linalg.norm(pose.translation)
@@ -102,7 +102,7 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
     steps, which = np.indices(off.shape)
     names = [frames[frame] for frame in found.links]
     yield worst_of(
-        "links", (off / (reach + far + 1e-300)).ravel(), off.ravel(), "m", steps.ravel(), _who(names, which.ravel())
+        "links", (off / (radius + far + 1e-300)).ravel(), off.ravel(), "m", steps.ravel(), _who(names, which.ravel())
     )
     k, i = np.array(labels).T
     trees_ = [m.name for m in found.mechanisms]

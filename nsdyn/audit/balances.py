@@ -82,12 +82,12 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
         # Half a turn with either angular velocity, each in the axes of its own end.
         there, back = turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:])
         later = poses.uncertain[1][:, :free]
-    reach, extent = np.zeros(free), np.full(free, np.inf)
+    radius, extent = np.zeros(free), np.full(free, np.inf)
     for k in np.flatnonzero((poses.frame >= 0) & (poses.frame < free)):
         body, solid = poses.frame[k], poses.solids[poses.kind[k]]
-        reach[body] = max(reach[body], solid.reach)
+        radius[body] = max(radius[body], solid.bounding_radius)
         extent[body] = min(extent[body], solid.extent)
-    amount = np.maximum(left, (angles(there, back) - later) * reach)
+    amount = np.maximum(left, (angles(there, back) - later) * radius)
     return of_bodies(poses, "motion", amount, np.broadcast_to(extent, amount.shape), "m")
 
 

@@ -72,7 +72,7 @@ MEANING = {
     "works": "work of contacts as the ledger has it - sum of those of the contacts / energy at play",
     "times": "time of a step - dt / dt",
     "turns": "norm of a quaternion - 1",
-    "links": "frame of a link as recorded - that of q / its place and reach",
+    "links": "frame of a link as recorded - that of q / its place and size",
     "loops": "gap of a loop / length of its links",
     "limits": "joint beyond a limit / range",
     "pieces": "durations, contacts, their times and impulses of a step - those of what it was cut into / largest",

@@ -129,12 +129,8 @@ class Flight:
         c, h, shape = t.columns, t.dt, (t.steps, free)
         axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
         frames = poses.frame[np.stack([c["contacts/geom1"], c["contacts/geom2"]], axis=1).astype(np.int64)]
-        timed = not np.isnan(c["contacts/time"]).any()
-        when = c["contacts/time"] if timed else np.full(len(n), (1.0 - theta) * h)
         steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
-        cut = np.zeros((t.steps, 1), np.bool_)
-        np.logical_or.at(cut[:, 0], steps, np.abs(when - (1.0 - theta) * h) > 1e-9 * h)
-        cut[:, 0] |= _cut_without_contacts(poses)
+        when, timed, cut = _times(poses, steps)
         piece, length = _pieces(poses, steps)
         pushes = Pushes.of(frames, free, steps, when, piece, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
         row, side, step, body, time, _, push = pushes
@@ -191,6 +187,17 @@ def angles(one: Array, other: Array) -> Array:
     near = np.where((one * other).sum(axis=-1, keepdims=True) < 0.0, -other, other)
     out: Array = 2.0 * np.linalg.norm(one - near, axis=-1)
     return out
+
+
+def _times(poses: Poses, steps: Index) -> tuple[Array, bool, NDArray[np.bool_]]:
+    """When each contact acts in its step, s; whether that is recorded; and `Flight.cut`."""
+    t, late = poses.trajectory, (1.0 - float(poses.trajectory.meta["theta"])) * poses.trajectory.dt
+    when: Array = t.columns["contacts/time"]
+    timed = not np.isnan(when).any()
+    when = when if timed else np.full(len(when), late)
+    cut = _cut_without_contacts(poses)
+    np.logical_or.at(cut, steps, np.abs(when - late) > 1e-9 * t.dt)
+    return when, timed, cut[:, None]
 
 
 def _pieces(poses: Poses, step: Index) -> tuple[Index, Array]:

@@ -252,7 +252,7 @@ def _climb(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Arr
     T (|s| + λ - Tᵀ H T)⁻¹ Tᵀ g, its damping λ larger after steps that fail and smaller after steps that help.
     """
     value = _best_along(a, b, R, x, n[:, None])[0]
-    damping = np.full(len(x), 1e-3 * min(a.reach, b.reach))
+    damping = np.full(len(x), 1e-3 * min(a.bounding_radius, b.bounding_radius))
     for _ in range(NEWTON_STEPS):
         (p, H), (other, other_H) = a.curvature(n), b.curvature(-(n[:, None] @ R)[:, 0])
         gradient, T = x - p + (R @ other[:, :, None])[..., 0], _tangents(n)

@@ -59,7 +59,7 @@ class Poses:
         self.extent = extents[self.kind] if len(geoms) else np.empty(0)
         # Of any point of a shape from the origin of its frame, m.
         arms = np.linalg.norm(self.placement[:, :3, 3], axis=1)
-        self.reach = np.array([self.solids[kind].reach for kind in self.kind]) + arms
+        self.bounding_radius = np.array([self.solids[kind].bounding_radius for kind in self.kind]) + arms
 
     @cached_property
     def middle(self) -> tuple[Array, Array]:

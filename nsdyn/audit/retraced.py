@@ -92,7 +92,7 @@ def retraced(poses: Poses) -> Retraced | str:
         for k in range(n):
             try:
                 way = found.way(i, k)
-                _measure(out, i, m, k, way)
+                _compare(out, i, m, k, way)
                 for kick, doubted in zip(way.kicks, _book(out, i, m, k, way), strict=True):
                     _meet(out, m, kick, doubted)
             except (np.linalg.LinAlgError, ValueError):  # numbers that are none, masses that no body has
@@ -101,7 +101,7 @@ def retraced(poses: Poses) -> Retraced | str:
     return out
 
 
-def _measure(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
+def _compare(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     """How far a step ends from where it leads."""
     (_, v0), (q, v) = out.trees.state(i, k), out.trees.state(i, k + 1)
     h, M = out.trees.trajectory.dt, m.mass(q)

@@ -251,8 +251,8 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
     unsure = np.zeros(push.size)
     for geom in (i, j):
         moving = np.flatnonzero(poses.frame[geom] >= 0)
-        body, reach = poses.frame[geom[moving]], poses.reach[geom[moving]]
-        unsure[moving] += shift[k[moving] - 1, body] + reach * turn[k[moving] - 1, body]
+        body, radius = poses.frame[geom[moving]], poses.bounding_radius[geom[moving]]
+        unsure[moving] += shift[k[moving] - 1, body] + radius * turn[k[moving] - 1, body]
     travel = np.abs(np.diff(along, axis=0)).sum(axis=0) + unsure
     # A contact and its normal are those of some time within the step.
     apart, skew = along[1:4].min(axis=0) - travel, (np.minimum(free, 0.0) - along)[1:4].min(axis=0) - travel
@@ -290,7 +290,7 @@ def _off_surfaces(
             apart[row] += (2 * side - 1) * (np.einsum("mij,mj->mi", R, own) + x)
         free = np.flatnonzero((frame >= 0) & (frame < poses.free) & flight.cut[step, 0])
         shift, angle = (part[step[free], frame[free]] for part in lift)
-        lifted[free] += shift + poses.reach[geom[free]] * angle
+        lifted[free] += shift + poses.bounding_radius[geom[free]] * angle
     went = np.diff(apart, axis=0)
     closed, slid = np.abs((went * normal).sum(axis=2)).sum(axis=0), 0.5 * np.linalg.norm(went[1], axis=1)
     out: Array = off - closed - slid - lifted
@@ -319,7 +319,7 @@ def _along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Ar
     if a.kind == "halfspace":
         return _along(b, R2, x2, a, R1, x1, -n)
     if b.kind == "halfspace":  # along any other normal it would be infinitely deep: the other shape's tilt will do
-        out: Array = separation(a, R1, x1, b, R2, x2) - a.reach * np.linalg.norm(n + R2 @ b.size, axis=1)
+        out: Array = separation(a, R1, x1, b, R2, x2) - a.bounding_radius * np.linalg.norm(n + R2 @ b.size, axis=1)
         return out
     out = (n * (x2 - x1)).sum(axis=1) - a.support((n[:, None] @ R1)[:, 0]) - b.support(-(n[:, None] @ R2)[:, 0])
     return out

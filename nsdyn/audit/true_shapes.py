@@ -36,7 +36,7 @@ class Solid:
         A point of every line that carries an edge, and its unit vector.
     radius : float
         Of the balls, m.
-    reach : float
+    bounding_radius : float
         Radius of a ball about the origin that contains it, m; infinite for a half-space.
     extent : float
         Smallest extent, twice the radius of the largest ball about the origin inside it, m.
@@ -50,7 +50,7 @@ class Solid:
     edges: Array
     feet: Array
     radius: float
-    reach: float
+    bounding_radius: float
     extent: float
 
     @classmethod
@@ -60,26 +60,26 @@ class Solid:
         axis, none, offset, radius = np.array([[0.0, 0.0, 1.0]]), np.empty((0, 3)), 0.0, 0.0
         corners, normals, edges, feet = none, none, none, np.empty((0, 6))
         if kind == "halfspace":
-            offset, reach, extent = float(shape["offset"]), np.inf, np.inf
+            offset, bounding, extent = float(shape["offset"]), np.inf, np.inf
         elif kind == "sphere":
             corners, radius = np.zeros((1, 3)), float(size[0])
-            reach, extent = radius, 2.0 * radius
+            bounding, extent = radius, 2.0 * radius
         elif kind == "capsule":
             corners, radius = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]]), float(size[0])
             edges, feet = axis, np.hstack([corners[:1], axis])
-            reach, extent = radius + float(size[1]), 2.0 * radius
+            bounding, extent = radius + float(size[1]), 2.0 * radius
         elif kind == "cylinder":
             normals, edges = axis, axis
-            reach, extent = float(np.hypot(size[0], size[1])), 2.0 * float(size[:2].min())
+            bounding, extent = float(np.hypot(size[0], size[1])), 2.0 * float(size[:2].min())
         elif kind == "ellipsoid":
-            reach, extent = float(size.max()), 2.0 * float(size.min())
+            bounding, extent = float(size.max()), 2.0 * float(size.min())
         elif kind in ("box", "convex"):
             corners = np.array(shape["vertices"], dtype=float)
             normals, edges, feet, depth = _features(corners, str(shape.get("name", kind)))
-            reach, extent = float(np.linalg.norm(corners, axis=1).max()), 2.0 * depth
+            bounding, extent = float(np.linalg.norm(corners, axis=1).max()), 2.0 * depth
         else:
             raise ValueError(f"shape must be one that Shape.describe names, got {kind!r}")
-        return cls(kind, size, offset, corners, normals, edges, feet, radius, reach, extent)
+        return cls(kind, size, offset, corners, normals, edges, feet, radius, bounding, extent)
 
     @property
     def smooth(self) -> bool:

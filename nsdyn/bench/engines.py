@@ -91,7 +91,7 @@ class Bench:
         """Names of the engines, ours first."""
         return list(dict.fromkeys(run.engine for run in self.runs))
 
-    def reach(self, case: str, engine: str, error: float) -> Run | None:
+    def within(self, case: str, engine: str, error: float) -> Run | None:
         """The fastest run of an engine that meets the error at its dt and at every smaller one, None without any."""
         best = None
         broken = set()
@@ -119,7 +119,7 @@ class Bench:
         out = []
         for case in self.cases:
             for error in ERRORS:
-                runs = {engine: self.reach(case, engine, error) for engine in self.engines}
+                runs = {engine: self.within(case, engine, error) for engine in self.engines}
                 ours, *peers = (math.inf if run is None else run.seconds for run in runs.values())
                 best = min(peers, default=math.inf)
                 out.append(
@@ -170,7 +170,7 @@ class Bench:
                 runs = [run for run in self._finished.get((case, engine), []) if math.isfinite(run.error)]
                 error = [max(run.error, bounds[0]) for run in runs]
                 axes.plot(error, [1e3 * run.seconds for run in runs], ".", color=f"C{k}", ms=3.0, alpha=0.4)
-                reached = [self.reach(case, engine, bound) for bound in bounds]
+                reached = [self.within(case, engine, bound) for bound in bounds]
                 seconds = [math.nan if run is None else 1e3 * run.seconds for run in reached]
                 axes.plot(bounds, seconds, color=f"C{k}", lw=2.0 if k == 0 else 1.2, label=engine)
             axes.set(xscale="log", yscale="log", xlim=(bounds[0], bounds[-1]))

@@ -74,12 +74,7 @@ class Tree:
         nv = self.model.nv
         self.coordinates, self.joints, self.frames = slice(0, nv), joints, slice(0, len(joints))
         self.support = supports(self.model)[joints]
-        self.radius = np.zeros(len(joints))
-        for _, joint, placement, shape in a.links:
-            if joint in joints:
-                k = joints.index(joint)
-                far = float(np.linalg.norm(placement.translation)) + shape.bounding_radius
-                self.radius[k] = max(self.radius[k], far)
+        self.radius = _radii(a, joints)
         self._weightless = self.model.copy()
         self._weightless.gravity = pin.Motion.Zero()
         # Pinocchio's kinetic energy leaves out the armature of joints about axes that are none of the coordinates'.
@@ -469,3 +464,13 @@ class Tree:
     def bias(self, q: Array, v: Array) -> Array:
         """Coriolis, centrifugal and gravity terms, shape (nv,), N m or N."""
         return np.array(pin.nonLinearEffects(self.model, self.data, q, v))
+
+
+def _radii(articulation: Articulation, joints: list[int]) -> Array:
+    """Radius about the frame of each joint that holds the shapes it carries, (len(joints),), m."""
+    out = np.zeros(len(joints))
+    for _, joint, placement, shape in articulation.links:
+        if joint in joints:
+            k = joints.index(joint)
+            out[k] = max(out[k], float(np.linalg.norm(placement.translation)) + shape.bounding_radius)
+    return out

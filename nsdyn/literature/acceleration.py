@@ -6,7 +6,7 @@ dry friction take part; the problem and its laws are in `nsdyn.literature.least_
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,12 @@ import numpy as np
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.dynamics.values import Forces, Position
+from nsdyn.dynamics.values import Forces, Middle, Position
 from nsdyn.literature.least_constraint import Acceleration, Existence, JointTerms, LeastConstraint, accelerations
 from nsdyn.scene import pairs
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.state import State
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["Acceleration", "Existence", "LeastConstraint", "accelerations", "least_constraint"]
 
@@ -78,33 +78,46 @@ def least_constraint(
         raise ValueError(f"{names[0]!r} and {names[1]!r} approach at {-u[c, 0]:.3g} m/s: an impact, no acceleration")
     keep = np.flatnonzero(touching & (u[:, 0] <= still))
     M, H = blocks.dense()
-    omega = v[: 6 * d.free].reshape(-1, 6)[:, 3:]
-    torque = forces.torque - np.cross(omega, np.einsum("bij,bj->bi", d.J, omega))
-    parts = [np.hstack((forces.force + d.mass[:, None] * d.gravity, torque)).ravel()]
-    for tree, half, free in zip(d.trees, middle.trees, forces.trees, strict=True):
-        parts.append(tree.forces(half, free, half.v).sum(axis=0) - tree.bias(half.q, half.v))
-    f = np.concatenate(parts)
 
-    # Relative velocities along the motion with v held, of the same contacts, in world axes and along their normals.
     size = min((g.shape.bounding_radius for g in geoms if g.frame >= 0), default=1.0)
     rate = float((d.reach(middle.placement, v, 1e-9, 0.0, twists) / 1e-9).max(initial=0.0))
-    p = np.zeros((found.key.size, 3))
-    if rate > 0.0 and v.any():
-        step = REACH * size / rate
-        ahead, behind = (
-            _along(d, detector, position, v, s, forces, reach + 10 * REACH * size, found, memory) for s in (step, -step)
-        )
-        if not np.isfinite(ahead[keep] - behind[keep]).all():
-            raise ValueError("a closed contact ends or begins at this very state: its acceleration is not defined")
-        change = (ahead - behind) / (2.0 * step)
-        p[:, 0] = change[:, 3]
-        p[:, 1:] = np.einsum("cij,cj->ci", frame[:, 1:], change[:, :3])
+
+    def along(s: float) -> Array:
+        """Relative velocities of the contacts where v, held, brings them in the time s."""
+        place = d.place(d.shift(position, s * v))
+        there, _ = detector.find(*place[:2], reach + 10 * REACH * size, memory)
+        rows, frame = d.rows(there, place, forces, None)
+        return _of_same(found, there, rows.full.relative_velocity(v).reshape(-1, 3), frame)
+
+    moves = rate > 0.0 and v.any()
+    p = _drift(along, REACH * size / rate, frame, keep) if moves else np.zeros((keep.size, 3))
     slip = np.where(np.linalg.norm(u[:, 1:], axis=1, keepdims=True) > still, u[:, 1:], 0.0)
     slip /= np.linalg.norm(slip, axis=1, keepdims=True) + (slip == 0.0).all(axis=1, keepdims=True)
     columns = (3 * keep[:, None] + np.arange(3)).ravel()
     chosen = ContactSet(*(getattr(found, name)[keep] for name in ContactSet._fields))
     Z, given = _admissible(d, position, v, t, M, forces)
-    return LeastConstraint(chosen, frame[keep], M, f, H[:, columns], p[keep].ravel(), slip[keep], Z, given, joints)
+    f = _applied(d, middle, forces, v)
+    return LeastConstraint(chosen, frame[keep], M, f, H[:, columns], p.ravel(), slip[keep], Z, given, joints)
+
+
+def _drift(along: Callable[[float], Array], step: float, frame: Array, keep: Index) -> Array:
+    """Ḣᵀ v of the contacts to keep, by a central difference of their velocities: (kept, 3) in their frames, m/s²."""
+    ahead, behind = along(step)[keep], along(-step)[keep]
+    if not np.isfinite(ahead - behind).all():
+        raise ValueError("a closed contact ends or begins at this very state: its acceleration is not defined")
+    change = (ahead - behind) / (2.0 * step)
+    tangential = np.einsum("cij,cj->ci", frame[keep, 1:], change[:, :3])
+    return np.column_stack([change[:, 3], tangential])
+
+
+def _applied(d: Dynamics, middle: Middle, forces: Forces, v: Array) -> Array:
+    """Forces on all coordinates, gravity and gyroscopic terms with them, shape (n,)."""
+    omega = v[: 6 * d.free].reshape(-1, 6)[:, 3:]
+    torque = forces.torque - np.cross(omega, np.einsum("bij,bj->bi", d.J, omega))
+    parts = [np.hstack((forces.force + d.mass[:, None] * d.gravity, torque)).ravel()]
+    for tree, half, free in zip(d.trees, middle.trees, forces.trees, strict=True):
+        parts.append(tree.forces(half, free, half.v).sum(axis=0) - tree.bias(half.q, half.v))
+    return np.concatenate(parts)
 
 
 def _joint_terms(d: Dynamics, position: Position, v: Array, closed: float, still: float) -> JointTerms:
@@ -144,22 +157,8 @@ def _admissible(d: Dynamics, position: Position, v: Array, t: float, M: Array, f
     return Z[:, :column], given
 
 
-def _along(
-    d: Dynamics,
-    detector: Detector,
-    position: Position,
-    v: Array,
-    s: float,
-    forces: Forces,
-    reach: Array,
-    found: ContactSet,
-    memory: ContactMemory,
-) -> Array:
-    """Relative velocities (nc, 4) of the found contacts at position ⊕ s v: world axes, then normal; NaN if gone."""
-    place = d.place(d.shift(position, s * v))
-    there, _ = detector.find(*place[:2], reach, memory)
-    rows, frame = d.rows(there, place, forces, None)
-    u = rows.full.relative_velocity(v).reshape(-1, 3)
+def _of_same(found: ContactSet, there: ContactSet, u: Array, frame: Array) -> Array:
+    """Velocities u in frames of contacts there as (nc, 4) of those found: world axes, then normal; NaN if gone."""
     out = np.full((found.key.size, 4), np.nan)
     _, here, others = np.intersect1d(found.key, there.key, return_indices=True)
     out[here, :3] = np.einsum("cij,ci->cj", frame[others], u[others])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nsdyn._kernels.literature import sweeps as _kernels
+from nsdyn._kernels.literature import variational as _kernels
 from nsdyn.literature._common import Equilibrated
 from nsdyn.literature._frozen import descend, freeze, shifted, slip_shift
 from nsdyn.problem.fc3d import FC3D

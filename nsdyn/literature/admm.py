@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from nsdyn._kernels.literature import sweeps as _kernels
+from nsdyn._kernels.literature import variational as _kernels
 from nsdyn.literature._common import Equilibrated, Run, factor
 from nsdyn.literature.impulse_newton import matrix
 from nsdyn.problem.fc3d import FC3D

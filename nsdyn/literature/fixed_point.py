@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from nsdyn._kernels.literature import sweeps as _kernels
+from nsdyn._kernels.literature import variational as _kernels
 from nsdyn.literature._common import Equilibrated, Run
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution

@@ -88,7 +88,22 @@ def newton(
 ) -> tuple[Array, int, bool]:
     """Newton's method on a map of `ELEMENTS`; (x, factorisations, whether `done` ended it).
 
-    W is dense, or sparse where that pays. done(x, ‖F(x)‖) is asked at every iterate.
+    Parameters
+    ----------
+    W : ndarray or sparse array, shape (3 nc, 3 nc)
+        Sparse where that pays.
+    q, x : ndarray, shape (3 nc,)
+        x is where it begins.
+    mu : ndarray, shape (nc,)
+    rho : ndarray, shape (nc, 3)
+        Of the map.
+    function : str
+        Of `ELEMENTS`.
+    search : str
+        Of `_length`.
+    done : callable
+        done(x, ‖F(x)‖) is asked at every iterate.
+    max_iter : int
     """
     element, nc = ELEMENTS[function], mu.size
     sparse = not isinstance(W, np.ndarray)

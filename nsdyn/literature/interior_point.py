@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from nsdyn._kernels.literature import interior as _interior
-from nsdyn._kernels.literature import sweeps as _kernels
+from nsdyn._kernels.literature import variational as _kernels
 from nsdyn.literature._common import Equilibrated, factor, is_sparse
 from nsdyn.literature._frozen import freeze, shifted, slip_shift
 from nsdyn.literature.formulations import block_diagonal
@@ -26,7 +26,7 @@ def _times(A: Any, x: Any) -> Array:
     return np.asarray((A @ x[:, :, None])[:, :, 0])
 
 
-def _reach(x: Array, dx: Array) -> float:
+def _longest(x: Array, dx: Array) -> float:
     """Largest step along dx that stays in the cones."""
     a = dx[:, 0] ** 2 - dx[:, 1] ** 2 - dx[:, 2] ** 2
     b = x[:, 0] * dx[:, 0] - x[:, 1] * dx[:, 1] - x[:, 2] * dx[:, 2]
@@ -87,7 +87,7 @@ def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
             _interior.target(lam, T, inverse, ds, dz, sigma * gap, stage == 1, d)
             dz = solve((_times(T, d) - defect).ravel()).reshape(-1, 3)
             ds = _times(T, d - _times(T, dz))
-            step = min(1.0, 0.99 * min(_reach(z, dz), _reach(s, ds)))
+            step = min(1.0, 0.99 * min(_longest(z, dz), _longest(s, ds)))
             if stage == 0:
                 after = float(((s + step * ds) * (z + step * dz)).sum()) / nc
                 sigma = min(1.0, max(after / gap, 0.0) ** 3)

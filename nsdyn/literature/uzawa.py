@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn._kernels.literature import sweeps as _kernels
+from nsdyn._kernels.literature import variational as _kernels
 from nsdyn._kernels.problem import given as _given
 from nsdyn.literature._common import Equilibrated
 from nsdyn.literature._frozen import freeze, normal_impulse

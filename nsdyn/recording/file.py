@@ -60,7 +60,7 @@ COMPRESSED = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
 place, so that one that grows, a few rows at a time, would become larger than without."""
 
 
-def _rows(names: Iterable[str], states: int, ends: Mapping[str, int]) -> dict[str, int]:
+def _row_counts(names: Iterable[str], states: int, ends: Mapping[str, int]) -> dict[str, int]:
     """Count the rows of each dataset in a recording of that many states; `ends` are those of contacts and pieces."""
     count = dict.fromkeys([*STATES, *LINKS, *(f"{group}/offset" for group in ends)], states)
     return {name: count.get(name, ends.get(name.partition("/")[0], states - 1)) for name in names}
@@ -73,7 +73,7 @@ def _ends(source: Mapping[str, Any], row: int) -> dict[str, int]:
 
 def until(columns: Columns, row: int) -> Columns:
     """The columns of the states until a row, and of the steps before it."""
-    sizes = _rows(columns, row + 1, _ends(columns, row))
+    sizes = _row_counts(columns, row + 1, _ends(columns, row))
     return {name: columns[name][:size] for name, size in sizes.items()}
 
 
@@ -138,7 +138,7 @@ def extend(path: Path, columns: Columns, state: Saved | None = None) -> None:
         file.swmr_mode = True
         states = len(file["t"])
         ends = _ends(file, states - 1)
-        for name, old in sorted(_rows(columns, states, ends).items(), key=lambda item: item[0] == "t"):
+        for name, old in sorted(_row_counts(columns, states, ends).items(), key=lambda item: item[0] == "t"):
             if name == "t":
                 file.flush()
             file[name].resize(old + len(columns[name]), axis=0)
@@ -199,9 +199,9 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     offsets = [name for name in (*STATES, *pieces) if name.endswith("/offset")]
     ends = _ends({name: schema.column(file, name, states, "i8", ()) for name in offsets}, -1)
     names = STATES + (LINKS if "frames" in file else []) + steps + joints + pieces + contacts
-    rows = _rows(names, states, ends)
+    rows = _row_counts(names, states, ends)
     columns = {name: schema.column(file, name, size, *_layout(name)) for name, size in rows.items()}
-    for name, size in _rows(absent, states, ends).items():
+    for name, size in _row_counts(absent, states, ends).items():
         inner = name.rpartition("/")[2]
         width = CONTACT[inner].components if inner in CONTACT else 1
         columns[name] = np.empty((size, width) if width > 1 else size)

@@ -99,14 +99,12 @@ class Recorder:
     t, q, v                       float, (nq,), (nv,) at the end of the step
     frames_x, frames_quat         (nframes, 3), (nframes, 4) xyzw, or None in scenes without articulations
     energy                        mapping of the `names` of `Energy` to floats, J
-    gauss                         attributes gap, shift, bound, coulomb
-    solution                      attributes error, residual, iterations, status, time
+    gauss, solution, created      what `STEP` of `nsdyn.recording.columns` names, at its path
     contacts                      ContactSet: geom1, geom2, point, normal, mu, restitution, key
     gap                           (nc,), at the end of the step
     u, r, couple, tangent         (nc, 3) each
     contact_status                (nc,), 0 open, 1 stick, 2 slip, 3 jam
     contact_time                  (nc,), s after the beginning of the step
-    created                       float, J
     joints                        (7, nv) impulses of actuation, limits, friction and external wrenches,
                                   displacement by projections, most that actuators may give, change of velocity
                                   of driven joints; None without articulations

@@ -1,4 +1,8 @@
-"""What a recording holds, so that a file of another kind, or a damaged one, is told where it is read."""
+"""What a recording holds, so that a file of another kind, or a damaged one, is told where it is read.
+
+Why not `jsonschema`: for the scene of a wall (106 shapes) it takes 167 ms against 26, its table is longer, it lets NaN
+pass as a number, and what refers to other parts (frames, corners, meshes) would be checked here all the same.
+"""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nsdyn.recording import joint_tables, motion
+from nsdyn.recording import body_motion, joint_tables
 from nsdyn.recording.columns import CONTACT_STATES, Columns
 from nsdyn.recording.shares import distinct
 from nsdyn.recording.tables import body_names, contact_frames, contact_rows, impulses, impulses_world
@@ -40,9 +40,9 @@ def _vectors(**values: Array) -> Columns:
 
 
 def _bodies(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, str]]:
-    names = matching(motion.moving(trajectory), pattern, "bodies")
+    names = matching(body_motion.moving(trajectory), pattern, "bodies")
     count, step = len(names), np.repeat(np.arange(trajectory.t.size), len(names))
-    moves = [motion.body(trajectory, name) for name in names]
+    moves = [body_motion.body(trajectory, name) for name in names]
     shape = (trajectory.t.size, count)
     position, turn, v, omega = (
         np.stack(parts, axis=1)

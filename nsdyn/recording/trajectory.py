@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nsdyn.recording import breakdown, joint_tables, motion, tables
+from nsdyn.recording import body_motion, breakdown, joint_tables, tables
 from nsdyn.recording import file as recording
 from nsdyn.recording.columns import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
 from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog
@@ -158,12 +158,12 @@ class Trajectory:
 
         Links whose joint carries no shape are not recorded.
         """
-        return motion.body(self, name)
+        return body_motion.body(self, name)
 
     @cached_property
     def twists(self) -> dict[int, Array]:
         """Of moving frames of links, (n + 1, 6): linear velocity at the world's origin, then angular velocity."""
-        return motion.twists(self)
+        return body_motion.twists(self)
 
     def contacts(self, k: int) -> ContactTable:
         """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError.

@@ -62,7 +62,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     q0 = _normalized(name, model, of_joints(o["q"], "q", description.q, 7))
     if o["clip"]:
         _clip(model, q0)
-    links, loops = _place(model, q0, links, description.loops, at)
+    links, loops = _moved(model, q0, links, description.loops, at)
     excluded, unused = set(description.excluded), list(description.unused)
     if o["srdf"] is not None:
         excluded |= exclusions.disabled_pairs(name, checks.path(o["srdf"], f"srdf of {name!r}"), model, unused)
@@ -255,7 +255,7 @@ def _materials(
     return tuple(of.get(body, told.get(link.name, rest)) for link, body in zip(links, bodies, strict=True))
 
 
-def _place(
+def _moved(
     model: Any, q: Array, links: tuple[Link, ...], loops: tuple[Loop, ...], at: Any
 ) -> tuple[tuple[Link, ...], tuple[Loop, ...]]:
     """Move a model by `at`: a free base by its coordinates in `q`, everything else that hangs on the world by its pose.

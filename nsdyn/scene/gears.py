@@ -45,7 +45,7 @@ def joint_at(model: Any, coordinate: int) -> int:
     return int(np.searchsorted(np.array(model.idx_vs)[1:], coordinate, side="right"))
 
 
-def _place(model: Any, coordinate: int) -> tuple[int, bool]:
+def _in_q(model: Any, coordinate: int) -> tuple[int, bool]:
     """Where the value of a coordinate is in q, and whether it is there as a pair (cos, sin)."""
     joint = model.joints[joint_at(model, coordinate)]
     return joint.idx_q + coordinate - joint.idx_v, joint.nq != joint.nv
@@ -66,7 +66,7 @@ def gear(
     first, second = coordinates
     if first == second:
         raise ValueError(f"joint2 of {name} must be another than joint1, got {joints[1]!r}")
-    if _period(ratio, _place(model, first)[1], _place(model, second)[1]) == 0.0:
+    if _period(ratio, _in_q(model, first)[1], _in_q(model, second)[1]) == 0.0:
         raise ValueError(
             f"ratio of {name} must be a fraction of whole numbers up to {TEETH}, as turns of continuous joints are "
             f"not counted, got {ratio!r}: make one of {joints[0]!r} and {joints[1]!r} revolute"
@@ -88,14 +88,14 @@ def following(model: Any, gears: Sequence[Gear], q: Array) -> Array:
     """The configuration q but for the second joints of gears, which are where the first ones say."""
     q = q.copy()
     for each in [*gears] * len(gears):  # a second joint may be the first of another gear
-        k, turning = _place(model, each.coordinate2)
+        k, turning = _in_q(model, each.coordinate2)
         value = _angle(model, each.coordinate1, q) * each.ratio + each.offset
         q[k : k + 1 + turning] = (math.cos(value), math.sin(value)) if turning else value
     return q
 
 
 def _angle(model: Any, coordinate: int, q: Array) -> float:
-    k, turning = _place(model, coordinate)
+    k, turning = _in_q(model, coordinate)
     return math.atan2(q[k + 1], q[k]) if turning else float(q[k])
 
 
@@ -114,7 +114,7 @@ class GearGaps:
             row[each.coordinate2] = 1.0
             row[each.coordinate1] -= each.ratio
         self._coordinates = np.flatnonzero(self.rows.any(axis=0))
-        places = [_place(model, int(c)) for c in self._coordinates]
+        places = [_in_q(model, int(c)) for c in self._coordinates]
         self._at, self._round = np.array([k for k, _ in places], np.int64), np.array([r for _, r in places], np.bool_)
         turning = {int(c) for c in self._coordinates[self._round]}
         self._period = np.array([_period(g.ratio, g.coordinate1 in turning, g.coordinate2 in turning) for g in gears])

@@ -119,33 +119,33 @@ class Scene:
     ) -> None:
         """Add the fixed solid {x : normal·x ≤ offset}; `normal` points out of it, `offset` is in m along it."""
         shape = shapes.halfspace(normal, offset)
-        self._add(name, shape, None, {"material": material, "fixed": True, "colour": colour})
+        self.add_shape(name, shape, material=material, fixed=True, colour=colour)
 
     def add_box(self, name: str, size: ArrayLike, mass: float | None = None, **keywords: Unpack[BodyOptions]) -> None:
         """Add a box with full edge lengths `size` [m]; see `add_convex` for the other keywords."""
-        self._add(name, shapes.box(size), mass, keywords)
+        self.add_shape(name, shapes.box(size), mass, **keywords)
 
     def add_sphere(self, name: str, radius: float, mass: float | None = None, **keywords: Unpack[BodyOptions]) -> None:
         """Add a sphere of `radius` [m]; see `add_convex` for the other keywords."""
-        self._add(name, shapes.sphere(radius), mass, keywords)
+        self.add_shape(name, shapes.sphere(radius), mass, **keywords)
 
     def add_capsule(
         self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Unpack[BodyOptions]
     ) -> None:
         """Add a capsule along its z axis, `length` [m] between the centres of its two half-spheres."""
-        self._add(name, shapes.capsule(radius, length), mass, keywords)
+        self.add_shape(name, shapes.capsule(radius, length), mass, **keywords)
 
     def add_cylinder(
         self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Unpack[BodyOptions]
     ) -> None:
         """Add a cylinder along its z axis of full height `length` [m]."""
-        self._add(name, shapes.cylinder(radius, length), mass, keywords)
+        self.add_shape(name, shapes.cylinder(radius, length), mass, **keywords)
 
     def add_ellipsoid(
         self, name: str, radii: ArrayLike, mass: float | None = None, **keywords: Unpack[BodyOptions]
     ) -> None:
         """Add an ellipsoid with semi-axes `radii` [m]."""
-        self._add(name, shapes.ellipsoid(radii), mass, keywords)
+        self.add_shape(name, shapes.ellipsoid(radii), mass, **keywords)
 
     def add_convex(
         self,
@@ -201,11 +201,12 @@ class Scene:
             quaternion = checks.quaternion(keywords.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
             com = checks.vector(keywords.get("com", (0, 0, 0)), 3, f"com of {name!r}")
             keywords["position"] = checks.rotation(quaternion) @ (centroid + com)
-        self._add(name, shape, mass, keywords)
+        self.add_shape(name, shape, mass, **keywords)
 
-    def _add(self, name: str, shape: Shape, mass: float | None, options: BodyOptions) -> None:
+    def add_shape(self, name: str, shape: Shape, mass: float | None = None, **keywords: Unpack[BodyOptions]) -> None:
+        """Add a body of any `Shape` of `nsdyn.scene.shapes`, as one of your own; keywords as in `add_convex`."""
         self._check_name(name)
-        self.bodies[name] = make_body(name, shape, mass, options)
+        self.bodies[name] = make_body(name, shape, mass, keywords)
 
     def _check_name(self, name: str) -> None:
         if not isinstance(name, str) or not name or "/" in name:

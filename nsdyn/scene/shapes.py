@@ -87,6 +87,8 @@ class Shape:
         Half-space only: the solid is {x : normal·x ≤ offset}, m.
     volume : float
         m³; infinite for a half-space.
+    moment : ndarray, shape (3, 3)
+        Inertia at density 1 about the origin, shape axes, m⁵; zeros for a half-space.
     bounding_radius, inscribed_radius : float
         Of the smallest sphere about the origin that contains the shape and the largest one inside it, m.
     """
@@ -101,6 +103,7 @@ class Shape:
     face_loop: Index
     offset: float
     volume: float
+    moment: Array
     bounding_radius: float
     inscribed_radius: float
 
@@ -150,12 +153,7 @@ class Shape:
         """
         if self.kind == HALFSPACE:
             raise ValueError("a halfspace has no inertia: it can only be fixed")
-        if self.kind == POLYTOPE:
-            inertia = self.geometry.computeMomentofInertiaRelatedToCOM()
-            volume = self.geometry.computeVolume()
-        else:
-            inertia, volume = self.geometry.computeMomentofInertia(), self.volume
-        out: Array = mass / volume * 0.5 * (inertia + inertia.T)
+        out: Array = mass / self.volume * self.moment
         return out
 
     def describe(self) -> dict[str, Any]:
@@ -194,20 +192,23 @@ def _triple(value: ArrayLike, name: str) -> Array:
     return out
 
 
-def _without_corners(
-    kind: int, geometry: Any, size: Array, offset: float, volume: float, bounding: float, inscribed: float
+_NO_FACES = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+
+
+def _curved(
+    kind: int, size: Sequence[float], bounding: float, inscribed: float, solid: tuple[float, Array] | None = None
 ) -> Shape:
-    """A shape that is no polytope."""
-    empty, none = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    faces = empty, empty, np.zeros(0), np.zeros(1, dtype=np.int64), none
-    return Shape(kind, geometry, size, *faces, offset, volume, bounding, inscribed)
-
-
-def _curved(kind: int, size: Sequence[float], bounding: float, inscribed: float) -> Shape:
-    """A shape of a kind of `CURVED`."""
+    """A shape of a kind of `CURVED`; `solid` is its (volume, moment) where Coal's are not those of the whole solid."""
     array = np.array(size, dtype=float)
     geometry = CURVED[kind][1](array)
-    return _without_corners(kind, geometry, array, 0.0, geometry.computeVolume(), bounding, inscribed)
+    volume, moment = solid or (geometry.computeVolume(), _moment(geometry))
+    return Shape(kind, geometry, array, *_NO_FACES, 0.0, volume, moment, bounding, inscribed)
+
+
+def _moment(geometry: Any) -> Array:
+    """Coal's inertia of a solid at density 1 about its centre of mass, symmetric to the last bit."""
+    inertia: Array = geometry.computeMomentofInertiaRelatedToCOM()
+    return 0.5 * (inertia + inertia.T)
 
 
 def halfspace(normal: ArrayLike, offset: float) -> Shape:
@@ -231,7 +232,7 @@ def halfspace(normal: ArrayLike, offset: float) -> Shape:
     if not np.isfinite(d):
         raise ValueError(f"offset must be finite, got {d:g}")
     n /= length
-    return _without_corners(HALFSPACE, coal.Halfspace(n, d), n, d, np.inf, np.inf, np.inf)
+    return Shape(HALFSPACE, coal.Halfspace(n, d), n, *_NO_FACES, d, np.inf, np.zeros((3, 3)), np.inf, np.inf)
 
 
 def box(size: ArrayLike) -> Shape:
@@ -245,9 +246,10 @@ def box(size: ArrayLike) -> Shape:
     loops = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     normals = np.repeat(np.eye(3), 2, axis=0)
     normals[::2] *= -1.0
+    geometry = coal.Box(*lengths)
     return Shape(
         POLYTOPE,
-        coal.Box(*lengths),
+        geometry,
         lengths,
         vertices,
         normals,
@@ -256,6 +258,7 @@ def box(size: ArrayLike) -> Shape:
         loops.ravel(),
         0.0,
         float(np.prod(lengths)),
+        _moment(geometry),
         float(np.linalg.norm(half)),
         float(half.min()),
     )
@@ -339,6 +342,7 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
         flat.astype(np.int64),
         0.0,
         float(geometry.computeVolume()),
+        _moment(geometry),
         float(np.linalg.norm(corners, axis=1).max()),
         float(offsets.min()),
     )

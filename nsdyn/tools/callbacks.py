@@ -30,13 +30,13 @@ def called(function: Callable[..., Any], what: str, fit: Callable[[Any], T], *gi
     except Exception as error:
         where = line(error)
         if not where and isinstance(error, TypeError):  # it takes other arguments
-            raise ValueError(f"{_place(function)}: {error}") from None
-        error.add_note(f"{where or _place(function)}: in {what}")
+            raise ValueError(f"{_source_line(function)}: {error}") from None
+        error.add_note(f"{where or _source_line(function)}: in {what}")
         raise
     try:
         return fit(returned)
     except ValueError as error:
-        raise ValueError(f"{_place(function)}: {error}") from None
+        raise ValueError(f"{_source_line(function)}: {error}") from None
 
 
 def takes(function: Callable[..., Any], argument: str) -> bool:
@@ -74,7 +74,7 @@ def text(error: BaseException) -> str:
     return ": ".join(filter(None, (line(error), f"{kind}{error}")))
 
 
-def _place(function: Callable[..., Any]) -> str:
+def _source_line(function: Callable[..., Any]) -> str:
     """File and line where a function begins, what it is if it has none."""
     while isinstance(function, partial):
         function = function.func

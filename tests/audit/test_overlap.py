@@ -131,7 +131,7 @@ def test_random_search_finds_no_larger_separation(first, second):
         k = k.astype(int)
         return separation(a, R1[k], x1[k], b, R2[k], x1[k] + far[:, None] * way[k], exact=True) / size + DEPTHS[k]
 
-    ends = np.full(m, 1e-3 * size), np.full(m, a.reach + b.reach + size)
+    ends = np.full(m, 1e-3 * size), np.full(m, a.bounding_radius + b.bounding_radius + size)
     x2 = x1 + elementwise.find_root(excess, ends, args=(np.arange(m),)).x[:, None] * way
     found = separation(a, R1, x1, b, R2, x2, exact=True)
     # Of either one first, and of both together far from the origin.
@@ -152,8 +152,8 @@ def test_poses_in_one_call():
 
 
 def test_unknown_shape():
-    with pytest.raises(ValueError, match=r"Shape\.describe names, got 'torus'"):
-        overlap({"shape": "torus", "size": [1, 1, 1]}, np.eye(4), SHAPES["box"].describe(), np.eye(4))
+    with pytest.raises(ValueError, match=r"Shape\.describe names, got 'teapot'"):
+        overlap({"shape": "teapot", "size": [1, 1, 1]}, np.eye(4), SHAPES["box"].describe(), np.eye(4))
 
 
 @pytest.mark.filterwarnings("error")

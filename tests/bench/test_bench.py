@@ -33,18 +33,18 @@ def made_up():
 
 
 def test_an_error_is_reached_only_if_it_stays_reached(made_up):
-    assert made_up.reach("slide", "nsdyn", 1e-2).seconds == 0.01
-    assert made_up.reach("slide", "nsdyn", 1e-3).dt == 0.01
-    assert made_up.reach("slide", "nsdyn", 1e-5) is None
+    assert made_up.within("slide", "nsdyn", 1e-2).seconds == 0.01
+    assert made_up.within("slide", "nsdyn", 1e-3).dt == 0.01
+    assert made_up.within("slide", "nsdyn", 1e-5) is None
     # c is fastest and nothing says that it gets worse; a counts for what all its runs meet.
-    assert made_up.reach("slide", "peer", 1e-2).variant == "c"
-    assert made_up.reach("slide", "peer", 1e-3).variant == "b"
-    assert made_up.reach("slide", "peer", 1e-8).seconds == 0.5
+    assert made_up.within("slide", "peer", 1e-2).variant == "c"
+    assert made_up.within("slide", "peer", 1e-3).variant == "b"
+    assert made_up.within("slide", "peer", 1e-8).seconds == 0.5
 
 
 def test_a_failed_run_breaks_the_larger_steps():
     failed = Bench((run("nsdyn", "x", 0.1, 1e-9, 0.01), run("nsdyn", "x", 0.01, math.inf, math.nan)))
-    assert failed.reach("slide", "nsdyn", 1e-2) is None
+    assert failed.within("slide", "nsdyn", 1e-2) is None
 
 
 def test_summary_and_table(made_up):
@@ -71,7 +71,7 @@ def test_csv_and_plot(made_up, tmp_path):
     assert len(dots.get_xdata()) == 5 and min(dots.get_xdata()) == 1e-10  # an error of zero is at the left end
     for error in (1e-2, 1e-3, 1e-8):
         drawn = line.get_ydata()[np.argmin(np.abs(np.log(line.get_xdata() / error)))]
-        assert drawn == pytest.approx(1e3 * made_up.reach("slide", "peer", error).seconds)
+        assert drawn == pytest.approx(1e3 * made_up.within("slide", "peer", error).seconds)
 
 
 def poses(x):

@@ -1,5 +1,6 @@
 """Contact points: exact where Coal's own are wrong, complete, continuous, reproducible."""
 
+import functools
 import subprocess
 import sys
 
@@ -9,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 from nsdyn._kernels.collision import broadphase
+from nsdyn.audit.true_shapes import Solid
 from nsdyn.collision import distances
 from nsdyn.collision.contacts import ContactMemory
 from nsdyn.collision.detector import MARGIN, SKIN, Detector
@@ -73,21 +75,15 @@ def alone(detector, x, R, reach):
     return detector.find(x, R, reach, ContactMemory.empty())[0]
 
 
+@functools.cache
+def solid(shape):
+    """The shape as the audit knows it."""
+    return Solid.described(shape.describe())
+
+
 def support(shape, R, n):
-    """Point of a smooth shape or polytope outermost along n, relative to its centre."""
-    m = R.T @ n
-    match shape.kind:
-        case shapes.SPHERE:
-            p = shape.size[0] * m
-        case shapes.CAPSULE:
-            p = shape.size[0] * m + [0, 0, np.copysign(shape.size[1], m[2])]
-        case shapes.CYLINDER:
-            p = np.r_[shape.size[0] * m[:2] / (np.hypot(*m[:2]) or 1.0), np.copysign(shape.size[1], m[2])]
-        case shapes.ELLIPSOID:
-            p = shape.size**2 * m / np.linalg.norm(shape.size * m)
-        case _:
-            p = shape.vertices[np.argmax(shape.vertices @ m)]
-    return R @ p
+    """Point of a shape outermost along n, relative to its centre, by the audit's formulas."""
+    return R @ solid(shape).curvature((R.T @ n)[None])[0][0]
 
 
 # -- faces on faces ----------------------------------------------------------------------------------------

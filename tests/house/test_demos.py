@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -77,3 +78,7 @@ def test_demo_as_a_script(name, product, tmp_path):
     done = subprocess.run([sys.executable, DEMOS / f"{name}.py"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / f"{name}.{product}").stat().st_size > 20_000
+    if product == "png":  # something is drawn, and it does not fill the picture
+        picture = plt.imread(tmp_path / f"{name}.png")[:, :, :3]
+        drawn = (np.abs(picture - picture[0, 0]).max(axis=2) > 0.1).mean()
+        assert 0.01 < drawn < 0.9

@@ -92,7 +92,7 @@ def test_meshes_of_every_format(name, tmp_path):
     surface = meshes.read(path)
     assert surface.volume == pytest.approx(0.006, rel=1e-6)  # digits of single precision
     theirs = np.unique(np.round(coal.MeshLoader().load(str(path), np.ones(3)).vertices(), 6), axis=0)
-    np.testing.assert_allclose(np.unique(np.round(surface.vertices, 6), axis=0), theirs, atol=1e-6)
+    np.testing.assert_allclose(np.unique(np.round(surface.vertices, 6), axis=0), theirs, rtol=0, atol=1e-6)
 
 
 def test_nodes_of_collada_are_moved(tmp_path):

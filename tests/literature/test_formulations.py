@@ -206,7 +206,10 @@ def test_partial_derivatives_split_the_identity(name, rng):
 
 
 def test_fischer_burmeister_is_zero_exactly_on_complementary_pairs(rng):
-    """x = P(z), y = P(z) - z are complementary in the self-dual cone (Moreau): the function vanishes there."""
+    """x = P(z), y = P(z) - z are complementary in the self-dual cone (Moreau): the function vanishes there.
+
+    Where both are more than 0.1, 0.1 more of u_N makes x·y = 0.1 r_N, and the function at least a hundredth.
+    """
     z, mu = rng.normal(size=(300, 3)), rng.uniform(0.2, 2.0, 300)
     r = cones.project(z, mu)
     hat = r - z  # in K*, orthogonal to r
@@ -214,6 +217,10 @@ def test_fischer_burmeister_is_zero_exactly_on_complementary_pairs(rng):
     u[:, 0] -= mu * np.hypot(u[:, 1], u[:, 2])
     F = fm.fischer_burmeister(u, r, mu, np.ones((300, 1)))[0]
     np.testing.assert_allclose(F, 0.0, rtol=0, atol=1e-7)  # root of round-off at the apex
+    both = np.minimum(r[:, 0], np.linalg.norm(hat, axis=1)) > 0.1
+    u[:, 0] += 0.1
+    F = fm.fischer_burmeister(u, r, mu, np.ones((300, 1)))[0]
+    assert both.sum() > 100 and np.linalg.norm(F[both], axis=1).min() > 1e-2
 
 
 def test_bad_arguments():

@@ -99,7 +99,7 @@ def test_a_recording_has_meshes_once_and_in_place(folder):
         # Corners are rounded to less than 2^-14 of the size.
         assert np.abs(corners(described, k)[:, None] - places[None]).sum(axis=2).min(axis=1).max() < 1e-4
         assert np.abs(corners(described, k)[:, None] - places[None]).sum(axis=2).min(axis=0).max() < 1e-4
-    np.testing.assert_allclose(first["size"], np.abs(exact * (1, -2, 1)).max(axis=0), atol=1e-4)
+    np.testing.assert_allclose(first["size"], np.abs(exact * (1, -2, 1)).max(axis=0), rtol=0, atol=1e-4)
     triangles = from_text(described["meshes"][0]["triangles"], "<u4", 3)
     assert len(triangles) == 12 and len(np.unique(triangles)) == 8  # an STL has 36
 
@@ -115,7 +115,7 @@ def test_visuals_of_mjcf(folder):
     assert (sign.body, sign.joint, sign.colour) == ("world", 0, None)
     assert (seen.body, seen.joint, seen.colour) == ("b", 1, (1.0, 0.0, 0.0, 1.0))
     assert seen.shape == sign.shape == MeshFile(folder / "box.stl", (1.0, 2.0, 1.0))
-    np.testing.assert_allclose(seen.placement.rotation @ (1, 0, 0), (0, 1, 0), atol=1e-15)
+    np.testing.assert_allclose(seen.placement.rotation @ (1, 0, 0), (0, 1, 0), rtol=0, atol=1e-15)
     np.testing.assert_array_equal(seen.placement.translation, (0, 0, 0.5))
     assert scene.bodies["r/floor"].colour == (0.0, 1.0, 0.0, 1.0)
     assert a.report == ()

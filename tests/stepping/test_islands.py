@@ -82,7 +82,7 @@ def test_cubes_tumble_and_rest_as_they_do_alone():
     alone, beside = world(), world()
     for scene in (alone, beside):
         cubes(scene)
-    cubes(beside, 9, at=(FAR, 0.0), name="other", seed=1)
+    cubes(beside, 4, at=(FAR, 0.0), name="other", seed=1)
     own = [f"cube {k}" for k in range(6)]
     assert states(alone, 200, 5e-3, own) == states(beside, 200, 5e-3, own)
 
@@ -129,7 +129,7 @@ def test_a_plate_that_shakes_couples_nothing():
         return scene
 
     # Two periods of the plate.
-    alone, beside = (nd.simulate(shaken(k), 0.42, 5e-3) for k in (0, 4))
+    alone, beside = (nd.simulate(shaken(k), 0.42, 5e-3) for k in (0, 2))
     for name in ("position", "quaternion", "linear_velocity", "angular_velocity"):
         one, other = (getattr(t.body("ball"), name).tobytes() for t in (alone, beside))
         assert one == other, name
@@ -165,7 +165,7 @@ def test_islands_that_meet_within_a_step_are_made_together():
     step = stepper.step()
     v = step.v.reshape(-1, 6)[:, 0]
     # 0 strikes 1, which strikes 2, which meets 3: speeds are handed on, and back
-    np.testing.assert_allclose(np.sort(v), [-100, 0, 0, 100], atol=1e-9)
+    np.testing.assert_allclose(np.sort(v), [-100, 0, 0, 100], rtol=0, atol=1e-9)
     assert step.ledger.kinetic == pytest.approx(1e4, rel=1e-12)
     x = step.q.reshape(-1, 7)[:, 0]
     assert (np.diff(x) >= 0.2 - 1e-9).all()

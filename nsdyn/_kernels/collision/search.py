@@ -44,9 +44,26 @@ PAIR, FIRST, SECOND, SLOT = range(4)
 def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out):
     """Number of contacts, or `LEFT`, and the next key; the contacts into `out` if it has room for just so many.
 
-    `follow` first unless the geoms are `placed`, then `manifolds` and, if there is room, `collect`. Their arguments are
-    `geoms` and `pairs`, packed by the detector, poses = (x, R, reach) of the frames, memory =
-    (names, points) and out = (names, points, scalars).
+    `follow` first unless the geoms are `placed`, then `manifolds` and, if there is room, `collect`.
+
+    Parameters
+    ----------
+    geoms, pairs : (ndarray, ndarray)
+        Real numbers and integers, packed by the detector.
+    limit : int
+        Most contacts of a pair.
+    tolerance : float
+        m, within which a contact is found again.
+    placed : bool
+        Whether the geoms are where `poses` has them already.
+    poses : tuple
+        x (frames, 3), R (frames, 3, 3), reach (frames,) of the moving frames, m.
+    memory : tuple
+        names and points of the contacts of the last configuration.
+    next_key : int
+        Key of the next new contact.
+    out : tuple
+        names, points and scalars of the contacts.
     """
     f, i = geoms
     frame, R, t, reach = indices(i, FRAME, GEOMS), matrices(f, i, ROTATION), triples(f, i, ORIGIN), numbers(f, i, REACH)

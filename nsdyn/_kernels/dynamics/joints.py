@@ -13,7 +13,20 @@ from nsdyn._kernels.compiled import in_place, kernel
 
 @in_place
 def active_rows(coordinate, sign, bound, near, angle, v, v_free, h, rows):
-    """The joint rows of a step into rows: all friction (sign 0), and the limits that the joint may reach; how many."""
+    """The joint rows of a step into rows: all friction (sign 0), and the limits that the joint may reach; how many.
+
+    Parameters
+    ----------
+    coordinate : ndarray of int, shape (slots,)
+        Of each row.
+    sign, bound, near : ndarray, shape (slots,)
+        1 at a lower limit, -1 at an upper one; the limit, and how near to it a row begins to act, rad or m.
+    angle, v, v_free : ndarray, shape (n,)
+        Coordinates, rad or m, and velocities before and after the forces.
+    h : float
+        s.
+    rows : ndarray of int, shape (slots,)
+    """
     count = 0
     for k in range(coordinate.size):
         c = coordinate[k]

@@ -9,7 +9,18 @@ from nsdyn._kernels.compiled import in_place, kernel
 
 @in_place
 def gather(x, R, joints, q, scalar, place, x_out, R_out, angle):
-    """Poses of some joints, from (n, 3), (n, 3, 3) into x_out and R_out; q[place] to angle[scalar]."""
+    """Poses of some joints into x_out and R_out; q[place] to angle[scalar].
+
+    Parameters
+    ----------
+    x, R : ndarray, shapes (n, 3), (n, 3, 3)
+        Of all joints, m.
+    joints : ndarray of int, shape (k,)
+    q : ndarray, shape (nq,)
+    scalar, place : ndarray of int
+        Coordinates of the velocity and their places in q.
+    x_out, R_out, angle : ndarray, shapes (k, 3), (k, 3, 3), (nv,)
+    """
     for k in range(scalar.size):
         angle[scalar[k]] = q[place[k]]
     for k in range(joints.size):
@@ -46,11 +57,23 @@ def quaternions(R, out):
 
 @in_place
 def rows(frame1, frame2, point, frame, first, support, J, start, H):
-    """Add the rows of Hᵀ on the links of one tree to H.
+    """Add the rows of Hᵀ on the links of one tree to H. A contact between two links adds both to side 0.
 
-    Its frames are first, first + 1, ...; column j of J (6, nv) is the velocity field of coordinate j in world axes,
-    linear at the world's origin, then angular; it moves frame f if support[f - first, j]. A contact between two links
-    adds both to side 0.
+    Parameters
+    ----------
+    frame1, frame2 : ndarray of int, shape (nc,)
+        Of each contact.
+    point, frame : ndarray, shapes (nc, 3), (nc, 3, 3)
+        World; rows (n, t1, t2).
+    first : int
+        The links are the frames first, first + 1, ...
+    support : ndarray of bool, shape (links, nv)
+        Which coordinates move a link.
+    J : ndarray, shape (6, nv)
+        Column j is the velocity field of coordinate j, world axes: linear at the world's origin, then angular.
+    start : ndarray of int, shape (nc, 2)
+        Where the rows of each contact and side begin in H.
+    H : ndarray
     """
     last, nv = first + support.shape[0], J.shape[1]
     for c in range(frame1.size):
@@ -102,10 +125,20 @@ def reach(x, support, J, v, h, radius, fall, out):
 
 @in_place
 def closures(x, R, J, support, joints, points, rows, phi, G):
-    """Add to phi how far the points (m, 2, 3) of two joints each are apart, and to G the rows of closed loops.
+    """Add to phi how far the points of two joints each are apart, and to G the rows of closed loops.
 
-    Those of loop k are rows[k] to rows[k + 1]: three of the points, and three of the turn where there are six. Joints
-    at x (n, 3), R (n, 3, 3); columns of J as of `rows`, which move joint i if support[i].
+    Parameters
+    ----------
+    x, R : ndarray, shapes (n, 3), (n, 3, 3)
+        Of all joints, m.
+    J, support : ndarray, shapes (6, nv), (n, nv)
+        Velocity fields, and which coordinates move a joint, as of `rows`.
+    joints : ndarray of int, shape (loops, 2)
+    points : ndarray, shape (loops, 2, 3)
+        In the frames of the joints, m.
+    rows : ndarray of int, shape (loops + 1,)
+        Loop k has the rows rows[k] to rows[k + 1]: three of the points, and three of the turn where there are six.
+    phi, G : ndarray, shapes (rows,), (rows, nv)
     """
     for k in range(joints.shape[0]):
         row, turns = rows[k], rows[k + 1] - rows[k] > 3

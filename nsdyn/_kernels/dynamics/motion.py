@@ -164,7 +164,21 @@ def contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block,
 
 @in_place
 def free_rows(frame1, frame2, point, frame, x, R, free, start, H):
-    """Rows of Hᵀ on free bodies: direction d gives (d, Rᵀ ((p - x) x d)), minus on body 1, into H."""
+    """Rows of Hᵀ on free bodies: direction d gives (d, Rᵀ ((p - x) x d)), minus on body 1, into H.
+
+    Parameters
+    ----------
+    frame1, frame2 : ndarray of int, shape (nc,)
+        Of each contact; those from `free` on and below 0 are no free bodies.
+    point, frame : ndarray, shapes (nc, 3), (nc, 3, 3)
+        World; rows (n, t1, t2).
+    x, R : ndarray, shapes (free, 3), (free, 3, 3)
+        Of the bodies.
+    free : int
+    start : ndarray of int, shape (nc, 2)
+        Where the rows of each contact and side begin in H.
+    H : ndarray
+    """
     for c in range(frame1.size):
         for s in range(2):
             b = frame1[c] if s == 0 else frame2[c]
@@ -215,8 +229,18 @@ def pinocchio_layout(x, quaternion, v, q_out, v_out):
 def free_works(mass, gravity, force, torque, h, theta, v, v0, v1):
     """Works of a step on the free bodies, J: of forces and torques, and what gravity does beyond its potential.
 
-    v0 and v1 are the velocities before and after them where they act, which do their work on the mean; the bodies move
-    by (1 - θ) h v + θ h v1. Both are the same for θ = ½ but where impacts turned v to v0.
+    They work on the mean of v0 and v1; the bodies move by (1 - θ) h v + θ h v1. Both are the same for θ = ½ but where
+    impacts turned v to v0.
+
+    Parameters
+    ----------
+    mass : ndarray, shape (free,)
+    gravity : ndarray, shape (3,)
+    force, torque : ndarray, shape (free, 3)
+        World axes, N and N m; the torques in those of the bodies.
+    h, theta : float
+    v, v0, v1 : ndarray, shape (n,)
+        At the beginning of the step, and before and after the forces where they act.
     """
     external, beyond = 0.0, 0.0
     for b in range(mass.size):

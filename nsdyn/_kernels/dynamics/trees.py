@@ -173,10 +173,23 @@ def loaded(M, laws, push, weight, h, m, minv, v):
 
 @kernel
 def works(laws, push, limit, velocities, mean, impulse, h, start, joints):
-    """Works of actuation, of damping and of an impulse on the velocity `mean` (n,), J.
+    """Works of actuation, of damping and of an impulse on the mean velocity, J.
 
-    Velocities before and after the forces. The impulses of actuation without what wrenches `push` (n,), of these, and
-    of the limits of actuators (n,) into rows 0, 3 and 5 of joints, from column `start` on.
+    Parameters
+    ----------
+    laws : ndarray, shape (2, 5, n)
+        Of `linear_laws`.
+    push, limit : ndarray, shape (n,)
+        Joint forces of wrenches, and the most that actuators may give, N m or N.
+    velocities : (ndarray, ndarray)
+        Before and after the forces, (n,) each.
+    mean, impulse : ndarray, shape (n,)
+    h : float
+        s.
+    start : int
+    joints : ndarray, shape (7, .)
+        Rows 0, 3 and 5 take the impulses of actuation without wrenches, of wrenches, and the most that actuators may
+        give, from column `start` on.
     """
     acting = np.empty((3, mean.size))
     forces(laws, push, velocities[0], velocities[1], h, acting)
@@ -311,9 +324,18 @@ def midpoint(v, a1, a2, h, tolerance, floor, x):
 
 @in_place
 def combine(v, a1, a2, a3, a4, h, tolerance, floor, x):
-    """Of a Runge–Kutta step, with x of `stage`: two displacements, the velocity at its end and the mean into x[3:].
+    """Finish a Runge–Kutta step; its error as a fraction of what is allowed, see `nsdyn.dynamics.runge_kutta`.
 
-    Its error, of that allowed: see `nsdyn.dynamics.runge_kutta`.
+    Parameters
+    ----------
+    v : ndarray, shape (n,)
+        Velocity at its beginning.
+    a1, a2, a3, a4 : ndarray, shape (n,)
+        Accelerations of the stages.
+    h, tolerance, floor : float
+        Step, s; error allowed of the largest velocity, and at least.
+    x : ndarray, shape (7, n)
+        Of `stage`; takes two displacements, the velocity at the end and the mean velocity from row 3 on.
     """
     error, size = 0.0, 0.0
     for j in range(v.size):

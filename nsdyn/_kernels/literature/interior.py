@@ -163,7 +163,18 @@ def right_side(mu, V, A, d, F, g):
 
 @in_place
 def recover(mu, V, C, d, F, Wp, du, dx, dz):
-    """Set du = W p - F, dx = C du, dz = T⁻¹ (d - T⁻¹ dx)."""
+    """Set du = W p - F, dx = C du, dz = T⁻¹ (d - T⁻¹ dx).
+
+    Parameters
+    ----------
+    mu : ndarray, shape (nc,)
+    V, C : ndarray, shape (nc, 3, 3)
+        T⁻¹ of the scaling, and the blocks that make x of u.
+    d, F : ndarray, shape (nc, 3)
+        Of `target`, and the residual.
+    Wp : ndarray, shape (3 nc,)
+    du, dx, dz : ndarray, shape (nc, 3)
+    """
     for c in range(mu.size):
         for i in range(3):
             du[c, i] = Wp[3 * c + i] - F[c, i]

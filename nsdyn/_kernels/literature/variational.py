@@ -51,7 +51,15 @@ def cone_sweep(indptr, indices, data, q, mu, scales, r):
 def cylinder_sweep(indptr, indices, data, q, radius, scales, normal, tangent, r):
     """One projected Gauss–Seidel sweep of min ½ rᵀ W r + qᵀ r on r_N >= 0, |r_T| <= radius, in place of r.
 
-    Without `normal` (`tangent`) the normal (tangential) parts stay as they are.
+    Parameters
+    ----------
+    indptr, indices, data : ndarray
+        W in CSR form.
+    q, r : ndarray, shape (3 nc,)
+    radius, scales : ndarray, shape (nc,)
+        Of the cylinders, N·s, and upper bounds of the blocks W_cc, 1/kg.
+    normal, tangent : bool
+        Whether normal and tangential parts change.
     """
     for c in range(radius.size):
         i = 3 * c
