@@ -14,7 +14,7 @@ from nsdyn.problem.operators import Operator, operator
 from nsdyn.problem.solution import ACCEPTED, Solution, Status
 from nsdyn.solvers.continuation import continuation
 from nsdyn.solvers.nesterov import Sweeps
-from nsdyn.solvers.newton import DENSE, MARGIN, Multipliers, part
+from nsdyn.solvers.newton import DENSE, MARGIN, PENALTY, Multipliers, part
 from nsdyn.tools.arrays import Array
 
 CONVERGED = Status.CONVERGED  # to look it up takes 70 ns
@@ -41,9 +41,6 @@ class Tuning:
 
     gain: float = 0.1
     """Measure after a warm start's steps, over that before, at which they go on."""
-
-    penalty: float = 1e4
-    """First penalty of Newton, which adapts."""
 
     free: int = 200
     """What may be spent on what the start already solves to the loose tolerance."""
@@ -132,7 +129,7 @@ class Search:
         """Newton from the best or on from the last."""
         run = self._newton
         if run is None or run.ended or self.best < run.best:
-            run = self._newton = Multipliers(self.problem, self.W, self.r.copy(), TUNING.penalty)
+            run = self._newton = Multipliers(self.problem, self.W, self.r.copy(), PENALTY)
         before = run.count
         run.run(tol, int(np.ceil(self._most(most))))
         used = run.count - before
