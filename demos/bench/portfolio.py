@@ -81,8 +81,15 @@ def files(folder: Path, tol: float) -> None:
 
 def others() -> Iterator[tuple[str, list[tuple[Any, str, Any]]]]:
     """Name of a change, and what it gives which other value."""
-    for name in ("sweep", "newton", "follow"):
-        yield f"without {name}", [(auto.Search, name, lambda *_: None)]
+    newton = auto.Search.newton
+
+    def polishing(search: auto.Search, most: float, tol: float) -> None:
+        if most == auto.TUNING.newton:
+            newton(search, most, tol)
+
+    yield "without sweeps", [(auto.Search, "sweep", lambda *_: None)]
+    yield "without Newton's rounds", [(auto.Search, "newton", polishing)]
+    yield "without the path", [(auto.Search, "follow", lambda *_: None)]
     yield "without the kernel of small islands", [(auto, "LIMITS", (0, *auto.LIMITS[1:]))]
     for field in fields(auto.TUNING):
         given = getattr(auto.TUNING, field.name)

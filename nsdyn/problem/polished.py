@@ -63,8 +63,10 @@ def certify(
     if _kernels.into_cones(r, problem.mu, impulse) or u is None:
         u = problem.velocity(impulse)
     d = opening.d if opening is not None and (opening.d.size or opening.wedged) else gauss.of_all(problem)
-    first, bound = _polished(problem, _shift(problem, u), impulse, d)
-    bound = min(certificate.bound, _distance(problem, impulse, first) + bound)
+    shift = _shift(problem, u)
+    first, bound = _polished(problem, shift, impulse, d)
+    # Not the certificate's, which does not count round-off.
+    bound = min(_bound(problem, shift, impulse, d), _distance(problem, impulse, first) + bound)
     second, _ = _polished(problem, _shift(problem, problem.velocity(first)), first, d)
     return certificate._replace(bound=bound, coulomb=_distance(problem, first, second)), opening
 

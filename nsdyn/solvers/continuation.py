@@ -31,12 +31,9 @@ where it was refused."""
 STRAIGHT, SHARP = 0.9, 0.5
 """Cosines between the directions at both ends of a step: little turning, and too much."""
 
-SHORTEST = 1e-6
-"""Length of step below which round-off has the rest."""
-
 ATTEMPT, ATTEMPTS, FLOOR = 1e-7, 1e-2, 1e-14
 """τ / (max r_N² λ_max) from which on Newton's method for the law itself is tried, by which this falls between attempts,
-and below which the matrices are those of round-off."""
+and below which the matrices are those of round-off, as steps of that length are."""
 
 STEPS, LAST = 5, 60
 """Newton steps of such an attempt, and of the last."""
@@ -236,7 +233,7 @@ def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) ->
             elif used > 2:
                 length *= SHRINKAGE
         small = smoothing()
-        if length < SHORTEST or small < FLOOR:
+        if length < FLOOR or small < FLOOR:
             if small < ATTEMPT:
                 attempt_from_here(LAST)
             break
