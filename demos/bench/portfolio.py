@@ -1,11 +1,13 @@
 """What `auto` solves and costs, on problems from files and on a wall that a ball hits.
 
-    python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [--set sweep=20] [FOLDER ...]
+    python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [--set sweep=20] [--ablation] [FOLDER ...]
 
 Processor time. For every folder of FCLIB files: problems solved, the geometric mean, the mean and the longest solve
 from nothing, by their factors if the file has them and by W alone. For the wall: the mean and longest time of a step
 with the solver, at defaults, and how many solves ended within the loose tolerance only or failed. `--set` gives a
-constant of `nsdyn.solvers.auto.Tuning` another value.
+constant of `nsdyn.solvers.auto.Tuning` another value. `--ablation` prints instead what is lost without each means, and
+with half and twice each constant of `Tuning`: problems solved of those that take under a second, and
+the geometric mean of their times over those of `auto` as it is, solved in turns with it.
 """
 
 import argparse
@@ -13,8 +15,8 @@ import ast
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +79,64 @@ def files(folder: Path, tol: float) -> None:
         print(f"{folder.name}, {form}, {tol:.0e}: {solved} of {len(given)}, {summary(times[1:])}")
 
 
+def others() -> Iterator[tuple[str, list[tuple[Any, str, Any]]]]:
+    """Name of a change, and what it gives which other value."""
+    newton = auto.Search.newton
+
+    def polishing(search: auto.Search, most: float, tol: float) -> None:
+        if most == auto.TUNING.newton:
+            newton(search, most, tol)
+
+    yield "without sweeps", [(auto.Search, "sweep", lambda *_: None)]
+    yield "without Newton's rounds", [(auto.Search, "newton", polishing)]
+    yield "without the path", [(auto.Search, "follow", lambda *_: None)]
+    yield "without the kernel of small islands", [(auto, "LIMITS", (0, *auto.LIMITS[1:]))]
+    for field in fields(auto.TUNING):
+        given = getattr(auto.TUNING, field.name)
+        values = given if isinstance(given, tuple) else (given,)
+        for k in range(1 if field.name == "lengths" else len(values)):
+            for factor in (0.5, 2.0):
+                whole = field.name == "lengths"
+                new = tuple(type(v)(factor * v) if whole or i == k else v for i, v in enumerate(values))
+                tuning = replace(auto.TUNING, **{field.name: new if isinstance(given, tuple) else new[0]})
+                changes = [(auto, "TUNING", tuning), (auto, "LIMITS", (auto.DENSE, *tuning.small))]
+                yield f"{field.name}{[k] if len(values) > 1 and not whole else ''} x {factor}", changes
+
+
+def ablation(folders: list[Path], tol: float) -> None:
+    """Print what each change costs, a line for each."""
+    solver, problems = nd.solvers.Auto(tol=tol, loose=tol), []
+
+    def timed(problem: nd.FC3D) -> tuple[float, bool]:
+        start = time.process_time()
+        solved = solver(problem).converged
+        return time.process_time() - start, solved
+
+    for path in sorted(path for folder in folders for path in folder.glob("*.hdf5")):
+        problem = nd.fclib.read(path)
+        solver(problem)  # loads the kernels
+        if timed(problem)[0] < 1.0:
+            problems.append(problem)
+    print(f"{tol:.0e}, {len(problems)} problems: solved, time")
+    for name, changes in others():
+        old = [(owner, what, getattr(owner, what)) for owner, what, _ in changes]
+        ratios, solved = [], 0
+        for problem in problems:
+            runs = []
+            for values in (old, changes) * 3:
+                for owner, what, value in values:
+                    setattr(owner, what, value)
+                runs.append(timed(problem))
+                if len(runs) == 2 and runs[0][0] > 0.05:
+                    break
+            for owner, what, value in old:
+                setattr(owner, what, value)
+            solved += runs[1][1]
+            if runs[0][1] and runs[1][1]:
+                ratios.append(min(t for t, _ in runs[1::2]) / min(t for t, _ in runs[::2]))
+        print(f"  {name}: {solved}, {statistics.geometric_mean(ratios):.2f} ({max(ratios):.1f} at most)", flush=True)
+
+
 def wall(steps: int) -> None:
     """Print what the steps of a wall of 100 bricks cost that a ball hits at 15 m/s."""
     scene = nd.scenes.load("wall")()
@@ -103,10 +163,14 @@ def main() -> None:
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--tol", type=float, default=1e-8)
     parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--ablation", action="store_true")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     arguments = parser.parse_args()
     values = dict(given.split("=") for given in arguments.set)
     auto.TUNING = replace(auto.TUNING, **{name: ast.literal_eval(value) for name, value in values.items()})
+    if arguments.ablation:
+        ablation(arguments.folders, arguments.tol)
+        return
     for folder in arguments.folders:
         files(folder, arguments.tol)
     if arguments.steps:

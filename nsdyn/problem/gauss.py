@@ -53,7 +53,8 @@ AIM, ENOUGH, SWEEPS = 1.0, 0.5, 50
 change to the first: a few do where few contacts have changed, and where a heap is struck hundreds may not."""
 
 OWN_AIM, OWN_ENOUGH, OWN_SWEEPS = 0.1, 0.01, 2000
-"""The same for û of one answer, whose unit is its largest -u_N: how far inside K* its velocity is brought."""
+"""The same for û of one answer, whose unit is its largest -u_N: how far inside K* its velocity is brought. Where sweeps
+fail, Newton's method brings it there as far as is enough."""
 
 RESOLVED = 100.0 * ROUNDING
 """The least of that unit over the largest velocity."""
@@ -67,9 +68,6 @@ PENALTY, GROWTH, LARGEST = 10.0, 10.0, 1e9
 STEPS = 20
 """Newton steps for a direction. About five are needed. In a heap of spheres 50 find one that bounds no better than what
 projections give, and where none exists no number of them is enough."""
-
-MARGIN = 0.01
-"""How far inside K* Newton's method brings û of one answer, in the unit of OWN_AIM, where projections fail."""
 
 
 class Certificate(NamedTuple):
@@ -229,8 +227,8 @@ def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
         d = np.zeros(problem.blocks.n)
         if _relax(problem.blocks, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
             return d * (unit / speed)
-    inside[0::3] += MARGIN
-    return _least_direction(problem, inside, SLACK * MARGIN) * (unit / speed)
+    inside[0::3] += OWN_ENOUGH
+    return _least_direction(problem, inside, SLACK * OWN_ENOUGH) * (unit / speed)
 
 
 def _least_direction(problem: FC3D, b: Array, slack: float) -> Array:

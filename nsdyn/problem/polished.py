@@ -29,15 +29,15 @@ from nsdyn.tools.arrays import Array
 
 __all__ = ["certify", "polished"]
 
-PENALTY, LARGEST, LEAST = 1e3, 1e9, 50.0
-"""Penalty times λ_max(W_cc) of the first multiplier step, the largest and the least. Where contacts are redundant,
-which of them carry may change all impulses for a velocity that hardly does: the penalty grows by tens until they do, as
-long as Newton's method follows. Round-off grows with it, so that it falls again once they are found."""
+PENALTY, LEAST = 1e3, 50.0
+"""Penalty times λ_max(W_cc) of the first multiplier step, and the least; the largest is that of `gauss`. Where contacts
+are redundant, which of them carry may change all impulses for a velocity that hardly does: the penalty grows by tens
+until they do, as long as Newton's method follows. Round-off grows with it, so it falls again once they are found."""
 
-ROUNDS, STEPS = 30, 30
+STEPS = 30
 """Most multiplier steps of a polished answer, and Newton steps of each."""
 
-EXACT, NEAR = 0.1, 0.1
+PART = 0.1
 """Fraction of a multiplier step up to which Newton's method is exact, and of the last one, up to which the contacts
 that carry are found."""
 
@@ -63,8 +63,10 @@ def certify(
     if _kernels.into_cones(r, problem.mu, impulse) or u is None:
         u = problem.velocity(impulse)
     d = opening.d if opening is not None and (opening.d.size or opening.wedged) else gauss.of_all(problem)
-    first, bound = _polished(problem, _shift(problem, u), impulse, d)
-    bound = min(certificate.bound, _distance(problem, impulse, first) + bound)
+    shift = _shift(problem, u)
+    first, bound = _polished(problem, shift, impulse, d)
+    # Not the certificate's, which does not count round-off.
+    bound = min(_bound(problem, shift, impulse, d), _distance(problem, impulse, first) + bound)
     second, _ = _polished(problem, _shift(problem, problem.velocity(first)), first, d)
     return certificate._replace(bound=bound, coulomb=_distance(problem, first, second)), opening
 
@@ -92,8 +94,8 @@ def _polished(problem: FC3D, s: Array, r: Array, d: Array) -> tuple[Array, float
     least_bound = FLOOR * math.sqrt(_of_rounding(r, _rounding(problem, r, s)))
     if bound <= least_bound:
         return r, bound
-    penalty, largest, last = PENALTY, LARGEST, 0.0
-    for _ in range(ROUNDS):
+    penalty, largest, last = PENALTY, gauss.LARGEST, 0.0
+    for _ in range(STEPS):
         settled, size = _settled(problem, least, x, penalty)
         found = _bound(problem, s, least.estimate, d)
         if found < bound or bound == math.inf:
@@ -107,7 +109,7 @@ def _polished(problem: FC3D, s: Array, r: Array, d: Array) -> tuple[Array, float
             penalty = largest = 0.1 * penalty
             continue
         x = least.estimate.copy()
-        penalty, last = 0.1 * penalty if size <= NEAR * last else min(10.0 * penalty, largest), size
+        penalty, last = 0.1 * penalty if size <= PART * last else min(10.0 * penalty, largest), size
     return best, bound
 
 
@@ -117,7 +119,7 @@ def _settled(problem: FC3D, least: Least, x: Array, penalty: float) -> tuple[boo
         fraction, defect = least.step(x, penalty)
         step = (least.estimate - x).reshape(-1, 3)
         size = math.sqrt(float(problem.scales @ (step * step).sum(axis=1)))
-        if not fraction or defect * math.sqrt(penalty) <= max(EXACT * size, _round_off(least, penalty)):
+        if not fraction or defect * math.sqrt(penalty) <= max(PART * size, _round_off(least, penalty)):
             return fraction > 0.0, size
     return False, size
 

