@@ -1,7 +1,7 @@
 """What is compiled before it is needed: nothing tells what a simulation calls, and for which types, but simulating.
 
 Each process runs small examples, the kernels as plain Python, which takes a second, and compiles what was called. All
-do so with the same list, from different places on, and leave out what another has compiled or is compiling.
+go through the same list, and leave out what another has compiled or is compiling.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from nsdyn import solvers
+from nsdyn._kernels.cache import reached
 from nsdyn._kernels.compiled import Kernel, Notes
 from nsdyn._kernels.problem import cones
 from nsdyn.collision.contacts import ContactMemory, Poses
@@ -163,12 +164,13 @@ def noted(group: str) -> Notes:
     return notes
 
 
-def work(group: str, begin: float) -> None:
-    """Compile what a group needs, from a fraction of the list on, and print the index of each and their number."""
+def work(group: str) -> None:
+    """Compile what a group needs and nobody else does, and print the index of each and their number.
+
+    First what reaches most: it takes longest.
+    """
     logging.getLogger("nsdyn").setLevel(logging.ERROR)
-    calls = list(noted(group).calls)
-    for k in range(len(calls)):
-        index = (k + int(begin * len(calls))) % len(calls)
-        kernel, types = calls[index]
+    calls = sorted(noted(group).calls, key=lambda call: -len(reached(call[0].py_func.__module__)))
+    for k, (kernel, types) in enumerate(calls):
         if kernel.compile(types, wait=False) is not None:
-            os.write(1, f"{index} {len(calls)}\n".encode())
+            os.write(1, f"{k} {len(calls)}\n".encode())

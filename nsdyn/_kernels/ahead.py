@@ -13,7 +13,7 @@ from nsdyn._kernels.waiting import announce
 PROCESSES = "NSDYN_COMPILE_PROCESSES"
 """Environment variable: how many processes compile; 1 for this one alone, by default one per core."""
 
-_CODE = "import sys; sys.path[:] = {}; from nsdyn.compilation import work; work({}, {})"
+_CODE = "import sys; sys.path[:] = {}; from nsdyn.compilation import work; work({})"
 
 
 def processes() -> int:
@@ -53,8 +53,8 @@ def compile_examples(group: str) -> None:
     workers = []
     try:
         with open(out) as lines, tqdm(unit="kernel", disable=None) as bar:
-            for k in range(count):
-                command = [sys.executable, "-c", _CODE.format(sys.path, repr(group), k / count)]
+            for _ in range(count):
+                command = [sys.executable, "-c", _CODE.format(sys.path, repr(group))]
                 workers.append(subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, stdout=into))
             os.close(into)
             done = set()

@@ -62,14 +62,25 @@ def folder() -> Path | None:
 
 
 @cache
+def imports(module: str) -> list[str]:
+    """Modules of ours that one imports."""
+    names = set()
+    for package, parts in _IMPORT.findall(Path(sys.modules[module].__file__).read_text()):
+        names |= {package} | {f"{package}.{part.split()[0]}" for part in parts.strip("()").split(",") if part.strip()}
+    return sorted(name for name in names if name in sys.modules and name != __package__)
+
+
+@cache
+def reached(module: str) -> frozenset[str]:
+    """The module, those that it imports, and those that these import."""
+    return frozenset((module,)).union(*map(reached, imports(module)))
+
+
+@cache
 def contents(module: str) -> bytes:
     """Hash of the text of a module and, transitively, of the modules of ours it imports."""
     text = Path(sys.modules[module].__file__).read_text()
-    names = set()
-    for package, parts in _IMPORT.findall(text):
-        names |= {package} | {f"{package}.{part.split()[0]}" for part in parts.strip("()").split(",") if part.strip()}
-    below = sorted(name for name in names if name in sys.modules and name != __package__)
-    return hashlib.sha256(text.encode() + b"".join(map(contents, below))).digest()
+    return hashlib.sha256(text.encode() + b"".join(map(contents, imports(module)))).digest()
 
 
 class Cache(NullCache):
