@@ -227,6 +227,29 @@ def test_of_many_bodies_those_that_move_most_have_names(opened, falling_row):
     assert rows[6][1] not in page.run("nsdyn.panes[0].chart.lanes[0].lines[19].colour")
 
 
+TWO_LINKS = """<robot name="r">
+  <link name="base"/>
+  <link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <link name="hand"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <joint name="shoulder" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint>
+  <joint name="weld" type="fixed"><parent link="arm"/><child link="hand"/><origin xyz="0.5 0 0"/></joint>
+</robot>"""
+
+
+def test_a_joint_that_carries_several_links_has_one_curve(opened, tmp_path):
+    (tmp_path / "r.urdf").write_text(TWO_LINKS)
+    scene = nd.Scene()
+    scene.add_urdf("r", tmp_path / "r.urdf")
+    page = opened(nd.simulate(scene, 0.2, dt=1e-2))
+    press(page, "motion")
+    one = ["shoulder angle"]
+    assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == one
+    page.run("nsdyn.panes[0].inspector.body(nsdyn.recordings[0].bodies.findIndex(b => b.name === 'r/hand'))")
+    assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == one
+
+
 def test_nothing_is_written_over_the_curves(opened, falling_row):
     page = opened(falling_row)
     words = (

@@ -2,6 +2,7 @@
 
 const MARGIN = {top: 8, bottom: 5};  // and to the sides those of the timeline below, which has the axis
 const GAP = 11;  // between lanes
+const SMALLEST = 0.7;  // of the size of a text, to make room
 
 class Chart {
   // `onSeek(t)` is called where the pointer is pressed or drawn.
@@ -95,8 +96,9 @@ class Chart {
     }
     context.restore();
     context.textAlign = "left";
-    const upright = context.measureText(lane.unit).width < bottom - top + px(GAP);
-    if (!upright) {
+    // Upright beside the axis, somewhat smaller if need be, and else over the curves.
+    const part = Math.min(1, (bottom - top + px(GAP) - px(4)) / context.measureText(lane.unit).width);
+    if (part < SMALLEST) {
       context.fillStyle = theme.colour("veil");
       context.fillRect(left + 2, top, context.measureText(lane.unit).width + px(7), px(15));
       context.fillStyle = theme.colour("ink");
@@ -104,11 +106,11 @@ class Chart {
     }
     context.textAlign = "center";
     context.fillStyle = theme.colour("faint");
-    context.font = font(10.5);
     context.save();
     context.translate(px(12), 0.5 * (top + bottom));
     context.rotate(-Math.PI / 2);
-    if (upright) context.fillText(lane.unit, 0, 0);
+    context.font = font(10.5 * part);
+    if (part >= SMALLEST) context.fillText(lane.unit, 0, 0);
     context.restore();
   }
 

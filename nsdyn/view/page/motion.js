@@ -9,12 +9,16 @@ class Motion {
     const {bodies, free, t, arrays} = recording;
     this.t = t;
     this.lanesOf = new Map();
+    this.first = new Map();  // number of the first body that each one's joint carries, whose curves it has
     bodies.forEach((body, number) => {
-      const {name, colour, frame} = body;
+      const {name, colour, frame, joint} = body;
+      const first = joint ? bodies.findIndex(other => other.joint?.name === joint.name) : number;
+      this.first.set(number, first);
+      if (first !== number) return;
       const add = (unit, values) => {
         if (!values.some(Number.isFinite)) return;
         if (!this.lanesOf.has(unit)) this.lanesOf.set(unit, []);
-        this.lanesOf.get(unit).push({number, name: body.joint?.name ?? name, colour, values});
+        this.lanesOf.get(unit).push({number, name: joint?.name ?? name, colour, values});
       };
       if (frame >= 0 && frame < free) {
         add("speed [m/s]", Float32Array.from(t, (_, k) => arrays["bodies/speed"][k * free + frame]));
@@ -48,8 +52,8 @@ class Motion {
     return new Set([...first, ...order].filter((number, k, all) => all.indexOf(number) === k).slice(0, NAMED));
   }
 
-  // Number of the body that is picked, or null.
-  get picked() { return this.inspector.picked?.body ?? null; }
+  // Number of the body whose curves are those of the one that is picked, or null.
+  get picked() { return this.first.get(this.inspector.picked?.body) ?? null; }
 
   lanes() {
     const lanes = Array.from(this.lanesOf, ([unit, curves]) => {
