@@ -226,7 +226,7 @@ def _lone(curve: Curve) -> dict[str, Any]:
 
 
 def _cycle() -> list[Any]:
-    """Colours of curves: the page's colours of bodies, or those that the style of matplotlib in force has of its own."""
+    """Colours of curves: the page's colours of bodies, or those that the style of matplotlib has of its own."""
     import matplotlib
 
     cycles = [params["axes.prop_cycle"] for params in (matplotlib.rcParams, matplotlib.rcParamsDefault)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os.path
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -131,9 +130,9 @@ def _shown(numbers: dict[str, int], most: set[str]) -> Shown:
     """
     looks = panels.looks({n: k for n, k in numbers.items() if n in most})
     others = f"and {len(numbers) - len(looks)} others", {"color": OTHERS, "lw": 0.6, "zorder": 1}
-    common = os.path.commonprefix([side for n in numbers for side in n.split(SIDES)])
-    common = common[: common.rfind("/") + 1]
-    named = {n: (n if len(numbers) == 1 else n.replace(common, ""), {"lw": 1.2, **own}) for n, own in looks.items()}
+    robots = {side.rpartition("/")[0] for n in numbers for side in n.split(SIDES)}
+    common = f"{robots.pop()}/" if len(robots) == 1 < len(numbers) else ""
+    named = {n: (n.replace(common, "") if common else n, {"lw": 1.2, **own}) for n, own in looks.items()}
     return named | {n: others for n in numbers if n not in named}
 
 

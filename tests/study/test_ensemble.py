@@ -1,5 +1,6 @@
 """Sweeps: every combination once, in order, with the same bits from every executor."""
 
+import csv
 import importlib.util
 import json
 import os
@@ -293,7 +294,10 @@ def test_command(capsys, tmp_path):
     lines = out.splitlines()
     assert code == 0 and len(lines) == 3 and lines[0].split()[:3] == ["mu", "speed", "displacement"]
     assert lines[2].split()[:3] == ["0.2", "1", f"{0.05 - 0.1 * 9.81 * 0.05**2:.6g}"]
-    assert len((tmp_path / "s.csv").read_text().splitlines()) == 3
+    head, *rows = csv.reader((tmp_path / "s.csv").read_text().splitlines())
+    units = {"displacement [m]", "kinetic [J]", "friction [J]", "gauss_bound [√J]", "residual [m/s]", "penetration [m]"}
+    assert head[:3] == ["mu", "speed", "failure"] and units <= set(head) and len(rows) == 2
+    assert all("[" in title for title in head[3:])
     # Text and JSON, stored and read from there, one process and several: the same figures.
     store = str(tmp_path / "s.jsonl")
     one, several, stored, again = (
