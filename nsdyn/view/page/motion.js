@@ -3,6 +3,8 @@
 const SINGLED = 10;  // most curves that have a value each beside the plot
 const SHOWN = 12, NAMED = 6;  // most of which all have names, and how many have of more, one in each colour of the palette
 
+const STILL_HERE = 1e-4;  // of where it is, what moves less does not
+
 class Motion {
   constructor(recording, inspector) {
     Object.assign(this, {recording, inspector});
@@ -57,9 +59,10 @@ class Motion {
 
   lanes() {
     const lanes = Array.from(this.lanesOf, ([unit, curves]) => {
-      const [low, high] = spanOf(curves.map(({values}) => values));
-      const least = 1e-6 * Math.max(Math.abs(low), Math.abs(high), 1e-3);  // round-off does not fill the axis
-      const room = Math.max(0.06 * (high - low), least);
+      let [low, high] = spanOf(curves.map(({values}) => values));
+      // Round-off, of 15 bits, does not fill the axis: what stays where it is is shown beside 0.
+      if (high - low < STILL_HERE * Math.max(Math.abs(low), Math.abs(high))) [low, high] = [Math.min(0, low), Math.max(0, high)];
+      const room = Math.max(0.06 * (high - low), 1e-9);
       const front = number => this.picked === number ? 2 : this.named.has(number) ? 1 : 0;
       const lines = [...curves].sort((a, b) => front(a.number) - front(b.number)).map(({number, colour, values}) => {
         const own = front(number) ? colour : theme.colour("light");
