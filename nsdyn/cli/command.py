@@ -42,7 +42,7 @@ EXAMPLES = {
     "new": "nsdyn new my.py",
     "run": "nsdyn run stack -o run.h5 --html run.html",
     "sweep": "nsdyn sweep slide --set mu=0.2,0.5 --csv slides.csv",
-    "study": "nsdyn study double_pendulum --dt 0.02,0.01,0.005 --plot study.pdf",
+    "study": "nsdyn study four_bar --dt 8e-3,4e-3,2e-3 --time 0.2 --plot study.pdf",
     "check": "nsdyn check run.h5",
     "solve": "nsdyn solve problem.hdf5 --solver newton",
     "profile": "nsdyn profile problems --solver all --plot profile.png",

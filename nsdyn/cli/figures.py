@@ -28,8 +28,11 @@ KINDS = (
 )
 """Of `nsdyn.view.plots`, which to ask for help need not load."""
 
-SMALL = 80.0
-"""mm: where no kind has more, in height or width, the letters have 8 points, not 10."""
+LEAST = 40.0
+"""mm: smaller pictures are all labels."""
+
+SMALL = 89.0
+"""mm, a column of a journal: where no kind has more, in height or width, the letters have 8 points, not 10."""
 
 
 def add_plot(parser: argparse.ArgumentParser) -> None:
@@ -68,8 +71,8 @@ def draw(arguments: argparse.Namespace) -> int:
     from nsdyn.view import plots
 
     path = arguments.output = arguments.output or Path(f"{arguments.recording.stem}.png")
-    if arguments.size and not all(20.0 <= side <= 2000.0 for side in arguments.size):
-        raise ValueError(f"--size must be two lengths of 20 to 2000 mm, got {arguments.size}")
+    if arguments.size and not all(LEAST <= side <= 2000.0 for side in arguments.size):
+        raise ValueError(f"--size must be two lengths of {LEAST:g} to 2000 mm, got {arguments.size}")
     check_files(arguments)
     trajectory = Trajectory.load(arguments.recording)
     kinds = arguments.kind or plots.usual(trajectory)

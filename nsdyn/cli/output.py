@@ -7,6 +7,7 @@ import json
 import math
 import os
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -197,12 +198,19 @@ def _cell(value: Any) -> str:
 
 
 def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int = 200) -> None:
-    """Picture of what `draw` draws on a matplotlib figure of `size` in inches."""
+    """Picture of what `draw` draws on a matplotlib figure of `size` in inches; ValueError where it has no room."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
 
     from nsdyn.tools import files
 
     figure = Figure(figsize=size, layout="constrained")
     draw(figure)
-    with files.writing(path, files.PICTURE) as part:
-        figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=dpi)
+    with files.writing(path, files.PICTURE) as part, warnings.catch_warnings():
+        warnings.filterwarnings("error", "constrained_layout not applied")
+        try:
+            figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=dpi)
+        except UserWarning:
+            width, height = (25.4 * side for side in size)
+            raise ValueError(
+                f"names leave no room for curves in {width:.0f} by {height:.0f} mm: a larger picture, or fewer of them"
+            ) from None

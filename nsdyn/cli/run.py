@@ -14,6 +14,9 @@ from nsdyn.cli.output import check_files, ledger, one_line, say, say_json
 
 __all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "chosen_steps", "list_scenes", "run_scene"]
 
+COARSEST = 1.0
+"""m/s: a tolerance beyond it is an exponent without its sign."""
+
 
 def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
     """Options of a simulation: its time, its step, and those of `add_solver`."""
@@ -85,6 +88,11 @@ def chosen_solver(arguments: argparse.Namespace) -> Any:
     """The solver of a simulation, with a loose tolerance where it takes one."""
     import nsdyn
 
+    for option in ("tol", "loose"):
+        given = getattr(arguments, option)
+        if given is not None and given > COARSEST:
+            meant = f"did you mean {1.0 / given:g}?"
+            raise ValueError(f"{meant} --{option} must be at most {COARSEST:g} m/s, got {given:g}")
     solver = nsdyn.solvers.by_name(arguments.solver, arguments.tol)
     if not isinstance(solver, nsdyn.solvers.Auto):
         if arguments.loose is not None:

@@ -6,9 +6,9 @@ import argparse
 import importlib.util
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nsdyn.cli.output import (
     PICTURE_SIZE,
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 __all__ = ["add_sweep", "sweep_scene"]
+
+ROUND_OFF = 1e-12
+"""Of the largest energy."""
 
 
 def add_sweep(parser: argparse.ArgumentParser) -> None:
@@ -86,20 +89,34 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
             solver=solver,
         )
     rows = [{**m.parameters, "failure": m.failure, **(m.result or {})} for m in members]
-    columns = list(dict.fromkeys(column for row in rows for column in row))  # a failed run has no figures
+    # A failed run has no figures.
+    columns = {name: _header(name, ensemble.UNITS) for name in dict.fromkeys(name for row in rows for name in row)}
     if arguments.csv:
-        write_rows(rows, columns, arguments.csv)
+        titled = [{columns[name]: value for name, value in row.items()} for row in rows]
+        write_rows(titled, list(columns.values()), arguments.csv)
     if arguments.plot:
         size = PICTURE_SIZE[0], 2.0 * PICTURE_SIZE[1]
         picture(arguments.plot, lambda figure: drawings.draw_sweep(parameters, members, figure), size)
     if arguments.json:
         say_json(arguments, {"scene": name, "runs": rows})
     else:
-        say(arguments, table(rows, [column for column in columns if column != "failure"]))
+        shown = [{columns[name]: value for name, value in _quiet(row, ensemble.UNITS).items()} for row in rows]
+        say(arguments, table(shown, [header for name, header in columns.items() if name != "failure"]))
     for m in members:
         if m.failure:
             print(f"nsdyn: failed: {m.parameters}: {one_line(m.failure)}", file=sys.stderr)
     return 1 if any(m.failure for m in members) else 0
+
+
+def _header(name: str, units: Mapping[str, str]) -> str:
+    return f"{name} [{units[name]}]" if name in units else name
+
+
+def _quiet(row: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
+    """A run's figures with 0 for energies that are round-off beside the largest; the defect is that by itself."""
+    energies = [name for name in row if units.get(name) == "J" and name != "defect"]
+    least = ROUND_OFF * max((abs(row[name]) for name in energies), default=0.0)
+    return {name: 0.0 if name in energies and abs(value) < least else value for name, value in row.items()}
 
 
 @contextmanager

@@ -151,7 +151,8 @@ def _contacts(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, 
     out |= {name: c[f"contacts/{name}"][row] for name in ("mu", "restitution", "work_normal", "work_friction")}
     units = {"gap": "m", "point": "m", "impulse": "N s", "impulse_raw": "N s", "velocity": "m/s", "u": "m/s"}
     units |= {"work_normal": "J", "work_friction": "J"}
-    return out, {name: units.get(name, units.get(name.rpartition("_")[0], "")) for name in out}
+    found = {name: units.get(name, units.get(name.rpartition("_")[0], "")) for name in out}
+    return out, {name: unit for name, unit in found.items() if unit}
 
 
 def _energy(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, str]]:

@@ -21,6 +21,9 @@ __all__ = ["Refinement", "Row", "order", "refine"]
 ERRORS = {"position": "m", "rotation": "rad", "velocity": "m/s, rad/s", "energy": "J"}
 """What is compared, by `nsdyn.study.comparison.differences`, and its unit."""
 
+ROUND_OFF = 1e-11
+"""Errors that are smaller, in their units, have no order."""
+
 LARGEST_ORDER = 16.0
 """Of those looked for."""
 
@@ -148,9 +151,8 @@ def refine(
     for k, (dt, run) in enumerate(zip(chosen, runs, strict=True)):
         orders = {}
         if k + 2 < len(runs):
-            orders = {
-                name: order(errors[k][name], errors[k + 1][name], dt, chosen[k + 1], chosen[-1]) for name in ERRORS
-            }
+            next_ = {name: error if error > ROUND_OFF else 0.0 for name, error in errors[k + 1].items()}
+            orders = {name: order(errors[k][name], next_[name], dt, chosen[k + 1], chosen[-1]) for name in ERRORS}
         rows.append(Row(dt, run.steps, **errors[k], orders=orders, time=float(run.wall_time.sum())))
     return Refinement(str(finest.meta["scene_name"]), tuple(rows))
 

@@ -208,11 +208,18 @@ def _run(
         return None, text(failure), True
 
 
+UNITS = {
+    **dict.fromkeys(("kinetic", "potential", "normal", "friction", "defect"), "J"),
+    **{"displacement": "m", "penetration": "m", "gauss_bound": "√J", "gauss_shift": "m/s", "residual": "m/s"},
+}
+"""Of `figures`."""
+
+
 def figures(trajectory: Trajectory) -> dict[str, float]:
     """What a table shows of a run.
 
-    Largest distance of a free body from where it started [m], energies at the end and works of the contacts [J], and
-    the worst of all steps.
+    Largest distance of a free body from where it started, energies at the end, works of the contacts, and the worst of
+    all steps; in `UNITS`.
     """
     free = trajectory.scene["frames"][: trajectory.scene["free"]]
     moved = (trajectory.body(name).position for name in free)

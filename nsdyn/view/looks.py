@@ -19,8 +19,9 @@ PLAIN = (0.72, 0.73, 0.75)
 DETAIL = 16
 """Sides of half circles."""
 
-DOUBLE_SIDE = 2
-"""Of three.js: files have triangles that are to be seen from behind."""
+BACK_SIDE, DOUBLE_SIDE = 1, 2
+"""Of three.js: files have triangles that are to be seen from behind. What turns away from the sun casts the shadows, as
+of all other bodies: what turns to it would lie in its own, in stripes."""
 
 
 def look_path(scene: Json, k: int) -> str:
@@ -36,7 +37,7 @@ def visual_commands(scene: Json) -> list[Json]:
         rgba = visual["colour"] or PLAIN
         if visual["shape"] == "mesh":
             node = surface(as_buffer(position=np.zeros((3, 3))), rgba)
-            node["material"]["side"] = DOUBLE_SIDE
+            node["material"] |= {"side": DOUBLE_SIDE, "shadowSide": BACK_SIDE}
             matrix = by_columns(np.array(visual["placement"]))
             commands.append(set_object(look_path(scene, k), {"type": "Group", "matrix": matrix, "children": [node]}))
         else:

@@ -32,6 +32,16 @@ LEDGER = {
 OTHERS = "#b9c2cb"
 """Of what has no colour of its own."""
 
+GREYS = {
+    LEDGER["kinetic"]: "0.15",
+    LEDGER["potential"]: "0.88",
+    LEDGER["friction"]: "0.65",
+    LEDGER["normal"]: "0.42",
+    LEDGER["damping"]: "0.75",
+    OTHERS: "0.8",
+}
+"""In styles that have no colours; neighbours of a stack can be told apart."""
+
 DASHES = "-", "--", ":", "-."
 """Of as many curves of one colour."""
 
@@ -43,6 +53,9 @@ FLOOR, LOST = 1e-12, 1e-11
 
 ROWS, PILED, LETTER = 3, 6, 0.55
 """Most rows of a legend above its panels, with these together, and width of a letter over the size of its font."""
+
+CROWD = 3
+"""Panels of which more have smaller letters at their axes."""
 
 APART = 1.5
 """Ticks of a logarithmic axis at its values are at least by this factor."""
@@ -123,7 +136,7 @@ class Panel:
     def draw(self, ax: Any) -> None:
         """Draw it on matplotlib axes."""
         if self.areas:
-            colours = [c.look["color"] for c in self.areas]
+            colours = [_shade(c.look["color"]) for c in self.areas]
             ax.stackplot(
                 self.areas[0].x,
                 [c.y for c in self.areas],
@@ -208,13 +221,31 @@ def _lone(curve: Curve) -> dict[str, Any]:
     known = np.pad(np.isfinite(curve.y), 1)
     alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
     shown = "marker" in curve.look or not alone.size
-    return curve.look if shown else {"marker": ".", "markevery": alone, **curve.look}
+    own = curve.look | ({"color": _shade(curve.look["color"])} if "color" in curve.look else {})
+    return own if shown else {"marker": ".", "markevery": alone, **own}
+
+
+def _cycle() -> list[Any]:
+    """Colours of curves: the page's colours of bodies, or those that the style of matplotlib has of its own."""
+    import matplotlib
+
+    cycles = [params["axes.prop_cycle"] for params in (matplotlib.rcParams, matplotlib.rcParamsDefault)]
+    own = cycles[0].by_key().get("color", []) if cycles[0] != cycles[1] else []
+    return own or [tuple(part / 255 for part in colour) for colour in PALETTE]
+
+
+def _shade(colour: Any) -> Any:
+    """A colour, or in styles of greys the grey in its place."""
+    from matplotlib.colors import to_rgb
+
+    grey = all(len(set(to_rgb(one))) == 1 for one in _cycle())
+    return GREYS.get(colour, colour) if grey else colour
 
 
 def look(k: int) -> dict[str, Any]:
     """Colour and dashes of the k-th of several curves: the page's colours of bodies, dashed from the seventh on."""
-    colour = tuple(part / 255 for part in PALETTE[k % len(PALETTE)])
-    return {"color": colour, "ls": DASHES[k // len(PALETTE) % len(DASHES)]}
+    colours = _cycle()
+    return {"color": colours[k % len(colours)], "ls": DASHES[k // len(colours) % len(DASHES)]}
 
 
 def looks(numbers: Mapping[str, int]) -> dict[str, dict[str, Any]]:
@@ -242,7 +273,7 @@ def draw(figure: Any, panels: Sequence[Panel]) -> Any:
         if ax is axes[-1] or not same:
             ax.set_xlabel(panel.xlabel)
         if len(shown) > 1:
-            ax.set_ylabel(panel.ylabel.replace(" [", "\n["))
+            ax.set_ylabel(panel.ylabel.replace(" [", "\n["), fontsize="small" if len(shown) > CROWD else None)
     figure.align_ylabels(axes)
     if len(handles) > 1 or any(panel.peak for panel in shown):
         _legend(figure, handles, min(ROWS, PILED - len(shown)))
@@ -256,11 +287,13 @@ def _legend(figure: Any, handles: Mapping[str, Any], rows: int) -> None:
     from matplotlib import font_manager  # heavy, and for pictures only
 
     size = font_manager.FontProperties(size="small").get_size_in_points() / 72.0
-    entry = (5.0 + LETTER * max(map(len, handles))) * size
+    entry = (4.0 + LETTER * max(map(len, handles))) * size
     width = figure.bbox.width / figure.dpi
     columns = max(1, int(width / entry))
     above = -(-len(handles) // columns) <= rows or entry > 0.4 * width
     where = (
         {"loc": "outside upper left", "ncols": min(columns, len(handles))} if above else {"loc": "outside right upper"}
     )
-    figure.legend(handles.values(), handles, frameon=False, fontsize="small", **where)
+    figure.legend(
+        handles.values(), handles, frameon=False, fontsize="small", handlelength=1.6, columnspacing=1.4, **where
+    )

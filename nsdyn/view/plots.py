@@ -29,6 +29,8 @@ NAMED = len(PALETTE)
 NEGLIGIBLE = 1e-9
 """Works of this part of the largest energy are left out, as on the page."""
 
+SIDES = " | "
+"""Between the names of two bodies."""
 
 LONGEST = 2.0
 """Frictions up to so many times what 90 % stay below are drawn as they are, like the forces on the page."""
@@ -122,10 +124,15 @@ def _most(table: Table, key: Any, *columns: str, size: Callable[[Array], Any] = 
 
 
 def _shown(numbers: dict[str, int], most: set[str]) -> Shown:
-    """The label and the look of every curve; those that are not told apart are drawn below."""
+    """The label and the look of every curve; those that are not told apart are drawn below.
+
+    A robot that all of several names begin with is left out.
+    """
     looks = panels.looks({n: k for n, k in numbers.items() if n in most})
     others = f"and {len(numbers) - len(looks)} others", {"color": OTHERS, "lw": 0.6, "zorder": 1}
-    named = {n: (n, {"lw": 1.2, **own}) for n, own in looks.items()}
+    robots = {side.rpartition("/")[0] for n in numbers for side in n.split(SIDES)}
+    common = f"{robots.pop()}/" if len(robots) == 1 < len(numbers) else ""
+    named = {n: (n.replace(common, "") if common else n, {"lw": 1.2, **own}) for n, own in looks.items()}
     return named | {n: others for n in numbers if n not in named}
 
 
@@ -170,7 +177,7 @@ def _speed(trajectory: Trajectory, name: str) -> list[Panel]:
 def _pairs(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, int], Any]:
     """The table of some pairs, their numbers, and the name of the pair of every row."""
     table = tabulated(trajectory, "pairs", name)
-    key = np.array([f"{a} | {b}" for a, b in zip(table["body1"], table["body2"], strict=True)], dtype=object)
+    key = np.array([f"{a}{SIDES}{b}" for a, b in zip(table["body1"], table["body2"], strict=True)], dtype=object)
     return table, _numbered(key), key
 
 

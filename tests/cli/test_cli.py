@@ -553,7 +553,7 @@ def test_film_without_ffmpeg(run, recording, tmp_path, monkeypatch):
     assert code == 2 and "films need ffmpeg on the PATH" in err and err.count("\n") == 1
 
 
-@pytest.mark.skipif(not (browser.chromium() and shutil.which("ffmpeg")), reason="no Chromium or no ffmpeg")
+@pytest.mark.skipif(not (browser.chromium() and shutil.which("ffprobe")), reason="no Chromium or no ffmpeg")
 def test_film_has_the_size_speed_and_pictures_asked_for(run, recording, tmp_path):
     words = ["--size", "400x300", "--speed", "0.05", "--fps", "10", "--curves", "motion", "--forces", "point"]
     assert run("film", "run.h5", "run.h5", "run.h5", *words) == (0, "run.mp4\n", "")

@@ -1,5 +1,6 @@
 """Sweeps: every combination once, in order, with the same bits from every executor."""
 
+import csv
 import importlib.util
 import json
 import os
@@ -242,6 +243,15 @@ def test_ctrl_c_of_two_workers_loses_no_run_that_is_told(tmp_path):
     assert sorted(json.loads(row)["parameters"]["mu"] for row in after) == [float(f"0.{k}") for k in range(2, 10)]
 
 
+def test_an_interrupted_sweep_waits_for_no_process():
+    """As `kill -INT` sends it, to the first process alone."""
+    outcomes = gathering.gather(time.sleep, {0: (0.0,), 1: (600.0,)}, 2)
+    assert next(outcomes) == (0, None, "")
+    begun = time.monotonic()
+    outcomes.close()
+    assert time.monotonic() - begun < 20.0
+
+
 def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):
     """Runs that are stored are not run again, a line that a kill has cut is; another sweep is refused."""
     runs, store = tmp_path / "runs", tmp_path / "s.jsonl"
@@ -293,7 +303,10 @@ def test_command(capsys, tmp_path):
     lines = out.splitlines()
     assert code == 0 and len(lines) == 3 and lines[0].split()[:3] == ["mu", "speed", "displacement"]
     assert lines[2].split()[:3] == ["0.2", "1", f"{0.05 - 0.1 * 9.81 * 0.05**2:.6g}"]
-    assert len((tmp_path / "s.csv").read_text().splitlines()) == 3
+    head, *rows = csv.reader((tmp_path / "s.csv").read_text().splitlines())
+    units = {"displacement [m]", "kinetic [J]", "friction [J]", "gauss_bound [√J]", "residual [m/s]", "penetration [m]"}
+    assert head[:3] == ["mu", "speed", "failure"] and units <= set(head) and len(rows) == 2
+    assert all("[" in title for title in head[3:])
     # Text and JSON, stored and read from there, one process and several: the same figures.
     store = str(tmp_path / "s.jsonl")
     one, several, stored, again = (

@@ -1,6 +1,7 @@
 """How pages look: one axis of time, light and dark, size of text, parallel views, what is hidden, and without WebGL."""
 
 import io
+import re
 import time
 
 import numpy as np
@@ -190,6 +191,8 @@ def test_motion_of_bodies_and_joints(opened, sliding):
     speed = float(np.linalg.norm(sliding.body("box").linear_velocity[100]))
     assert [row[0] for row in rows] == ["box speed", "box height"]
     assert [row[2] for row in rows] == pytest.approx([speed, 0.1], rel=1e-4)  # 15 bits
+    low, high = page.run("nsdyn.panes[0].chart.lanes.map(({low, high}) => [low, high])[1]")
+    assert low == 0.0 and 0.1 < high < 0.11  # it stays at its height, of which round-off is no picture
     drive = {"cart_pole": np.array([3.0, 0.1])}
     run = nd.simulate(nd.scenes.load("cart_pole")(), 0.2, dt=1e-2, controller=lambda t, q, v: drive)
     page = opened(run)
@@ -204,6 +207,80 @@ def test_motion_of_bodies_and_joints(opened, sliding):
     page = opened(nd.simulate(nd.scenes.load("double_pendulum")(), 0.1, dt=1e-2))
     press(page, "motion")
     assert page.run("nsdyn.panes[0].chart.lanes.map(lane => lane.unit)") == ["angle [rad]"]  # nothing drives it
+
+
+@pytest.fixture(scope="module")
+def falling_row():
+    return nd.simulate(nd.scenes.load("domino")(), 0.3, dt=2e-3)
+
+
+def test_of_many_bodies_those_that_move_most_have_names(opened, falling_row):
+    page = opened(falling_row)
+    press(page, "motion")
+    rows = page.run("nsdyn.panes[0].plot.values('motion', 0.1).map(row => row.slice(0, 2))")
+    first = {f"domino{k}" for k in range(8)}  # those that fall so far
+    assert len(rows) == 7 and {name for name, _ in rows[:6]} <= first and rows[6][0] == "and 14 others"
+    for lane in page.run("nsdyn.panes[0].chart.lanes.map(lane => lane.lines.map(line => line.colour))"):
+        light = [colour == rows[6][1] for colour in lane]
+        assert light == sorted(light, reverse=True) and set(lane) <= {colour for _, colour in rows}  # behind the others
+    assert page.run("document.querySelector('.values').textContent").endswith("and 14 others ")
+    page.run("nsdyn.panes[0].inspector.body(15)")  # one of the others has its colour once it is picked
+    assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == ["domino14 speed"]
+    assert rows[6][1] not in page.run("nsdyn.panes[0].chart.lanes[0].lines[19].colour")
+
+
+TWO_LINKS = """<robot name="r">
+  <link name="base"/>
+  <link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <link name="hand"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <joint name="shoulder" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint>
+  <joint name="weld" type="fixed"><parent link="arm"/><child link="hand"/><origin xyz="0.5 0 0"/></joint>
+</robot>"""
+
+
+def test_a_joint_that_carries_several_links_has_one_curve(opened, tmp_path):
+    (tmp_path / "r.urdf").write_text(TWO_LINKS)
+    scene = nd.Scene()
+    scene.add_urdf("r", tmp_path / "r.urdf")
+    page = opened(nd.simulate(scene, 0.2, dt=1e-2))
+    press(page, "motion")
+    one = ["shoulder angle"]
+    assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == one
+    page.run("nsdyn.panes[0].inspector.body(nsdyn.recordings[0].bodies.findIndex(b => b.name === 'r/hand'))")
+    assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == one
+
+
+def test_nothing_is_written_over_the_curves(opened, falling_row):
+    page = opened(falling_row)
+    words = (
+        "(kind => { const seen = [], draw = CanvasRenderingContext2D.prototype.fillText;"
+        " CanvasRenderingContext2D.prototype.fillText = function (text) { seen.push(text); };"
+        " nsdyn.panes[0].show(kind); CanvasRenderingContext2D.prototype.fillText = draw; return seen; })"
+    )
+    for kind in ("power", "checks", "motion"):
+        said = [text for text in page.run(f"{words}('{kind}')") if re.search("[a-z]{4}", text)]
+        assert all("[" in text or "round-off" in text for text in said), said  # on axes, and where there is no curve
+    page.run("nsdyn.panes[0].show('checks')")
+    entries = "Array.from(document.querySelectorAll('.values span'), s => [s.textContent.split(' ')[0], s.title])"
+    assert dict(page.run(entries)) == {
+        "residual": "of the contact problem",
+        "certificate": "bound of the velocity's error",
+        "penetration": "of shapes, by their gaps",
+    }
+
+
+def test_a_lone_number_on_an_axis_is_that_of_its_line(opened, falling_row):
+    page = opened(falling_row, (1280, 480))
+    words = (
+        "(() => { const seen = [], draw = CanvasRenderingContext2D.prototype.fillText;"
+        " CanvasRenderingContext2D.prototype.fillText = function (text) { seen.push(text); };"
+        " const {chart} = nsdyn.panes[0], lanes = [{unit: 'm', low: 0.016, high: 0.025, lines: []}];"
+        " chart.height = 40; chart.lanes = lanes; chart.drawLane(contextOf(chart.back), lanes[0]);"
+        " CanvasRenderingContext2D.prototype.fillText = draw; return seen; })()"
+    )
+    assert "0.020" in page.run(words) or "0.02" in page.run(words)
 
 
 def test_without_webgl_the_curves_show(opened, sliding):

@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import nsdyn as nd
@@ -341,7 +342,8 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
             "no joints to draw joint of; what can be drawn: position, speed, force, slip",
         ),
         (["--style", "nope"], "--style must be a style of matplotlib or a file of one, got nope"),
-        (["--size", "1", "60"], "--size must be two lengths of 20 to 2000 mm, got [1.0, 60.0]"),
+        (["--size", "39", "60"], "--size must be two lengths of 40 to 2000 mm, got [39.0, 60.0]"),
+        (["--size", "40", "40"], "names leave no room for curves in 40 by 40 mm: a larger picture, or fewer of them"),
     ):
         assert main(["plot", "run.h5", "-o", "no.png", *given]) == 2
         assert words in capsys.readouterr().err and not Path("no.png").exists()
@@ -352,6 +354,37 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
     told = "no contacts to draw friction of; what can be drawn: position, speed, energy, certificate\n"
     assert capsys.readouterr().err.endswith(told)
     assert set(figures.KINDS) == set(plots.KINDS)
+
+
+def test_a_style_has_its_own_colours(arm, slide):
+    """One of greys has no others, of curves, areas and points; two curves never look the same."""
+    for run, kind in ((arm, "joint"), (arm, "energy"), (arm, "certificate"), (slide, "friction"), (slide, "speed")):
+        with matplotlib.style.context(["default", "grayscale"]):
+            figure = drawn(lambda figure, run=run, kind=kind: plots.draw(run, kind, figure=figure))
+        lines = [line for ax in figure.axes for line in ax.lines]
+        areas = [tuple(c) for ax in figure.axes for area in ax.collections for c in area.get_facecolor()]
+        for colour in (*(line.get_color() for line in lines), *areas):
+            assert len(set(to_rgb(colour[:3] if isinstance(colour, tuple) else colour))) == 1, (kind, colour)
+        assert len(set(areas)) == len(areas)
+        looks = {(line.get_label(), to_rgb(line.get_color()), line.get_linestyle()) for line in lines}
+        assert len({look[1:] for look in looks}) == len(looks)
+    with matplotlib.rc_context({"axes.prop_cycle": matplotlib.cycler(color=["#123456"])}):
+        assert panels.look(0)["color"] == panels.look(1)["color"] == "#123456"
+        figure = drawn(lambda figure: plots.draw(slide, "energy", figure=figure))
+    assert to_rgb(panels.LEDGER["kinetic"]) == tuple(figure.axes[0].collections[0].get_facecolor()[0][:3])
+
+
+def test_a_robot_that_all_names_begin_with_is_left_out(arm):
+    for kind, name, labels in (
+        ("joint", "*", ["shoulder", "elbow"]),
+        ("joint", "*elbow", ["arm/elbow"]),  # the title of its panel
+        ("speed", "arm/*", ["upper", "fore", "hand"]),
+        ("speed", "*", ["box", "arm/upper", "arm/fore", "arm/hand"]),
+    ):
+        assert {c.label for panel in plots.KINDS[kind](arm, name) for c in panel.curves} == set(labels)
+    robot = nd.scenes.setup("quadruped")
+    run = nd.simulate(robot.scene, 0.02, **robot.options(dt=5e-3))
+    check(drawn(lambda figure: plots.draw(run, "joint", figure=figure), (85, 120), 8))
 
 
 def test_studies_on_the_command_line(tmp_path, monkeypatch, capsys):

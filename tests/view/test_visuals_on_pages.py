@@ -77,6 +77,19 @@ def test_visual_shapes_or_collision_shapes(run, tmp_path):
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_meshes_do_not_lie_in_their_own_shadows(run, tmp_path):
+    """Which would be stripes: what turns away from the light casts the shadows, as of all other bodies."""
+    run.to_html(tmp_path / "page.html")
+    with browser.browsing() as page:
+        page.open((tmp_path / "page.html").as_uri() + "#t=0", (1280, 720))
+        sides = page.run(
+            "(() => { const out = []; nsdyn.panes[0].stage.looks[0].traverse(o => { if (o.isMesh && o.castShadow)"
+            " out.push([o.material.side, o.material.shadowSide]); }); return out; })()"
+        )
+        assert sides == [page.run("[MeshCat.THREE.DoubleSide, MeshCat.THREE.BackSide]")]
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_scenes_without_visuals_have_no_choice(tmp_path):
     nd.simulate(nd.scenes.load("slide")(), 0.02, dt=0.01).to_html(tmp_path / "page.html")
     with browser.browsing() as page:

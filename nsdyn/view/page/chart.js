@@ -2,7 +2,7 @@
 
 const MARGIN = {top: 8, bottom: 5};  // and to the sides those of the timeline below, which has the axis
 const GAP = 11;  // between lanes
-const LABELLED = 26;  // height from which on the name of a lane leaves room for its curves
+const SMALLEST = 0.7;  // of the size of a text, to make room
 
 class Chart {
   // `onSeek(t)` is called where the pointer is pressed or drawn.
@@ -16,7 +16,8 @@ class Chart {
     this.lanes = [];
   }
 
-  // What is shown: {begin, end} of time, and lanes, one above the other, each {low, high, log, unit, areas, lines, note}.
+  // What is shown: {begin, end} of time, and lanes, one above the other, each {low, high, log, unit, areas, lines, note};
+  // what else is to be said of a lane, its `remark`, stands with the figures, off the curves.
   // An area is {values: [lower, upper], colour}, a line {values, colour, dash, width, rim}; all have the times `t`, but
   // for lines that have their own; `steps` where each value is of the time since the one before.
   show(content) {
@@ -58,7 +59,9 @@ class Chart {
     context.strokeStyle = theme.colour("grid");
     context.lineWidth = 1;
     context.textAlign = "right";
-    const linear = lane.note ? [0] : ticks(lane.low, lane.high, (bottom - top) / px(30));  // of nothing, no numbers
+    const count = (bottom - top) / px(22);
+    const step = roundStep((lane.high - lane.low) / count);
+    const linear = lane.note ? [0] : ticks(lane.low, lane.high, count);  // of nothing, no numbers
     const marks = lane.log ? decades(lane.low, lane.high, (bottom - top) / px(16)) : linear;
     for (const mark of marks) {
       const y = Math.round(this.y(lane, mark)) + 0.5;
@@ -66,7 +69,7 @@ class Chart {
       context.moveTo(left, y);
       context.lineTo(right, y);
       context.stroke();
-      const text = lane.log ? powerOfTen(Math.round(Math.log10(mark))) : onAxis(mark, marks[1] - marks[0] || 1);
+      const text = lane.log ? powerOfTen(Math.round(Math.log10(mark))) : onAxis(mark, step);
       context.fillText(text, left - px(5), y + px(3.5));
     }
     context.save();
@@ -93,21 +96,21 @@ class Chart {
     }
     context.restore();
     context.textAlign = "left";
-    const upright = context.measureText(lane.unit).width < bottom - top + px(GAP);
-    const label = upright ? lane.label : lane.label ?? lane.unit;
-    if (label && (!upright || bottom - top > px(LABELLED))) {
+    // Upright beside the axis, somewhat smaller if need be, and else over the curves.
+    const part = Math.min(1, (bottom - top + px(GAP) - px(4)) / context.measureText(lane.unit).width);
+    if (part < SMALLEST) {
       context.fillStyle = theme.colour("veil");
-      context.fillRect(left + 2, top, context.measureText(label).width + px(7), px(15));
+      context.fillRect(left + 2, top, context.measureText(lane.unit).width + px(7), px(15));
       context.fillStyle = theme.colour("ink");
-      context.fillText(label, left + px(5), top + px(11));
+      context.fillText(lane.unit, left + px(5), top + px(11));
     }
     context.textAlign = "center";
     context.fillStyle = theme.colour("faint");
-    context.font = font(10.5);
     context.save();
     context.translate(px(12), 0.5 * (top + bottom));
     context.rotate(-Math.PI / 2);
-    if (upright) context.fillText(lane.unit, 0, 0);
+    context.font = font(10.5 * part);
+    if (part >= SMALLEST) context.fillText(lane.unit, 0, 0);
     context.restore();
   }
 

@@ -10,9 +10,9 @@ const LAYERS = [
 const PUT_IN = ["external", "constraint"];
 const NUMERICS = ["integration", "projection", "defect"];
 const CHECKS = [
-  {name: "residual", label: "residual of the contact problem", unit: "m/s", colour: "#3b75af"},
-  {name: "bound", label: "certificate: bound of the velocity's error", unit: "√J", colour: "#b5405e"},
-  {name: "penetration", label: "penetration of shapes, by their gaps", unit: "m", colour: "#5aa17f"},
+  {name: "residual", label: "residual", unit: "m/s", colour: "#3b75af", words: "of the contact problem"},
+  {name: "bound", label: "certificate", unit: "√J", colour: "#b5405e", words: "bound of the velocity's error"},
+  {name: "penetration", label: "penetration", unit: "m", colour: "#5aa17f", words: "of shapes, by their gaps"},
 ];
 const FLOOR = 1e-12, LOST = 1e-11;  // where their axes begin at the lowest, and what is no more than round-off
 
@@ -110,7 +110,7 @@ class Ledger {
     lane.lines = laid.flatMap(other => (
       other.powers().map(({colour}, k) => other.dotted(other.powerStack()[k + 1], colour))));
     const top = heights[heights.length - 1].reduce((a, b) => b > a ? b : a, 0);
-    if (top > lane.high) lane.label = `peaks up to ${withUnit(top, "W")} are cut`;
+    if (top > lane.high) lane.remark = `peaks up to ${withUnit(top, "W")} are cut`;
     return [lane];
   }
 
@@ -135,7 +135,7 @@ class Ledger {
   }
 
   checks(beside, laid) {
-    return CHECKS.map(({name, label, unit, colour}) => {
+    return CHECKS.map(({name, unit, colour}) => {
       const values = this.curve(name);
       const positive = [this, ...laid].flatMap(ledger => Array.from(ledger.curve(name))).filter(x => x > 0 && Number.isFinite(x));
       const [least, most] = [positive.reduce((a, b) => Math.min(a, b), Infinity), positive.reduce((a, b) => Math.max(a, b), 0)];
@@ -145,17 +145,16 @@ class Ledger {
       const high = seen ? Math.max(10 * low, 10 ** Math.ceil(Math.log10(most) + 1e-9)) : 10 * LOST;
       const note = !recorded ? "not recorded" : seen ? "" : `less than ${powerOfTen(Math.round(Math.log10(LOST)))}: round-off`;
       const lines = [{values, colour, width: 2}, ...laid.map(other => other.dotted(other.curve(name), colour))];
-      return {label, unit, log: true, low, high, note, lines};
+      return {unit, log: true, low, high, note, lines};
     });
   }
 
-  // [label, colour, value, unit, what is at play] at a time, for each kind of plot.
+  // [label, colour, value, unit, what is at play, words for the pointer] at a time, for each kind of plot.
   values(kind, t) {
     const at = name => this.recording.at(name, t);
     if (kind === "checks") {
       const {next} = this.after(t);
-      return CHECKS.map(({name, unit, colour}) => (
-        [name === "bound" ? "certificate" : name, colour, this.curve(name)[next], unit, 0]));
+      return CHECKS.map(({name, label, unit, colour, words}) => [label, colour, this.curve(name)[next], unit, 0, words]);
     }
     if (kind === "power") {
       const {next} = this.after(t);

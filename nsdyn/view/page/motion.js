@@ -1,6 +1,9 @@
 // The plot of motion: how fast bodies are and how high, and of joints where they are and what drives them.
 
 const SINGLED = 10;  // most curves that have a value each beside the plot
+const SHOWN = 12, NAMED = 6;  // most of which all have names, and how many have of more, one in each colour of the palette
+
+const STILL_HERE = 1e-4;  // of where it is, what moves less does not
 
 class Motion {
   constructor(recording, inspector) {
@@ -8,12 +11,16 @@ class Motion {
     const {bodies, free, t, arrays} = recording;
     this.t = t;
     this.lanesOf = new Map();
+    this.first = new Map();  // number of the first body that each one's joint carries, whose curves it has
     bodies.forEach((body, number) => {
-      const {name, colour, frame} = body;
+      const {name, colour, frame, joint} = body;
+      const first = joint ? bodies.findIndex(other => other.joint?.name === joint.name) : number;
+      this.first.set(number, first);
+      if (first !== number) return;
       const add = (unit, values) => {
         if (!values.some(Number.isFinite)) return;
         if (!this.lanesOf.has(unit)) this.lanesOf.set(unit, []);
-        this.lanesOf.get(unit).push({number, name: body.joint?.name ?? name, colour, values});
+        this.lanesOf.get(unit).push({number, name: joint?.name ?? name, colour, values});
       };
       if (frame >= 0 && frame < free) {
         add("speed [m/s]", Float32Array.from(t, (_, k) => arrays["bodies/speed"][k * free + frame]));
@@ -27,20 +34,40 @@ class Motion {
     for (const [unit, curves] of this.lanesOf) {
       if (curves.every(({values}) => values.every(x => !x))) this.lanesOf.delete(unit);
     }
+    this.named = this.singledOut();
   }
 
-  // Number of the body that is picked, or null.
-  get picked() { return this.inspector.picked?.body ?? null; }
+  // Numbers of bodies whose curves have names and colours: all, of many those that move most, in as many colours.
+  singledOut() {
+    const sizes = new Map();
+    for (const curves of this.lanesOf.values()) {
+      const spans = curves.map(({values}) => spanOf([values]));
+      const most = Math.max(...spans.map(([low, high]) => high - low)) || 1;
+      curves.forEach(({number}, k) => {
+        sizes.set(number, Math.max(sizes.get(number) ?? 0, (spans[k][1] - spans[k][0]) / most));
+      });
+    }
+    const order = Array.from(sizes.keys()).sort((a, b) => sizes.get(b) - sizes.get(a));
+    if (order.length <= SHOWN) return new Set(order);
+    const hue = number => this.recording.bodies[number].frame % NAMED;
+    const first = order.filter((number, k) => order.findIndex(other => hue(other) === hue(number)) === k);
+    return new Set([...first, ...order].filter((number, k, all) => all.indexOf(number) === k).slice(0, NAMED));
+  }
+
+  // Number of the body whose curves are those of the one that is picked, or null.
+  get picked() { return this.first.get(this.inspector.picked?.body) ?? null; }
 
   lanes() {
     const lanes = Array.from(this.lanesOf, ([unit, curves]) => {
-      const known = curves.flatMap(({values}) => Array.from(values).filter(Number.isFinite));
-      const [low, high] = [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))];
-      const least = 1e-6 * Math.max(Math.abs(low), Math.abs(high), 1e-3);  // round-off does not fill the axis
-      const room = Math.max(0.06 * (high - low), least);
-      const lines = curves.map(({number, colour, values}) => {
+      let [low, high] = spanOf(curves.map(({values}) => values));
+      // Round-off, of 15 bits, does not fill the axis: what stays where it is is shown beside 0.
+      if (high - low < STILL_HERE * Math.max(Math.abs(low), Math.abs(high))) [low, high] = [Math.min(0, low), Math.max(0, high)];
+      const room = Math.max(0.06 * (high - low), 1e-9);
+      const front = number => this.picked === number ? 2 : this.named.has(number) ? 1 : 0;
+      const lines = [...curves].sort((a, b) => front(a.number) - front(b.number)).map(({number, colour, values}) => {
+        const own = front(number) ? colour : theme.colour("light");
         const faded = this.picked !== null && this.picked !== number;
-        return {values, colour: colour + (faded ? "48" : ""), width: this.picked === number ? 2.4 : 1.4};
+        return {values, colour: own + (faded ? "48" : ""), width: [1, 1.6, 2.6][front(number)]};
       });
       return {unit, low: low < 0 || low > room ? low - room : low, high: high + room, lines};
     });
@@ -48,19 +75,37 @@ class Motion {
     return {t: this.t, steps: false, lanes: lanes.length ? lanes : [{unit: "", low: 0, high: 1, note}]};
   }
 
-  // [label, colour, value, unit, what is at play] at a time, of the body that is picked, or of all where they are few.
+  // [label, colour, value, unit, what is at play] at a time: all of the body that is picked, or of all where they are few,
+  // else the first of each that has a name.
   values(_, t) {
     const {at, part, next} = Recording.place(this.t, t);
-    const rows = [];
     const all = Array.from(this.lanesOf.values()).reduce((sum, curves) => sum + curves.length, 0);
+    const each = this.picked !== null || all <= SINGLED;
+    const [rows, seen] = [[], new Set()];
     for (const [unit, curves] of this.lanesOf) {
-      const most = curves[0].values.reduce((size, x) => Number.isFinite(x) ? Math.max(size, Math.abs(x)) : size, 0);
+      const most = Math.max(...spanOf([curves[0].values]).map(Math.abs));
       for (const {number, name, colour, values} of curves) {
-        if (this.picked !== null ? number !== this.picked : all > SINGLED) continue;
+        if (this.picked !== null && number !== this.picked) continue;
+        if (!each && (seen.has(number) || !this.named.has(number))) continue;
+        seen.add(number);
         const value = part > 0 ? values[at] + part * (values[next] - values[at]) : values[at];
-        rows.push([`${name} ${unit.split(" ")[0]}`, colour, value, unit.match(/\[(.*)\]/)[1], most]);
+        const label = each ? `${name} ${unit.split(" ")[0]}` : name;
+        rows.push([label, colour, value, unit.match(/\[(.*)\]/)[1], most]);
       }
     }
-    return rows;
+    const others = new Set(Array.from(this.lanesOf.values()).flat().map(({number}) => number)).size - seen.size;
+    return each || !others ? rows : [...rows, [`and ${others} others`, theme.colour("light")]];
   }
+}
+
+// Least and largest finite number of some arrays.
+function spanOf(arrays) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const values of arrays) {
+    for (const x of values) {
+      if (x < low && x > -Infinity) low = x;
+      if (x > high && x < Infinity) high = x;
+    }
+  }
+  return low <= high ? [low, high] : [0, 0];
 }

@@ -113,8 +113,9 @@ class Pane {
     const lanes = this.plot.lanes(kind, others, this.laid ? others : []);
     this.chart.show({begin: this.clock.begin, end: this.clock.end, ...lanes});
     this.figures.replaceChildren();
-    const entry = (label, className, colour) => {
+    const entry = (label, className, colour, words = "") => {
       const place = this.figures.appendChild(element("span"));
+      place.title = words;
       place.appendChild(element("i", className)).style[className ? "color" : "background"] = colour;
       place.append(label + " ");
       return place;
@@ -123,8 +124,9 @@ class Pane {
       entry(this.recording.label, "stroke", theme.colour("ink"));
       for (const {recording} of this.others) entry(recording.label, "stroke other", theme.colour("ink"));
     }
-    this.cells = this.plot.values(kind, this.clock.t).map(([label, colour]) => (
-      entry(label, "", colour).appendChild(element("b"))));
+    this.cells = this.plot.values(kind, this.clock.t).map(([label, colour, , unit, , words]) => (
+      entry(label, "", colour, words).appendChild(element(unit === undefined ? "span" : "b"))));
+    for (const {remark} of lanes.lanes) if (remark) this.figures.appendChild(element("small", "", remark));
     this.seek(this.clock.t);
   }
 
@@ -137,7 +139,7 @@ class Pane {
     this.chart.cursor(t);
     this.timeline.draw();
     this.plot.values(this.kind, time).forEach(([, , value, unit, play], k) => {
-      this.cells[k].textContent = withUnit(value, unit, play);
+      if (unit !== undefined) this.cells[k].textContent = withUnit(value, unit, play);
     });
     this.inspector.seek(time);
   }

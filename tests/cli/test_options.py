@@ -1,0 +1,134 @@
+"""Every option of every command, in calls that end well."""
+
+import argparse
+import json
+import shutil
+
+import numpy as np
+import pytest
+from test_problem import corner_box
+
+import nsdyn as nd
+from nsdyn import cli
+from nsdyn.cli import command
+from nsdyn.view import browser
+
+SHORT = "--time 0.04 --dt 1e-2"
+SOLVED = "--theta 0.6 --solver auto --tol 1e-9 --loose 1e-3"
+MUJOCO = """<mujoco><worldbody><body pos="0 0 1"><joint name="knee" axis="0 1 0"/><geom size=".1" mass="1"/></body>
+</worldbody><keyframe><key name="bent" qpos="0.5"/></keyframe></mujoco>"""
+URDF = """<robot name="r"><link name="base"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
+
+CALLS = {
+    "scenes": ["--json"],
+    "doctor": ["--json", "--compile"],
+    "new": ["my.py"],
+    "run": [
+        f"slide --set mu=0.2 {SHORT} {SOLVED} --polish --on-fail raise -o new.h5 --json",
+        "slide --time 0.08 --dt 1e-2 --resume plain.h5 --every 2 --no-contacts",
+        f"slide {SHORT} --html new.html --check --dump-on-fail dumps",
+    ],
+    "sweep": [
+        f"slide --set mu=0.2,0.3 {SHORT} {SOLVED} --polish --on-fail raise --workers 1"
+        " --store s.jsonl --csv s.csv --plot s.pdf --json",
+    ],
+    "study": [
+        f"slide --dt 2e-2,1e-2 --set mu=0.2 --time 0.04 {SOLVED} --on-fail ignore --csv t.csv --plot t.pdf --json",
+    ],
+    "check": [
+        "slide --set mu=0.2 --json",
+        "r.urdf --base free --package-dir . -q 0,0,1,0,0,0,1",
+        "m.xml --keyframe bent",
+    ],
+    "solve": ["p.hdf5 --solver pgs --tol 1e-6 -o solved.hdf5 --json"],
+    "profile": [". --solver pgs --tol 1e-4 --min-contacts 1 --limit 5 --csv p.csv --plot p.png --json"],
+    "bench": ["slip --limit 2 --csv b.csv --plot b.png --json"],
+    "energy": ["run.h5 --by pair --plot e.png --csv e.csv --json"],
+    **{kind: [f"run.h5 --name * --step 2 --csv {kind}.csv"] for kind in ("bodies", "joints", "pairs", "contacts")},
+    "view": ["run.h5 run.h5 -o v.html --forces point --fps 10", "run.h5 --png v.png --at 0.02"],
+    "film": ["run.h5 run.h5 -o f.mp4 --size 200x100 --speed 0.1 --fps 10 --curves none --forces"],
+    "compare": ["run.h5 run.h5 --json"],
+    "plot": ["run.h5 -o k.pdf --kind speed --name arm/* --size 85 60 --style ggplot"],
+}
+ELSEWHERE = {
+    "--dask": "tests/study: a scheduler of its own",
+    "--peer": "tests/bench: engines that need not be installed",
+    "--parquet": "below: pyarrow need not be installed",
+}
+
+
+def parsers():
+    """The parser of every command."""
+    (commands,) = (a for a in command.parser()._actions if isinstance(a, argparse._SubParsersAction))
+    return commands.choices
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("options")
+    setup = nd.scenes.setup("arm_pushes_box")
+    nd.simulate(setup.scene, 0.04, **setup.options(dt=1e-2)).save(path / "run.h5")
+    nd.simulate(nd.scenes.load("slide")(), 0.04, dt=1e-2, every=2, contacts=False, record=path / "plain.h5")
+    nd.fclib.write(path / "p.hdf5", corner_box(mu=0.1, push=(0.5, 0.2))[0])
+    (path / "m.xml").write_text(MUJOCO)
+    (path / "r.urdf").write_text(URDF)
+    return path
+
+
+def test_no_option_is_left_out():
+    assert set(CALLS) == set(parsers())
+    for name, parser in parsers().items():
+        given = {word for call in CALLS[name] for word in call.split()} | ELSEWHERE.keys() | {"-h"}
+        left = [a.option_strings for a in parser._actions if a.option_strings and not given & set(a.option_strings)]
+        assert not left, f"nsdyn {name}: {left}"
+
+
+@pytest.mark.parametrize("call", [f"{name} {call}" for name, calls in CALLS.items() for call in calls])
+def test_options(folder, monkeypatch, capsys, call):
+    from nsdyn._kernels import ahead
+    from nsdyn.bench import cases
+
+    name, *words = call.split()
+    if name == "film" and not shutil.which("ffmpeg"):
+        pytest.skip("no ffmpeg")
+    if name in ("film", "view") and browser.chromium() is None:
+        pytest.skip("no Chromium")
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(cases, "STEPS", (0.5,))
+    monkeypatch.setattr(ahead, "compile_examples", lambda group: None)
+    code = cli.main([name, *words])
+    out, err = capsys.readouterr()
+    assert code == 0, err
+    if "--json" in words:
+        json.loads(out)
+    for option in ("-o", "--csv", "--plot", "--store", "--html", "--png"):
+        if option in words:
+            assert (folder / words[words.index(option) + 1]).stat().st_size > 0
+
+
+@pytest.mark.parametrize("kind", ["bodies", "joints", "pairs", "contacts"])
+def test_parquet_has_the_headers_of_csv(folder, monkeypatch, kind):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    monkeypatch.chdir(folder)
+    assert cli.main([kind, "run.h5", "--parquet", f"{kind}.parquet", "--csv", f"{kind}.csv"]) == 0
+    names = parquet.read_table(f"{kind}.parquet").column_names
+    assert (folder / f"{kind}.csv").read_text().partition("\n")[0] == ",".join(names)
+    assert "t [s]" in names
+
+
+def test_a_tolerance_without_its_sign_is_told(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    for option in ("--tol", "--loose"):
+        assert cli.main(["run", "slide", *SHORT.split(), option, "1e8"]) == 2
+        said = f"did you mean 1e-08? {option} must be at most 1 m/s, got 1e+08"
+        assert said in capsys.readouterr().err
+
+
+def test_round_off_of_a_sweep_is_shown_as_none(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert cli.main(["sweep", "slide", "--set", "mu=0.5", "--time", "0.6", "--dt", "1e-2", "--workers", "1"]) == 0
+    head, row = capsys.readouterr().out.splitlines()
+    cells = [cell for cell in head.split("  ") if cell]  # two blanks or more are between them
+    shown = dict(zip((cell.strip() for cell in cells), row.split(), strict=True))
+    assert shown["kinetic [J]"] == "0" and np.isclose(float(shown["displacement [m]"]), 0.407, atol=0.01)
