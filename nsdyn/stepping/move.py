@@ -272,7 +272,7 @@ def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> R
             contacts, memory = reached(s, contacts, begin, middle.placement, seen.memory)
             seen = seen._replace(memory=memory)
         return Reach(contacts, joints, seen)
-    contacts = caught(s, contacts, begin, middle.placement, v, half.ahead, barred)
+    contacts = caught(s, contacts, begin, half, barred)
     if joints is not None:
         joints = caught_limits(s, joints, begin, v, half.ahead, barred)
     return Reach(contacts, joints, seen)

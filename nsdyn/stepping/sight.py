@@ -19,8 +19,9 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
-from nsdyn.dynamics.values import Placement
+from nsdyn.dynamics.values import Middle, Placement
 from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among, take
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -51,36 +52,43 @@ class Unmet(NamedTuple):
     limit: Array
 
 
-def caught(
-    s: System, contacts: ContactSet, begin: Instant, placement: Placement, v: Array, ahead: float, barred: Index
-) -> ContactSet:
+def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: Index) -> ContactSet:
     """Contacts that a move need not leave alone: closed where it begins, or neither barred nor deep, and at rest soon.
 
     What parts there after a rebound is left alone, too: where bodies turn, it may strike again within the move. What
     pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
     that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
     """
-    c, before, rate = contacts, begin.contacts, s.theta / ahead * (v - begin.v)
-    gap = before.gap
+    d, c, before, (there, v) = s.dynamics, contacts, begin.contacts, (half.middle.placement, half.forces.foreseen)
+    gap, rate = before.gap, (v - begin.v) / half.h
     if s.elastic and _few.any_below(gap, s.closed) and _few.most(before.restitution) > 0.0:
-        gap, there = np.empty(gap.size), begin.placement
-        where = before.frame1, before.frame2, before.point, before.normal, there.x
-        motion = s.dynamics.twists(there, begin.v), s.dynamics.twists(there, rate)
-        _sight.parting(where, before.gap, before.restitution, motion, (s.closed, s.solver.tol, s.bounces), gap)
+        gap, here = np.empty(gap.size), begin.placement
+        where = before.frame1, before.frame2, before.point, before.normal, here.x
+        motion, carried = (d.twists(here, begin.v), d.twists(here, rate)), _carried(d, before, begin, half.surfaces[0])
+        _sight.parting(where, carried, before.gap, before.restitution, motion, (s.closed, s.solver.tol, s.bounces), gap)
     if _law.all_known(c.key, before.key, gap, s.closed):
         return contacts
     out, warm = np.empty(c.gap.size, np.bool_), begin.warm
     _sight.caught(
         (c.key, s.detector.codes(c), s.deep(c), c.gap, c.restitution),
-        (c.frame1, c.frame2, c.point, c.normal, placement.x),
-        tuple([s.dynamics.twists(placement, w) for w in (begin.v, v, rate)]),
+        (c.frame1, c.frame2, c.point, c.normal, there.x),
+        _carried(d, c, half.middle, half.surfaces[1]),
+        tuple([d.twists(there, w) for w in (begin.v, v, rate)]),
         (before.key, gap, s.closed),
         (warm.key, warm.pair, warm.status),
-        (ahead, ahead / s.theta, s.solver.tol, s.bounces),
+        (half.ahead, half.h, s.solver.tol, s.bounces),
         barred,
         out,
     )
     return take(contacts, out)
+
+
+def _carried(d: Dynamics, contacts: ContactSet, at: Instant | Middle, twists: Array) -> Array:
+    """What moving surfaces of such twists (surfaces, 2, 3) add to normal velocities, shape (nc,), m/s."""
+    if not d.surfaces.count:
+        return np.zeros(contacts.gap.size)
+    out: Array = (contacts.normal * d.surfaces.velocities(contacts, at.position.driven_x, twists)).sum(axis=1)
+    return out
 
 
 def caught_limits(

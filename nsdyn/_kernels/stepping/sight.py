@@ -16,23 +16,23 @@ def rests_of(weight, e, bounces):
 
 
 @in_place
-def parting(where, gap, restitution, twists, sizes, out):
+def parting(where, carried, gap, restitution, twists, sizes, out):
     """Gaps, into out (nc,), infinite of elastic contacts that are closed, but part faster than what rests.
 
-    `where` and twists, those of the velocity and of the free acceleration, as of `law.approach_of`; sizes = (what
-    counts as closed, tolerance, bounces).
+    `where` and twists, those of the velocity and of the free acceleration, as of `law.approach_of`; carried (nc,) is
+    what moving surfaces add to the former, m/s; sizes = (what counts as closed, tolerance, bounces).
     """
     (velocity, rate), (closed, tol, bounces) = twists, sizes
     for c in range(out.size):
         out[c] = gap[c]
         if restitution[c] > 0.0 and gap[c] <= closed:
             rests = rests_of(weight_of(c, where, rate), restitution[c], bounces)
-            if approach_of(c, where, velocity) > tol + rests:
+            if approach_of(c, where, velocity) + carried[c] > tol + rests:
                 out[c] = math.inf
 
 
 @kernel
-def caught(contacts, where, twists, before, warm, sizes, barred, out):
+def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
     """Which contacts a move need not leave alone, into out (nc,): those `known` of those before, and others.
 
     Those are shallow, neither of a pair barred nor elastic and striking.
@@ -43,6 +43,8 @@ def caught(contacts, where, twists, before, warm, sizes, barred, out):
         keys, pairs, depth at which each is deep, gaps and restitution.
     where : tuple
         As of `law.approach_of`.
+    carried : ndarray, shape (nc,)
+        What moving surfaces add to normal velocities, m/s.
     twists : tuple
         Those of the velocity where the move begins, of the free one and of the free acceleration.
     before : tuple
@@ -69,6 +71,7 @@ def caught(contacts, where, twists, before, warm, sizes, barred, out):
         if not status[c] > 0:
             # What bears one of two bodies that fall together is not known here: it might be as if the other fell alone.
             u = min(approach_of(c, where, free), u - h * weight)
+        u += carried[c]
         shallow = gap[c] + ahead * u > -deep[c]
         for b in barred:
             shallow = shallow and b != pair[c]
