@@ -27,14 +27,14 @@ class Tuning:
     cost: int = 64
     """Sweeps that count as a factorisation, as they do in a wall."""
 
-    lengths: tuple[int, ...] = (24, 72, 216, 648, 1944)
+    lengths: tuple[int, ...] = (8, 24, 72, 216, 648, 1944)
     """What Newton takes in each round. It goes on where it was, unless another has found better meanwhile."""
 
     sweep: int = 20
     """What sweeps with momentum take in each round."""
 
     path: tuple[int, int] = (40, 500)
-    """What the path of smoothed laws takes at least, unless it is not begun, and at most; once, in the third round."""
+    """What the path of smoothed laws takes at least, unless it is not begun, and at most; once, in the second round."""
 
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
@@ -158,7 +158,7 @@ class Search:
                 self.sweep(TUNING.sweep)
             if not self.over:
                 self.newton(length, self.tol)
-            if not self.over and k == 2:
+            if not self.over and k == 1:
                 self.follow(TUNING.path[1])
         if self.best <= self.tol:
             self.converge(self.sharp)
@@ -175,7 +175,7 @@ class Auto:
 
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
-    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time; in the third one also the
+    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time; in the second one also the
     path of smoothed laws, from nothing. Sweeps and Newton go on where they were, or begin anew where another has found
     better. A problem given by W alone, which need not be symmetric, has the sweeps of the first round in one kernel
     call, and the same means after that.
