@@ -79,14 +79,7 @@ def _packed(
         raise ValueError(f"the state is not finite from t = {t[np.argmin(finite)]:g} s on")
     hits = marks.find(trajectory)
     strongest = np.argsort(-hits.impulse * hits.speed, kind="stable")[:MAX_IMPACTS]
-    if math.isinf(fps) and fps > 0:
-        rows = np.arange(t.size)
-    else:
-        rows = keyframes.choose(t, fps, max_frames, hits.step[strongest].tolist())
-    if at is not None:
-        if not t[0] <= at <= t[-1]:
-            raise ValueError(f"at must lie between {t[0]:g} and {t[-1]:g} s, got {at}")
-        rows = keyframes.nearest(t, np.array([at]))
+    rows = _chosen(t, fps, max_frames, at, hits.step[strongest].tolist())
     view = view or View([trajectory])
     values, arrays = _scene(trajectory, view)
     arrays["t"] = t[rows]
@@ -130,6 +123,16 @@ def _packed(
         values |= {"forces": bool(forces), "units": units, "lengths": lengths}
     values |= {"label": label or values["name"], "picture": at is not None, "notes": [] if at is not None else notes}
     return payload.pack(values, arrays)
+
+
+def _chosen(t: Array, fps: float, most: int, at: float | None, needed: list[int]) -> Index:
+    """The states shown: so many a second, with those needed, all if that is infinite; or the one at a time, s."""
+    rows = np.arange(t.size) if math.isinf(fps) and fps > 0 else keyframes.choose(t, fps, most, needed)
+    if at is None:
+        return rows
+    if not t[0] <= at <= t[-1]:
+        raise ValueError(f"at must lie between {t[0]:g} and {t[-1]:g} s, got {at}")
+    return keyframes.nearest(t, np.array([at]))
 
 
 def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
