@@ -268,17 +268,11 @@ def _until_event(
     far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))
     wide, moves = float(far.max(initial=s.closed)), {h: m}
 
-    def least(left: Unmet | None) -> float:
-        """Least gap of what is hit; 0 where the difference does not matter."""
-        gaps = NOTHING if left is None else left.gap[among(left.code, barred)]
-        gap = float(gaps.min()) if gaps.size else wide
-        return 0.0 if abs(gap) <= 1e-3 * s.closed else gap
-
     def gap(time: float) -> float:
         if time not in moves:
             effort.spend(begin)
             moves[time] = _try(s, loads, begin, t, time, barred)
-        return least(moves[time].unmet)
+        return _least(moves[time].unmet, barred, wide, 1e-3 * s.closed)
 
     low, high, length, misses = 0.0, h, h, 0
     for _ in range(LOOKS):
@@ -295,6 +289,13 @@ def _until_event(
             break
     best, located = moves[length], abs(gap(length)) <= limit
     return (length, best) if located else capture()
+
+
+def _least(left: Unmet | None, barred: Index, wide: float, none: float) -> float:
+    """Least gap of what is barred, `wide` where none of it is near; 0 where it is no more than `none`, m or rad."""
+    gaps = NOTHING if left is None else left.gap[among(left.code, barred)]
+    gap = float(gaps.min()) if gaps.size else wide
+    return 0.0 if abs(gap) <= none else gap
 
 
 def _first_touch(s: System, begin: Instant, m: Trial, barred: Index) -> float:
