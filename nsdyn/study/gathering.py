@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import suppress
 from multiprocessing import get_context
 from typing import Any
 
@@ -17,9 +14,6 @@ __all__ = ["gather"]
 MESSAGES = 128
 """Most messages with tasks to an executor: one to a dask scheduler and back costs 10 ms of processor time, so that many
 short tasks go together, and so few of all that a message that is lost, or comes late, does not matter."""
-
-HEARD = 2.0
-"""Seconds in which an interruption by a terminal ends a run."""
 
 Tasks = Mapping[int, tuple[Any, ...]]
 Outcome = tuple[int, Any, str]
@@ -84,11 +78,6 @@ def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Ite
                         tried.add(k)
                         waiting.append(k)
     finally:
-        # Of a sweep that is interrupted: so are they, unless a terminal has done it.
-        for future in wait(running, timeout=HEARD).not_done:
-            for pid in list(pools[running[future][1]]._processes):
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGINT)
         for one in pools:
             one.shutdown(cancel_futures=True)
 

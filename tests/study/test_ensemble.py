@@ -243,15 +243,6 @@ def test_ctrl_c_of_two_workers_loses_no_run_that_is_told(tmp_path):
     assert sorted(json.loads(row)["parameters"]["mu"] for row in after) == [float(f"0.{k}") for k in range(2, 10)]
 
 
-def test_an_interrupted_sweep_waits_for_no_process():
-    """As `kill -INT` sends it, to the first process alone."""
-    outcomes = gathering.gather(time.sleep, {0: (0.0,), 1: (600.0,)}, 2)
-    assert next(outcomes) == (0, None, "")
-    begun = time.monotonic()
-    outcomes.close()
-    assert time.monotonic() - begun < 20.0
-
-
 def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):
     """Runs that are stored are not run again, a line that a kill has cut is; another sweep is refused."""
     runs, store = tmp_path / "runs", tmp_path / "s.jsonl"
