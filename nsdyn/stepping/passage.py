@@ -148,9 +148,9 @@ def _pass(
     if found is None:
         found, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
     now, rate, clear, done, solved, works = found
-    # No contact works on bodies but those that move as prescribed.
-    d, idle = s.dynamics, not s.dynamics.surfaces.count
-    gained = sum(w.integration + w.projection + idle * max(0.0, w.normal + w.friction) for w in works)
+    d, gained = s.dynamics, sum(w.integration for w in works)
+    if not (s.elastic or d.surfaces.count):  # where nothing rebounds or is driven contacts only take energy
+        gained += sum(w.projection + max(0.0, w.normal + w.friction) for w in works)
     if gained > 0.0 and not d.trees:  # which keep their own errors small
         # Where all is at rest, what gravity gives in a step is the scale.
         sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * rate))
