@@ -227,7 +227,7 @@ class Rows:
         self.balls = pressed
         if not bases and not pressed.size:
             return
-        disks = np.flatnonzero(ball)
+        disks = self._disks = np.flatnonzero(ball)
         self.balls, self._shared = pressed[disks], np.hypot(clutch[0, disks], clutch[0, disks + 1])
         z_start = np.cumsum([0, *(Z.size for Z in bases.values())])
         self._z = np.concatenate([np.empty(0), *(Z.ravel() for Z in bases.values())])
@@ -245,12 +245,11 @@ class Rows:
     @property
     def shares(self) -> Array:
         """What presses both parts of the friction of ball joints, shape (balls, 2), N m s."""
-        disks = np.flatnonzero(np.isin(self._pressed, self.balls))
-        return np.column_stack((self._impulse[disks], self._impulse[disks + 1]))
+        return np.column_stack((self._impulse[self._disks], self._impulse[self._disks + 1]))
 
     def sharing(self, angle: Array) -> Rows:
         """The same with the friction of ball joints parted by the angles α (balls,), rad."""
-        out, disks = copy(self), np.flatnonzero(np.isin(self._pressed, self.balls))
+        out, disks = copy(self), self._disks
         out._impulse, out.press = self._impulse.copy(), self.press.copy()
         out._impulse[disks], out._impulse[disks + 1] = self._shared * np.cos(angle), self._shared * np.sin(angle)
         both = np.concatenate((disks, disks + 1))

@@ -19,7 +19,7 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
-from nsdyn.dynamics.values import Middle, Placement
+from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among, take
@@ -64,7 +64,8 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
     if s.elastic and _few.any_below(gap, s.closed) and _few.most(before.restitution) > 0.0:
         gap, here = np.empty(gap.size), begin.placement
         where = before.frame1, before.frame2, before.point, before.normal, here.x
-        motion, carried = (d.twists(here, begin.v), d.twists(here, rate)), _carried(d, before, begin, half.surfaces[0])
+        motion = d.twists(here, begin.v), d.twists(here, rate)
+        carried = _carried(d, before, begin.position.driven_x, half.surfaces[0])
         _sight.parting(where, carried, before.gap, before.restitution, motion, (s.closed, s.solver.tol, s.bounces), gap)
     if _law.all_known(c.key, before.key, gap, s.closed):
         return contacts
@@ -72,7 +73,7 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
     _sight.caught(
         (c.key, s.detector.codes(c), s.deep(c), c.gap, c.restitution),
         (c.frame1, c.frame2, c.point, c.normal, there.x),
-        _carried(d, c, half.middle, half.surfaces[1]),
+        _carried(d, c, half.middle.position.driven_x, half.surfaces[1]),
         tuple([d.twists(there, w) for w in (begin.v, v, rate)]),
         (before.key, gap, s.closed),
         (warm.key, warm.pair, warm.status),
@@ -81,14 +82,6 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
         out,
     )
     return take(contacts, out)
-
-
-def _carried(d: Dynamics, contacts: ContactSet, at: Instant | Middle, twists: Array) -> Array:
-    """What moving surfaces of such twists (surfaces, 2, 3) add to normal velocities, shape (nc,), m/s."""
-    if not d.surfaces.count:
-        return np.zeros(contacts.gap.size)
-    out: Array = (contacts.normal * d.surfaces.velocities(contacts, at.position.driven_x, twists)).sum(axis=1)
-    return out
 
 
 def caught_limits(
@@ -148,9 +141,14 @@ def approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) 
 
 def parting(d: Dynamics, contacts: ContactSet, there: Placement, v: Array, driven_x: Array, surfaces: Array) -> Array:
     """The same where driven bodies at such positions (nd, 3) and surfaces have such twists (surfaces, 2, 3)."""
-    out = approach(d, contacts, there, v)
-    if d.surfaces.count:
-        out += (contacts.normal * d.surfaces.velocities(contacts, driven_x, surfaces)).sum(axis=1)
+    return approach(d, contacts, there, v) + _carried(d, contacts, driven_x, surfaces)
+
+
+def _carried(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array) -> Array:
+    """What these add to normal velocities, shape (nc,), m/s."""
+    if not d.surfaces.count:
+        return np.zeros(contacts.gap.size)
+    out: Array = (contacts.normal * d.surfaces.velocities(contacts, driven_x, surfaces)).sum(axis=1)
     return out
 
 

@@ -79,10 +79,12 @@ def test_script_runs(script, tmp_path, monkeypatch, capsys):
         "--bad --begin 85 --seed 3",
         "--bad --begin 679 --seed 3",
         "--bad --begin 200 --seed 4",
+        "--begin 34 --seed 77",
+        "--begin 182 --seed 20261125",
     ],
 )
 def test_random_scenes_in_which_something_was_found(scene, monkeypatch, capsys):
-    """Turned by projections and by rolling resistance, impulses that are round-off, needles and grains of 1e-5 m."""
+    """Turned by projections and by rolling resistance, impulses that are round-off, needles, grains of 1e-5 m, belts."""
     out = printed("anything.py", ["--count", "1", *scene.split()], monkeypatch, capsys)
     assert "1 scenes: {'passed': 1}" in out, out
 

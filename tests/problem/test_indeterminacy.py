@@ -10,11 +10,24 @@ from mechanisms import at
 from scipy.optimize import linprog
 
 import nsdyn as nd
+from nsdyn._kernels.problem import paradox as kernels
 from nsdyn.problem import paradox
 from nsdyn.problem.solution import TOLD
 
 GRIP = nd.Material(mu=0.5)
 SMOOTH = nd.Material(mu=0.0)
+
+
+def test_no_contact_with_several_solutions_is_passed_over():
+    """Those of one contact are counted by directions of slip; all of them are roots of a quartic."""
+    rng, several = np.random.default_rng(3), 0
+    for _ in range(1500):
+        A, mu, q = rng.normal(size=(3, 3)), rng.uniform(0.3, 3.0), rng.normal(size=3)
+        W = A @ A.T
+        if W[0, 0] < mu * np.hypot(W[0, 1], W[0, 2]) and len(paradox.all_of_one(W, q, mu)) > 1:
+            several += 1
+            assert kernels._count(W, q, mu) > 1, (W, q, mu)
+    assert several > 30
 
 
 # -- impulses -----------------------------------------------------------------------------------------------------

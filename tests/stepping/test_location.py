@@ -47,3 +47,18 @@ def test_a_touch_is_found_at_once_where_something_else_presses(speed, gap, monke
     stepper = nd.Stepper(plank(speed, gap), dt=1e-2)
     # One over the step, two of Newton's method, one for the rest of it, and one to spare.
     assert moves(stepper, monkeypatch) <= 5
+
+
+def test_what_comes_to_rest_on_a_shaking_plate_is_located_no_more(monkeypatch):
+    """Its speed is that on the plate: by its own it would strike all the time, and took 400 moves a step."""
+    scene, grip = nd.Scene(), nd.Material(0.5, 0.3)
+    scene.add_box("plate", (4, 4, 0.2), fixed=True, position=(0, 0, -0.1), material=grip)
+    scene.set_motion("plate", lambda t: ((0.1 * np.cos(7 * t), 0, 0.5 * np.cos(30 * t)), (0, 0, 0.2 * np.sin(5 * t))))
+    scene.add_sphere("ball", 0.1, 1.0, position=(1, 1, 0.1), material=grip)
+    stepper = nd.Stepper(scene, dt=5e-3)
+    tried = []
+    for _ in range(60):
+        with monkeypatch.context() as patched:
+            tried.append(moves(stepper, patched))
+    assert sum(tried) < 400  # of 60 steps, among them those in which it hops and bounces
+    assert max(tried[41:50]) <= 2  # where it rests
