@@ -17,7 +17,7 @@ from nsdyn.problem.solution import Solution
 from nsdyn.stepping import free as _free
 from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
-from nsdyn.stepping.encounter import SOLVES, Closing, Encounter, Way, foresee
+from nsdyn.stepping.encounter import Closing, Encounter, foresee
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Impulses, Instant, System, account, among, take
@@ -26,6 +26,7 @@ from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, parting, reached, shown, touched
+from nsdyn.stepping.solving import SOLVES, Way
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.displacements import displacement
 

@@ -22,7 +22,8 @@ from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn.collision.contacts import ContactSet, Looked, Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.stepping.encounter import Encounter, Way, solve
+from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.solving import Way, solve
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:

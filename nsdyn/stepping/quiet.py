@@ -21,7 +21,7 @@ from nsdyn.problem.gauss import WEAK, Certificate, Opening
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import LIMITS, Auto, sharp
 from nsdyn.solvers.newton import MARGIN
-from nsdyn.stepping.encounter import Encounter, Way, foresee, solve
+from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.flat import Flat, Found
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
@@ -30,6 +30,7 @@ from nsdyn.stepping.move import tree_works
 from nsdyn.stepping.persistence import NO_COUPLE, unfinished
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import approach
+from nsdyn.stepping.solving import Way, solve
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Moves", "Quiet", "quiet_trees"]

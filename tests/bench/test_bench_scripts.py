@@ -84,7 +84,7 @@ def test_script_runs(script, tmp_path, monkeypatch, capsys):
     ],
 )
 def test_random_scenes_in_which_something_was_found(scene, monkeypatch, capsys):
-    """Turned by projections and by rolling resistance, impulses that are round-off, needles, grains of 1e-5 m, belts."""
+    """Turned by projections and rolling resistance, impulses that are round-off, belts, needles, grains of 1e-5 m."""
     out = printed("anything.py", ["--count", "1", *scene.split()], monkeypatch, capsys)
     assert "1 scenes: {'passed': 1}" in out, out
 

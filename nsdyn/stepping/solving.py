@@ -1,0 +1,115 @@
+"""The problem of a move, solved until contacts slip as foreseen and ball joints along their friction."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn._kernels.stepping import law as _law
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.solvers import Graded, Solver
+from nsdyn.stepping.ball_joints import SHARES, Search, angles
+from nsdyn.stepping.encounter import Closing, Encounter
+from nsdyn.tools.arrays import Array, Bools
+
+__all__ = ["SOLVES", "Way", "solve"]
+
+SOLVES = 3
+"""Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
+that stop, whose slip would else be turned round."""
+
+
+class Way(NamedTuple):
+    """How the problem of a move is posed and solved.
+
+    Attributes
+    ----------
+    closing : Closing
+    back : bool
+        Whether only contacts that stop are to be changed, of those that slip otherwise than foreseen.
+    most : int
+        Most solves more for them.
+    rough : bool
+        Whether what `Graded.roughly` gives is enough.
+    shares : int
+        Most solves more for the friction of ball joints.
+    """
+
+    closing: Closing
+    back: bool
+    most: int
+    rough: bool = False
+    shares: int = SHARES
+
+
+def solve(
+    met: Encounter, solver: Solver, last: Solution | None, slides: Bools, way: Way
+) -> tuple[Encounter, FC3D, Solution, bool]:
+    """What is met, impulses that make it obey the contact law, their problem, and whether some slip otherwise.
+
+    Parameters
+    ----------
+    met : Encounter
+    solver : Solver
+    last : Solution, optional
+        Of the same move with other contacts, or rough. Where it has not converged no more is asked for than
+        `Graded.loosely` gives.
+    slides : ndarray of bool, shape (nc,)
+        Which contacts slide through, as `foresee` says; changed to what the impulses show.
+    way : Way
+    """
+    if not met.rows.balls.size:
+        return met, *_solve(met, solver, last, slides, way)
+    rows, local = met.rows, met.local
+    pushed, free = rows.ball_axes(local[4]), rows.ball_axes(local[2])
+    met = met.sharing(angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free)), local[4])
+    problem, solution, otherwise = _solve(met, solver, last, slides, way)
+    search = Search()
+    for _ in range(way.shares):
+        if (angle := search.next(met.rows, solution.r, solution.u, problem.scales)) is None:
+            break
+        met = met.sharing(angle, solution.r)
+        problem, solution, otherwise = _solve(met, solver, solution, slides, way)
+    return met, problem, solution, otherwise
+
+
+def _solve(
+    met: Encounter, solver: Solver, last: Solution | None, slides: Bools, way: Way
+) -> tuple[FC3D, Solution, bool]:
+    """The same with the shares that the friction of ball joints has."""
+    closing, back, most, rough, _ = way
+    if met.posed is not None:
+        problem = met.posed
+    elif met.alike is not None:
+        problem = met.alike.with_velocity(met.offsets(slides, closing))
+    else:
+        problem = FC3D.from_blocks(met.rows.blocks, met.offsets(slides, closing), met.mu)
+    solution = _again(solver, last, problem, met.local[4], rough)
+    for k in range(most + 1):
+        shown = solution.r, solution.u, problem.q
+        if not _law.reconsider(*shown, met.mu, met.local, slides, back or k > 0):
+            return problem, _held(met, solver, problem, solution), False
+        if k < most:
+            problem = problem.with_velocity(met.offsets(slides, closing))
+            solution = _again(solver, solution, problem, solution.r, rough)
+    return problem, _held(met, solver, problem, solution), True
+
+
+def _held(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) -> Solution:
+    """The solution with the impulses that clutches have, beyond any tolerance."""
+    r = met.rows.held(solution.r)
+    if r is solution.r:
+        return solution
+    _, error, residual, u = problem.solved(r, solver.tol)
+    return solution._replace(r=r, u=u, error=error, residual=residual)
+
+
+def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, rough: bool) -> Solution:
+    """Solve a problem roughly where that is enough, and one that follows on a loose or rough solution as loosely."""
+    if rough and isinstance(solver, Graded) and (found := solver.roughly(problem, r)) is not None:
+        return found
+    if last is not None and not last.converged and isinstance(solver, Graded):
+        return solver.loosely(problem, r)
+    return solver(problem, r)
