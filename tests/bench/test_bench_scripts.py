@@ -34,6 +34,7 @@ SCRIPTS = {
         ["slide", "--time", "0.1", "--size", "400", "300", "--frames", "15"],
         r"slide: [\d.]+ MB, made in [\d.]+ s\nopens in [\d.]+ s\nscrubs at \d+ pictures a second",
     ),
+    "landing.py": (["--links", "3", "--time", "0.3"], r"nsdyn +[\d.]+ +[\d.]+ +[\d.]+  0 steps above the tolerance"),
     "quadruped.py": (["--time", "0.05", "--robots", "1"], r"nsdyn +0.005 +1 +\d+"),
 }
 

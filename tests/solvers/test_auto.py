@@ -1,5 +1,6 @@
 """The portfolio and the interior point method on what defeats other solvers: cold, redundant, unsymmetric, mixed."""
 
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ from nsdyn._kernels.literature import interior as kernels
 from nsdyn._kernels.problem import linear
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.operators import Local, Velocity
+from nsdyn.solvers import auto
 
+LANDING = Path(__file__).resolve().parents[2] / "demos" / "bench" / "landing.py"
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 SOLVERS = ("auto", "continuation", "interior")
 
@@ -227,3 +230,16 @@ def test_one_contact_that_two_coordinates_move(rng):
         H = rng.normal(size=(2, 3))
         problem = nd.FC3D.from_blocks(Blocks.from_delassus(H.T @ H), rng.normal(size=2) @ H, rng.uniform(0.0, 1.5, 1))
         assert nd.solve(problem).converged
+
+
+def test_small_islands_of_redundant_contacts_need_nothing_else(tmp_path, monkeypatch):
+    """A chain of twenty light links lands on twice as many rows as coordinates: impulses are far from unique."""
+    searched, most, path = [], 0, tmp_path / "chain.xml"
+    monkeypatch.setattr(auto.Search, "run", lambda search: searched.append(search.problem.nc))
+    path.write_text(runpy.run_path(str(LANDING))["mjcf"](20))
+    scene = nd.Scene()
+    scene.add_mjcf("chain", path)
+    stepper = nd.Stepper(scene, dt=2e-3, on_fail="raise")
+    for _ in range(330):
+        most = max(most, stepper.step().gap.size)
+    assert 3 * most > 2 * 26 and not searched
