@@ -138,7 +138,7 @@ def test_gripper_presses_with_half_the_force_on_each_side():
 
 
 def test_urdf_mimic(tmp_path):
-    """The reader makes the gear, in a chain, and starts where it says; a model built with mimic joints is refused."""
+    """The reader makes the gear, in a chain, and starts where it says."""
     path = tmp_path / "r.urdf"
     mimic = '<mimic joint="j" multiplier="-2" offset="0.1"/>'
     path.write_text(MIMIC.format(body=INERTIAL, kind="revolute", parent="a", mimic=mimic))
@@ -149,9 +149,6 @@ def test_urdf_mimic(tmp_path):
     assert nd.check(run).passed, nd.check(run)
     assert np.ptp(run.q[:, 0]) > 0.1
     np.testing.assert_allclose(run.q[:, 1], 0.1 - 2 * run.q[:, 0], rtol=0.0, atol=1e-12)
-    model = pin.buildModelFromXML(path.read_text(), mimic=True)
-    with pytest.raises(ValueError, match=r"model of 'a' must have no mimic joints, 'k' is one: .* Scene.add_urdf"):
-        nd.Scene().add_model("a", model)
     for before, after, words in (
         ('joint="j" m', 'joint="i" m', "joint1 of mimic of 'k' must be one of"),
         ('joint="j" m', 'joint="k" m', "joint2 of mimic of 'k' must be another than joint1"),
@@ -160,6 +157,45 @@ def test_urdf_mimic(tmp_path):
         path.write_text(MIMIC.format(body=INERTIAL, kind="revolute", parent="a", mimic=mimic).replace(before, after))
         with pytest.raises(ValueError, match=words):
             nd.Scene().add_urdf("r", path)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_mimic_joints_of_a_model(tmp_path, kind):
+    """They move as the gears of the same URDF file do, and have the kinetic energy that Pinocchio's own have."""
+    text = MIMIC.format(body=INERTIAL, kind=kind, parent="a", mimic='<mimic joint="j" multiplier="-2" offset="0.1"/>')
+    path = tmp_path / "r.urdf"
+    path.write_text(text)
+    model, runs = pin.buildModelFromXML(text, mimic=True), []
+    for add, given in (("add_urdf", path), ("add_model", model)):
+        scene = nd.Scene(gravity=(1.0, 2.0, -9.81))
+        getattr(scene, add)("r", given)
+        runs.append(nd.simulate(scene, 0.5, 5e-3, controller=lambda t, q, v: {"r": (1.0, 0.0)}))
+    assert model.nv == 1 and scene.articulations["r"].q.tolist() == [0.0, 0.1]
+    np.testing.assert_allclose(runs[1].q, runs[0].q, rtol=0.0, atol=1e-12)
+    assert nd.check(runs[1]).passed and np.ptp(runs[1].q[:, 0]) > 0.05
+    M = pin.crba(model, model.createData(), runs[1].q[-1, :1])
+    energy = 0.5 * runs[1].v[-1, 0] ** 2 * M[0, 0]
+    np.testing.assert_allclose(runs[1].energy.kinetic[-1], energy, rtol=1e-12)
+
+
+def test_mimic_joints_keep_what_the_others_have():
+    """Coordinates after a mimic joint keep their limits, friction and inertia; what cannot mimic is named."""
+    model = model_of(pin.JointModelRY(), pin.JointModelPrismaticUnaligned(np.array([0.6, 0.8, 0.0])), chain=True)
+    last = model.addJoint(2, pin.JointModelRX(), pin.SE3.Identity(), "last")
+    model.appendBodyToJoint(last, pin.Inertia(2.0, np.array([0.0, 0.1, 0.2]), np.eye(3)), pin.SE3.Identity())
+    model.upperPositionLimit, model.armature = np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3])
+    model.upperDryFrictionLimit = np.array([0.4, 0.5, 0.6])
+    model.lowerDryFrictionLimit = -model.upperDryFrictionLimit
+    scene = nd.Scene()
+    scene.add_model("a", pin.transformJointIntoMimic(model, 1, 2, -0.5, 0.2))
+    a = scene.articulations["a"]
+    np.testing.assert_allclose([a.model.upperPositionLimit[k] for k in (0, 2)], [1.0, 3.0])
+    np.testing.assert_allclose((a.armature, a.friction), ((0.1, 0.0, 0.3), (0.4, 0.0, 0.6)))
+    assert a.q.tolist() == [0.0, 0.2, 0.0] and a.gears[0].ratio == -0.5
+    helix = model_of(pin.JointModelRY(), pin.JointModelHX(0.3), chain=True)
+    for kind, ratio in ((helix, 2.0), (model, 0.0)):
+        with pytest.raises(ValueError, match=rf"joint 'j1' of model of 'b' must be .* got the ratio {ratio}: build"):
+            nd.Scene().add_model("b", pin.transformJointIntoMimic(kind, 1, 2, ratio, 0.0))
 
 
 MJCF = """<mujoco><compiler angle="radian"/><worldbody>

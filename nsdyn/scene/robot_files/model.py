@@ -11,7 +11,9 @@ import pinocchio as pin
 
 from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, describe_model
+from nsdyn.scene.gears import following
 from nsdyn.scene.robot_files.inertias import check_mass
+from nsdyn.scene.robot_files.mimics import unfolded
 from nsdyn.scene.robot_files.xml import Notes
 
 __all__ = ["links_of", "read_model"]
@@ -25,12 +27,7 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
         raise ValueError(
             f"geometry_model of {name!r} must be a pinocchio.GeometryModel or None, got {type(geometry).__name__}"
         )
-    for joint, kind in zip(model.names, model.joints, strict=True):
-        if kind.shortname() == "JointModelMimic":
-            raise ValueError(
-                f"model of {name!r} must have no mimic joints, {joint!r} is one: build it without mimic=True and give "
-                "Scene.add_gear the ratio, or read its URDF with Scene.add_urdf, which makes the gear"
-            )
+    model, gears = unfolded(name, model)
     dropped = Notes()
     speeds = np.array(model.upperVelocityLimit)
     fast = [
@@ -55,7 +52,9 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
         if not np.isfinite([body.mass, *body.lever, *body.inertia.ravel()]).all():
             raise ValueError(f"mass and inertia of joint {joint!r} of {name!r} must be finite, got {body}")
         check_mass(body.mass, f"joint {joint!r} of {name!r}")
-    return describe_model(model, links, bodies, dropped=tuple(dropped), filtered=_filtered(geometry))
+    q = following(model, gears, pin.neutral(model))
+    more = {"q": q, "gears": gears, "dropped": tuple(dropped), "filtered": _filtered(geometry)}
+    return describe_model(model, links, bodies, **more)
 
 
 def _filtered(geometry: Any | None) -> frozenset[frozenset[str]]:
