@@ -209,16 +209,16 @@ class Dynamics:
         return Middle(there, after, self._with_others(there, X, R, [half.links for half in halves]), halves)
 
     def end(
-        self, middle: Middle, forces: Forces, v: Array, impulse: Array | None, h: float, twist: Array
+        self, middle: Middle, forces: Forces, v: Array, impulse: Array, h: float, twist: Array
     ) -> tuple[Position, Array, Placement, tuple[TreeEnd, ...]]:
         """(position, velocity, frames, trees) after h s without forces from the middle of a step, which left v there.
 
-        The impulses H r (n,) of contacts and joint rows tell which trees are pushed; None where there are no trees.
+        The impulses H r (n,) of contacts and joint rows tell which trees are pushed.
         """
         position = middle.position
         if self._lone:
             free = forces.trees[0]
-            pushed = free.loads.implicit or (impulse is not None and _few.largest(impulse) > 0.0)
+            pushed = free.loads.implicit or _few.largest(impulse) > 0.0
             only = self.trees[0].end(middle.trees[0], free, v, pushed)
             return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
         x, quaternion, after, X, R = self._flow(position, v, h)
@@ -227,7 +227,7 @@ class Dynamics:
             return there, after, Placement(X, R, ()), ()
         ends = []
         for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            pushed = free.loads.implicit or (impulse is not None and _few.largest(impulse[t.coordinates]) > 0.0)
+            pushed = free.loads.implicit or _few.largest(impulse[t.coordinates]) > 0.0
             ends.append(t.end(half, free, v[t.coordinates], pushed))
             after[t.coordinates] = ends[-1].v
         driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
@@ -346,10 +346,6 @@ class Dynamics:
         if all(map(is_, motions, forces.trees)):
             return forces
         return self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
-
-    def free_forces(self, v: Array) -> Forces:
-        """What acts in a step on free bodies alone, which gravity gives the velocity v."""
-        return Forces(v, v, self.no_load, self.no_load, self._m, self._minv, ())
 
     def inertia(self, position: Position, v: Array) -> Forces:
         """Mass matrices at a position, where no forces act: what impacts meet."""

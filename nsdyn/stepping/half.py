@@ -15,8 +15,7 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn.dynamics.dynamics import Controls, Wrenches
-from nsdyn.dynamics.values import Forces, Middle, Placement, Position
-from nsdyn.stepping import free as _free
+from nsdyn.dynamics.values import Forces, Middle, Position
 from nsdyn.stepping.instant import FAST, Instant, System
 from nsdyn.tools.arrays import Array
 
@@ -77,13 +76,7 @@ class Half(NamedTuple):
 
 def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
     """Half a free flow from the time t, and the forces there, as callbacks say at the velocity v⁻."""
-    d, ahead = s.dynamics, s.theta * h
-    if d.alone and callbacks is None:
-        x, quaternion, v, R, v_free, rate, reach, far, same = _free.half(s, begin, h)
-        middle = Middle(begin.position.moved(x, quaternion), v, Placement(x, R, ()), ())
-        forces, fast = d.free_forces(v_free), far > FAST * s.smallest
-        return Half(h, ahead, t + h, middle, forces, rate, reach, fast, same, STILL_SURFACES, SILENT)
-    surfaces = STILL_SURFACES
+    d, surfaces = s.dynamics, STILL_SURFACES
     if d.surfaces.count:
         begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
         surfaces = begun, d.surfaces.mean(begun, ended, 0.5), ended

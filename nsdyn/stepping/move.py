@@ -14,10 +14,9 @@ from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.stepping import free as _free
 from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
-from nsdyn.stepping.encounter import Closing, Encounter, foresee
+from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Impulses, Instant, System, account, among, take
@@ -119,8 +118,8 @@ class Response(NamedTuple):
     couple : Couple
     v : ndarray, shape (n,)
         v⁺.
-    impulse : ndarray, shape (n,), or None
-        H r of all; None in scenes of free bodies alone.
+    impulse : ndarray, shape (n,)
+        H r of all.
     v_end : ndarray, shape (n,)
     trees : tuple of TreeEnd
     twists : two ndarrays of shape (frames, 3)
@@ -138,7 +137,7 @@ class Response(NamedTuple):
     otherwise: bool
     couple: Couple
     v: Array
-    impulse: Array | None
+    impulse: Array
     v_end: Array
     trees: tuple[TreeEnd, ...]
     twists: tuple[Array, Array]
@@ -279,35 +278,6 @@ def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> R
     return Reach(contacts, joints, seen)
 
 
-def _meet(s: System, begin: Instant, half: Half, reach: Reach, closing: Closing) -> Encounter:
-    """What the impulses of a move act on."""
-    d, middle, forces, (contacts, joints, (_, _, looked)) = s.dynamics, half.middle, half.forces, reach
-    if not d.alone:
-        start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-        every, moving = d.with_actuators(joints, forces), half.surfaces[1:]
-        return Encounter.of(
-            d, contacts, every, middle.seen(looked), forces, start, half.reach, moving, half.h, half.ahead, closing
-        )
-    rows, frame, local, end_gap, place_of, slides, posed = _free.meet(
-        s, contacts, looked, middle.v, forces.v, begin, half.reach, closing, half.h
-    )
-    return Encounter(
-        contacts,
-        None,
-        rows,
-        frame,
-        None,
-        contacts.mu,
-        contacts.restitution,
-        place_of,
-        begin.warm.status,
-        local,
-        end_gap,
-        slides=slides,
-        posed=posed,
-    )
-
-
 def _respond(
     s: System,
     begin: Instant,
@@ -324,9 +294,11 @@ def _respond(
     as do contacts that slide otherwise than foreseen: not where nodes have a label (nodes,), that of their island. Then
     nothing is done to an island because of another, and that is left to see who asks.
     """
-    d, middle, forces, (contacts, _, seen) = s.dynamics, half.middle, half.forces, reach
+    d, middle, forces, (contacts, joints, seen) = s.dynamics, half.middle, half.forces, reach
     closing = s.closing(half.h, barred is None)
-    met = _meet(s, begin, half, reach, closing)
+    start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
+    every, at, moving = d.with_actuators(joints, forces), middle.seen(seen.looked), half.surfaces[1:]
+    met = Encounter.of(d, contacts, every, at, forces, start, half.reach, moving, half.h, half.ahead, closing)
     impact: Impact | None = None
     kick: Array | float = 0.0
     if label is None:
@@ -343,28 +315,19 @@ def _respond(
     way = Way(closing, back, most, rough, SHARES if label is None else 0)
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
-    impulse: Array | None = None
-    trees: tuple[TreeEnd, ...] = ()
     alone, couple = met, NO_COUPLE
     apart = None if label is None else Apart(_of_rows(s, met, label), slides.copy(), np.zeros(slides.size, np.bool_))
     for left in reversed(range(GAPS + 1 if barred is not None else 1)):
         met, problem, solution, otherwise, couple = solve_workless(s, alone, half, known, slides, way, couple, apart)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if impact is None else v + kick
-        if d.alone:
-            at = middle.position
-            v, x, quaternion, v_end, R, twists, same = _free.end(
-                s, at.x, at.quaternion, met.rows, solution.r, v, half.ahead, seen.looked, near
-            )
-            end, there = at.moved(x, quaternion), Placement(x, R, ())
-        else:
-            impulse, v = met.rows.response(solution.r, v)
-            if label is None and (limited := d.within_limits(middle, forces, v)) is not forces:
-                return _respond(s, begin, half._replace(forces=limited), reach, barred, last, rough)
-            if impact is not None:
-                impulse = met.rows.full.momentum(solution.r + impact.r)
-            end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
-            twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
+        impulse, v = met.rows.response(solution.r, v)
+        if label is None and (limited := d.within_limits(middle, forces, v)) is not forces:
+            return _respond(s, begin, half._replace(forces=limited), reach, barred, last, rough)
+        if impact is not None:
+            impulse = met.rows.full.momentum(solution.r + impact.r)
+        end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
+        twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
         if same:
             moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, seen.looked, True)
         else:
@@ -440,7 +403,7 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
         for t, q, there in zip(d.trees, a.moved.position.trees, placed.position.trees, strict=True):
             impulses.joints[4, t.coordinates] = displacement(t.model, q, there)
     energies: Energies = ()
-    if a.impulse is not None:
+    if d.trees:
         own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses, own, left)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
