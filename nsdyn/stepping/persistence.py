@@ -18,12 +18,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels.compiled import clock
 from nsdyn._kernels.stepping import persistence as _persistence
+from nsdyn._kernels.stepping import workless as _workless
 from nsdyn.collision.contacts import ContactSet, Looked, Poses
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.solvers.auto import LIMITS, Auto, sharp
+from nsdyn.solvers.newton import MARGIN
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.solving import Way, solve
+from nsdyn.stepping.solving import Way, pose, solve
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
@@ -84,8 +88,14 @@ class Apart(NamedTuple):
 
     def thawed(self, last: Solution, solution: Solution, which: Bools) -> Solution:
         """The solution in the islands of some contacts (nc,), the last one in all others, to the last bit."""
-        rows = np.repeat(np.isin(self.label, self.label[: which.size][which]), 3)
-        return solution._replace(r=np.where(rows, solution.r, last.r), u=np.where(rows, solution.u, last.u))
+        r, u, islands = solution.r.copy(), solution.u.copy(), np.empty(int(self.label.max(initial=-1)) + 1, np.bool_)
+        _workless.thaw(self.label, which, islands, (last.r, last.u), (r, u))
+        return solution._replace(r=r, u=u)
+
+
+NO_ROWS = np.empty(0, np.bool_)
+TOGETHER = Apart(np.empty(0, np.int64), NO_ROWS, NO_ROWS)
+"""No islands: all is one."""
 
 
 def unfinished(
@@ -157,43 +167,64 @@ def solve_workless(
 ) -> tuple[Encounter, FC3D, Solution, bool, Couple]:
     """`solve`, and couples with which contacts that persist do no work, from `start`; what is met with these.
 
-    Of islands `apart` only those of which a contact is off, or has another couple, change.
+    Of islands `apart` only those of which a contact is off, or has another couple, change. A kernel does all this where
+    `Auto` solves all islands in one, and else asks for a solve when it needs one.
     """
-    middle, forces, alone, R, couple = half.middle, half.forces, met, half.middle.placement.R, start
-    if start.dv.size:
+    d, c, rows, alone = s.dynamics, met.contacts, met.rows, met
+    nc, made, first, otherwise = c.gap.size, start.dv.size > 0, True, False
+    if made:
         met = alone.turned(start.dv, alone.local[4])
-    met, problem, solution, otherwise = solve(met, s.solver, last, slides, way)
-    if apart is not None:
-        apart.keep(slides)
-        solution = solution if last is None or apart.off is None else apart.thawed(last, solution, apart.off)
-    if not s.dynamics.free or not met.stays.any():
-        return met, problem, solution, otherwise, couple
-    nc = met.contacts.gap.size
-    d, c, full = s.dynamics, met.contacts, met.rows.full.arrays
-    pairs, bodies = (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), (R, d.inverse_J, s.arm, half.h)
-    flags = met.stays, met.sticks, slides
-    laws = met.end_gap, met.restitution, met.rebound, met.late, tuple(way.closing)
-    left = np.full(nc, np.inf)
-    for _ in range(PASSES):
-        if not solution.accepted:
+    passes, problem, solution = PASSES if d.free and met.stays.any() else 0, pose(met, slides, way.closing), last
+    label, foreseen, switched, off = apart or TOGETHER
+    couple, dv = (start.impulse.copy(), start.dv.copy()) if made else (np.zeros((nc, 3)), np.zeros(d.n))
+    local, b, r, u = met.local.copy(), problem.q.copy(), met.local[4].copy(), np.empty_like(problem.q)
+    state = couple, dv, np.empty(d.n), np.full(nc, np.inf), np.empty(nc, np.bool_), local, b, r, u
+    solver, work = _means(s, met, way.most), np.empty(nc)
+    while True:
+        code, left, solved, begin = _workless.SOLVE, passes, 0, clock()
+        if solver[0] or not first:
+            code, left, changed, solved, error, residual, count = _workless.workless(
+                rows.full.arrays,
+                (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),
+                (half.middle.v, half.forces.v),
+                (half.middle.placement.R, d.inverse_J, s.arm, half.h),
+                (met.mu, problem.scales, alone.local, *((u, u) if last is None else (last.r, last.u))),
+                (met.stays, met.sticks, slides),
+                (met.end_gap, met.restitution, met.rebound, met.late, tuple(way.closing)),
+                (label, foreseen, switched, NO_ROWS if last is None or off is None else off),
+                solver,
+                (first, way.back, passes),
+                state,
+                work,
+            )
+            otherwise = otherwise or changed
+        if left < passes:
+            problem, made = problem.with_velocity(b.copy()), True
+            met = alone._replace(local=local.copy(), posed=problem)
+        elif solved > 1 or (solved and code == _workless.SOLVE):
+            problem, met = problem.with_velocity(b.copy()), met.otherwise()
+        if solved:
+            solution = Solution(r.copy(), u.copy(), Status.CONVERGED, error, residual, count, clock() - begin)
+        if code == _workless.DONE:
             break
-        velocities = middle.v, forces.v, couple.dv, met.rows.velocity_change(solution.r)
-        turned, other = couple.impulse.copy() if couple.dv.size else np.zeros((nc, 3)), np.empty(nc, np.bool_)
-        dv, local, b = np.empty(d.n), alone.local.copy(), np.empty(solution.r.size)
-        pressed, found = (solution.r, met.mu), (turned, dv, left, other)
-        if not _persistence.turn(full, pairs, velocities, bodies, pressed, flags, laws, found, (local, b)):
-            break
-        couple, met = Couple(turned, NO_COUPLE.work, dv), alone._replace(local=local, posed=problem.with_velocity(b))
-        met, problem, again, changed = solve(met, s.solver, solution, slides, way._replace(back=True))
+        first = first and left == passes
+        which, before = (off, last) if first else (state[4], solution)
+        met, problem, again, changed = solve(met, s.solver, solution, slides, way if first else way._replace(back=True))
         otherwise = otherwise or changed
-        if apart is None:
-            solution = again
-            continue
-        apart.keep(slides)
-        solution = apart.thawed(solution, again, other)
-    if couple.dv.size:
-        work = np.empty(nc)
-        mean = 0.5 * (middle.v + forces.v + couple.dv + met.rows.velocity_change(solution.r))
-        _persistence.works(c.frame1, c.frame2, s.dynamics.free, R, mean, couple.impulse, work)
-        couple = couple._replace(work=work)
-    return met, problem, solution, otherwise, couple
+        if apart is not None:
+            apart.keep(slides)
+            again = again if before is None or which is None else apart.thawed(before, again, which)
+        solution, passes, first = again, left if again.accepted else 0, False
+        r[:], u[:], state[2][:] = again.r, again.u, rows.velocity_change(again.r)
+    if made:
+        start = Couple(couple, work, dv)
+    assert solution is not None  # there was none to go on from, and so a solve
+    return met, problem, solution, otherwise, start
+
+
+def _means(s: System, met: Encounter, most: int) -> tuple[bool, float, float, tuple[int, float, int, int], float, int]:
+    """What solves in passes, as of `_workless.workless`: the kernel does what `Auto` does with small islands."""
+    solver = s.solver
+    if isinstance(solver, Auto) and met.joints is None and met.rows.blocks is met.rows.full:
+        return True, sharp(solver.tol), MARGIN * solver.accept * solver.tol, LIMITS, solver.tol, most
+    return False, 0.0, 0.0, LIMITS, 0.0, most

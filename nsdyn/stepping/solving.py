@@ -14,7 +14,7 @@ from nsdyn.stepping.ball_joints import SHARES, Search, angles
 from nsdyn.stepping.encounter import Closing, Encounter
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["SOLVES", "Way", "solve"]
+__all__ = ["SOLVES", "Way", "pose", "solve"]
 
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
@@ -42,6 +42,15 @@ class Way(NamedTuple):
     most: int
     rough: bool = False
     shares: int = SHARES
+
+
+def pose(met: Encounter, slides: Bools, closing: Closing) -> FC3D:
+    """The problem of what is met, where the contacts `slides` (nc,) slide through."""
+    if met.posed is not None:
+        return met.posed
+    if met.alike is not None:
+        return met.alike.with_velocity(met.offsets(slides, closing))
+    return FC3D.from_blocks(met.rows.blocks, met.offsets(slides, closing), met.mu)
 
 
 def solve(
@@ -80,12 +89,7 @@ def _solve(
 ) -> tuple[FC3D, Solution, bool]:
     """The same with the shares that the friction of ball joints has."""
     closing, back, most, rough, _ = way
-    if met.posed is not None:
-        problem = met.posed
-    elif met.alike is not None:
-        problem = met.alike.with_velocity(met.offsets(slides, closing))
-    else:
-        problem = FC3D.from_blocks(met.rows.blocks, met.offsets(slides, closing), met.mu)
+    problem = pose(met, slides, closing)
     solution = _again(solver, last, problem, met.local[4], rough)
     for k in range(most + 1):
         shown = solution.r, solution.u, problem.q

@@ -119,6 +119,21 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits
 
 
 @kernel
+def widest(blocks):
+    """Coordinates of the island that has the most."""
+    offset, block = blocks[:2]
+    label, seen = np.empty(block.shape[0], np.int64), np.zeros(offset.size, np.bool_)
+    size, out = np.zeros(_blocks.islands(block, offset.size - 1, label), np.int64), 0
+    for c in range(label.size):
+        for k in block[c]:
+            if k >= 0 and not seen[k]:
+                seen[k] = True
+                size[label[c]] += offset[k + 1] - offset[k]
+                out = max(out, size[label[c]])
+    return out
+
+
+@kernel
 def by_matrix(W, q, mu, scales, q_norm, r, u, tol, most):
     """Solve a block-sparse W = (indptr, indices, data) in place of r: lone contacts in closed form, others by sweeps.
 

@@ -1,0 +1,113 @@
+"""Impulses and couples in turns, until contacts that persist do no work."""
+
+import numpy as np
+
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.problem.blocks import size_of, velocity_change
+from nsdyn._kernels.solvers.start import by_factors, widest
+from nsdyn._kernels.stepping.law import offsets, reconsider
+from nsdyn._kernels.stepping.persistence import turn, works
+
+DONE, SOLVE = 0, 1
+"""What is to be done: nothing, or a problem is to be solved."""
+
+
+@in_place
+def thaw(label, some, islands, before, after):
+    """Leave (r, u) as they were `before` in the islands of no contact that is among `some`, in after.
+
+    Islands by their labels (rows,); `islands` is for work, as large as the largest label and one.
+    """
+    islands[:] = False
+    for c in range(some.size):
+        if some[c]:
+            islands[label[c]] = True
+    for c in range(label.size):
+        if not islands[label[c]]:
+            for i in range(3 * c, 3 * c + 3):
+                after[0][i], after[1][i] = before[0][i], before[1][i]
+
+
+@kernel
+def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, solver, begin, state, work):
+    """Couples as of `persistence.turn`, and impulses with them, in turns until no other couples do less work.
+
+    Parameters
+    ----------
+    blocks, contacts, bodies, flags, laws : tuple
+        As of `persistence.turn`.
+    velocities : (v⁻, v_f)
+    given : tuple
+        mu and scales; local, shape (5, 3 rows), without couples; r and u of the last solve, if any.
+    apart : tuple
+        Islands that are solved together, of which none changes because of another, or empty arrays: label, (rows,);
+        contacts that slide through as foreseen, and those found to do otherwise, (nc,); and rows of whose islands the
+        first solution changes that of the last solve, empty where it changes all.
+    solver : tuple
+        Whether problems of islands of few coordinates are solved here; `enough`, `good` and `limits` of `by_factors`;
+        the tolerance; and how many more solves there are for contacts that slip otherwise.
+    begin : tuple
+        Whether to begin with a solve, and there only to look back, as of `reconsider`; most times that others are
+        looked for.
+    state : tuple
+        couple and dv, those that act; change, that of v by r, made here if problems are solved here; left and other as
+        of `couples`; local, b, r and u, what is met, its problem and solution.
+    work : ndarray, shape (nc,)
+        Works of the couples where nothing is left to do, J.
+
+    Returns
+    -------
+    tuple
+        What is to be done, times that are left, whether contacts slip otherwise, how many problems were solved here,
+        and error, residual and factorisations of the last one.
+    """
+    (before, free), (first, back, passes) = velocities, begin
+    (mu, scales, alone, last_r, last_u), (stays, _, slides), (label, foreseen, switched, off) = given, flags, apart
+    own, enough, good, limits, tol, most = solver
+    couple, dv, change, left, other, local, b, r, u = state
+    names, measures = np.empty(mu.size, np.int64), np.empty((3, mu.size))
+    islands = np.empty(label.max() + 1 if label.size else 0, np.bool_)
+    otherwise, solved, error, residual, count = False, 0, 0.0, 0.0, 0
+    own = own and widest(blocks) <= limits[0]
+    while True:
+        if not first:
+            if own:
+                velocity_change(blocks, r, change)
+            turned, acting, met, q = couple.copy(), dv.copy(), alone.copy(), b.copy()
+            moving, found = (before, free, dv, change), (turned, acting, left, other)
+            if passes == 0 or not turn(blocks, contacts, moving, bodies, (r, mu), flags, laws, found, (met, q)):
+                break
+            passes, back = passes - 1, True
+            couple[:], dv[:], local[:], b[:] = turned, acting, met, q
+            last_r, last_u, off = r.copy(), u.copy(), other
+        if not own:
+            return SOLVE, passes, otherwise, solved, error, residual, count
+        for k in range(most + 1):
+            norm, _ = size_of(b, mu)
+            _, missed, count, error, residual = by_factors(
+                blocks, b, mu, scales, r, u, names, measures, enough, good, limits
+            )
+            error /= norm or 1.0
+            if missed or not (error <= tol and residual <= tol):
+                if not first:
+                    r[:], u[:] = last_r, last_u
+                return SOLVE, passes, otherwise, solved, error, residual, count
+            solved += 1
+            if not reconsider(r, u, b, mu, local, slides, back or k > 0):
+                break
+            if k < most:
+                offsets(local, laws, stays, slides, b)
+            else:
+                otherwise = True
+        if label.size:
+            for c in range(slides.size):
+                switched[c] = switched[c] or slides[c] != foreseen[c]
+                slides[c] = foreseen[c]
+            if off.size:
+                thaw(label, off, islands, (last_r, last_u), (r, u))
+        first = False
+    mean = np.empty(before.size)
+    for i in range(mean.size):
+        mean[i] = 0.5 * (before[i] + free[i] + dv[i] + change[i])
+    works(contacts[2], contacts[3], bodies[1].shape[0], bodies[0], mean, couple, work)
+    return DONE, passes, otherwise, solved, error, residual, count
