@@ -45,8 +45,8 @@ class Tuning:
     free: int = 200
     """What may be spent on what the start already solves to the loose tolerance."""
 
-    small: tuple[float, int, int] = (1e2, 300, 6)
-    """Penalty, and Newton steps of islands of few bodies to the tolerance and beyond it."""
+    small: tuple[float, int, int] = (1e2, 40, 6)
+    """Penalty, and Newton steps of islands of few bodies from anywhere and from a warm start."""
 
     polish: float = 1e-5
     """Fraction of the tolerance to which Newton goes on where it gains, on larger islands only of tolerances that are

@@ -7,6 +7,12 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones, given
 from nsdyn._kernels.solvers import nesterov, newton
 
+POLISHED = 0.5
+"""Measure after a step over that before, from which on it is round-off, as it is of a heap before it is `enough`."""
+
+MORE = 7
+"""Newton steps of the last attempt over those before."""
+
 CHECK = 5
 """Sweeps between two measurements of a W that is given."""
 
@@ -18,25 +24,34 @@ NEARLY, CLOSE = 2.0, 0.9
 def small(blocks, q, mu, scales, r, measure, enough, good, q_norm, limits):
     """Solve one island of few coordinates by `newton.dense` in place of r, of that measure; (factorisations, measure).
 
-    Until it is `good`; then a few steps with a new penalty: the one that has grown on the way would lose the last
-    digits. What nearly was `enough` only comes close to that. At rest it missed what velocities an imbalance of the
-    impulses, far smaller, has added up to in many steps; impulses that take these back in one give the next as much of
-    the other sign, and so its start misses.
+    A few steps from a warm start; if they are not `good`, or from nothing, many, and `MORE` times as many to what is
+    good only, which redundant contacts may take; then, as long as it gains, step by step with a new penalty: the one
+    that has grown on the way would lose the last digits. What nearly was `enough` only comes close to that. At rest it
+    missed what velocities an imbalance of the impulses, far smaller, has added up to in many steps; impulses that take
+    these back in one give the next as much of the other sign, and so its start misses.
     """
     _, penalty, max_iter, few = limits
     start, missed, count = r.copy(), measure, 0
+    if measure > good and r.any():
+        count, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, few)
     if measure > good:
-        count, measure = newton.dense(blocks, q, mu, scales, r, good, q_norm, penalty, max_iter)
-    if enough < measure <= good:
-        used, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, few)
+        used, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, max_iter)
         count += used
+    if measure > good:
+        used, measure = newton.dense(blocks, q, mu, scales, r, good, q_norm, penalty, MORE * max_iter)
+        count += used
+    before, steps = np.inf, 0
+    while enough < measure <= good and measure <= POLISHED * before and steps < few:
+        before = measure
+        used, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, 1)
+        steps += used
     if measure <= enough < missed <= NEARLY * enough:
         y, work, u = np.empty(blocks[0][-1]), np.empty(blocks[0][-1]), np.empty(q.size)
         closer = start + (1.0 - CLOSE * enough / missed) * (r - start)
         now = newton.measure_of(blocks, q, mu, scales, q_norm, closer, y, u, work)
         if now <= enough:
             r[:], measure = closer, now
-    return count, measure
+    return count + steps, measure
 
 
 @in_place
