@@ -510,7 +510,7 @@ class Dynamics:
         """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
         if self._lone:
             return position.trees[0].copy(), v.copy()
-        q, out = np.empty(7 * self.free), np.empty(self.n)
+        q, out = np.empty(7 * len(position.x)), np.empty(v.size)
         _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)
         return np.concatenate((q, *position.trees)) if position.trees else q, out
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nsdyn.recording.shares import distinct
 from nsdyn.recording.tables import body_names, contact_rows
 from nsdyn.tools.arrays import Array
 
@@ -27,13 +28,13 @@ def pair_works(trajectory: Trajectory) -> dict[tuple[str, str], tuple[Array, Arr
     sides = np.stack([trajectory.columns[f"contacts/geom{side}"][row] for side in "12"]).astype(np.int64)
     labels, of_shape = np.unique(names, return_inverse=True)
     sides = np.sort(of_shape[sides], axis=0)
-    pairs, which = np.unique(sides, axis=1, return_inverse=True)
+    pairs, which = distinct(sides.T)
     works = []
     for name in ("work_normal", "work_friction"):
-        work = np.zeros((pairs.shape[1], trajectory.steps))
-        np.add.at(work, (which.ravel(), step - 1), trajectory.columns[f"contacts/{name}"][row])
+        work = np.zeros((len(pairs), trajectory.steps))
+        np.add.at(work, (which, step - 1), trajectory.columns[f"contacts/{name}"][row])
         works.append(work)
-    out = {(str(labels[a]), str(labels[b])): (works[0][k], works[1][k]) for k, (a, b) in enumerate(pairs.T)}
+    out = {(str(labels[a]), str(labels[b])): (works[0][k], works[1][k]) for k, (a, b) in enumerate(pairs)}
     return dict(sorted(out.items(), key=lambda item: -abs(item[1][0].sum() + item[1][1].sum())))
 
 

@@ -11,6 +11,8 @@ projection of positions lifts, and the defect, which is round-off: a ledger that
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import add
 from typing import NamedTuple
 
 __all__ = ["Ledger", "Works"]
@@ -60,6 +62,7 @@ class Ledger(NamedTuple):
 
     @staticmethod
     def of(before: tuple[float, float], after: tuple[float, float], works: Works) -> Ledger:
-        """Ledger of a step from (kinetic, potential) energies before and after it, and its works."""
+        """Ledger of a step, or of many as arrays, from (kinetic, potential) energies before and after it, and works."""
         gained = (after[0] - before[0]) + (after[1] - before[1])
-        return Ledger(*after, *works, gained - sum(works))
+        # Not `sum`, which since Python 3.12 rounds the sum of numbers otherwise than that of arrays.
+        return Ledger(*after, *works, gained - reduce(add, works, 0.0))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,13 +19,13 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.encounter import Warm
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.instant import Instant
-from nsdyn.stepping.state import State
+from nsdyn.stepping.state import State, Step
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
 
-__all__ = ["Flat", "Found", "told"]
+__all__ = ["Flat", "Found", "Untold"]
 
 
 class Found(NamedTuple):
@@ -209,21 +211,16 @@ class Flat(NamedTuple):
         status = Status.CONVERGED if max(error, residual) <= tol else Status.LOOSE
         return Solution(r, u, status, error, residual, int(count), time)
 
-    def works(self) -> Works:
-        """Of the step, J."""
-        external, normal, friction, numerics = self.floats[_quiet.EXTERNAL : _quiet.NORM].tolist()
-        return Works(external, normal, friction, 0.0, 0.0, numerics, 0.0)
-
     def state(self) -> State:
         """The state as the general step takes it."""
         rate = self.body(_quiet.RATE, 6)
         return State(self.origin, self.dt, self.count, self.instant(), rate, self.energies, self.opening)
 
 
-def told(flat: Flat, before: tuple[float, float], scheme: tuple[float, float], d: Dynamics) -> dict[str, Any]:
-    """What a quiet step did, by the names of `Step`.
+class Untold(NamedTuple):
+    """What tells of a quiet step when it is asked for, alone or together with others.
 
-    Parameters
+    Attributes
     ----------
     flat : Flat
         Where it ended.
@@ -231,37 +228,118 @@ def told(flat: Flat, before: tuple[float, float], scheme: tuple[float, float], d
         Energies where it began, J.
     scheme : (float, float)
         θ and the solver's tolerance.
-    d : Dynamics
+    dynamics : Dynamics
     """
-    f, nc, n, met = flat.floats, flat.status.size, flat.like.placement.x.shape[0], flat.met
-    bodies = f[_quiet.RESULTS : _quiet.RESULTS + _quiet.BODY * n]
-    of = f[_quiet.RESULTS + _quiet.BODY * n :].reshape(_quiet.CONTACT, nc)
-    x, quaternion = bodies[: 3 * n].reshape(n, 3), bodies[3 * n : 7 * n].reshape(n, 4)
-    q, v = d.pinocchio_state(flat.like.position.moved(x, quaternion), bodies[_quiet.V * n : _quiet.R * n])
-    time = np.empty(nc)
-    time.fill((1.0 - scheme[0]) * flat.dt)
+
+    flat: Flat
+    before: tuple[float, float]
+    scheme: tuple[float, float]
+    dynamics: Dynamics
+
+    @property
+    def nc(self) -> int:
+        """Number of contacts."""
+        return self.flat.status.size
+
+    def told(self) -> dict[str, Any]:
+        """What the step did, by the names of `Step`."""
+        flat, d, nc = self.flat, self.dynamics, self.nc
+        x, quaternion = flat.body(_quiet.X, 3).reshape(-1, 3), flat.body(_quiet.QUATERNION, 4).reshape(-1, 4)
+        q, v = d.pinocchio_state(flat.like.position.moved(x, quaternion), flat.body(_quiet.V, 6))
+        ledger, certificate = _sums(self.before, flat.floats[: _quiet.RESULTS].tolist(), 0.0)
+        return {
+            "q": q,
+            "v": v,
+            "frames_x": None,
+            "frames_quat": None,
+            "joints": None,
+            "links": d.no_push,
+            "pieces": None,
+            "created": 0.0,
+            "ledger": ledger,
+            "gauss": certificate,
+            "problem": flat.problem(d),
+            "solution": flat.solution(self.scheme[1]),
+            "twists": flat.twists,
+            **_contacts(flat.met.names, flat.met.floats, flat.contact(0, _quiet.CONTACT), flat.status, self._time(nc)),
+        }
+
+    def _time(self, *shape: int) -> Array:
+        """When the impulses of as many contacts acted, s after the beginning of the step."""
+        out = np.empty(shape)
+        out.fill((1.0 - self.scheme[0]) * self.flat.dt)
+        return out
+
+    @staticmethod
+    def steps(some: Sequence[Untold]) -> Step:
+        """What m steps of a scene did but for their contacts, every array with a leading axis of m."""
+        like, d, m = some[0].flat.like, some[0].dynamics, len(some)
+        n, nothing = like.placement.x.shape[0], np.zeros(m)
+        f: Any = np.concatenate([one.flat.floats[: _quiet.RESULTS + _quiet.R * n] for one in some]).reshape(m, -1)
+        results, bodies = f[:, : _quiet.RESULTS].T, f[:, _quiet.RESULTS :]
+        x, quaternion = bodies[:, : 3 * n].reshape(-1, 3), bodies[:, 3 * n : 7 * n].reshape(-1, 4)
+        q, v = d.pinocchio_state(like.position.moved(x, quaternion), bodies[:, 7 * n :].ravel())
+        ledger, certificate = _sums(np.array([one.before for one in some]).T, results, nothing)
+        error, residual, count, time = results[_quiet.ERROR : _quiet.CERTIFIED]
+        good = np.maximum(error, residual) <= some[0].scheme[1]
+        status: Any = np.where(good, Status.CONVERGED, Status.LOOSE).astype(np.int8)
+        return Step(
+            t=np.array([one.flat.t for one in some]),
+            q=q.reshape(m, -1),
+            v=v.reshape(m, -1),
+            frames_x=None,
+            frames_quat=None,
+            joints=None,
+            links=None,
+            pieces=None,
+            created=nothing,
+            ledger=ledger,
+            gauss=certificate,
+            solution=Solution(nothing, nothing, status, error, residual, count.astype(np.int64), time),
+        )
+
+    @staticmethod
+    def contacts(some: Sequence[Untold]) -> Step:
+        """The contacts of m steps of a scene with nc each, every array with leading axes (m, nc) or (1, nc)."""
+        m, nc, met = len(some), some[0].nc, [one.flat.met for one in some]
+        if all(each is met[0] for each in met):  # what rests touches where it touched
+            met = met[:1]
+        names = np.stack([each.names for each in met], axis=1)
+        found = np.concatenate([each.floats[: _quiet.ROWS * nc] for each in met]).reshape(len(met), -1)
+        acted = np.concatenate([one.flat.contact(0, _quiet.CONTACT) for one in some]).reshape(m, -1)
+        status = np.concatenate([one.flat.status for one in some]).reshape(m, nc)
+        return Step(**_contacts(names, found, acted, status, some[0]._time(1, nc)))
+
+
+def _sums(before: Any, results: Any, nothing: Any) -> tuple[Ledger, Certificate]:
+    """Ledger and certificate of a step, or of many as arrays, from the energies before it and from its results."""
+    external, normal, friction, numerics = results[_quiet.EXTERNAL : _quiet.NORM]
+    works = Works(external, normal, friction, nothing, nothing, numerics, nothing)
+    return Ledger.of(before, results[: _quiet.EXTERNAL], works), Certificate(*results[_quiet.GAP : _quiet.WENT])
+
+
+def _contacts(names: Index, found: Array, acted: Array, status: Any, time: Array) -> dict[str, Any]:
+    """The contacts of a step, or of many with a leading axis, by the names of `Step`; names of shape (5, ..., nc)."""
+    nc = status.shape[-1]
+
+    def scalars(source: Array, column: int) -> Array:
+        return source[..., column * nc : (column + 1) * nc]
+
+    def vectors(source: Array, column: int, *shape: int) -> Array:
+        return source[..., column * nc : (column + math.prod(shape)) * nc].reshape(*source.shape[:-1], nc, *shape)
+
+    geom1, geom2, frame1, frame2, key = names
+    point, normal = vectors(found, 0, 3), vectors(found, 3, 3)
+    gap, mu, restitution = (scalars(found, column) for column in (12, 13, 14))
     return {
-        "q": q,
-        "v": v,
-        "frames_x": None,
-        "frames_quat": None,
-        "contacts": met.contacts(),
-        "gap": of[_quiet.GAP_END],
-        "frame": met.frame,
-        "u": of[_quiet.U_END : _quiet.NORMAL_WORK].reshape(nc, 3),
-        "r": of[_quiet.IMPULSE : _quiet.U].reshape(nc, 3),
-        "couple": np.zeros((nc, 3)),
-        "contact_status": flat.status,
+        "contacts": ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key),
+        "gap": scalars(acted, _quiet.GAP_END),
+        "frame": vectors(found, _quiet.FRAMES, 3, 3),
+        "u": vectors(acted, _quiet.U_END, 3),
+        "r": vectors(acted, _quiet.IMPULSE, 3),
+        "couple": np.zeros((*time.shape, 3)),
+        "contact_status": status,
         "contact_time": time,
-        "work_normal": of[_quiet.NORMAL_WORK],
-        "work_friction": of[_quiet.FRICTION_WORK],
-        "joints": None,
-        "links": d.no_push,
-        "pieces": None,
-        "created": 0.0,
-        "ledger": Ledger.of(before, flat.energies, flat.works()),
-        "gauss": Certificate(*f[_quiet.GAP : _quiet.WENT].tolist()),
-        "problem": flat.problem(d),
-        "solution": flat.solution(scheme[1]),
-        "twists": flat.twists,
+        "work_normal": scalars(acted, _quiet.NORMAL_WORK),
+        "work_friction": scalars(acted, _quiet.FRICTION_WORK),
     }

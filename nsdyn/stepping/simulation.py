@@ -152,7 +152,7 @@ def simulate(
         raise ValueError(f"record must be None where resume names the file to go on with, got {record}")
     steps = every * max(1, math.ceil(duration / stepper.dt / every - 1e-9))
     kept = {"max_points": max_points, "every": every, "contacts": bool(contacts), "polish": polish}
-    with _recorder(stepper, record, resume, kept, duration) as recorder:
+    with _recorder(stepper, record, resume, kept, duration, steps // every) as recorder:
         done = every * recorder.rows
         # disable=None: tqdm draws only on a terminal
         disable = None if progress else True
@@ -167,7 +167,12 @@ def _packed(later: Callable[[], State]) -> dict[str, NDArray[Any]]:
 
 
 def _recorder(
-    stepper: Stepper, record: str | Path | None, resume: str | Path | None, kept: dict[str, Any], duration: float
+    stepper: Stepper,
+    record: str | Path | None,
+    resume: str | Path | None,
+    kept: dict[str, Any],
+    duration: float,
+    rows: int,
 ) -> Recorder:
     """What records a stepper, which is set to the last state of a recording to resume."""
     scene = stepper.scene
@@ -187,7 +192,7 @@ def _recorder(
     }
     begin = stepper.get_state()
     if resume is None:
-        return Recorder(record, meta, scene.describe(), stepper.start(), partial(checkpoint.pack, begin))
+        return Recorder(record, meta, scene.describe(), stepper.start(), partial(checkpoint.pack, begin), rows)
     recorder, arrays = Recorder.resumed(resume, meta, scene.describe(), stepper.start(), duration)
     stepper.set_state(checkpoint.unpack(arrays, begin, stepper.dynamics))
     return recorder

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,9 @@ from nsdyn.stepping.energy import Ledger
 from nsdyn.stepping.instant import Impulses, Instant
 from nsdyn.stepping.names import Names
 from nsdyn.tools.arrays import Array
+
+if TYPE_CHECKING:
+    from nsdyn.stepping.flat import Untold
 
 __all__ = ["Pieces", "Start", "State", "Step", "Touch"]
 
@@ -177,6 +179,8 @@ class Step:
         Length of the step h, s.
     names : Names
         What `force`, `between` and `velocity` find their bodies by.
+    untold : Untold or None
+        What tells of a quiet step; None of others.
     """
 
     t: float
@@ -206,17 +210,14 @@ class Step:
     dt: float
     names: Names
 
+    untold: Untold | None = None
+
     def __init__(self, **what: Any) -> None:
         self.__dict__.update(what)
 
-    @classmethod
-    def later(cls, make: Callable[[], dict[str, Any]], **known: Any) -> Step:
-        """A step of which some is known, and all else is made when any of it is asked for."""
-        return cls(_make=make, **known)
-
     def __getattr__(self, name: str) -> Any:
-        if "_make" in self.__dict__:
-            self.__dict__.update(self.__dict__.pop("_make")())
+        if self.untold is not None and "q" not in self.__dict__:
+            self.__dict__.update(self.untold.told())
         if name not in self.__dict__:
             raise AttributeError(f"a step has no {name!r}")
         return self.__dict__[name]
@@ -230,7 +231,7 @@ class Step:
     @property
     def tangent(self) -> Array:
         """First tangent t1 of every contact, shape (nc, 3); t2 = n × t1."""
-        return self.frame[:, 1]
+        return self.frame[..., 1, :]
 
     @property
     def joint_impulse(self) -> Array:

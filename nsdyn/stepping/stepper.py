@@ -28,7 +28,7 @@ from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping.contradictions import Prescribed
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
-from nsdyn.stepping.flat import Flat, told
+from nsdyn.stepping.flat import Flat, Untold
 from nsdyn.stepping.functions import Callback, Functions
 from nsdyn.stepping.impacts import Law, as_law
 from nsdyn.stepping.indeterminacy import Paradoxes
@@ -356,8 +356,8 @@ class Stepper:
         before = self._now if isinstance(self._now, Flat) else Flat.of(self._now)
         if before is None or (after := quiet.step(before, self._certificate)) is None:
             return None
-        make = partial(told, after, before.energies, (self.theta, self.system.solver.tol), self.dynamics)
-        step = Step.later(make, t=after.t, dt=after.dt, names=self._names)
+        untold = Untold(after, before.energies, (self.theta, self.system.solver.tol), self.dynamics)
+        step = Step(untold=untold, t=after.t, dt=after.dt, names=self._names)
         if self._paradoxes.possible and self._paradoxes.met(step, after.body(RATE, 6)):
             return None
         self._now = after

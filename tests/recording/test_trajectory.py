@@ -115,6 +115,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
             else None,
             joints=rng.normal(size=(7, 1)) if links else None,
             links=rng.normal(size=(int(links), 6)),
+            untold=None,
         )
 
     return SimpleNamespace(**state(0)), [step(k) for k in range(1, n + 1)]
@@ -162,6 +163,50 @@ def test_what_goes_in_comes_out(n, links, tmp_path):
     trajectory.save(tmp_path / "copy.h5")
     assert_same(Trajectory.load(tmp_path / "copy.h5"), trajectory)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.h5", "run.h5"]
+
+
+@pytest.mark.parametrize("options", [{}, {"every": 3}, {"contacts": False}])
+def test_steps_told_together_are_as_each_alone(options):
+    """Quiet steps that nobody asked for anything, of changing numbers of contacts and with others between."""
+    scene = sliding_box()
+    scene.add_sphere("ball", 0.1, 1.0, position=(1, 0, 0.12), linear_velocity=(0.5, 0, 0))
+    meta = META | {"external_force": False} | options
+    alone, together = (Recorder(None, meta, scene.describe(), nd.Stepper(scene).start()) for _ in range(2))
+    mine, other = nd.Stepper(scene, dt=2e-3), nd.Stepper(scene, dt=2e-3)
+    names = [name for name in nd.Step.__annotations__ if name != "untold"]
+    quiet = set()
+    for _ in range(300):
+        step = mine.step()
+        quiet.add((step.untold is not None, step.gap.size))
+        alone.append(
+            SimpleNamespace(
+                tangent=step.tangent, energy=step.energy, untold=None, **{n: getattr(step, n) for n in names}
+            )
+        )
+        together.append(other.step())
+    assert {(True, 4), (True, 5), (False, 5)} <= quiet
+    one, many = alone.trajectory(), together.trajectory()
+    one.columns["solver/time"], many.columns["solver/time"] = np.zeros((2, one.steps))
+    assert_same(one, many)
+
+
+def test_interrupt_while_rows_are_packed_loses_and_doubles_none(monkeypatch):
+    first, steps = rows(6, links=True)
+    recorder = Recorder(None, META, scene_dict(links=True), first)
+    for step in steps:
+        recorder.append(step)
+    copy, calls = np.copyto, iter(range(100))
+
+    def interrupted(*given, **options):
+        if next(calls) == 30:
+            raise KeyboardInterrupt
+        copy(*given, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "copyto", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            recorder.flush()
+    assert_same(recorder.trajectory(), record(None, 6, links=True)[0])
 
 
 def test_frequent_flushes_change_nothing(tmp_path, monkeypatch):
