@@ -137,6 +137,19 @@ def test_tables_show_themselves(trajectory):
         table["sped"]
 
 
+@pytest.mark.parametrize("name", ["arm_pushes_box", "cart_pole", "heavy_on_light"])
+def test_kinetic_energies_add_up_to_those_of_the_ledger(name):
+    """Each mass once, those of links too."""
+    run = nd.simulate(nd.scenes.load(name)(), 0.02, dt=2e-3)
+    table = run.table("bodies")
+    kinetic = np.nan_to_num(table["kinetic"]).reshape(run.t.size, -1).sum(axis=1)
+    np.testing.assert_allclose(kinetic, run.energy.kinetic, rtol=1e-12, atol=1e-25)
+    first = table[table["step"] == 0]
+    known = np.isfinite(first["mass"])
+    np.testing.assert_array_equal(known, np.isfinite(first["kinetic"]))
+    assert known.any() and (first["mass"][known] > 0.0).all()
+
+
 def test_velocities_of_driven_bodies():
     """As they were prescribed, to second order in dt: the error falls to a quarter."""
 

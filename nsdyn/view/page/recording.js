@@ -37,7 +37,7 @@ class Recording {
     this.arrays = arrays;
     this.t = arrays.t;
     // What is at play: beside it round-off is nothing.
-    const fastest = (arrays["bodies/speed"] ?? []).reduce((a, b) => Math.max(a, b), 0);
+    const fastest = (arrays["bodies/speed"] ?? []).reduce((a, b) => b > a ? b : a, 0);
     this.play = {speed: Math.max(fastest, this.dt * Math.hypot(...this.gravity)), force: this.units?.cones ?? 0};
   }
 
@@ -101,6 +101,11 @@ class Recording {
       const at = 3 * (k * this.t.length + row);
       return {t, x: Array.from(values.subarray(at, at + 3))};
     });
+  }
+
+  // Values of one frame in all states.
+  column(name, frame) {
+    return Float32Array.from(this.t, (_, k) => this.arrays[name][k * this.frames.length + frame]);
   }
 
   // Heights in all states of a frame, none of one that never moves.
