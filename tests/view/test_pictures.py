@@ -88,8 +88,8 @@ def test_a_film_draws_anew_only_what_has_moved(falling, tmp_path):
     with browser.browsing() as page:
         page.open((tmp_path / "page.html").as_uri() + "#picture&film", (320, 180))
         page.run(
-            "(render => { window.count = 0; nsdyn.panes[0].stage.viewer.renderer.render = (...all) =>"
-            " { window.count++; render(...all); }; })(nsdyn.panes[0].stage.viewer.renderer.render)"
+            "(viewer => { const {render} = viewer; window.count = 0;"
+            " viewer.render = () => { window.count++; render(); }; })(nsdyn.panes[0].stage.viewer)"
         )
         page.run("nsdyn.show(0.5)")
         first = page.picture()

@@ -122,6 +122,8 @@ def test_all_buttons_there_can_be_have_one_row(run, tmp_path):
     with browser.browsing() as page:
         for size in ((1280, 720), (1280, 1024), (1920, 1080)):
             page.open((tmp_path / "page.html").as_uri() + "#t=0", size)
-            tops = page.run("Array.from(document.querySelectorAll('#tools button'), b => b.getBoundingClientRect().top)")
+            tops = page.run(
+                "Array.from(document.querySelectorAll('#tools button'), b => b.getBoundingClientRect().top)"
+            )
             assert len(tops) == 17 and max(tops) - min(tops) < 1
             assert page.run("document.getElementById('dock').clientHeight < 50 * innerWidth / 1280")
