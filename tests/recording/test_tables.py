@@ -60,6 +60,8 @@ def test_table_of_bodies_is_their_motion(trajectory):
         np.testing.assert_allclose(force[1:], trajectory.force(name), rtol=0, atol=1e-12)
     with pytest.raises(ValueError, match=r"did you mean 'below'\? bodies must be one of below, .*; got 'belo'"):
         trajectory.table("bodies", "belo")
+    with pytest.raises(ValueError, match="the recording has no joints"):
+        trajectory.table("joints")
     with pytest.raises(ValueError, match=r"kind of table must be one of bodies, joints, .*; got 'body'"):
         trajectory.table("body")
 

@@ -49,7 +49,7 @@ class Inspector {
     this.picked = {body: number};
     if (!moving) this.place.append(element("p", "", "It is fixed."));
     else if (body.mass === null) this.place.append(element("p", "", "Its mass and speed are not recorded."));
-    else if (body.joint) this.place.append(element("p", "", "Mass, speed and energies are of all that its joint carries."));
+    else if (body.joint) this.place.querySelector("h2").append(element("small", "", " mass, speed, energies: of all that its joint carries"));
     if (moving) {
       this.overlay.marked = {frame: body.frame, name: body.name};
       this.buttons(body.frame);
@@ -88,9 +88,9 @@ class Inspector {
     if (last.t < recording.end) path.push({t: recording.end, x: last.x});
     this.plot("height", "m", path.map(point => point.t), path.map(point => point.x[2]));
     if (body.mass !== null) this.plot("speed", "m/s", recording.t, recording.column("bodies/speed", body.frame));
-    for (const {label, unit, values} of this.joint.filter(({drawn}) => drawn)) {
+    for (const {label, unit, values, play} of this.joint.filter(({drawn}) => drawn)) {
       const known = Array.from(values.keys()).filter(k => Number.isFinite(values[k]));
-      this.plot(label, unit, known.map(k => recording.t[k]), known.map(k => values[k]));
+      this.plot(label, unit, known.map(k => recording.t[k]), known.map(k => values[k]), play);
     }
     if (!recording.contacts) return;
     const {times, normal, drag} = recording.loads(number);
@@ -146,7 +146,7 @@ class Inspector {
       this.set("potential energy", withUnit(potential, "J", largest));
       this.set("mass", plain(mass, "kg"));
     }
-    for (const {label, unit, values} of this.joint) this.set(label, withUnit(values[recording.frame(t)], unit));
+    for (const {label, unit, values, play} of this.joint) this.set(label, withUnit(values[recording.frame(t)], unit, play));
     const force = recording.force(number, t);
     if (!force) return;
     const {play} = recording;
