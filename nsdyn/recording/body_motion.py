@@ -1,22 +1,31 @@
-"""How the bodies of a recording move: poses and velocities of free bodies, of links and of driven bodies."""
+"""How the bodies of a recording move: poses, velocities and energies of free bodies, of links and of driven bodies."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nsdyn.recording import link_names
 from nsdyn.recording.series import BodyMotion, rotate
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import unknown
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["body", "moving", "twists"]
+__all__ = ["Carried", "body", "carried", "energies", "first_carried", "moving", "twists"]
+
+
+class Carried(NamedTuple):
+    """What moves with a frame: its mass, kg, its centre, m, and the inertia about that, kg m², in axes of the frame."""
+
+    mass: float
+    centre: Array
+    inertia: Array
 
 
 def moving(trajectory: Trajectory) -> list[str]:
@@ -26,6 +35,12 @@ def moving(trajectory: Trajectory) -> list[str]:
     links = [link["name"] for link in scene.get("links", ()) if link["frame"] >= 0]
     others = [name for name in frames[free:] if not links or name not in joints]
     return [*frames[:free], *links, *others]
+
+
+def first_carried(scene: Mapping[str, Any]) -> dict[str, int]:
+    """Frames by the names of the bodies that move with them, of several links of one joint by the first."""
+    frames, out = scene["frames"], {link["frame"]: link["name"] for link in reversed(scene.get("links", ()))}
+    return {out.get(k, name): k for k, name in enumerate(frames)}
 
 
 def body(trajectory: Trajectory, name: str) -> BodyMotion:
@@ -67,8 +82,43 @@ def _velocities(trajectory: Trajectory, frame: int, position: Array, quaternion:
     return slope[0], slope[1]
 
 
-def twists(trajectory: Trajectory) -> dict[int, Array]:
-    """Velocity at the world's origin and angular velocity, (n + 1, 6), of the frames of links; none in old recordings.
+def carried(scene: Mapping[str, Any]) -> dict[int, Carried]:
+    """What moves with each frame: a free body, or all links that a joint carries; none of those in old recordings."""
+    out = {
+        k: Carried(mass, np.zeros(3), np.array(inertia))
+        for k, (mass, inertia) in enumerate(zip(scene["masses"], scene["inertias"], strict=True))
+    }
+    told = [joint for a in scene["articulations"] for joint in a.get("model", {}).get("joints", ())]
+    links = dict(zip(link_names.joints(scene), told, strict=False))
+    for k, name in enumerate(scene["frames"]):
+        if k >= scene["free"] and (joint := links.get(name)):
+            out[k] = Carried(joint["mass"], np.array(joint["com"]), np.array(joint["inertia"]))
+    return out
+
+
+def energies(trajectory: Trajectory, rows: Index, turned: Mapping[int, Array]) -> dict[int, tuple[Array, Array]]:
+    """Speed of the centre of mass, m/s, and kinetic energy, J, of what moves with each frame, in some states.
+
+    `turned` are the `twists` in these. The energies of rotors (armature) are those of no link.
+    """
+    scene, out = trajectory.scene, {}
+    for k, (mass, centre, inertia) in carried(scene).items():
+        if k < scene["free"]:
+            v, omega = np.split(trajectory.v[rows, 6 * k : 6 * k + 6], 2, axis=1)
+        elif k in turned:
+            quaternion = trajectory.columns["frames/quat"][rows, k]
+            place = trajectory.columns["frames/x"][rows, k] + rotate(quaternion, centre)
+            v = turned[k][:, :3] + np.cross(turned[k][:, 3:], place)
+            omega = rotate(quaternion * (-1.0, -1.0, -1.0, 1.0), turned[k][:, 3:])
+        else:
+            continue
+        square = (v**2).sum(axis=1)
+        out[k] = np.sqrt(square), 0.5 * (mass * square + np.einsum("ni,ij,nj->n", omega, inertia, omega))
+    return out
+
+
+def twists(trajectory: Trajectory, rows: Index) -> dict[int, Array]:
+    """Velocity at the world's origin and angular velocity, (states, 6), of the frames of links; none in old recordings.
 
     They follow from q and v.
     """
@@ -79,6 +129,5 @@ def twists(trajectory: Trajectory) -> dict[int, Array]:
     found = trees(trajectory)
     if isinstance(found, str):
         return {}
-    states = range(trajectory.t.size)
-    by_tree = [np.array([m.twists(*found.state(i, k)) for k in states]) for i, m in enumerate(found.mechanisms)]
+    by_tree = [np.array([m.twists(*found.state(i, k)) for k in rows]) for i, m in enumerate(found.mechanisms)]
     return {frame: by_tree[tree][:, joint - 1] for frame, (tree, joint) in found.links.items()}

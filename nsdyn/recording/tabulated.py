@@ -57,13 +57,26 @@ def _bodies(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, st
     out |= {axis: position[..., k].ravel() for k, axis in enumerate("xyz")}
     out |= {f"q{axis}": turn[..., k].ravel() for k, axis in enumerate("xyzw")}
     out |= _vectors(v=v, omega=omega)
-    out |= {"speed": np.linalg.norm(v, axis=2).ravel(), **_vectors(force=force)}
+    out |= {"speed": np.linalg.norm(v, axis=2).ravel(), **_inertial(trajectory, names), **_vectors(force=force)}
     return out, {
+        "mass": "kg",
+        "kinetic": "J",
         **dict.fromkeys("xyz", "m"),
         **dict.fromkeys(("v_x", "v_y", "v_z", "speed"), "m/s"),
         **dict.fromkeys(("omega_x", "omega_y", "omega_z"), "rad/s"),
         **dict.fromkeys(FORCES, "N"),
     }
+
+
+def _inertial(trajectory: Trajectory, names: list[str]) -> dict[str, Array]:
+    """Masses and kinetic energies of bodies in all states, NaN where not known."""
+    masses, frames = body_motion.carried(trajectory.scene), body_motion.first_carried(trajectory.scene)
+    energies = body_motion.energies(trajectory, np.arange(trajectory.t.size), trajectory.twists)
+    mass, kinetic = np.full((2, trajectory.t.size, len(names)), np.nan)
+    for k, name in enumerate(names):
+        if (frame := frames.get(name)) in energies:
+            mass[:, k], kinetic[:, k] = masses[frame].mass, energies[frame][1]
+    return {"mass": mass.ravel(), "kinetic": kinetic.ravel()}
 
 
 def _forces(trajectory: Trajectory, names: list[str]) -> Array:

@@ -130,8 +130,8 @@ class Trajectory:
             What makes a row, by its columns besides step and t, the time at which the step ends; forces are the mean
             of that step, NaN where none ends or contacts are not recorded.
 
-            bodies : a moving body or link in a state. x, y, z, quaternion qx to qw, v, omega, speed as of `body`, force
-                of all contacts on it.
+            bodies : a moving body or link in a state. x, y, z, quaternion qx to qw, v, omega, speed as of `body`; mass
+                and kinetic energy, of all that a joint carries in the row of its first link; contact force on it.
             joints : a coordinate of a joint, or a loop, in a state. unit of the position, position (angle), velocity,
                 torque, limit (force of it), friction, external, shift and the reaction on the child about the joint's
                 origin, of a loop on the link of its first frame, as of `joint` and `loop`.
@@ -163,7 +163,7 @@ class Trajectory:
     @cached_property
     def twists(self) -> dict[int, Array]:
         """Of moving frames of links, (n + 1, 6): linear velocity at the world's origin, then angular velocity."""
-        return body_motion.twists(self)
+        return body_motion.twists(self, np.arange(self.t.size))
 
     def contacts(self, k: int) -> ContactTable:
         """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError.

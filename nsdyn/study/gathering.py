@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from typing import Any
 
 __all__ = ["gather"]
@@ -50,10 +53,15 @@ def gather(function: Callable[..., Any], tasks: Tasks, workers: int | Executor |
 
 
 def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Iterator[Outcome]:
-    """In pools of one process each, so that one that dies takes only its own task along, and is replaced."""
+    """In pools of one process each, so that one that dies takes only its own task along, and is replaced.
+
+    Where this ends early the tasks that run are interrupted, which a pool would wait for.
+    """
+    context = get_context("spawn")
+    stopped, stop = context.Pipe(duplex=False)
 
     def pool() -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(1, get_context("spawn"))
+        return ProcessPoolExecutor(1, context, _heed, (stopped,))
 
     pools = [pool() for _ in range(min(count, len(tasks)))]
     idle, waiting, tried = list(range(len(pools))), deque(tasks), set[int]()
@@ -62,7 +70,7 @@ def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Ite
         while waiting or running:
             while waiting and idle:
                 k, place = waiting.popleft(), idle.pop()
-                running[pools[place].submit(function, *tasks[k])] = k, place
+                running[pools[place].submit(_heeding, function, *tasks[k])] = k, place
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 k, place = running.pop(future)
                 idle.append(place)
@@ -78,8 +86,43 @@ def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Ite
                         tried.add(k)
                         waiting.append(k)
     finally:
+        stop.close()
         for one in pools:
             one.shutdown(cancel_futures=True)
+        stopped.close()
+
+
+_over = threading.Event()
+"""In a process of a pool: that no task is wanted any more."""
+
+
+def _heed(stopped: Connection) -> None:
+    """Begin a process of a pool: it ignores interrupts between tasks, which end it in the midst of its messages."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_wait_for_stop, args=(stopped,), daemon=True).start()
+
+
+def _wait_for_stop(stopped: Connection) -> None:
+    """Interrupt the task that runs when the other end is closed, as it also is where that process is killed."""
+    stopped.poll(None)
+    _over.set()
+    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)  # nothing where it is ignored
+
+
+def _heeding(function: Callable[..., Any], *task: Any) -> Any:
+    """Call a function that may be interrupted, once."""
+
+    def interrupt(*_: Any) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        if _over.is_set():
+            raise KeyboardInterrupt
+        return function(*task)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _by_executor(function: Callable[..., Any], tasks: Tasks, executor: Executor) -> Iterator[Outcome]:

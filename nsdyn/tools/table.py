@@ -112,6 +112,8 @@ class Table:
 
 def matching(known: list[str], pattern: str, what: str) -> list[str]:
     """The known names that a pattern matches, where * stands for anything; ValueError if none does."""
+    if not known:
+        raise ValueError(f"the recording has no {what}")
     out = [name for name in known if fnmatchcase(name, pattern)]
     if not out:
         raise ValueError(unknown(pattern, known, what))

@@ -10,7 +10,7 @@ import numpy as np
 import umsgpack
 from numpy.typing import NDArray
 
-from nsdyn.recording import link_names
+from nsdyn.recording import body_motion, link_names
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.view import arrows, contact_points, curves, keyframes, marks, paths, payload, titles
 from nsdyn.view.commands import Json, as_hex
@@ -143,14 +143,15 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
     drawn, seen = [*scene["geoms"], *looks], {(look["link"].partition("/")[0], look["frame"]) for look in looks}
     carriers = [*labels, *(look["link"] for look in looks)]
     names = list(dict.fromkeys(carriers))
-    bodies, joints = [], _joints(scene)
+    bodies, joints, carried = [], _joints(scene), body_motion.carried(scene)
     for name in names:
         geom = drawn[carriers.index(name)]
         frame = geom["frame"]
-        mass = scene["masses"][frame] if 0 <= frame < scene["free"] else None
+        mass, centre, _ = carried.get(frame, (None, np.zeros(3), None))
         joint = joints.get(scene["frames"][frame]) if frame >= scene["free"] else None
         shown = f"#{as_hex(colour(geom)):06x}"
-        bodies.append({"name": name, "frame": frame, "mass": mass, "joint": joint, "colour": shown})
+        bodies.append({"name": name, "frame": frame, "joint": joint, "colour": shown})
+        bodies[-1] |= {"mass": mass, "centre": centre.tolist()}
     values = {
         "name": trajectory.meta["scene_name"],
         "begin": float(trajectory.t[0]),
@@ -162,7 +163,6 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         "gravity": scene["gravity"],
         "largest": trajectory.largest_energy,
         "at_rest": trajectory.at_rest,
-        "free": scene["free"],
         "bodies": bodies,
         "frames": [body_path(name) for name in scene["frames"]],
         "geoms": [
@@ -261,6 +261,4 @@ def _notes(trajectory: Trajectory, frames: int, points: int, hits: int) -> list[
         notes.append("recorded without contacts: no points, forces, impacts and penetrations")
     if hits > MAX_IMPACTS:
         notes.append(f"the {MAX_IMPACTS} strongest of {hits} steps with impacts are marked")
-    if trajectory.scene["articulations"]:
-        notes.append("masses and speeds of links are not recorded")
     return notes

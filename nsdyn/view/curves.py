@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nsdyn.recording import link_names
+from nsdyn.recording.body_motion import energies, twists
 from nsdyn.recording.columns import WORKS
 from nsdyn.recording.joint_tables import coordinates
 from nsdyn.tools.arrays import Array, Index
@@ -56,13 +57,14 @@ def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array
 
 
 def bodies(trajectory: Trajectory, rows: Index) -> dict[str, Array]:
-    """Speed of the centre of mass, m/s, and kinetic energy, J, of the free bodies at states; shape (states, bodies)."""
-    free = trajectory.scene["free"]
-    twist = trajectory.v[rows, : 6 * free].reshape(rows.size, free, 6)
-    inertia = np.array(trajectory.scene["inertias"]).reshape(-1, 3, 3)
-    speed = np.linalg.norm(twist[..., :3], axis=2)
-    turning = np.einsum("nbi,bij,nbj->nb", twist[..., 3:], inertia, twist[..., 3:])
-    return {"speed": speed, "kinetic": 0.5 * (speed**2 * np.array(trajectory.scene["masses"]) + turning)}
+    """Speed of the centre of mass, m/s, and kinetic energy, J, of what moves with each frame; shape (states, frames).
+
+    NaN where masses are not known: of driven bodies, and of links in old recordings.
+    """
+    out = np.full((2, rows.size, len(trajectory.scene["frames"])), np.nan)
+    for frame, of_body in energies(trajectory, rows, twists(trajectory, rows)).items():
+        out[:, :, frame] = of_body
+    return {"speed": out[0], "kinetic": out[1]}
 
 
 def joints(trajectory: Trajectory, rows: Index) -> dict[str, Array]:

@@ -61,7 +61,8 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
     name : str
         Which bodies, pairs or joints, as of `nsdyn.Trajectory.table`.
     figure : matplotlib Figure or SubFigure, optional
-        A new one of pyplot by default. Its layout should be constrained.
+        A new one of pyplot by default, in a notebook one that is shown where a cell ends with it. Its layout should be
+        constrained.
 
     Returns
     -------
@@ -89,6 +90,8 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
         import matplotlib.pyplot as plt
 
         figure = plt.figure(layout="constrained")
+        if plt.get_backend().endswith("inline"):  # a notebook shows what a cell returns, and then all that is open
+            plt.close(figure)
     panels.draw(figure, found)
     return figure
 

@@ -1,6 +1,7 @@
 """Every option of every command, in calls that end well."""
 
 import argparse
+import importlib.util
 import json
 import shutil
 
@@ -42,7 +43,9 @@ CALLS = {
         "m.xml --keyframe bent",
     ],
     "solve": ["p.hdf5 --solver pgs --tol 1e-6 -o solved.hdf5 --json"],
-    "profile": [". --solver pgs --tol 1e-4 --min-contacts 1 --limit 5 --csv p.csv --plot p.png --json"],
+    "profile": [
+        ". --solver pgs --peer pinocchio --tol 1e-4 --min-contacts 1 --limit 5 --csv p.csv --plot p.png --json",
+    ],
     "bench": ["slip --limit 2 --csv b.csv --plot b.png --json"],
     "energy": ["run.h5 --by pair --plot e.png --csv e.csv --json"],
     **{kind: [f"run.h5 --name * --step 2 --csv {kind}.csv"] for kind in ("bodies", "joints", "pairs", "contacts")},
@@ -52,8 +55,8 @@ CALLS = {
     "plot": ["run.h5 -o k.pdf --kind speed --name arm/* --size 85 60 --style ggplot"],
 }
 ELSEWHERE = {
-    "--dask": "tests/study: a scheduler of its own",
-    "--peer": "tests/bench: engines that need not be installed",
+    "--dask": "below: dask need not be installed",
+    "--peer": "below: engines need not be installed",
     "--parquet": "below: pyarrow need not be installed",
 }
 
@@ -115,6 +118,34 @@ def test_parquet_has_the_headers_of_csv(folder, monkeypatch, kind):
     names = parquet.read_table(f"{kind}.parquet").column_names
     assert (folder / f"{kind}.csv").read_text().partition("\n")[0] == ",".join(names)
     assert "t [s]" in names
+
+
+def test_bench_beside_another_engine(monkeypatch, capsys):
+    from nsdyn.bench import cases, engines
+
+    monkeypatch.setattr(cases, "STEPS", (0.5,))
+    code = cli.main(["bench", "slip", "--peer", "mujoco", "--limit", "2"])
+    out, err = capsys.readouterr()
+    if engines.PEERS["mujoco"].installed:
+        assert code == 0 and "mujoco" in out
+    else:
+        assert code == 2 and "peer mujoco is not installed: pip install 'nsdyn[peers]'" in err
+
+
+@pytest.mark.filterwarnings("default")  # dask's own
+def test_sweep_on_a_scheduler_of_dask(capsys):
+    call = ["sweep", "slide", "--set", "mu=0.2,0.3", *SHORT.split(), "--json", "--dask"]
+    if importlib.util.find_spec("distributed") is None:
+        assert cli.main([*call, "tcp://127.0.0.1:8786"]) == 2
+        assert "--dask needs the extra `cluster`: pip install 'nsdyn[cluster]'" in capsys.readouterr().err
+        return
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        code = cli.main([*call, cluster.scheduler_address])
+    out, err = capsys.readouterr()
+    assert code == 0, err
+    assert [run["mu"] for run in json.loads(out)["runs"]] == [0.2, 0.3]
 
 
 def test_a_tolerance_without_its_sign_is_told(folder, monkeypatch, capsys):

@@ -60,6 +60,8 @@ def test_table_of_bodies_is_their_motion(trajectory):
         np.testing.assert_allclose(force[1:], trajectory.force(name), rtol=0, atol=1e-12)
     with pytest.raises(ValueError, match=r"did you mean 'below'\? bodies must be one of below, .*; got 'belo'"):
         trajectory.table("bodies", "belo")
+    with pytest.raises(ValueError, match="the recording has no joints"):
+        trajectory.table("joints")
     with pytest.raises(ValueError, match=r"kind of table must be one of bodies, joints, .*; got 'body'"):
         trajectory.table("body")
 
@@ -135,6 +137,19 @@ def test_tables_show_themselves(trajectory):
     assert "speed [m/s]" in html and "bodies: 123 rows, the first 20" in html and html.count("<tr>") == 21
     with pytest.raises(ValueError, match=r"did you mean 'speed'\? column must be one of speed, .* others; got 'sped'"):
         table["sped"]
+
+
+@pytest.mark.parametrize("name", ["arm_pushes_box", "cart_pole", "heavy_on_light"])
+def test_kinetic_energies_add_up_to_those_of_the_ledger(name):
+    """Each mass once, those of links too."""
+    run = nd.simulate(nd.scenes.load(name)(), 0.02, dt=2e-3)
+    table = run.table("bodies")
+    kinetic = np.nan_to_num(table["kinetic"]).reshape(run.t.size, -1).sum(axis=1)
+    np.testing.assert_allclose(kinetic, run.energy.kinetic, rtol=1e-12, atol=1e-25)
+    first = table[table["step"] == 0]
+    known = np.isfinite(first["mass"])
+    np.testing.assert_array_equal(known, np.isfinite(first["kinetic"]))
+    assert known.any() and (first["mass"][known] > 0.0).all()
 
 
 def test_velocities_of_driven_bodies():

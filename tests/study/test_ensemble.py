@@ -3,6 +3,7 @@
 import csv
 import importlib.util
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -218,6 +219,15 @@ def test_a_sweep_that_is_stopped_says_what_is_done(tmp_path, monkeypatch, capsys
     assert len((tmp_path / "s.jsonl").read_bytes().splitlines()) == 3
     assert cli.main([*values]) == 130
     assert "2 of 4 done; without a store they are lost" in capsys.readouterr().err
+
+
+def test_tasks_that_run_are_interrupted_where_no_more_are_wanted():
+    begin = time.monotonic()
+    outcomes = gathering.gather(time.sleep, {0: (0.0,), 1: (600.0,)}, 2)
+    assert next(outcomes) == (0, None, "")
+    outcomes.close()  # as Ctrl-C does
+    assert time.monotonic() - begin < 60.0  # most of it the start of the processes
+    assert not multiprocessing.active_children()
 
 
 @pytest.mark.slow

@@ -146,6 +146,16 @@ def test_a_trajectory_plays_in_its_cell(run, tmp_path, monkeypatch):
     assert "<iframe" not in run._repr_html_() and "write it with to_html" in run._repr_html_()
 
 
+def test_a_figure_is_shown_once(run):
+    """A notebook shows the value of a cell, and every figure of pyplot that is open when it ends."""
+    inline = "module://" + pytest.importorskip("matplotlib_inline.backend_inline").__name__
+    plt = pytest.importorskip("matplotlib.pyplot")
+    for backend, left in ((inline, 0), ("agg", 1)):
+        plt.switch_backend(backend)
+        assert len(nd.plots.draw(run, "energy").axes) == 1 and len(plt.get_fignums()) == left
+    plt.close("all")
+
+
 def test_a_scene_shows_its_bodies_and_nothing_of_theirs_is_markup():
     scene = nd.Scene(name="<b>")
     for k in range(30):

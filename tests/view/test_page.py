@@ -717,11 +717,22 @@ def test_what_is_not_recorded_is_told(opened, tmp_path):
     assert set(table(page)) == {"mass", "speed", "kinetic energy", "potential energy"}
 
 
-def test_links_have_no_mass(opened):
-    page = opened(nd.simulate(nd.scenes.load("arm_pushes_box")(), duration=0.02, dt=2e-3))
-    assert "masses and speeds of links are not recorded" in text(page, "#notes")
-    page.run("nsdyn.panes[0].inspector.body(nsdyn.recordings[0].bodies.findIndex(b => b.name.startsWith('arm/')))")
-    assert "not recorded" in text(page, ".inspector p") and "mass" not in table(page)
+def test_links_have_masses_and_energies(opened):
+    """Of what their joint carries: those of all links and bodies add up to the ledger's."""
+    t = nd.simulate(nd.scenes.load("arm_pushes_box")(), duration=0.02, dt=2e-3)
+    page, kinetic, potential = opened(t), 0.0, 0.0
+    page.run("nsdyn.show(0.02)")
+    bodies = page.run("nsdyn.recordings[0].bodies")
+    first = {body["frame"]: k for k, body in reversed(list(enumerate(bodies))) if body["frame"] >= 0}
+    for k in first.values():
+        page.run(f"nsdyn.panes[0].inspector.body({k})")
+        shown = table(page)
+        kinetic += number(shown["kinetic energy"], "J")
+        potential += number(shown["potential energy"], "J")
+        assert number(shown["mass"], "kg") > 0.0
+        assert ("joint carries" in text(page, ".inspector")) == bool(bodies[k]["joint"])
+    assert kinetic == pytest.approx(t.energy.kinetic[-1], rel=1e-3)
+    assert potential == pytest.approx(t.energy.potential[-1], rel=1e-3)
 
 
 def test_a_link_shows_its_joint(opened):
@@ -746,7 +757,7 @@ def test_a_link_shows_its_joint(opened):
         ):
             assert number(shown[label], of) == pytest.approx(value, rel=1e-3), label  # four digits are shown
         curves = page.run("Array.from(document.querySelectorAll('.inspector .plot'), plot => plot.dataset.label)")
-        assert [place, drive, "reaction"] == [label for label in curves if label in shown]
+        assert ["speed", place, drive, "reaction"] == [label for label in curves if label in shown]
     times, forces = page.run(
         "(p => [p.times, p.values])(nsdyn.panes[0].inspector.plots.find(p => p.label === 'reaction'))"
     )

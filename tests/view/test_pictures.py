@@ -83,6 +83,23 @@ def test_films_are_drawn_as_pages_are(falling, tmp_path):
 
 
 @needs_chromium
+def test_a_film_draws_anew_only_what_has_moved(falling, tmp_path):
+    viewer.write_html(falling, tmp_path / "page.html")
+    with browser.browsing() as page:
+        page.open((tmp_path / "page.html").as_uri() + "#picture&film", (320, 180))
+        page.run(
+            "(viewer => { const {render} = viewer; window.count = 0;"
+            " viewer.render = () => { window.count++; render(); }; })(nsdyn.panes[0].stage.viewer)"
+        )
+        page.run("nsdyn.show(0.5)")
+        first = page.picture()
+        page.run("nsdyn.show(0.5)")
+        assert page.picture() == first and page.run("count") == 1
+        page.run("nsdyn.show(0.6)")
+        assert page.picture() != first and page.run("count") == 2
+
+
+@needs_chromium
 def test_film_that_fails_is_told(falling, tmp_path, monkeypatch):
     stand_in(tmp_path, monkeypatch, "sys.exit('no such encoder')")
     viewer.write_html(falling, tmp_path / "page.html")

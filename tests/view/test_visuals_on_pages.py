@@ -114,3 +114,16 @@ def test_links_that_have_no_visual_shape_show_their_collision_shape(tmp_path):
         assert page.run(shown) == [False, True]  # of the base, which has a visual shape, and of the arm
         page.run("document.querySelector('.tools .collision').click()")
         assert page.run(shown) == [True, True]
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_all_buttons_there_can_be_have_one_row(run, tmp_path):
+    run.to_html(tmp_path / "page.html", beside=run)
+    with browser.browsing() as page:
+        for size in ((1280, 720), (1280, 1024), (1920, 1080)):
+            page.open((tmp_path / "page.html").as_uri() + "#t=0", size)
+            tops = page.run(
+                "Array.from(document.querySelectorAll('#tools button'), b => b.getBoundingClientRect().top)"
+            )
+            assert len(tops) == 17 and max(tops) - min(tops) < 1
+            assert page.run("document.getElementById('dock').clientHeight < 50 * innerWidth / 1280")

@@ -49,6 +49,7 @@ class Inspector {
     this.picked = {body: number};
     if (!moving) this.place.append(element("p", "", "It is fixed."));
     else if (body.mass === null) this.place.append(element("p", "", "Its mass and speed are not recorded."));
+    else if (body.joint) this.place.querySelector("h2").append(element("small", "", " mass, speed, energies: of all that its joint carries"));
     if (moving) {
       this.overlay.marked = {frame: body.frame, name: body.name};
       this.buttons(body.frame);
@@ -86,22 +87,16 @@ class Inspector {
     const last = path[path.length - 1];
     if (last.t < recording.end) path.push({t: recording.end, x: last.x});
     this.plot("height", "m", path.map(point => point.t), path.map(point => point.x[2]));
-    if (body.mass !== null) this.plot("speed", "m/s", recording.t, this.column("bodies/speed", body.frame));
-    for (const {label, unit, values} of this.joint.filter(({drawn}) => drawn)) {
+    if (body.mass !== null) this.plot("speed", "m/s", recording.t, recording.column("bodies/speed", body.frame));
+    for (const {label, unit, values, play} of this.joint.filter(({drawn}) => drawn)) {
       const known = Array.from(values.keys()).filter(k => Number.isFinite(values[k]));
-      this.plot(label, unit, known.map(k => recording.t[k]), known.map(k => values[k]));
+      this.plot(label, unit, known.map(k => recording.t[k]), known.map(k => values[k]), play);
     }
     if (!recording.contacts) return;
     const {times, normal, drag} = recording.loads(number);
     const most = normal.reduce((a, b) => Math.max(a, b), 0);
     this.plot("normal", "N", times, normal, most);
     this.plot("friction", "N", times, drag, most);
-  }
-
-  // Values of one body in all states.
-  column(name, frame) {
-    const {free, arrays, t} = this.recording;
-    return Float32Array.from(t, (_, k) => arrays[name][k * free + frame]);
   }
 
   // A curve over time, of which what is round-off beside `play` is no motion.
@@ -140,18 +135,18 @@ class Inspector {
 
   showBody(number, t) {
     const {recording, stage} = this;
-    const {frame, mass} = recording.bodies[number];
+    const {frame, mass, centre} = recording.bodies[number];
     if (mass !== null) {
-      const at = recording.frame(t) * recording.free + frame;
+      const at = recording.frame(t) * recording.frames.length + frame;
       const {largest, play} = recording;
       this.set("speed", withUnit(recording.arrays["bodies/speed"][at], "m/s", play.speed));
       this.set("kinetic energy", withUnit(recording.arrays["bodies/kinetic"][at], "J", largest));
-      const place = stage.origin(frame);
-      const potential = -mass * recording.gravity.reduce((sum, g, k) => sum + g * place[k], 0);
+      const [origin, lever] = [stage.origin(frame), stage.turned(frame, centre)];
+      const potential = -mass * recording.gravity.reduce((sum, g, k) => sum + g * (origin[k] + lever[k]), 0);
       this.set("potential energy", withUnit(potential, "J", largest));
       this.set("mass", plain(mass, "kg"));
     }
-    for (const {label, unit, values} of this.joint) this.set(label, withUnit(values[recording.frame(t)], unit));
+    for (const {label, unit, values, play} of this.joint) this.set(label, withUnit(values[recording.frame(t)], unit, play));
     const force = recording.force(number, t);
     if (!force) return;
     const {play} = recording;

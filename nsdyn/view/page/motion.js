@@ -8,7 +8,7 @@ const STILL_HERE = 1e-4;  // of where it is, what moves less does not
 class Motion {
   constructor(recording, inspector) {
     Object.assign(this, {recording, inspector});
-    const {bodies, free, t, arrays} = recording;
+    const {bodies, t} = recording;
     this.t = t;
     this.lanesOf = new Map();
     this.first = new Map();  // number of the first body that each one's joint carries, whose curves it has
@@ -22,8 +22,8 @@ class Motion {
         if (!this.lanesOf.has(unit)) this.lanesOf.set(unit, []);
         this.lanesOf.get(unit).push({number, name: joint?.name ?? name, colour, values});
       };
-      if (frame >= 0 && frame < free) {
-        add("speed [m/s]", Float32Array.from(t, (_, k) => arrays["bodies/speed"][k * free + frame]));
+      if (frame >= 0 && !joint && body.mass !== null) {
+        add("speed [m/s]", recording.column("bodies/speed", frame));
         if (!bodies.some(({joint}) => joint)) add("height [m]", recording.heights(frame));
       }
       for (const {label, unit, values} of recording.joint(body)) {

@@ -37,8 +37,11 @@ class Recording {
     this.arrays = arrays;
     this.t = arrays.t;
     // What is at play: beside it round-off is nothing.
-    const fastest = (arrays["bodies/speed"] ?? []).reduce((a, b) => Math.max(a, b), 0);
-    this.play = {speed: Math.max(fastest, this.dt * Math.hypot(...this.gravity)), force: this.units?.cones ?? 0};
+    const fastest = (arrays["bodies/speed"] ?? []).reduce((a, b) => b > a ? b : a, 0);
+    const gravity = Math.hypot(...this.gravity);
+    const masses = new Map(this.bodies.map(({frame, mass}) => [frame, mass]));  // of each frame once
+    const weight = gravity * Array.from(masses.values()).reduce((sum, mass) => sum + mass, 0);
+    this.play = {speed: Math.max(fastest, this.dt * gravity), force: Math.max(weight, this.units?.cones ?? 0)};
   }
 
   // When there were impacts, and words for the pointer.
@@ -101,6 +104,11 @@ class Recording {
       const at = 3 * (k * this.t.length + row);
       return {t, x: Array.from(values.subarray(at, at + 3))};
     });
+  }
+
+  // Values of one frame in all states.
+  column(name, frame) {
+    return Float32Array.from(this.t, (_, k) => this.arrays[name][k * this.frames.length + frame]);
   }
 
   // Heights in all states of a frame, none of one that never moves.
@@ -209,7 +217,8 @@ class Recording {
       ["reaction", "force", "N", true], ["its moment", "moment", "N·m", false],
     ].map(([label, name, unit, drawn]) => {
       const values = Float32Array.from(this.t, (_, k) => this.arrays[`joints/${name}`][k * count + joint.column]);
-      return {label, unit, drawn, values};
+      const play = {N: this.play.force, "N·m": this.play.force * this.view.radius}[unit] ?? 0;
+      return {label, unit, drawn, values, play};
     }).filter(({values}) => values.some(Number.isFinite));
   }
 

@@ -44,9 +44,9 @@ class Sight {
   // Where the shapes and the camera are now, before points are asked for.
   look(camera) {
     this.eye = camera.position.toArray();
-    this.placed = this.solids.map(solid => {
-      return {...solid, centre: transformed(solid.node.matrixWorld.elements, solid.middle, 0), inverse: null};
-    });
+    this.balls = Float64Array.from(this.solids.flatMap(({node, middle, radius}) => (
+      [...transformed(node.matrixWorld.elements, middle, 0), radius])));
+    this.inverses = new Array(this.solids.length);
   }
 
   // Whether something is before a point, world.
@@ -55,24 +55,27 @@ class Sight {
     const way = this.eye.map((c, k) => c - point[k]);
     const length = Math.hypot(...way);
     const [dx, dy, dz] = way.map(c => c / length);
-    for (const solid of this.placed) {
-      const {centre, radius} = solid;
-      const [cx, cy, cz] = [centre[0] - point[0], centre[1] - point[1], centre[2] - point[2]];
+    for (let k = 0; k < this.solids.length; k++) {  // of hundreds, for each of hundreds of points: without objects
+      const radius = this.balls[4 * k + 3];
+      const cx = this.balls[4 * k] - x, cy = this.balls[4 * k + 1] - z, cz = this.balls[4 * k + 2] + y;
       const along = cx * dx + cy * dy + cz * dz;
       if (along < -radius || cx * cx + cy * cy + cz * cz - along * along > radius * radius) continue;
-      solid.inverse ??= solid.node.matrixWorld.clone().invert().elements;
-      if (Sight.chord(solid, transformed(solid.inverse, point, 0), [dx, dy, dz]) > INSIDE * radius) return true;
+      const {node, planes} = this.solids[k];
+      const inverse = this.inverses[k] ??= node.matrixWorld.clone().invert().elements;
+      if (Sight.chord(inverse, planes, transformed(inverse, point, 0), [dx, dy, dz]) > INSIDE * radius) return true;
     }
     return false;
   }
 
   // Length of a ray from a point in the axes of a solid, with a direction of the world, inside of the solid.
-  static chord({inverse: m, planes}, p, d) {
-    const [dx, dy, dz] = [0, 1, 2].map(k => m[k] * d[0] + m[4 + k] * d[1] + m[8 + k] * d[2]);
-    let [from, to] = [0, Infinity];
-    for (const [nx, ny, nz, offset] of planes) {
-      const left = offset - nx * p[0] - ny * p[1] - nz * p[2];
-      const speed = nx * dx + ny * dy + nz * dz;
+  static chord(m, planes, p, d) {
+    const dx = m[0] * d[0] + m[4] * d[1] + m[8] * d[2];
+    const dy = m[1] * d[0] + m[5] * d[1] + m[9] * d[2];
+    const dz = m[2] * d[0] + m[6] * d[1] + m[10] * d[2];
+    let from = 0, to = Infinity;
+    for (const n of planes) {
+      const left = n[3] - n[0] * p[0] - n[1] * p[1] - n[2] * p[2];
+      const speed = n[0] * dx + n[1] * dy + n[2] * dz;
       if (Math.abs(speed) < 1e-12) {
         if (left < 0) return 0;
       } else if (speed > 0) {
@@ -89,5 +92,9 @@ class Sight {
 // A point of an array, taken by the elements of a matrix.
 function transformed(m, array, at) {
   const [x, y, z] = [array[at], array[at + 1], array[at + 2]];
-  return [0, 1, 2].map(k => m[k] * x + m[4 + k] * y + m[8 + k] * z + m[12 + k]);
+  return [
+    m[0] * x + m[4] * y + m[8] * z + m[12],
+    m[1] * x + m[5] * y + m[9] * z + m[13],
+    m[2] * x + m[6] * y + m[10] * z + m[14],
+  ];
 }

@@ -176,8 +176,17 @@ class Stage {
     quality.shown = requestAnimationFrame(() => { quality.rest = setTimeout(() => this.still(), STILL); });
   }
 
-  // Draw at once, as a scene that stands still.
+  // Draw at once, as a scene that stands still. Of bodies that are all where they were a film has the picture before, and
+  // over it anew what is drawn on it.
   still() {
+    const places = this.frames.flatMap(frame => [...frame.position.toArray(), ...frame.quaternion.toArray()]).join();
+    const same = places === this.places && document.body.classList.contains("film");
+    this.places = places;
+    if (same) {
+      this.viewer.needs_render = false;
+      for (const draw of this.drawn) draw();
+      return;
+    }
     this.quality.last = null;
     this.quality.still = true;
     this.draw(0);

@@ -12,6 +12,7 @@ const DRAWN = {
   forces: "Contact forces on bodies, mean since the state before; with two heads those that are cut",
   cones: "Friction cones with the force inside, red at its edge; of redundant contacts those of least norm",
 };
+const SIGNS = {dark: "◐"};  // of buttons that need no word
 
 class Tools {
   constructor(panes) {
@@ -50,7 +51,8 @@ class Tools {
   group(entries, press) {
     const place = this.place.appendChild(element("span"));
     return Object.fromEntries(entries.map(([name, title]) => {
-      const button = place.appendChild(element("button", name, name[0].toUpperCase() + name.slice(1)));
+      const button = place.appendChild(element("button", name, SIGNS[name] ?? name[0].toUpperCase() + name.slice(1)));
+      if (SIGNS[name]) button.setAttribute("aria-label", name);
       button.title = title;
       button.addEventListener("click", () => press(name, button));
       return [name, button];
