@@ -154,7 +154,7 @@ EXAMPLES: dict[str, Callable[[], None]] = {"step": _step, "all": _all, "contact"
 
 def noted(group: str) -> Notes:
     """Calls of kernels in a group of examples, which run as Python."""
-    Kernel.notes = notes = Notes()
+    Kernel.notes = notes = Notes(patient=group != "step")
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
