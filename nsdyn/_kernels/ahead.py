@@ -77,12 +77,12 @@ _LATER: dict[Path, "subprocess.Popen[bytes]"] = {}
 """The processes that compile meanwhile, by what they make. Nobody waits for them, and they outlive this one."""
 
 
-def _later(kernel: Kernel, types: Any, file: Path) -> bool:
-    """Compile a kernel in a process of its own, unless another does; False where it is this one that should."""
+def _later(kernel: Kernel, types: Any, file: Path, begin: bool) -> bool:
+    """Begin to compile a kernel in another process, unless one does; False where it is this one that should."""
     if os.environ.get(PROCESSES) == "1" or (file in _LATER and _LATER[file].poll()):
         return False
     with alone(file, wait=False) as free:
-        if free and file not in _LATER:
+        if free and begin and file not in _LATER:
             asked = pickle.dumps((kernel.py_func.__module__, kernel.py_func.__name__, types)).hex()
             quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
             try:

@@ -170,8 +170,8 @@ class Kernel(CPUDispatcher):
     prepare: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
     """Called before a process compiles what Python calls."""
 
-    later: ClassVar[Callable[[Kernel, Any, Path], bool]] = staticmethod(lambda kernel, types, file: False)
-    """Has another process compile a kernel; whether one does."""
+    later: ClassVar[Callable[[Kernel, Any, Path, bool], bool]] = staticmethod(lambda kernel, types, file, begin: False)
+    """Whether another process compiles a kernel, or may; it begins now or need not yet."""
 
     cache_path = None
     """Of what `stats` tells of a cache."""
@@ -227,13 +227,13 @@ class Kernel(CPUDispatcher):
         with _no_garbage(), alone(self.kept.file(types, self.targetctx), wait) as free:
             return super().compile(types) if free else None
 
-    def is_ready(self, *args: Any) -> bool:
+    def is_ready(self, begin: bool, *args: Any) -> bool:
         """Whether a call with such arguments need not wait for more than loading; if not, `later` it need not."""
         if Kernel.notes is not None:
             return Kernel.notes.patient
         types = tuple(map(self.typeof_pyval, args))
         file = self.kept.file(types, self.targetctx)
-        return types in self.overloads or file is None or file.exists() or not Kernel.later(self, types, file)
+        return types in self.overloads or file is None or file.exists() or not Kernel.later(self, types, file, begin)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -249,9 +249,9 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return out
 
 
-def is_ready(function: Callable[..., Any], *args: Any) -> bool:
-    """Whether a kernel can be called with such arguments at once; if not, another process compiles it meanwhile."""
-    return not isinstance(function, Kernel) or function.is_ready(*args)
+def is_ready(function: Callable[..., Any], begin: bool, *args: Any) -> bool:
+    """Whether a kernel can be called with such arguments at once; if not, another process may begin to compile it."""
+    return not isinstance(function, Kernel) or function.is_ready(begin, *args)
 
 
 def in_place(function: Callable[..., Any] | None = None, **options: Any) -> Any:

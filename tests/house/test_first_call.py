@@ -53,10 +53,10 @@ MEANWHILE = """
 import time
 from nsdyn._kernels import callee
 from nsdyn._kernels.compiled import is_ready
-print(is_ready(callee.given, 1.0))
+print(is_ready(callee.given, True, 1.0))
 for _ in range({}):
     time.sleep(0.1)
-    if is_ready(callee.given, 1.0):
+    if is_ready(callee.given, True, 1.0):
         print(callee.given(1.0), sum(callee.given.stats.cache_misses.values()))
         break
 """
