@@ -133,7 +133,7 @@ def unfinished(
             met.rows.full.arrays,
             (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),
             mean,
-            (R, d.inverse_J, s.arm, h),
+            (R, d.inverse_J, s.arm, h, s.closed),
             (r, met.mu),
             (met.stays, met.sticks, slides),
             found,
@@ -170,7 +170,7 @@ def solve_workless(
         return met, problem, solution, otherwise, couple
     nc = met.contacts.gap.size
     d, c, full = s.dynamics, met.contacts, met.rows.full.arrays
-    pairs, bodies = (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), (R, d.inverse_J, s.arm, half.h)
+    pairs, bodies = (c.geom1, c.geom2, c.frame1, c.frame2, c.normal), (R, d.inverse_J, s.arm, half.h, s.closed)
     flags = met.stays, met.sticks, slides
     laws = met.end_gap, met.restitution, met.rebound, met.late, tuple(way.closing)
     left = np.full(nc, np.inf)
