@@ -24,6 +24,10 @@ errors of second. Where nothing turns there are none, and what approaches is sto
 ARM = 1.0
 """Most that a couple moves a contact force, in lengths h ω R: as far as points of the body go in the move."""
 
+BEYOND = 1.1
+"""Of the work that couples can take, most of it that is an error of a motion. What does more strikes, or is no contact
+that lasts: it does not persist, nor does what no couple makes workless."""
+
 NO_ARM, NO_WORK, NOISE = 1e-10, 1e-12, 1e-10
 """Arms, as fractions of R, of what may be at rest, which have no couples; works, of r_N R ω, that are round-off;
 and those that are if another pass does not halve them: impulses of redundant contacts are less exact."""
@@ -181,7 +185,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
             for c in range(first, last):
                 now += dot(row(couple, c), turning)
             rest, scale = abs(amount * speed - now), press * size * speed
-            lasts = work <= most * speed + noise and rest <= max(left[first], noise)
+            lasts = work <= BEYOND * most * speed + noise and rest <= max(left[first], noise)
             differ = rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first]
             left[first] = rest
             some = some or differ or not lasts
