@@ -36,8 +36,9 @@ if TYPE_CHECKING:
 
 __all__ = ["NO_COUPLE", "Apart", "Couple", "solve_workless", "unfinished"]
 
-PASSES = 8
-"""Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω."""
+PASSES = 30
+"""Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω. Few take
+more than eight."""
 
 
 class Couple(NamedTuple):
