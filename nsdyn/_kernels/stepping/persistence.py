@@ -185,7 +185,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
             for c in range(first, last):
                 now += dot(row(couple, c), turning)
             rest, scale = abs(amount * speed - now), press * size * speed
-            lasts = work <= BEYOND * most * speed + noise and rest <= max(left[first], noise)
+            lasts = work <= BEYOND * most * speed + noise
             differ = rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first]
             left[first] = rest
             some = some or differ or not lasts
