@@ -26,7 +26,7 @@ ARM = 1.0
 
 BEYOND = 1.1
 """Of the work that couples can take, most of it that is an error of a motion. What does more strikes, or is no contact
-that lasts: it does not persist, nor does what no couple makes workless."""
+that lasts: it does not persist."""
 
 NO_ARM, NO_WORK, NOISE = 1e-10, 1e-12, 1e-10
 """Arms, as fractions of R, of what may be at rest, which have no couples; works, of r_N R ω, that are round-off;
