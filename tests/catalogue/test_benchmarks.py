@@ -32,11 +32,11 @@ class Account:
 
 
 @pytest.mark.case(15)
-@pytest.mark.parametrize("steps", [600, pytest.param(6000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("steps", [300, pytest.param(6000, marks=pytest.mark.slow)])
 def test_energy_over_ten_thousand_elastic_impacts(steps):
     """27 smooth balls in a closed box: of the change nothing is unexplained, and what is left is the solver's error.
 
-    In 6000 steps; in 600 there are a tenth of the impacts.
+    In 6000 steps; in 300 there are a twentieth of the impacts.
     """
     run = Account(nd.scenes.load("billiard")(balls=27, speed=5.0), steps, 2e-3, tol=1e-12)
     assert run.impacts >= steps / 0.6
@@ -60,7 +60,7 @@ def test_elastic_ball_under_gravity_keeps_its_energy():
 
 
 @pytest.mark.case(44)
-@pytest.mark.parametrize("heading", [0.0, 60.0, 137.0])
+@pytest.mark.parametrize("heading", [pytest.param(0.0, marks=pytest.mark.slow), 60.0, 137.0])
 def test_box_and_balls_pushed(heading):
     """M a + (2/7) n m a = F - mu (M + n m) g; SimBenchmark's error is the mean square of the velocities' errors."""
     module = nd.scenes.module("rolling")
@@ -89,7 +89,7 @@ def test_box_and_balls_pushed(heading):
 
 @pytest.mark.case(45)
 @pytest.mark.parametrize(
-    ("side", "dt", "duration"), [(3, 5e-3, 1.5), pytest.param(6, 2e-3, 2.0, marks=pytest.mark.slow)]
+    ("side", "dt", "duration"), [(3, 5e-3, 1.0), pytest.param(6, 2e-3, 2.0, marks=pytest.mark.slow)]
 )
 def test_falling_balls_do_not_overlap(side, dt, duration):
     trajectory = nd.simulate(nd.scenes.load("six_cubed")(side=side), duration, dt=dt)
