@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
+from nsdyn.view import browser
 
 SOLVERS = {name: nd.solvers.by_name(name, 1e-8) for name in nd.solvers.SOLVERS}
 
@@ -20,6 +21,13 @@ def rng() -> np.random.Generator:
 @pytest.fixture(params=sorted(SOLVERS))
 def solver(request: pytest.FixtureRequest) -> nd.solvers.Solver:
     return SOLVERS[request.param]
+
+
+@pytest.fixture(scope="session")
+def window():
+    """A headless browser: one of all tests of a process, each of which opens its own page."""
+    with browser.browsing() as page:
+        yield page
 
 
 def drift(trajectory: nd.Trajectory) -> float:

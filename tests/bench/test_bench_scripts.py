@@ -39,7 +39,7 @@ SCRIPTS = {
 }
 
 
-LONG = "kills.py", "regimes.py", "sweep.py"
+LONG = "at_rest.py", "fuzz.py", "kills.py", "regimes.py", "sweep.py"
 OWN = "at_rest.py", "fuzz.py", "kills.py", "sweep.py"
 """What starts, forks and kills processes, in a process of its own."""
 

@@ -241,13 +241,17 @@ def test_stick_and_slip_on_a_belt(duration):
     mu, stiffness, belt = 0.3, 100.0, 0.5
     model = nd.scenes.module("oscillator")
     omega, rest = math.sqrt(stiffness), mu * g / stiffness
-    trajectory = nd.simulate(model.scene(start=0.0, mu=mu), duration, dt=1e-3, external_force=model.spring(stiffness, belt))
+    trajectory = nd.simulate(
+        model.scene(start=0.0, mu=mu), duration, dt=1e-3, external_force=model.spring(stiffness, belt)
+    )
     block = trajectory.body("block")
     x = block.position[:, 0] + belt * trajectory.t  # stretch of the spring
     v = block.linear_velocity[:, 0] + belt  # as seen from the ground
     sticking = trajectory.t <= rest / belt - 1e-3
     assert np.abs(block.linear_velocity[sticking]).max() <= 1e-12
-    cycles = [(trajectory.t > t) & (trajectory.t <= t + 2 * math.pi / omega) for t in np.arange(1.0, duration - 0.7, 0.6)]
+    cycles = [
+        (trajectory.t > t) & (trajectory.t <= t + 2 * math.pi / omega) for t in np.arange(1.0, duration - 0.7, 0.6)
+    ]
     for cycle in cycles:
         assert abs(np.ptp(x[cycle]) / 2 - belt / omega) <= 1e-4
         assert abs(v[cycle].max() - belt) <= 1e-4

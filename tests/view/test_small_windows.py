@@ -45,12 +45,6 @@ def pages(runs, tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def window():
-    with browser.browsing() as page:
-        yield page
-
-
 def blue(picture, box):
     """How many pixels in a box of a picture have the colours of the body."""
     from PIL import Image
