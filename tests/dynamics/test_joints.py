@@ -343,7 +343,7 @@ def test_resting_on_a_stop_is_exact():
     scene = nd.Scene()
     add(scene, "a", slider(2.0, upper=0.2), q=[0.1], restitution=0.8)
     stepper = nd.Stepper(scene, 1e-3, controller=lambda t, q, v: {"a": np.array([10.0])})
-    for _ in range(1000):
+    for _ in range(2000):
         step = stepper.step()
     assert step.q[0] == pytest.approx(0.2, abs=1e-10) and abs(step.v[0]) <= 1e-12
     assert step.joint_impulse[0] == pytest.approx(-10.0 * 1e-3, rel=1e-9)
@@ -400,12 +400,12 @@ def test_moving_wall_pushes_a_ball():
     scene.add_box("wall", (0.1, 1, 1), position=(-0.05, 0, 0), fixed=True)
     scene.set_motion("wall", velocity=lambda t: (np.sin(t), 0, 0))
     scene.add_sphere("ball", 0.1, 1.0, position=(0.15, 0, 0))
-    trajectory = nd.simulate(scene, 3.0)
+    trajectory = nd.simulate(scene, 2.0)
     ball, wall = trajectory.body("ball"), trajectory.body("wall")
     # The trapezoidal rule of the wall's velocity: h² / 12.
     np.testing.assert_allclose(wall.position[:, 0], -0.05 + 1 - np.cos(trajectory.t), rtol=0, atol=2e-7)
     # Half of what counts as closed for a ball of 0.1 m is what a contact that stays may leave open, of either sign.
-    assert min(trajectory.contacts(k).gap.min(initial=0.0) for k in range(1, 3001)) >= -0.5e-10
+    assert min(trajectory.contacts(k).gap.min(initial=0.0) for k in range(1, 2001)) >= -0.5e-10
     assert ball.linear_velocity[-1, 0] == pytest.approx(1.0, abs=1e-6)  # the fastest the wall was
     assert closes(trajectory) < 1e-12
     # The wall did what the ball has and what the first, inelastic impact took.
@@ -438,9 +438,9 @@ def test_turntable_carries_a_box_around():
         "box", (0.1, 0.1, 0.1), 1.0, position=(0.2, 0, 0.05), linear_velocity=(0, 0.4, 0), angular_velocity=(0, 0, 2.0)
     )
     scene.set_pair("box", "table", mu=0.5)
-    h = np.pi / 2000
+    h = np.pi / 1000
     trajectory = nd.simulate(scene, np.pi, h)
-    # A whole turn, to second order in the 3 mrad of a step.
+    # A whole turn, to second order in the 6 mrad of a step.
     radius, angle = (
         np.hypot(*trajectory.body("box").position[-1, :2]),
         np.arctan2(*trajectory.body("box").position[-1, 1::-1]),
@@ -476,7 +476,10 @@ def swinging(rate, depth, **keywords):
     return scene
 
 
-@pytest.mark.parametrize(("rate", "dt"), [(-1.0, 5e-3), (-1.0, 1e-2), (-50.0, 5e-2), (lambda t: -3.0 * t, 2e-3)])
+@pytest.mark.parametrize(
+    ("rate", "dt"),
+    [pytest.param(-1.0, 5e-3, marks=pytest.mark.slow), (-1.0, 1e-2), (-50.0, 5e-2), (lambda t: -3.0 * t, 2e-3)],
+)
 def test_a_driven_link_does_not_go_through_the_ground(rate, dt):
     with pytest.raises(
         ValueError, match=r"prescribed motions contradict: 'ground' and 'arm/j0_0' overlap by [\d.e-]+ m at"

@@ -88,7 +88,7 @@ def test_an_arm_that_is_held_and_pushed():
         np.testing.assert_allclose(joint.reaction_torque, np.tile(moment, (10, 1)), rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("every", [1, 3])
+@pytest.mark.parametrize("every", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_slider_crank(every):
     """Forces in both pins and the loop at the slider, by Newton and Euler for crank and rod by hand."""
 

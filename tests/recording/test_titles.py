@@ -51,7 +51,7 @@ def test_scenes_by_name_and_by_function():
     for executor in (None, 1):
         runs = nd.sweep("slide", {"mu": [0.1, 0.2]}, 0.01, executor=executor)
         assert [parameters(run.result) for run in runs] == [SLIDE | {"mu": mu} for mu in (0.1, 0.2)]
-    runs = nd.sweep(thrown, {"speed": [np.float64(1.5)], "n": [np.arange(2)]}, 0.01, executor=1)
+    runs = nd.sweep(thrown, {"speed": [np.float64(1.5)], "n": [np.arange(2)]}, 0.01)
     assert parameters(runs[0].result) == {"speed": 1.5, "mu": 0.4, "n": [0, 1]}
     own = thrown(1.0)
     assert parameters(nd.simulate(own, 0.01)) == {}
