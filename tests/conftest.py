@@ -1,5 +1,6 @@
 """Shared fixtures: seeded randomness, the solvers, a step of a small mixed scene."""
 
+import os
 import shutil
 import struct
 from pathlib import Path
@@ -9,6 +10,9 @@ import pytest
 
 import nsdyn as nd
 from nsdyn.view import browser
+
+# What is tested is the kernel of quiet steps, not the general steps until it is compiled.
+os.environ.setdefault("NSDYN_COMPILE_PROCESSES", "1")
 
 SOLVERS = {name: nd.solvers.by_name(name, 1e-8) for name in nd.solvers.SOLVERS}
 

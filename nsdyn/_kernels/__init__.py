@@ -2,14 +2,9 @@
 
 They are in folders like those of the package, whose modules call them. Each gives the same numbers as plain Python,
 with ``NUMBA_DISABLE_JIT=1``. The first use on a machine compiles them and keeps the machine code in a folder of the
-user, as `nsdyn._kernels.cache` tells; the logger "nsdyn" says so to whoever waits, see `nsdyn._kernels.waiting`.
+user, as `nsdyn._kernels.cache` tells; the logger "nsdyn" says so to whoever waits.
 """
 
-from numba.core import event
-
 from nsdyn._kernels import ahead
-from nsdyn._kernels.waiting import Waiting
 
 __all__ = ["ahead"]
-
-event.register("numba:compile", Waiting())

@@ -25,8 +25,6 @@ from typing import Any
 import numba
 import numpy as np
 from numba.core import config
-from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 FOLDER = "NSDYN_CACHE_DIR"
@@ -40,110 +38,23 @@ PLATFORM = (sys.implementation.cache_tag, numba.__version__, *np.__version__.spl
 _IMPORT = re.compile(r"^(?:from|import) +(nsdyn[\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
 
-def folders() -> list[Path]:
-    """Where the cache may be, the first that can be written counts."""
-    for name, below in ((FOLDER, ""), ("NUMBA_CACHE_DIR", "nsdyn")):
-        if os.environ.get(name):
-            return [Path(os.environ[name]).absolute() / below]
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()).absolute()
-    return [home / "nsdyn", Path(tempfile.gettempdir()) / f"nsdyn-{os.getuid()}"]
-
-
 @lru_cache(maxsize=1)
 def folder() -> Path | None:
     """Folder of the compiled kernels, made if there is none; None if none can be written."""
-    for place in folders():
+    if given := os.environ.get(FOLDER):
+        places = [Path(given)]
+    elif given := os.environ.get("NUMBA_CACHE_DIR"):
+        places = [Path(given) / "nsdyn"]
+    else:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+        places = [home / "nsdyn", Path(tempfile.gettempdir()) / f"nsdyn-{os.getuid()}"]
+    for place in map(Path.absolute, places):
         with suppress(OSError):
             place.mkdir(mode=0o700, parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=place).close()
             if place.stat().st_uid == os.getuid():  # what is read is executed, and a temporary folder is everybody's
                 return place
     return None
-
-
-@cache
-def imports(module: str) -> list[str]:
-    """Modules of ours that one imports."""
-    names = set()
-    for package, parts in _IMPORT.findall(Path(sys.modules[module].__file__).read_text()):
-        names |= {package} | {f"{package}.{part.split()[0]}" for part in parts.strip("()").split(",") if part.strip()}
-    return sorted(name for name in names if name in sys.modules and name != __package__)
-
-
-@cache
-def reached(module: str) -> frozenset[str]:
-    """The module, those that it imports, and those that these import."""
-    return frozenset((module,)).union(*map(reached, imports(module)))
-
-
-@cache
-def contents(module: str) -> bytes:
-    """Hash of the text of a module and, transitively, of the modules of ours it imports."""
-    text = Path(sys.modules[module].__file__).read_text()
-    return hashlib.sha256(text.encode() + b"".join(map(contents, imports(module)))).digest()
-
-
-class Cache(NullCache):
-    """What one function was compiled to: a file for each list of types of arguments."""
-
-    form = "machine code"
-    """Of what is kept."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        # Now, since the file may be edited before the first call
-        content = contents(function.__module__).hex()
-        self.name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}-{content[:16]}"
-        self._contents = function.__module__, content
-
-    @property
-    def cache_path(self) -> str | None:
-        """Folder, which `Kernel.stats` shows."""
-        return str(folder()) if folder() else None
-
-    def file(self, types: Any, context: Any) -> Path | None:
-        """File of what it is compiled to for these types, None without a cache."""
-        place = folder()
-        if place is None:
-            return None
-        on = PLATFORM, config.BOUNDSCHECK, context.codegen().magic_tuple()
-        key = hashlib.sha256(repr((self.name, self._contents, self.form, str(types), on)).encode()).hexdigest()
-        return place / f"{self.name}-{key[:32]}.nbc"
-
-    def load_overload(self, types: Any, context: Any) -> CompileResult | None:
-        """The compiled function, None if it is not in the cache."""
-        context.refresh()
-        file = self.file(types, context)
-        try:
-            data = file.read_bytes()
-            os.utime(file)
-        except (AttributeError, OSError):
-            return None
-        return self.rebuild(context, pickle.loads(data))
-
-    def save_overload(self, types: Any, result: CompileResult) -> None:
-        """Keep a compiled function; a full disk costs a compilation at the next start."""
-        file = self.file(types, result.target_context)
-        if file is None:
-            return
-        _clean(file.parent)
-        data = dumps(self.reduce(result))
-        with suppress(OSError), tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as part:
-            try:
-                part.write(data)
-                part.close()
-                os.replace(part.name, file)
-            except OSError:
-                os.unlink(part.name)
-                raise
-
-    def reduce(self, result: CompileResult) -> tuple[Any, ...]:
-        """What of a compiled function is kept."""
-        kept: tuple[Any, ...] = result._reduce()
-        return kept
-
-    def rebuild(self, context: Any, kept: tuple[Any, ...]) -> CompileResult:
-        """The compiled function of what was kept."""
-        return CompileResult._rebuild(context, *kept)
 
 
 @lru_cache(maxsize=1)
@@ -156,6 +67,67 @@ def _clean(place: Path) -> None:
             total += status.st_size
             if total > LARGEST or now - status.st_mtime > KEEP:
                 os.unlink(path)
+
+
+@cache
+def reached(module: str) -> frozenset[str]:
+    """The module, those of ours that it imports, and those that these import."""
+    names = set()
+    for package, parts in _IMPORT.findall(Path(sys.modules[module].__file__).read_text()):
+        names |= {package} | {f"{package}.{part.split()[0]}" for part in parts.strip("()").split(",") if part.strip()}
+    return frozenset((module,)).union(*map(reached, names & sys.modules.keys() - {__package__}))
+
+
+@cache
+def contents(module: str) -> str:
+    """Hash of the text of a module and of those that it `reached`."""
+    texts = [Path(sys.modules[name].__file__).read_text() for name in (module, *sorted(reached(module)))]
+    return hashlib.sha256("".join(texts).encode()).hexdigest()
+
+
+class Cache:
+    """What one function was compiled to: a file for each list of types of arguments."""
+
+    def __init__(self, function: Callable[..., Any], form: str) -> None:
+        # Now, since the file may be edited before the first call
+        content = contents(function.__module__)
+        self.name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}-{content[:16]}"
+        self._of = form, function.__module__, content, PLATFORM, config.BOUNDSCHECK
+
+    def file(self, types: Any, context: Any) -> Path | None:
+        """File of what it is compiled to for these types, None without a cache."""
+        place = folder()
+        if place is None:
+            return None
+        key = hashlib.sha256(repr((self._of, str(types), context.codegen().magic_tuple())).encode()).hexdigest()
+        return place / f"{self.name}-{key[:32]}.nbc"
+
+    def load(self, types: Any, context: Any) -> Any:
+        """What was kept, None if nothing was."""
+        context.refresh()
+        file = self.file(types, context)
+        try:
+            data = file.read_bytes()
+            os.utime(file)
+        except (AttributeError, OSError):
+            return None
+        return pickle.loads(data)
+
+    def save(self, types: Any, context: Any, kept: Any) -> None:
+        """Keep it; a full disk costs a compilation at the next start."""
+        file = self.file(types, context)
+        if file is None:
+            return
+        _clean(file.parent)
+        data = dumps(kept)
+        with suppress(OSError), tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as part:
+            try:
+                part.write(data)
+                part.close()
+                os.replace(part.name, file)
+            except OSError:
+                os.unlink(part.name)
+                raise
 
 
 @lru_cache(maxsize=1)

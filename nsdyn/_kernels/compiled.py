@@ -1,23 +1,34 @@
 """The decorator of all kernels.
 
-What Python calls is compiled to machine code; what kernels call is not, see `nsdyn._kernels.called`. Both are kept, see
+numba makes machine code of every function that it compiles, with an entry from Python and one from C, and optimises it
+with all that it calls, again for each caller. Here only what Python calls is made machine code of, with all below it,
+once: of a kernel that kernels call there is LLVM's code, simplified function by function. Both are kept, see
 `nsdyn._kernels.cache`.
 """
 
+from __future__ import annotations
+
 import gc
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
+from pathlib import Path
 from typing import Any, ClassVar
 
+import llvmlite.binding as llvm
 from numba.core import config, typing
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompileResult, Flags, compile_extra, compile_result
 from numba.core.registry import CPUDispatcher
 from numba.core.types import unliteral
 
 from nsdyn._kernels.cache import Cache, alone
-from nsdyn._kernels.called import Called
+
+PATIENCE = 2.0
+"""s of loading and compiling in a process about which nothing is said."""
 
 
 @contextmanager
@@ -49,14 +60,94 @@ def clock() -> float:
     return time.perf_counter() - _loading.seconds
 
 
+@lru_cache(maxsize=1)
+def announce() -> None:
+    """Tell, once in a process, that kernels are compiled."""
+    logging.getLogger("nsdyn").warning("compiling kernels, once on this machine: half a minute or more")
+
+
+class Linkable(JITCodeLibrary):
+    """LLVM code of a function and of those it calls, which is not run by itself."""
+
+    def _optimize_final_module(self) -> None:
+        """Nothing: its callers are optimised with it."""
+
+    def _finalize_final_module(self) -> None:
+        """No machine code."""
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class Called:
+    """What kernels call of a kernel.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    """
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._function, self._context, self._typing = kernel.py_func, kernel.targetctx, kernel.typingctx
+        self._flags = Flags()
+        kernel.targetdescr.options.parse_as_flags(self._flags, kernel.targetoptions)
+        self._flags.no_compile = self._flags.no_cpython_wrapper = self._flags.no_cfunc_wrapper = True
+        self._cache = Cache(kernel.py_func, "LLVM code")
+        self._results: dict[Any, CompileResult] = {}
+
+    def __getitem__(self, types: Any) -> CompileResult:
+        """Compiled or loaded for these types of arguments."""
+        if types not in self._results:
+            with alone(self._cache.file(types, self._context)):
+                kept = self._cache.load(types, self._context)
+                result = self._compile(types) if kept is None else self._rebuild(*kept)
+            # By its entry, an address, numba finds how a function is called: any object that is no other's will do
+            result = result._replace(entry_point=object())
+            self._context.insert_user_function(result.entry_point, result.fndesc, [result.library])
+            self._results[types] = result
+        return self._results[types]
+
+    def _compile(self, types: Any) -> CompileResult:
+        result = compile_extra(self._typing, self._context, self._function, types, None, self._flags.copy(), {})
+        library, description = result.library, result.fndesc
+        library.__class__ = Linkable
+        description.typemap = description.calltypes = None  # as numba does: of no use, and not to be pickled
+        _, _, code = library.serialize_using_bitcode()
+        kept = library.name, code, description, result.environment, result.signature, result.reload_init
+        self._cache.save(types, self._context, kept)
+        return result
+
+    def _rebuild(self, name: str, code: bytes, description: Any, environment: Any, signature: Any, init: Any) -> Any:
+        for load in init:
+            load()
+        library = Linkable(self._context.codegen(), name)
+        library._final_module = llvm.parse_bitcode(code)
+        library._finalize_final_module()
+        return compile_result(
+            typing_context=self._typing,
+            target_context=self._context,
+            library=library,
+            fndesc=description,
+            environment=environment,
+            signature=signature,
+            reload_init=init,
+            objectmode=False,
+        )
+
+
 class Notes:
-    """Calls of kernels from Python, in their order, while all kernels run as Python."""
+    """Calls of kernels from Python, in their order, while all kernels run as Python.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    patient : bool
+        Whether also of those that runs go on without until they are compiled.
+    """
+
+    def __init__(self, patient: bool) -> None:
         self.calls: dict[tuple[Kernel, Any], None] = {}
-        self._inside = False
+        self.patient, self._inside = patient, False
 
-    def call(self, kernel: "Kernel", *args: Any, **kws: Any) -> Any:
+    def call(self, kernel: Kernel, *args: Any, **kws: Any) -> Any:
         """Run a kernel as Python; those it calls are none of Python's."""
         if self._inside:
             return kernel.py_func(*args, **kws)
@@ -72,22 +163,34 @@ class Notes:
 class Kernel(CPUDispatcher):
     """Compiled function: compiled by one process while others wait, and for variables where it is given constants."""
 
-    known: ClassVar[list["Kernel"]] = []
+    known: ClassVar[list[Kernel]] = []
     notes: ClassVar[Notes | None] = None
     """Where not None, nothing is compiled."""
 
     prepare: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
     """Called before a process compiles what Python calls."""
 
+    later: ClassVar[Callable[[Kernel, Any, Path, bool], bool]] = staticmethod(lambda kernel, types, file, begin: False)
+    """Whether another process compiles a kernel, or may; it begins now or need not yet."""
+
+    cache_path = None
+    """Of what `stats` tells of a cache."""
+
     def enable_caching(self) -> None:
         """As numba does, in our cache."""
-        self._cache = Cache(self.py_func)
+        self._cache, self.kept = self, Cache(self.py_func, "machine code")
         self.known.append(self)
 
-    @property
-    def name(self) -> str:
-        """Module, name and contents: the beginning of the names of its files."""
-        return self._cache.name
+    def load_overload(self, types: Any, context: Any) -> CompileResult | None:
+        """What numba asks of a cache."""
+        kept = self.kept.load(types, context)
+        if kept is None and _loading.seconds > PATIENCE:
+            announce()
+        return None if kept is None else CompileResult._rebuild(context, *kept)
+
+    def save_overload(self, types: Any, result: CompileResult) -> None:
+        """What numba tells a cache."""
+        self.kept.save(types, result.target_context, result._reduce())
 
     @cached_property
     def called(self) -> Called:
@@ -121,8 +224,16 @@ class Kernel(CPUDispatcher):
         """Load or compile for these types; without waiting None where another process does."""
         if types in self.overloads:
             return super().compile(types)
-        with _no_garbage(), alone(self._cache.file(types, self.targetctx), wait) as free:
+        with _no_garbage(), alone(self.kept.file(types, self.targetctx), wait) as free:
             return super().compile(types) if free else None
+
+    def is_ready(self, begin: bool, *args: Any) -> bool:
+        """Whether a call with such arguments need not wait for more than loading; if not, `later` it need not."""
+        if Kernel.notes is not None:
+            return Kernel.notes.patient
+        types = tuple(map(self.typeof_pyval, args))
+        file = self.kept.file(types, self.targetctx)
+        return types in self.overloads or file is None or file.exists() or not Kernel.later(self, types, file, begin)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -136,6 +247,11 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     out = Kernel(function, targetoptions=always | options)
     out.enable_caching()
     return out
+
+
+def is_ready(function: Callable[..., Any], begin: bool, *args: Any) -> bool:
+    """Whether a kernel can be called with such arguments at once; if not, another process may begin to compile it."""
+    return not isinstance(function, Kernel) or function.is_ready(begin, *args)
 
 
 def in_place(function: Callable[..., Any] | None = None, **options: Any) -> Any:

@@ -173,6 +173,9 @@ class Bench:
                 reached = [self.within(case, engine, bound) for bound in bounds]
                 seconds = [math.nan if run is None else 1e3 * run.seconds for run in reached]
                 axes.plot(bounds, seconds, color=f"C{k}", lw=2.0 if k == 0 else 1.2, label=engine)
+            if not any(math.isfinite(y) for line in axes.lines for y in line.get_ydata()):
+                axes.set(ylim=(1.0, 10.0))  # of which there is nothing to choose them by
+                axes.text(0.5, 0.5, "no run ended within the limit", ha="center", transform=axes.transAxes)
             axes.set(xscale="log", yscale="log", xlim=(bounds[0], bounds[-1]))
             axes.set(title=CASES[case].title, xlabel=CASES[case].what, ylabel="ms per simulated second")
         for axes in panels[len(self.cases) :]:

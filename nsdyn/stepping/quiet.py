@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
+from nsdyn._kernels.compiled import is_ready
 from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import quiet as _quiet
@@ -40,6 +41,9 @@ Certify = Callable[[FC3D, Array, Array, Opening | None], tuple[Certificate, Open
 Moves = tuple[Instant, Array, bool, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
 """End of some moves, the last free acceleration, whether the end is clear, what acted, what was solved and the works of
 all parts: as of `nsdyn.stepping.move.Move`."""
+
+ASKS = 50
+"""Steps after which it is asked again whether the kernel of quiet steps is compiled."""
 
 
 class Quiet:
@@ -87,10 +91,12 @@ class Quiet:
             s.detector,
         )
         self._dynamics, self._size, self._moved, self._work = d, d.free, False, _room(d.free, 0)
-        self._none = Found.room(0)
+        self._none, self._ready, self._asked = Found.room(0), False, 0
 
     def step(self, old: Flat, certify: Certify) -> Flat | None:
         """The next state, None where more may happen."""
+        if not (self._ready or self._is_ready(old)):
+            return None
         n, nc, detector = self._size, old.found.nc, self._detector
         if self._work[1].size != 2 * nc + 2:
             self._work = _room(n, nc)
@@ -149,6 +155,20 @@ class Quiet:
             floats[_quiet.GAP : _quiet.WENT] = certificate
             out = out._replace(opening=opening)
         return out
+
+    def _is_ready(self, old: Flat) -> bool:
+        """Whether the kernel is compiled: that takes half a minute, in which general steps do the same.
+
+        It does not begin before these have what they need: two processes on one core would wait for each other.
+        """
+        self._asked += 1
+        if self._asked % ASKS != 1:
+            return False
+        state, found, detector = tuple(old[3:6]), tuple(old.found), self._detector
+        direction = old.opening.d if old.opening else NOTHING
+        given = self._arrays, detector.searches, state, found, state, found, found, old.next_key, direction, self._work
+        self._ready = is_ready(_quiet.quiet, self._asked > 1, *given, 0, False, detector.asks)
+        return self._ready
 
     def _looked(self, floats: Array, code: int, n: int) -> tuple[Array, Array, Array]:
         """Where contacts are looked for, (x, R, reach) of all bodies."""

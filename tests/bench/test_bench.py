@@ -74,6 +74,16 @@ def test_csv_and_plot(made_up, tmp_path):
         assert drawn == pytest.approx(1e3 * made_up.within("slide", "peer", error).seconds)
 
 
+def test_a_case_that_no_engine_ends_says_so():
+    """Without a finished run there is nothing to scale by: matplotlib would warn, which is an error here."""
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    Bench((run("nsdyn", "x", 0.1, math.nan, math.nan), run("nsdyn", "x", 0.01, math.inf, math.nan))).plot(figure)
+    figure.canvas.draw()
+    assert [text.get_text() for text in figure.axes[0].texts] == ["no run ended within the limit"]
+
+
 def poses(x):
     """One body at the positions x, not turned."""
     x = np.asarray(x, dtype=float)

@@ -1,7 +1,4 @@
-"""Kernels run as plain Python, too, give the same numbers there, and give back the memory that they take.
-
-`nsdyn doctor --compile` knows them all.
-"""
+"""Kernels run as plain Python, too, give the same numbers there, and give back the memory that they take."""
 
 import ast
 import json
@@ -16,6 +13,7 @@ import pytest
 import nsdyn
 
 ROOT = Path(nsdyn.__file__).parent
+PATH = os.pathsep.join((str(ROOT.parent), str(Path(__file__).parent)))
 SCRIPT = """
 import json, sys, warnings
 warnings.simplefilter("ignore")
@@ -27,11 +25,11 @@ def note(frame, event, argument):
 
 import numpy as np
 import nsdyn as nd
-from nsdyn import compilation
+from everything import everything
 
 if sys.argv[1:]:
     sys.setprofile(note)
-    compilation.EXAMPLES["all"]()
+    everything()
 values = {}
 for name in ("slide", "pile", "arm_pushes_box", "cards", "euler_disk", "bounce", "slider_crank"):
     setup = nd.scenes.setup(name)
@@ -53,7 +51,7 @@ import gc, json, warnings
 warnings.simplefilter("ignore")
 import numpy as np
 from numba.core.runtime import rtsys
-from nsdyn import compilation
+from everything import everything
 from nsdyn._kernels.compiled import in_place, kernel
 
 @kernel
@@ -73,13 +71,13 @@ def held(function):
     after = rtsys.get_allocation_stats()
     return after.mi_alloc - before.mi_alloc - (after.mi_free - before.mi_free)
 
-print(json.dumps([held(compilation.EXAMPLES["all"]), held(lambda: lost(3))]))
+print(json.dumps([held(everything), held(lambda: lost(3))]))
 """
 
 
 def run(*arguments: str, **environment: str) -> tuple[dict[str, list[float]], list[str]]:
     """Results of the script in a process of its own, and the kernels that it called."""
-    variables = os.environ | {"PYTHONPATH": str(ROOT.parent)} | environment
+    variables = os.environ | {"PYTHONPATH": PATH} | environment
     command = [sys.executable, "-c", SCRIPT, *arguments]
     return json.loads(subprocess.run(command, capture_output=True, text=True, check=True, env=variables).stdout)
 
@@ -108,7 +106,7 @@ def test_plain_python_gives_the_same_numbers():
 @pytest.mark.slow  # all kernels in a process of its own, twice
 def test_kernels_keep_no_memory(tmp_path):
     """Those that do not count references must call none that returns an array of its own: what does is found here."""
-    variables = os.environ | {"PYTHONPATH": str(ROOT.parent), "NUMBA_NRT_STATS": "1"}
+    variables = os.environ | {"PYTHONPATH": PATH, "NUMBA_NRT_STATS": "1"}
     path = tmp_path / "memory.py"
     path.write_text(MEMORY)
     command = [sys.executable, str(path)]

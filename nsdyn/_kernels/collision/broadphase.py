@@ -8,6 +8,7 @@ from nsdyn._kernels.collision.geometry import Geometry, Placed, place
 from nsdyn._kernels.collision.kinds import HALFSPACE, support
 from nsdyn._kernels.collision.separation import gap_along
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.sorting import place_of
 from nsdyn._kernels.vectors import dot, minus, row, times
@@ -84,7 +85,7 @@ def append(codes, count, code):
     """Array with the code at position `count`, grown when it is full."""
     if count == codes.size:
         grown = np.empty(2 * codes.size, dtype=np.int64)
-        grown[:count] = codes
+        copy(codes, grown)
         codes = grown
     codes[count] = code
     return codes

@@ -9,6 +9,7 @@ own, pressed so that r_N = h tau_c exactly. Rows that are not named are zero.
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.reductions import copy
 
 
 @in_place
@@ -58,7 +59,7 @@ def append_rows(slots, coordinate, other, tree, sign, blocks):
         new_start[nc + i, 0] = new_start[nc + i, 1] = size
         size += 3 * (offset[k + 1] - offset[k])
     new_H = np.zeros(size)
-    new_H[: H.size] = H
+    copy(H, new_H)
     for i in range(nj):
         k = tree[slots[i]]
         at = new_start[nc + i, 0] + coordinate[slots[i]] - offset[k]
@@ -119,8 +120,8 @@ def reduce_rows(blocks, bases, z_start, z, pressed, clutch):
     for k in range(nb):
         first, n = new_m_start[k], sizes[k]
         if where[k] < 0:
-            new_m[first : first + n * n] = m[m_start[k] : m_start[k] + n * n]
-            new_minv[first : first + n * n] = minv[m_start[k] : m_start[k] + n * n]
+            copy(m[m_start[k] : m_start[k] + n * n], new_m[first:])
+            copy(minv[m_start[k] : m_start[k] + n * n], new_minv[first:])
         else:
             for j in range(n):
                 new_m[first + j * n + j] = new_minv[first + j * n + j] = 1.0

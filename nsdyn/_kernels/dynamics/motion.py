@@ -10,6 +10,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.dynamics import rotation
+from nsdyn._kernels.reductions import copy
 
 
 @in_place
@@ -79,7 +80,7 @@ def keep_spin(J, inverse_J, quaternion, turned, v, out):
     R, S = np.empty((J.shape[0], 3, 3)), np.empty((J.shape[0], 3, 3))
     rotations(quaternion, R)
     rotations(turned, S)
-    out[:] = v
+    copy(v, out)
     spin, space = np.empty(3), np.empty(3)
     for b in range(J.shape[0]):
         f = 6 * b + 3

@@ -12,6 +12,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
+from nsdyn._kernels.reductions import copy
 
 SMALLEST, LARGEST = 1e-150, 1e150
 """Sizes of numbers whose squares are in the range of floating-point numbers."""
@@ -165,7 +166,7 @@ def delassus(blocks):
                         seen[a] = b
                         indices[fill[a]] = b
                         fill[a] += 1
-    fill[:] = indptr[:-1]
+    copy(indptr[:-1], fill)
     for a in range(nc):
         for p in range(indptr[a], indptr[a + 1]):
             b = indices[p]

@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from nsdyn._kernels.compiled import in_place, kernel
 
 ROUNDING = 2.0**-52
@@ -254,10 +252,8 @@ def largest_eigenvalue(W):
 @kernel
 def diagonal_scales(indptr, indices, data, out):
     """lambda_max of the diagonal block of every contact of a block-sparse W, into out (nc,)."""
-    block = np.empty((3, 3))
     for c in range(out.size):
         out[c] = 0.0
         for k in range(indptr[c], indptr[c + 1]):
             if indices[k] == c:
-                block[:] = data[k]
-                out[c] = largest_eigenvalue(block)
+                out[c] = largest_eigenvalue(data[k])

@@ -19,6 +19,7 @@ from nsdyn._kernels.problem.unit_mass import (
     room,
     rows_in_unit_mass,
 )
+from nsdyn._kernels.reductions import copy
 
 ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
 CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
@@ -284,7 +285,7 @@ def solve_matrix(given, state, so_far, limits):
             now = measure_at(scales, u, y, mu, q_norm)
             if now < best:
                 best, last = now, count
-                best_r[:] = y
+                copy(y, best_r)
         if count - last > CYCLE:
             keep = 0.0
         for c in range(mu.size):

@@ -18,6 +18,7 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity
 from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
+from nsdyn._kernels.reductions import copy
 
 PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
 SHRINKAGE, LEAST = 0.3, 1e-3  # what is left of such a penalty, and at which no more is tried
@@ -203,8 +204,8 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     best = measure_of(blocks, q, mu, scales, q_norm, r, y, u, work)
     estimate = r.copy()
-    kept[:] = y
-    own[:] = u
+    copy(y, kept)
+    copy(u, own)
     count, inner, before = 0, 0, np.inf
     rho = penalty / scales
     projected(u, estimate, rho, mu, P)
@@ -224,16 +225,16 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
         measure = measure_of(blocks, q, mu, scales, q_norm, P, own_y, shown, work)
         if measure < best:
             best = measure
-            r[:] = P
+            copy(P, r)
         done, left = settled(scales, u, shown, own, P, estimate)
         if done:
             penalty = grown(penalty, inner)
-            estimate[:] = P
-            own[:] = shown
-            kept[:] = y
+            copy(P, estimate)
+            copy(shown, own)
+            copy(y, kept)
         elif failed(inner, left, before):
             penalty *= SHRINKAGE
-            y[:] = kept
+            copy(kept, y)
             relative_velocity(blocks, y, u)
             u += q
         else:
