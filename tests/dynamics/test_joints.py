@@ -438,9 +438,9 @@ def test_turntable_carries_a_box_around():
         "box", (0.1, 0.1, 0.1), 1.0, position=(0.2, 0, 0.05), linear_velocity=(0, 0.4, 0), angular_velocity=(0, 0, 2.0)
     )
     scene.set_pair("box", "table", mu=0.5)
-    h = np.pi / 1000
+    h = np.pi / 2000
     trajectory = nd.simulate(scene, np.pi, h)
-    # A whole turn, to second order in the 6 mrad of a step.
+    # A whole turn, to second order in the 3 mrad of a step.
     radius, angle = (
         np.hypot(*trajectory.body("box").position[-1, :2]),
         np.arctan2(*trajectory.body("box").position[-1, 1::-1]),
