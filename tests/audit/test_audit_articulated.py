@@ -44,7 +44,6 @@ COARSE = {  # of what smaller changes are caught, too
     "damping left out of the model",
     "gravity left out of ten steps",
     "potential energy of springs left out",
-    "another kind of joint",
     "another parent",
     "half the speed",
     "velocities swapped",
@@ -55,11 +54,13 @@ COARSE = {  # of what smaller changes are caught, too
     "contact friction turned round",
     "a step left out",
 }
-assert falsified.KINDS.keys() > COARSE
+DEAR = {"an axis turned by 1e-5 rad"}  # whose loops take long to close
+
+assert falsified.KINDS.keys() > COARSE | DEAR
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(k, marks=pytest.mark.slow if k in COARSE else []) for k in falsified.KINDS]
+    "kind", [pytest.param(k, marks=pytest.mark.slow if k in COARSE | DEAR else []) for k in falsified.KINDS]
 )
 def test_falsified_recordings_do_not_pass(kind):
     audit = nd.check(falsified.false(kind))
@@ -171,8 +172,8 @@ def audits():
 @pytest.mark.parametrize(
     "seed",
     [
-        *(1, 4, 6, 3094, 2050, 2071, 2173, 5079, 20160, 40004, 99, 2113),
-        *(pytest.param(seed, marks=pytest.mark.slow) for seed in (65, 127, 175, 3108)),
+        *(1, 4, 6, 3094, 2050, 2071, 2173, 5079, 20160, 40004, 99),
+        *(pytest.param(seed, marks=pytest.mark.slow) for seed in (65, 127, 175, 3108, 2113)),
     ],
 )
 def test_random_robots_pass(audits, seed):

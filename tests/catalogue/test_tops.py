@@ -138,7 +138,7 @@ def test_tippe_top_leaves_the_upright_above_its_critical_spin(factor):
 
 
 @pytest.mark.case(26)
-@pytest.mark.parametrize("factor", [0.8, 1.2])
+@pytest.mark.parametrize("factor", [pytest.param(0.8, marks=pytest.mark.slow), 1.2])
 def test_tippe_top_turns_over_above_its_critical_spin(factor):
     """It ends where its energy is least: on its head, or leaning if it was too slow for that."""
     top = TippeTop(factor * critical_spins()[1], 10.0, 8.0, dt=4e-3, glide=50.0)

@@ -21,7 +21,7 @@ PLAIN = {"every": 1, "contacts": True}
 
 
 @pytest.mark.parametrize("rows", [PLAIN, {"every": 5}, {"contacts": False}], ids=str)
-@pytest.mark.parametrize("push", [(0.0, 0.0, 0.0), (1.0, 3.0, 0.0)], ids=str)
+@pytest.mark.parametrize("push", [pytest.param((0.0, 0.0, 0.0), marks=pytest.mark.slow), (1.0, 3.0, 0.0)], ids=str)
 def test_pendulum(push, rows):
     """Along the rod m g cos θ + m l θ̇² less what pulls its end, across it nothing; second order in what is recorded.
 
