@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
+from nsdyn.view import browser
 
 # What is tested is the kernel of quiet steps, not the general steps until it is compiled.
 os.environ.setdefault("NSDYN_COMPILE_PROCESSES", "1")
@@ -24,6 +25,13 @@ def rng() -> np.random.Generator:
 @pytest.fixture(params=sorted(SOLVERS))
 def solver(request: pytest.FixtureRequest) -> nd.solvers.Solver:
     return SOLVERS[request.param]
+
+
+@pytest.fixture(scope="session")
+def window():
+    """A headless browser: one of all tests of a process, each of which opens its own page."""
+    with browser.browsing() as page:
+        yield page
 
 
 def drift(trajectory: nd.Trajectory) -> float:

@@ -39,7 +39,7 @@ def _arm():
         stiffness=[2.0] * 3,
         restitution=0.3,
     )
-    return nd.simulate(scene, 0.5, 5e-3)
+    return nd.simulate(scene, 0.35, 5e-3)
 
 
 def _named(name, seconds, dt, speed=0.0):

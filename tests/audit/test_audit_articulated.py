@@ -24,7 +24,44 @@ def test_true_recordings_pass(name):
     assert audit.passed, audit
 
 
-@pytest.mark.parametrize("kind", falsified.KINDS)
+COARSE = {  # of what smaller changes are caught, too
+    "velocities times 3",
+    "one velocity of a joint turned round",
+    "a joint 1 rad beyond its limits",
+    "one joint's sign",
+    "swapped joints",
+    "motion backwards",
+    "two steps exchanged",
+    "an arm that stands in one state",
+    "a state between its neighbours",
+    "a link 0.05 m off its joint",
+    "a frozen link",
+    "limits half as strong",
+    "joint friction that drives",
+    "no joint friction",
+    "100 N m more of actuation",
+    "masses halved in the model",
+    "damping left out of the model",
+    "gravity left out of ten steps",
+    "potential energy of springs left out",
+    "another parent",
+    "half the speed",
+    "velocities swapped",
+    "velocities backwards",
+    "contact impulses of robots halved",
+    "masses halved in a standing robot's model",
+    "inertias twice",
+    "contact friction turned round",
+    "a step left out",
+}
+DEAR = {"an axis turned by 1e-5 rad"}  # whose loops take long to close
+
+assert falsified.KINDS.keys() > COARSE | DEAR
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=pytest.mark.slow if k in COARSE | DEAR else []) for k in falsified.KINDS]
+)
 def test_falsified_recordings_do_not_pass(kind):
     audit = nd.check(falsified.false(kind))
     assert not audit.passed and audit.verdict.startswith("FAILED"), audit
@@ -132,7 +169,13 @@ def audits():
     return module
 
 
-@pytest.mark.parametrize("seed", [1, 4, 6, 65, 127, 175, 3094, 2050, 2071, 2173, 3108, 5079, 20160, 40004, 99, 2113])
+@pytest.mark.parametrize(
+    "seed",
+    [
+        *(1, 4, 6, 3094, 2050, 2071, 2173, 5079, 20160, 40004, 99),
+        *(pytest.param(seed, marks=pytest.mark.slow) for seed in (65, 127, 175, 3108, 2113)),
+    ],
+)
 def test_random_robots_pass(audits, seed):
     """Among them one whose driven joint takes up impacts, and one whose loops turn fast.
 

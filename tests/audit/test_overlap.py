@@ -117,7 +117,13 @@ def searched(a, b, R, x, rng):
     return value.reshape(-1, 3).max(axis=1)
 
 
-@pytest.mark.parametrize(("first", "second"), PAIRS)
+UNLIKE = ("box", "disc"), ("convex", "needle"), ("sphere", "cylinder"), ("capsule", "ellipsoid")
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [pytest.param(a, b, marks=[] if a == b or (a, b) in UNLIKE else pytest.mark.slow) for a, b in PAIRS],
+)
 def test_random_search_finds_no_larger_separation(first, second):
     """In random poses that overlap by given fractions of the size, or nearly touch."""
     rng = np.random.default_rng(1)

@@ -12,7 +12,7 @@ import pytest
 import nsdyn as nd
 
 SCENES = {"pile": {"boxes": 3, "spheres": 3}, "quadruped": {}, "arm_pushes_box": {}, "rolling": {"balls": 2}}
-STEPS = 80
+STEPS = 50
 
 
 def run(name, record=None):

@@ -1,6 +1,7 @@
 """Orders of accuracy, and rotations that keep what is conserved."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -75,7 +76,9 @@ def test_period_of_the_tumbling_body_is_exact():
     assert np.abs(error(100)).max() <= 2e-11 and np.abs(error(400)).max() <= 5e-13
 
 
-@pytest.mark.parametrize("turn", [0.5, 1.9, 5.0, 50.0, 1000.0])
+@pytest.mark.parametrize(
+    "turn", [0.5, *(pytest.param(turn, marks=pytest.mark.slow) for turn in (1.9, 50.0)), 5.0, 1000.0]
+)
 def test_energy_does_not_grow_however_long_the_step(turn):
     """`turn` radians per step."""
     w = np.array([0.3, 1.0, 0.2])
@@ -127,6 +130,7 @@ def test_heavy_top_is_second_order():
     start = np.array([0, 0, 0, 1, 0, 150.0, -4.61538])
     exact = solve_ivp(rate, (0, 0.2), start, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
 
+    @cache
     def error(steps):
         trajectory = top(steps)
         q = trajectory.q[-1, 3:7]
@@ -236,7 +240,10 @@ SMOOTH = {
 }
 
 
-@pytest.mark.parametrize("name", SMOOTH)
+SIMPLER = "rolling in a plane", "sliding without friction"  # than the next of them
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SIMPLER else []) for n in SMOOTH])
 def test_smooth_contact_is_second_order(name, tmp_path):
     scene, duration = SMOOTH[name]
 

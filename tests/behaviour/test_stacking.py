@@ -107,7 +107,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("floor", ["halfspace", "box"])
+@pytest.mark.parametrize("floor", [pytest.param("halfspace", marks=pytest.mark.slow), "box"])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_every_shape_lands_and_is_carried(shape, floor):
     """Dropped askew with a spin: the ledger closes, nothing sinks in, at the end the ground carries the weight."""

@@ -39,7 +39,7 @@ SCRIPTS = {
 }
 
 
-LONG = "kills.py", "regimes.py", "sweep.py"
+LONG = "at_rest.py", "fuzz.py", "kills.py", "page.py", "regimes.py", "sweep.py"
 OWN = "at_rest.py", "fuzz.py", "kills.py", "sweep.py"
 """What starts, forks and kills processes, in a process of its own."""
 
@@ -80,7 +80,7 @@ def test_script_runs(script, tmp_path, monkeypatch, capsys):
         "--bad --begin 85 --seed 3",
         "--bad --begin 679 --seed 3",
         "--bad --begin 200 --seed 4",
-        "--begin 34 --seed 77",
+        pytest.param("--begin 34 --seed 77", marks=pytest.mark.slow),
         "--begin 182 --seed 20261125",
     ],
 )

@@ -74,7 +74,7 @@ def dominoes(scale, count, duration, dt):
 
 
 @pytest.mark.case(42)
-@pytest.mark.parametrize("scale", [0.5, 3.0, 100.0])
+@pytest.mark.parametrize("scale", [*(pytest.param(scale, marks=pytest.mark.slow) for scale in (0.5, 3.0)), 100.0])
 def test_dominoes_scale_as_froude_says(scale):
     """Lengths by a factor, times by its root: the same fall of the same row, which stays in its plane."""
     x = dominoes(scale, 8, 0.3, 1e-3)
@@ -86,7 +86,7 @@ def test_dominoes_scale_as_froude_says(scale):
 def test_domino_wave():
     """It runs at a steady speed of one to two times sqrt(g H), and all fall (van Leeuwen, physics/0401018)."""
     count, height = 14, DOMINO["height"]
-    x = dominoes(1.0, count, 0.75, 1e-3)
+    x = dominoes(1.0, count, 0.7, 1e-3)
     drop = x[:, :, 2] < 0.45 * height  # the middle of a standing one is at H/2
     assert drop[-1, :-1].all()
     fallen = drop.argmax(axis=0) * 1e-3

@@ -222,31 +222,36 @@ def test_coulomb_oscillator():
     assert np.ptp(x[-100:]) <= 1e-12
     # Friction is that of the end of the step all through the step in which the block turns: v errs by up to
     # 2 mu g h, which the turning points do not feel and the phase does, first order.
-    fine = oscillation(2.5e-4)
-    assert np.abs(x - exact).max() <= 6e-4 and np.abs(fine[0] - fine[1]).max() <= 1.5e-4
+    assert np.abs(x - exact).max() <= 6e-4
 
 
 @pytest.mark.case(21)
 @pytest.mark.slow
-def test_coulomb_oscillator_all_the_way():
+@pytest.mark.parametrize(("h", "bar"), [(2.5e-4, 1.5e-4), (1e-4, 1e-4)])
+def test_coulomb_oscillator_all_the_way(h, bar):
     """Case 21: at h = 1e-4 the exact piecewise motion to 1e-4 m at every time."""
-    x, exact, _ = oscillation(1e-4)
-    assert np.abs(x - exact).max() <= 1e-4
+    x, exact, _ = oscillation(h)
+    assert np.abs(x - exact).max() <= bar
 
 
 @pytest.mark.case(22)
-def test_stick_and_slip_on_a_belt():
+@pytest.mark.parametrize("duration", [3.3, pytest.param(7.5, marks=pytest.mark.slow)])
+def test_stick_and_slip_on_a_belt(duration):
     """Case 22: carried to x = mu m g/k, then round it with amplitude v_b/omega, grazing the belt's speed, undamped."""
     mu, stiffness, belt = 0.3, 100.0, 0.5
     model = nd.scenes.module("oscillator")
     omega, rest = math.sqrt(stiffness), mu * g / stiffness
-    trajectory = nd.simulate(model.scene(start=0.0, mu=mu), 7.5, dt=1e-3, external_force=model.spring(stiffness, belt))
+    trajectory = nd.simulate(
+        model.scene(start=0.0, mu=mu), duration, dt=1e-3, external_force=model.spring(stiffness, belt)
+    )
     block = trajectory.body("block")
     x = block.position[:, 0] + belt * trajectory.t  # stretch of the spring
     v = block.linear_velocity[:, 0] + belt  # as seen from the ground
     sticking = trajectory.t <= rest / belt - 1e-3
     assert np.abs(block.linear_velocity[sticking]).max() <= 1e-12
-    cycles = [(trajectory.t > t) & (trajectory.t <= t + 2 * math.pi / omega) for t in np.arange(1.0, 6.8, 0.6)]
+    cycles = [
+        (trajectory.t > t) & (trajectory.t <= t + 2 * math.pi / omega) for t in np.arange(1.0, duration - 0.7, 0.6)
+    ]
     for cycle in cycles:
         assert abs(np.ptp(x[cycle]) / 2 - belt / omega) <= 1e-4
         assert abs(v[cycle].max() - belt) <= 1e-4

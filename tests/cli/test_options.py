@@ -23,7 +23,7 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="1"/>
 
 CALLS = {
     "scenes": ["--json"],
-    "doctor": ["--json", "--compile"],
+    "doctor": ["--json --compile"],
     "new": ["my.py"],
     "run": [
         f"slide --set mu=0.2 {SHORT} {SOLVED} --polish --on-fail raise -o new.h5 --json",
@@ -87,7 +87,15 @@ def test_no_option_is_left_out():
         assert not left, f"nsdyn {name}: {left}"
 
 
-@pytest.mark.parametrize("call", [f"{name} {call}" for name, calls in CALLS.items() for call in calls])
+@pytest.mark.parametrize(
+    "call",
+    [
+        # What runs of `bench` take is in `test_bench`, too.
+        pytest.param(f"{name} {call}", marks=pytest.mark.slow if name == "bench" else [])
+        for name, calls in CALLS.items()
+        for call in calls
+    ],
+)
 def test_options(folder, monkeypatch, capsys, call):
     from nsdyn._kernels import ahead
     from nsdyn.bench import cases

@@ -30,7 +30,7 @@ def follow(scene, duration, dt):
 
 
 @pytest.mark.case(31)
-@pytest.mark.parametrize("duration", [4.0, pytest.param(10.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("duration", [2.5, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_bricard_moves_and_keeps_its_energy(duration):
     """Six rows of rank five leave the one degree of freedom; the energy drifts by 1e-5 of 29 J."""
     model, loops = bricard()
@@ -42,7 +42,7 @@ def test_bricard_moves_and_keeps_its_energy(duration):
 
 
 @pytest.mark.case(31)
-@pytest.mark.parametrize("windows", [1, 2])
+@pytest.mark.parametrize("windows", [pytest.param(1, marks=pytest.mark.slow), 2])
 @pytest.mark.parametrize(("duration", "turns"), [(4.0, 1), pytest.param(10.0, 4, marks=pytest.mark.slow)])
 def test_four_bars_pass_their_singular_configurations(windows, duration, turns):
     """Rods turn all the way and lie flat twice a turn, where the loop loses rank; they stay parallel."""

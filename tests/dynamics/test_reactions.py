@@ -21,7 +21,7 @@ PLAIN = {"every": 1, "contacts": True}
 
 
 @pytest.mark.parametrize("rows", [PLAIN, {"every": 5}, {"contacts": False}], ids=str)
-@pytest.mark.parametrize("push", [(0.0, 0.0, 0.0), (1.0, 3.0, 0.0)], ids=str)
+@pytest.mark.parametrize("push", [pytest.param((0.0, 0.0, 0.0), marks=pytest.mark.slow), (1.0, 3.0, 0.0)], ids=str)
 def test_pendulum(push, rows):
     """Along the rod m g cos θ + m l θ̇² less what pulls its end, across it nothing; second order in what is recorded.
 
@@ -88,7 +88,7 @@ def test_an_arm_that_is_held_and_pushed():
         np.testing.assert_allclose(joint.reaction_torque, np.tile(moment, (10, 1)), rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("every", [1, 3])
+@pytest.mark.parametrize("every", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_slider_crank(every):
     """Forces in both pins and the loop at the slider, by Newton and Euler for crank and rod by hand."""
 

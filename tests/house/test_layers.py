@@ -73,7 +73,8 @@ def imports(path: Path) -> set[str]:
     return out
 
 
-OURS = {name: {m for m in imports(path) if m in FILES} for name, path in FILES.items()}
+IMPORTS = {name: imports(path) for name, path in FILES.items()}
+OURS = {name: others & FILES.keys() for name, others in IMPORTS.items()}
 
 
 def test_every_module_is_in_a_room():
@@ -87,12 +88,15 @@ def test_imports_go_downwards():
             assert not up, f"{name} imports {other}"
 
 
-@pytest.mark.parametrize("room", NEIGHBOURS)
-def test_the_core_does_without_a_neighbour(room, tmp_path):
-    """Its folder deleted, a scene is simulated, solved, recorded and read."""
+@pytest.mark.parametrize(
+    "rooms", [NEIGHBOURS, *(pytest.param([r], marks=pytest.mark.slow) for r in NEIGHBOURS)], ids=str
+)
+def test_the_core_does_without_its_neighbours(rooms, tmp_path):
+    """The folders of all of them deleted, or of one, a scene is simulated, solved, recorded and read."""
     shutil.copytree(ROOT, tmp_path / "nsdyn", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT.parent / "models", tmp_path / "models", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.rmtree(tmp_path / "nsdyn" / room)
+    for room in rooms:
+        shutil.rmtree(tmp_path / "nsdyn" / room)
     code = """
 import nsdyn as nd
 setup = nd.scenes.setup("slide")
@@ -118,11 +122,11 @@ def test_no_circles():
 
 
 def test_numba_only_in_kernels():
-    users = {name for name, path in FILES.items() if any(m.split(".")[0] == "numba" for m in imports(path))}
+    users = {name for name, others in IMPORTS.items() if any(m.split(".")[0] == "numba" for m in others)}
     assert {room_of(name) for name in users} == {"_kernels"}
 
 
 def test_mathematics_is_free_of_mechanics():
-    for name, path in FILES.items():
+    for name, others in IMPORTS.items():
         if room_of(name) in MATHEMATICS:
-            assert not {m.split(".")[0] for m in imports(path)} & {"pinocchio", "coal", "meshcat"}, name
+            assert not {m.split(".")[0] for m in others} & {"pinocchio", "coal", "meshcat"}, name

@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -288,49 +289,25 @@ def test_heaps_that_do_not_end_are_refused(tmp_path, monkeypatch, block):
         nd.Trajectory.load(path)
 
 
-# A run whose files cannot grow beyond so many bytes, as on a disk that is full.
+# What writes files that cannot grow beyond a limit, as on a disk that is full, each told by its exception.
 FULL = """
-import resource, signal, sys
-import nsdyn as nd
-from nsdyn.recording import recorder
-recorder._FLUSH_SECONDS = 0.0
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-scene = nd.scenes.load("slide")()
-nd.Stepper(scene).step()
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
-nd.simulate(scene, 2.0, dt=0.01, record=sys.argv[1])
-"""
-
-
-def test_a_full_disk_leaves_what_fitted(tmp_path):
-    path = tmp_path / "run.h5"
-    assert resource.getrlimit(resource.RLIMIT_FSIZE)[1] == resource.RLIM_INFINITY
-    command = [sys.executable, "-c", FULL, str(path), "1500000"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and f"cannot record in {path}: File too large" in done.stderr.splitlines()[-1]
-    left, whole = nd.Trajectory.load(path), nd.simulate(nd.scenes.load("slide")(), 2.0, dt=0.01)
-    assert 0 < left.steps < 200
-    assert left.q.tobytes() == whole.q[: left.steps + 1].tobytes()
-    resumed = nd.simulate(nd.scenes.load("slide")(), 2.0, dt=0.01, resume=path)
-    assert resumed.q.tobytes() == whole.q.tobytes()
-
-
-# What writes files that grow beyond a limit, each told by its exception.
-TOO_LARGE = """
 import pathlib, resource, signal, sys
 import nsdyn as nd
+from nsdyn.recording import recorder
 from nsdyn.study.store import Store
 folder = pathlib.Path(sys.argv[1])
+recorder._FLUSH_SECONDS = 0.0
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 scene, problem = nd.scenes.load("slide")(), nd.FC3D([[1, 0, 0], [0, 1, 0], [0, 0, 1]], [-1, 0, 0], [0.5])
 trajectory = nd.simulate(scene, 0.01)
-resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
-for write in (
-    lambda: nd.simulate(scene, 0.01, record=folder / "run.h5"),
-    lambda: nd.fclib.write(folder / "fc3d.hdf5", problem),
-    lambda: trajectory.save(folder / "saved.h5"),
-    lambda: Store(folder / "out.jsonl", {"options": "x" * 5000}),
+for size, write in (
+    (1500000, lambda: nd.simulate(scene, 2.0, dt=0.01, record=folder / "long.h5")),
+    (1000, lambda: nd.simulate(scene, 0.01, record=folder / "run.h5")),
+    (1000, lambda: nd.fclib.write(folder / "fc3d.hdf5", problem)),
+    (1000, lambda: trajectory.save(folder / "saved.h5")),
+    (1000, lambda: Store(folder / "out.jsonl", {"options": "x" * 5000})),
 ):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
     try:
         write()
     except Exception as failure:
@@ -338,18 +315,34 @@ for write in (
 """
 
 
-def test_what_does_not_fit_on_a_disk_is_told_and_leaves_nothing(tmp_path):
+@pytest.fixture(scope="module")
+def full(tmp_path_factory):
+    """(folder, lines that were printed) of a process that writes on a full disk."""
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[1] == resource.RLIM_INFINITY
+    folder = tmp_path_factory.mktemp("full")
+    command = [sys.executable, "-c", FULL, str(folder)]
+    return folder, subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+def test_a_full_disk_leaves_what_fitted(full, tmp_path):
+    folder, told = full
+    assert f"cannot record in {folder / 'long.h5'}: File too large" in told[0]
+    path = shutil.copy(folder / "long.h5", tmp_path)
+    left, whole = nd.Trajectory.load(path), nd.simulate(nd.scenes.load("slide")(), 2.0, dt=0.01)
+    assert 0 < left.steps < 200
+    assert left.q.tobytes() == whole.q[: left.steps + 1].tobytes()
+    resumed = nd.simulate(nd.scenes.load("slide")(), 2.0, dt=0.01, resume=path)
+    assert resumed.q.tobytes() == whole.q.tobytes()
+
+
+def test_what_does_not_fit_on_a_disk_is_told_and_leaves_nothing(full):
     """HDF5 alone would end the process by a signal."""
-    command = [sys.executable, "-c", TOO_LARGE, str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == [
-        *(
-            f"ValueError: cannot write {tmp_path / name}: File too large"
-            for name in ("run.h5", "fc3d.hdf5", "saved.h5")
-        ),
-        f"OSError: [Errno 27] cannot store the sweep in {tmp_path / 'out.jsonl'}: File too large",
+    folder, told = full
+    assert told[1:] == [
+        *(f"ValueError: cannot write {folder / name}: File too large" for name in ("run.h5", "fc3d.hdf5", "saved.h5")),
+        f"OSError: [Errno 27] cannot store the sweep in {folder / 'out.jsonl'}: File too large",
     ]
-    left = {file.name: file.stat().st_size for file in tmp_path.iterdir()}
+    left = {file.name: file.stat().st_size for file in folder.iterdir() if file.name != "long.h5"}
     assert left.keys() <= {"out.jsonl"} and left.get("out.jsonl", 0) <= 1000  # a line that is cut is left out
 
 

@@ -87,7 +87,7 @@ def judge(found, least):
 
 @extended
 def test_bounds_of_random_answers(rng):
-    judge(trials(rng, 12), 70)
+    judge(trials(rng, 6), 35)
 
 
 @extended

@@ -160,7 +160,13 @@ OF = {
 }
 
 
-@pytest.mark.parametrize(("name", "option", "kind"), OUTPUTS)
+FIRST = {kind: (name, option) for name, option, kind in reversed(OUTPUTS)}
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "kind"),
+    [pytest.param(*o, marks=[] if FIRST[o[2]] == o[:2] else pytest.mark.slow) for o in OUTPUTS],
+)
 def test_no_output_replaces_another_kind(kinds, tmp_path, monkeypatch, capsys, name, option, kind):
     """Whatever its ending; nor does it take an ending of another kind. Nothing runs."""
     monkeypatch.chdir(shutil.copytree(kinds, tmp_path / "f"))

@@ -312,9 +312,16 @@ def test_killed_run_keeps_its_steps(tmp_path):
     check_rows_of_killed_run(trajectory)
 
 
-def test_run_killed_while_it_writes_keeps_its_complete_steps(tmp_path):
-    # The tenth write has put all columns but /t into the file.
-    assert killed(tmp_path / "run.h5", dies_at=10) == 9
+@pytest.fixture(scope="module")
+def half_written(tmp_path_factory):
+    """Bytes of a file whose tenth write has put all columns but /t into it."""
+    path = tmp_path_factory.mktemp("killed") / "run.h5"
+    assert killed(path, dies_at=10) == 9
+    return path.read_bytes()
+
+
+def test_run_killed_while_it_writes_keeps_its_complete_steps(half_written, tmp_path):
+    (tmp_path / "run.h5").write_bytes(half_written)
     with h5py.File(tmp_path / "run.h5", swmr=True) as file:
         assert file["t"].shape == (10,)
     trajectory = Trajectory.load(tmp_path / "run.h5")
@@ -441,11 +448,12 @@ def test_recordings_of_version_1_are_read(tmp_path):
     np.testing.assert_array_equal(old.energy.normal, normal)
 
 
-@pytest.mark.parametrize("dies_at", [None, 10])
-def test_truncated_file_is_told_at_once(tmp_path, monkeypatch, dies_at):
+@pytest.mark.parametrize("parts", [40, pytest.param(150, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("ended", [True, False])
+def test_truncated_file_is_told_at_once(half_written, tmp_path, monkeypatch, ended, parts):
     """Of any length; one that its writer left marked as open would be waited for."""
     whole, cut = tmp_path / "run.h5", tmp_path / "cut.h5"
-    record(whole, 40, links=True) if dies_at is None else killed(whole, dies_at)
+    record(whole, 40, links=True) if ended else whole.write_bytes(half_written)
     monkeypatch.setattr(unfinished, "PATIENCE", 0.0)
     opened = []
 
@@ -456,7 +464,7 @@ def test_truncated_file_is_told_at_once(tmp_path, monkeypatch, dies_at):
 
     monkeypatch.setattr(h5py, "File", File)
     data = whole.read_bytes()
-    for length in [*range(0, 64), *range(64, len(data), len(data) // 150)]:
+    for length in [*range(0, 64), *range(64, len(data), len(data) // parts)]:
         cut.write_bytes(data[:length])
         opened.clear()
         with pytest.raises(ValueError, match=r"cut\.h5 is (damaged|not a recording)") as failure:
@@ -465,7 +473,7 @@ def test_truncated_file_is_told_at_once(tmp_path, monkeypatch, dies_at):
         # As it is and without its mark; a reader beside a writer would try each block a hundred times.
         assert len(opened) <= 2 and not any("swmr" in options for options in opened)
     cut.write_bytes(data)
-    assert Trajectory.load(cut).steps == (40 if dies_at is None else 9)
+    assert Trajectory.load(cut).steps == (40 if ended else 9)
 
 
 def test_other_files_are_refused(tmp_path):

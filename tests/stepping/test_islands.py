@@ -78,13 +78,14 @@ def test_a_ball_bounces_as_it_does_alone(boxes):
     assert states(alone, 60, 1e-2, ["ball"]) == states(beside, 60, 1e-2, ["ball"])
 
 
-def test_cubes_tumble_and_rest_as_they_do_alone():
+@pytest.mark.parametrize("steps", [100, pytest.param(200, marks=pytest.mark.slow)])
+def test_cubes_tumble_and_rest_as_they_do_alone(steps):
     alone, beside = world(), world()
     for scene in (alone, beside):
         cubes(scene)
     cubes(beside, 4, at=(FAR, 0.0), name="other", seed=1)
     own = [f"cube {k}" for k in range(6)]
-    assert states(alone, 200, 5e-3, own) == states(beside, 200, 5e-3, own)
+    assert states(alone, steps, 5e-3, own) == states(beside, steps, 5e-3, own)
 
 
 def test_what_rests_and_slides_does_so_beside_what_falls():

@@ -12,7 +12,9 @@ from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.stepping import failures, passage, quiet, sight
 
 
-@pytest.mark.parametrize("name", nd.scenes.names())
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in ("kapla", "peg") else []) for n in nd.scenes.names()]
+)
 def test_ledger_closes_on_every_named_scene(name):
     setup = nd.scenes.setup(name)
     trajectory = nd.simulate(setup.scene, 60 * setup.dt, **setup.options())

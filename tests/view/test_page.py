@@ -34,12 +34,6 @@ def sliding():
     return nd.simulate(scene, 0.5, dt=1e-3)
 
 
-@pytest.fixture(scope="module")
-def window():
-    with browser.browsing() as page:
-        yield page
-
-
 @pytest.fixture
 def opened(window, tmp_path):
     """Function that opens the page of a recording, at its beginning and paused, in a window of a size."""

@@ -20,12 +20,6 @@ def sliding():
     return nd.simulate(nd.scenes.load("slide")(), 0.3, dt=1e-3)
 
 
-@pytest.fixture(scope="module")
-def window():
-    with browser.browsing() as page:
-        yield page
-
-
 @pytest.fixture
 def opened(window, tmp_path):
     """Function that opens the page of a recording in a window of a size."""

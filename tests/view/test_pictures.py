@@ -65,17 +65,16 @@ def test_film_has_a_picture_for_each_moment(falling, tmp_path, monkeypatch):
 
 
 @needs_chromium
-def test_films_are_drawn_as_pages_are(falling, tmp_path):
+def test_films_are_drawn_as_pages_are(falling, tmp_path, window):
     """The ground of a film is drawn once, behind the bodies: the picture is that of the page, shadows too."""
     from PIL import Image
 
     viewer.write_html(falling, tmp_path / "page.html")
     shown = []
-    with browser.browsing() as page:
-        for more in ("", "&film"):
-            page.open((tmp_path / "page.html").as_uri() + "#picture" + more, (640, 360))
-            page.run("nsdyn.show(0.5)")
-            shown.append(np.asarray(Image.open(io.BytesIO(page.picture())).convert("RGB")).astype(int))
+    for more in ("", "&film"):
+        window.open((tmp_path / "page.html").as_uri() + "#picture" + more, (640, 360))
+        window.run("nsdyn.show(0.5)")
+        shown.append(np.asarray(Image.open(io.BytesIO(window.picture())).convert("RGB")).astype(int))
     apart = np.abs(shown[0] - shown[1]).max(axis=2)
     # Edges of shadows, of which a film has a map with fewer points, and lines of the ground in them.
     assert (apart > 12).mean() < 0.005
@@ -83,20 +82,19 @@ def test_films_are_drawn_as_pages_are(falling, tmp_path):
 
 
 @needs_chromium
-def test_a_film_draws_anew_only_what_has_moved(falling, tmp_path):
+def test_a_film_draws_anew_only_what_has_moved(falling, tmp_path, window):
     viewer.write_html(falling, tmp_path / "page.html")
-    with browser.browsing() as page:
-        page.open((tmp_path / "page.html").as_uri() + "#picture&film", (320, 180))
-        page.run(
-            "(viewer => { const {render} = viewer; window.count = 0;"
-            " viewer.render = () => { window.count++; render(); }; })(nsdyn.panes[0].stage.viewer)"
-        )
-        page.run("nsdyn.show(0.5)")
-        first = page.picture()
-        page.run("nsdyn.show(0.5)")
-        assert page.picture() == first and page.run("count") == 1
-        page.run("nsdyn.show(0.6)")
-        assert page.picture() != first and page.run("count") == 2
+    window.open((tmp_path / "page.html").as_uri() + "#picture&film", (320, 180))
+    window.run(
+        "(viewer => { const {render} = viewer; window.count = 0;"
+        " viewer.render = () => { window.count++; render(); }; })(nsdyn.panes[0].stage.viewer)"
+    )
+    window.run("nsdyn.show(0.5)")
+    first = window.picture()
+    window.run("nsdyn.show(0.5)")
+    assert window.picture() == first and window.run("count") == 1
+    window.run("nsdyn.show(0.6)")
+    assert window.picture() != first and window.run("count") == 2
 
 
 @needs_chromium
@@ -112,12 +110,11 @@ def test_film_that_fails_is_told(falling, tmp_path, monkeypatch):
 
 
 @needs_chromium
-def test_picture_of_two_recordings_of_which_one_has_ended(falling, tmp_path):
+def test_picture_of_two_recordings_of_which_one_has_ended(falling, tmp_path, window):
     scene = recordings.nd.Scene(name="short")
     scene.add_sphere("ball", 0.1, 1.0)
     short = recordings.recording(scene, np.tile([0, 0, 0, 0, 0, 0, 1.0], (3, 1)))
     viewer.write_html(falling, tmp_path / "page.html", at=1.0, beside=short)
-    with browser.browsing() as page:
-        page.open((tmp_path / "page.html").as_uri(), (640, 360))
-        assert page.run("nsdyn.recordings.map(r => r.t[0])") == [1.0, 0.02]
-        assert page.run("document.querySelector('#clock').textContent").startswith("1.00 s")
+    window.open((tmp_path / "page.html").as_uri(), (640, 360))
+    assert window.run("nsdyn.recordings.map(r => r.t[0])") == [1.0, 0.02]
+    assert window.run("document.querySelector('#clock').textContent").startswith("1.00 s")

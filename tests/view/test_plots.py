@@ -81,7 +81,7 @@ def check(figure):
         assert ax.get_window_extent().width > 0.4 * figure.bbox.width
 
 
-@pytest.mark.parametrize("size", [(140, 90), (85, 65)])
+@pytest.mark.parametrize("size", [pytest.param((140, 90), marks=pytest.mark.slow), (85, 65)])
 @pytest.mark.parametrize("kind", plots.KINDS)
 def test_labels_do_not_collide(arm, kind, size):
     check(drawn(lambda figure: plots.draw(arm, kind, figure=figure), size, 10 if size[0] > 100 else 8))

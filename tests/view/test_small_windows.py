@@ -45,12 +45,6 @@ def pages(runs, tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def window():
-    with browser.browsing() as page:
-        yield page
-
-
 def blue(picture, box):
     """How many pixels in a box of a picture have the colours of the body."""
     from PIL import Image
@@ -87,8 +81,13 @@ def check(page, size, count, name, folder):
     return min(shares)
 
 
-@pytest.mark.parametrize("count", [1, 2])
-@pytest.mark.parametrize("size", [PHONE, ZOOMED, LYING])
+@pytest.mark.parametrize(
+    ("count", "size"),
+    [
+        *((1, PHONE), (2, PHONE), (2, ZOOMED), (1, LYING)),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((1, ZOOMED), (2, LYING))),
+    ],
+)
 def test_nothing_lies_on_the_scene_or_on_a_control(window, pages, size, count, tmp_path):
     window.open((pages / f"{count}.html").as_uri() + "#t=0.1", size)
     window.call("Emulation.setTouchEmulationEnabled", enabled=True)
