@@ -90,8 +90,8 @@ def test_no_option_is_left_out():
 @pytest.mark.parametrize(
     "call",
     [
-        # What runs of `bench` take is in `test_bench`, too.
-        pytest.param(f"{name} {call}", marks=pytest.mark.slow if name == "bench" else [])
+        # What they run is in `test_bench` and `test_profile`, too, in processes of its own.
+        pytest.param(f"{name} {call}", marks=pytest.mark.slow if name in ("bench", "profile") else [])
         for name, calls in CALLS.items()
         for call in calls
     ],

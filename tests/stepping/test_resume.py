@@ -22,7 +22,7 @@ TIMES = ["wall_time", "solver/time"]  # of a machine, not of a motion
 
 RUNS = {
     "stack": ({"height": 4}, 120, {}),
-    "pile": ({"boxes": 2, "spheres": 2}, 150, {}),  # falls, collides and comes to rest
+    "pile": ({"boxes": 3, "spheres": 3}, 150, {}),  # falls, collides and comes to rest
     "quadruped": ({}, 120, {}),  # with its controller
     "rolling": ({"balls": 2}, 120, {"every": 3}),
     "woodpecker": ({}, 90, {"contacts": False}),
