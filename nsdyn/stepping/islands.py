@@ -25,7 +25,7 @@ from nsdyn.stepping.move import Move, Trial, attempt, finish
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import Passage, through, undisturbed
 from nsdyn.stepping.reversal import endings
-from nsdyn.stepping.sight import parting, turned
+from nsdyn.stepping.sight import parting
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -230,8 +230,6 @@ class Islands:
         limited = d.within_limits(tried.half.middle, tried.half.forces, a.v)
         changed = [x is not y for x, y in zip(limited.trees, tried.half.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
-        if half.fast:
-            out += self._nodes(c, turned(begin, half, c, a.normal))
         opened[label[np.concatenate(out)]] = True
         # What passes through something unseen.
         fast = d.node[:-1][tried.half.reach > FAST * s.smallest] if tried.half.fast else d.node[:0]

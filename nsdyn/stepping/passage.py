@@ -16,7 +16,7 @@ from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
 from nsdyn.stepping.instant import DEEP, SHALLOW, Impulses, Instant, System, among, take
 from nsdyn.stepping.move import Trial, finish, trial
 from nsdyn.stepping.quiet import Moves, quiet_trees
-from nsdyn.stepping.sight import Unmet, approach, turned
+from nsdyn.stepping.sight import Unmet, approach
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
 
@@ -141,8 +141,7 @@ def _pass(
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
     They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly,
-    where bodies that press turn so far that what their rows do is not foreseen, and where contacts that persist add
-    energy.
+    and where contacts that persist add energy.
     """
     sunk, path = False, [begin.placement]
     found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
@@ -213,8 +212,6 @@ def _moves(
         done.append(_later(m.impulses, h - left))
         moved = tried.response.moved
         sunk = sunk or s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
-        if tried.half.fast and not sunk:
-            sunk = bool(turned(now, tried.half, tried.response.met.contacts, tried.response.normal).any())
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
         solved.append((m.problem, m.solution))
         works += m.works

@@ -36,9 +36,8 @@ if TYPE_CHECKING:
 
 __all__ = ["NO_COUPLE", "Apart", "Couple", "solve_workless", "unfinished"]
 
-PASSES = 30
-"""Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω. Few take
-more than eight."""
+PASSES = 8
+"""Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω."""
 
 
 class Couple(NamedTuple):
@@ -144,7 +143,7 @@ def unfinished(
             met.rows.full.arrays,
             (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),
             mean,
-            (R, d.inverse_J, s.arm, h, s.closed),
+            (R, d.inverse_J, s.arm, h),
             (r, met.mu),
             (met.stays, met.sticks, slides),
             found,
@@ -188,7 +187,7 @@ def solve_workless(
                 rows.full.arrays,
                 (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),
                 (half.middle.v, half.forces.v),
-                (half.middle.placement.R, d.inverse_J, s.arm, half.h, s.closed),
+                (half.middle.placement.R, d.inverse_J, s.arm, half.h),
                 (met.mu, problem.scales, alone.local, *((u, u) if last is None else (last.r, last.u))),
                 (met.stays, met.sticks, slides),
                 (met.end_gap, met.restitution, met.rebound, met.late, tuple(way.closing)),

@@ -25,16 +25,12 @@ from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among, take
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "parting", "reached", "shown", "touched", "turned"]
+__all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "parting", "reached", "shown", "touched"]
 
 PAST = 0.05
 """Fraction of the smaller inscribed radius by which bodies get into each other where a fast move is cut short, which is
 where they would by more than twice that: a shorter move touches at another time."""
 
-
-TURNS = 0.5
-"""Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
-the first."""
 
 LEAST = 5e-324
 """The least impulse there is, N·s."""
@@ -153,13 +149,6 @@ def _carried(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array
     if not d.surfaces.count:
         return np.zeros(contacts.gap.size)
     out: Array = (contacts.normal * d.surfaces.velocities(contacts, driven_x, surfaces)).sum(axis=1)
-    return out
-
-
-def turned(begin: Instant, half: Half, contacts: ContactSet, r: Array) -> Bools:
-    """Which contacts are pressed by impulses r (nc,) of bodies that turn by more than `TURNS`."""
-    far = half.ahead * np.append(np.linalg.norm(begin.twists[1], axis=1), 0.0) > TURNS
-    out: Bools = (r > 0.0) & (far[contacts.frame1] | far[contacts.frame2])
     return out
 
 

@@ -18,7 +18,7 @@ __all__ = ["SOLVES", "Way", "pose", "solve"]
 
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
-that stop, whose slip would else be turned round, and after the second only where friction would work."""
+that stop, whose slip would else be turned round."""
 
 
 class Way(NamedTuple):
@@ -92,8 +92,8 @@ def _solve(
     problem = pose(met, slides, closing)
     solution = _again(solver, last, problem, met.local[4], rough)
     for k in range(most + 1):
-        shown = solution.r, solution.u, problem.q, met.rows.full.block
-        if not _law.reconsider(*shown, met.mu, met.local, met.sticks, slides, k + back):
+        shown = solution.r, solution.u, problem.q
+        if not _law.reconsider(*shown, met.mu, met.local, slides, back or k > 0):
             return problem, _held(met, solver, problem, solution), False
         if k < most:
             problem = problem.with_velocity(met.offsets(slides, closing))

@@ -43,7 +43,7 @@ class Pair:
             self.blocks,
             (zero, zero + 1, zero, zero + 1, self.normal),
             self.mean,
-            (self.R, np.linalg.inv(self.J), np.ones(2), h, 1e-9),
+            (self.R, np.linalg.inv(self.J), np.ones(2), h),
             (self.r, np.array([0.5])),
             (yes, yes & sticks, ~yes),
             (couple, dv, np.full(1, np.inf), np.empty(1, np.bool_)),

@@ -17,11 +17,13 @@ ROLLS = 12.0
 """How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10
 for a rattleback. What jumps from corner to corner goes farther in all but large steps."""
 
+
+TURNS = 0.5
+"""Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
+the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
+
 NO_SLIP = 1e-14
 """Slip, m/s, that is round-off: what rests on the edge of its cone slips on by less for good."""
-
-GAINS = 1e-6
-"""Work of friction, as a fraction of what it would do at most, that is round-off."""
 
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""
@@ -215,7 +217,7 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
 
     Of the `velocities`, u_begin has the rows of the beginning; `drift` = u - u_begin, by which rows change though
     nothing acts. end_gap = gap - ahead/2 drift_N, but for what the twists change: the parabola whose speed at the end
-    of the step, `ahead` seconds later, is 0.
+    of the step, `ahead` seconds later, is 0; of bodies that turn by more than `TURNS` nothing is foreseen.
 
     Parameters
     ----------
@@ -242,7 +244,7 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
     local, end_gap, place = out
     v_begin, v, v_free = velocities
     carried, transport, transport_end, press = surfaces
-    key, frame, gap = here[0], here[4], here[5]
+    angular, key, frame1, frame2, frame, gap = begin[5], here[0], here[1], here[2], here[4], here[5]
     nc = key.size
     u_begin, u, u_free, drift, guess = local[0], local[1], local[2], local[3], local[4]
     relative_velocity(blocks, v, u)
@@ -259,6 +261,12 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
     for i in range(u.size):
         drift[i] = u[i] - u_begin[i]
     for c in range(nc):
+        spin = 0.0
+        for f in (frame1[c], frame2[c]):
+            if f >= 0:
+                spin = max(spin, dot(row(angular, f), row(angular, f)))
+        if ahead * ahead * spin > TURNS * TURNS:
+            drift[3 * c], drift[3 * c + 1], drift[3 * c + 2] = 0.0, 0.0, 0.0
         end_gap[c] = gap[c] - 0.5 * ahead * drift[3 * c]
     # Driven bodies go with the twist of the end all the way from here, which needs no time to be reached.
     for i in range(transport.size):
@@ -346,12 +354,11 @@ def offsets(local, laws, stays, slides, b):
 
     Normal: u_free + drift, plus the speed at which a gap closes where it is open, or of either sign but for what is
     `left_open` where a row `stays` (rows,), empty for none, minus what is kept of an impact (`rebound`, empty for
-    none). What parts where the move begins, and does not stay, comes back as fast at least: then y ≥ u⁺ + u⁻, and an
-    impulse does no work. Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip
-    without impulses, where a contact slides through. `local` is what `local_velocities` gives; laws = (end_gap,
-    restitution, rebound, late, closing), closing = (closed, shallow, ahead, until) as of `Closing`: gaps up to `closed`
-    count as none, those up to `shallow` close just when the next impulses act, `until` seconds later, and others, and
-    those that may rebound, within the step; `late` is that of `Encounter`.
+    none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip without impulses,
+    where a contact slides through. `local` is what `local_velocities` gives; laws = (end_gap, restitution, rebound,
+    late, closing), closing = (closed, shallow, ahead, until) as of `Closing`: gaps up to `closed` count as none, those
+    up to `shallow` close just when the next impulses act, `until` seconds later, and others, and those that may
+    rebound, within the step; `late` is that of `Encounter`.
     """
     u, u_free, drift = local[1], local[2], local[3]
     end_gap, restitution, rebound, late, (closed, shallow, ahead, until) = laws
@@ -359,14 +366,11 @@ def offsets(local, laws, stays, slides, b):
         i = 3 * c
         b[i] = u_free[i] + drift[i]
         soon = abs(end_gap[c]) > shallow or restitution[c] > 0.0
-        passive = -math.inf
         if stays.size > c and stays[c]:
             gap = end_gap[c] - (left_open(end_gap[c], local[0, i] - late[c], ahead, closed) if soon else 0.0)
         else:
             gap = end_gap[c] if end_gap[c] > closed else 0.0
-            began = u[i] - drift[i]
-            passive = began if ahead * began > closed else 0.0
-        b[i] += max(gap / (ahead if soon else until), passive)
+        b[i] += gap / (ahead if soon else until)
         if rebound.size > 0:
             b[i] -= rebound[c]
         if slides.size > c and slides[c]:
@@ -394,58 +398,28 @@ def pose(blocks, here, begin, velocities, warm, laws, scales, out):
 
 
 @in_place
-def work_of(r, y, b, mu, local, sticks, c):
-    """Twice the work of the friction of contact c, 0 of one that sticks all through, which is no friction's."""
-    if sticks.size > c and sticks[c] and state(r, mu[c], 3 * c) == 1:
-        return 0.0
-    out = 0.0
-    for i in range(3 * c + 1, 3 * c + 3):
-        out += r[i] * (local[1, i] + local[2, i] + y[i] - b[i])
-    return out
-
-
-@in_place
-def reconsider(r, y, b, block, mu, local, sticks, slides, looks):
+def reconsider(r, y, b, mu, local, slides, back):
     """Change `slides` (nc,) where the solution y = W r + b shows otherwise, and tell whether any has.
 
     One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
-    stop but slips on in the direction it had slides through. What slips otherwise than that is only looked for in the
-    first of some `looks`, what stops in the second.
-
-    Friction on the slip of the end may work, on what turns round; that on the mean slip does not. So where friction
-    between two bodies works, of `block` (rows, 2), but on what `sticks` all through, contacts on which it does slide
-    through, whatever they end with.
+    stop but slips on in the direction it had slides through, unless it is only looked `back`.
     """
     u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
-    some, first = False, 0
-    while first < slides.size:
-        last, gain, size = first, 0.0, 0.0
-        while last < slides.size and block[last, 0] == block[first, 0] and block[last, 1] == block[first, 1]:
-            c, i = last, 3 * last
-            last += 1
-            found = state(r, mu[c], i)
-            # The relative velocities at the end, and the sum of those before and after the impulses.
-            p, q = y[i + 1] - b[i + 1] + u_free[i + 1], y[i + 2] - b[i + 2] + u_free[i + 2]
-            e, f = p + drift[i + 1], q + drift[i + 2]
-            p, q = u[i + 1] + p, u[i + 2] + q
-            if slides[c]:
-                onward = r[i + 1] * u_begin[i + 1] + r[i + 2] * u_begin[i + 2]
-                if looks < 2 and ((found == 1 and onward <= 0.0) or (found == 2 and p * e + q * f <= 0.0)):
-                    slides[c] = False
-                    some = True
-            elif looks == 0 and mu[c] > 0.0 and found == 2:
-                if u_begin[i + 1] * e + u_begin[i + 2] * f > NO_SLIP * NO_SLIP:
-                    slides[c] = True
-                    some = True
-            gain += work_of(r, y, b, mu, local, sticks, c)
-            speed = abs(u_free[i + 1] - u[i + 1]) + abs(u_free[i + 2] - u[i + 2])
-            size += mu[c] * r[i] * (speed + abs(p) + abs(q) + abs(e) + abs(f))
-        if gain > GAINS * size:
-            for c in range(first, last):
-                if not slides[c] and work_of(r, y, b, mu, local, sticks, c) > GAINS * size:
-                    slides[c] = True
-                    some = True
-        first = last
+    some = False
+    for c in range(slides.size):
+        i = 3 * c
+        found = state(r, mu[c], i)
+        # The relative velocities after the impulses, and at the end.
+        p, q = y[i + 1] - b[i + 1] + u_free[i + 1], y[i + 2] - b[i + 2] + u_free[i + 2]
+        e, f = p + drift[i + 1], q + drift[i + 2]
+        if slides[c]:
+            mean = (u[i + 1] + p) * e + (u[i + 2] + q) * f
+            if found == 1 or (found == 2 and mean <= 0.0):
+                slides[c] = False
+                some = True
+        elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * e + u_begin[i + 2] * f > NO_SLIP * NO_SLIP:
+            slides[c] = True
+            some = True
     return some
 
 

@@ -10,8 +10,8 @@ from nsdyn._kernels.stepping.law import offsets, places
 from nsdyn._kernels.vectors import along, dot, put, row, times, to_local
 
 STILL = 1e-3
-"""Fraction of what forces and turning rows change a velocity by in a move below which a closed contact neither
-approaches nor slips; and of what counts as closed, by which the rows of a contact at rest may drift in one."""
+"""Fraction of what forces change a velocity by in a move below which a closed contact neither approaches nor slips; and
+of what counts as closed, by which the rows of a contact at rest may drift in one."""
 
 LEFT = 1e-8
 """What the solver's tolerance leaves of a relative velocity, and of what its rows turn by: bodies that fall together,
@@ -23,10 +23,6 @@ errors of second. Where nothing turns there are none, and what approaches is sto
 
 ARM = 1.0
 """Most that a couple moves a contact force, in lengths h ω R: as far as points of the body go in the move."""
-
-BEYOND = 1.1
-"""Of the work that couples can take, most of it that is an error of a motion. What does more strikes, or is no contact
-that lasts: it does not persist."""
 
 NO_ARM, NO_WORK, NOISE = 1e-10, 1e-12, 1e-10
 """Arms, as fractions of R, of what may be at rest, which have no couples; works, of r_N R ω, that are round-off;
@@ -63,7 +59,7 @@ def persists(names, warm, begin, limits, local, end_gap, struck, out):
     """
     (key, pair), (begin_key, begin_gap, closed, h), (stays, sticks, was) = names, begin, out
     some = False
-    u_begin, u_free, drift = local[0], local[2], local[3]
+    u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
     before = np.empty(key.size, np.int64)
     places(begin_key, key, before)
     last_status(key, pair, warm[0], warm[1], warm[2], was)
@@ -81,7 +77,7 @@ def persists(names, warm, begin, limits, local, end_gap, struck, out):
             known, gap, old = True, limits[0][c - nc], 2 if limits[1][c - nc] else 0
         speed = math.sqrt(u_begin[i] ** 2 + u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
         bent = math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)
-        still = STILL * abs(u_free[i] + drift[i] - u_begin[i]) - LEFT * (speed + bent)
+        still = STILL * abs(u_free[i] - u[i]) - LEFT * (speed + bent)
         if gap < -2.0 * closed or (old == 0 and (not known or gap > closed or abs(u_begin[i]) >= still)):
             continue
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
@@ -121,7 +117,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     With w = Σ r·ū of the contacts of a pair of shapes, normal and, of those that stick, tangential, and ω̄ how body 2
     turns on body 1, the pair turns by -w ω̄/‖ω̄‖² and back: as if its forces pressed a little elsewhere, at most by
     `ARM` h ‖ω̄‖ R. Where nothing sticks only across the normal, about which a normal force has no moment. Contacts carry
-    it in the ratio of their pressures. Where none takes the work, contacts that are pressed persist no longer.
+    it in the ratio of their pressures.
 
     Parameters
     ----------
@@ -131,12 +127,11 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     mean : ndarray, shape (n,)
         Mean v̄ of the velocities before and after the impulses r (3 rows,).
     bodies : tuple
-        R, inverse_J, shapes (frames, 3, 3), (nf, 3, 3); how far bodies reach from their centres, (frames,), m; h; and
-        what counts as closed, m.
+        R, inverse_J, shapes (frames, 3, 3), (nf, 3, 3); how far bodies reach from their centres, (frames,), m; and h.
     pressed : tuple
         r and mu, shape (rows,).
     flags : three ndarrays of bool, shape (nc,)
-        Contacts that stay, stick, and slide through; the former two are changed.
+        Contacts that stay, stick, and slide through.
     found : tuple
         couple, shape (nc, 3), on body 2, world axes, N·m·s: those that act, changed where others would do no work; dv,
         shape (n,), the change of v by them; left, shape (nc,), the work that the couples that act leave, J, changed
@@ -149,7 +144,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
         Whether any does.
     """
     geom1, geom2, frame1, frame2, normal = contacts
-    (R, inverse_J, arm, h, closed), (r, mu), (couple, dv, left, other) = bodies, pressed, found
+    (R, inverse_J, arm, h), (r, mu), (couple, dv, left, other) = bodies, pressed, found
     stays, sticks, slides = flags
     free, nc, some = inverse_J.shape[0], geom1.size, False
     u = np.empty(r.size)
@@ -177,30 +172,29 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
                 turning = along(turning, -dot(row(normal, first), turning), row(normal, first))
             speed = math.sqrt(dot(turning, turning))
             most = ARM * press * h * speed * size
-            if most <= NO_ARM * press * size:
-                most = 0.0
-            amount, now, noise = 0.0, 0.0, press * closed / h
-            if most > 0.0:
-                amount = min(max(-work / speed, -most), most)
-            for c in range(first, last):
-                now += dot(row(couple, c), turning)
-            rest, scale = abs(amount * speed - now), press * size * speed
-            lasts = work <= BEYOND * most * speed + noise
-            differ = rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first]
-            left[first] = rest
-            some = some or differ or not lasts
-            for c in range(first, last):
-                if not lasts:
-                    stays[c] = sticks[c] = False
-                other[c] = differ or not lasts
-                if other[c]:
-                    share = r[3 * c] / press if most > 0.0 and stays[c] and r[3 * c] > 0.0 else 0.0
-                    put(couple, c, times(share * amount / speed if share > 0.0 else 0.0, turning))
-            total = (0.0, 0.0, 0.0)
-            for c in range(first, last):
-                total = along(total, 1.0, row(couple, c))
-            add_couple(a, -1.0, total, R, inverse_J, dv)
-            add_couple(b, 1.0, total, R, inverse_J, dv)
+            if most > NO_ARM * press * size:
+                amount = -work / speed
+                amount = min(max(amount, -most), most)
+                now = 0.0
+                for c in range(first, last):
+                    now += dot(row(couple, c), turning)
+                rest, scale = abs(amount * speed - now), press * size * speed
+                differ = rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first]
+                left[first] = rest
+                some = some or differ
+                for c in range(first, last):
+                    if differ:
+                        share = r[3 * c] / press if stays[c] and r[3 * c] > 0.0 else 0.0
+                        put(couple, c, times(share * amount / speed, turning))
+                    other[c] = differ
+                total = (0.0, 0.0, 0.0)
+                for c in range(first, last):
+                    total = along(total, 1.0, row(couple, c))
+                add_couple(a, -1.0, total, R, inverse_J, dv)
+                add_couple(b, 1.0, total, R, inverse_J, dv)
+            else:
+                for c in range(first, last):
+                    put(couple, c, (0.0, 0.0, 0.0))
         else:
             for c in range(first, last):
                 put(couple, c, (0.0, 0.0, 0.0))

@@ -52,15 +52,15 @@ def ending(r, y, b, mu, local, was, slid, out):
 
 
 @kernel
-def goes_on(shown, block, local, slides, names, warm, begin, end_gap, out):
+def goes_on(shown, local, slides, names, warm, begin, end_gap, out):
     """Whether contacts slide on, or rest, as was foreseen, and none that persists leaves a gap of which b knew nothing.
 
-    shown = (r, y, b, mu); block as of `reconsider`; what persists, into out = (stays, sticks), as in `persists`.
+    shown = (r, y, b, mu); what persists, into out = (stays, sticks), is found as in `persists`.
     """
     (r, y, b, mu), (stays, sticks) = shown, out
+    if reconsider(r, y, b, mu, local, slides, False):
+        return False
     was, ends = np.empty(mu.size, np.int8), np.empty(mu.size, np.int8)
     if persists(names, warm, begin, (end_gap[:0], slides[:0]), local, end_gap, False, (stays, sticks, was)):
-        return False
-    if reconsider(r, y, b, block, mu, local, sticks, slides, 0):
         return False
     return not ending(r, y, b, mu, local, was, stays[:0], ends)

@@ -62,7 +62,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
         and error, residual and factorisations of the last one.
     """
     (before, free), (first, back, passes) = velocities, begin
-    (mu, scales, alone, last_r, last_u), (stays, sticks, slides), (label, foreseen, switched, off) = given, flags, apart
+    (mu, scales, alone, last_r, last_u), (stays, _, slides), (label, foreseen, switched, off) = given, flags, apart
     own, enough, good, limits, tol, most = solver
     couple, dv, change, left, other, local, b, r, u = state
     names, measures = np.empty(mu.size, np.int64), np.empty((3, mu.size))
@@ -93,7 +93,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
                     r[:], u[:] = last_r, last_u
                 return SOLVE, passes, otherwise, solved, error, residual, count
             solved += 1
-            if not reconsider(r, u, b, blocks[1], mu, local, sticks, slides, k + back):
+            if not reconsider(r, u, b, mu, local, slides, back or k > 0):
                 break
             if k < most:
                 offsets(local, laws, stays, slides, b)
