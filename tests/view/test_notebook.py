@@ -152,6 +152,7 @@ def test_a_figure_is_shown_once(run):
     plt = pytest.importorskip("matplotlib.pyplot")
     for backend, left in ((inline, 0), ("agg", 1)):
         plt.switch_backend(backend)
+        plt.close("all")  # of other tests
         assert len(nd.plots.draw(run, "energy").axes) == 1 and len(plt.get_fignums()) == left
     plt.close("all")
 
