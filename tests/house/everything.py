@@ -8,6 +8,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from nsdyn import compilation, solvers
+from nsdyn._kernels.stepping.workless import thaw
 from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.problem import gauss, paradox, polished
@@ -100,6 +101,8 @@ def everything() -> None:
     belt.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))
     belt.set_motion("belt", surface_velocity=(1.0, 0.0, 0.0))
     Stepper(belt, 5e-3).step()
+    before, after = np.ones((2, 6)), np.zeros((2, 6))
+    thaw(np.arange(2), np.array([True, False]), np.empty(2, np.bool_), tuple(before), tuple(after))
     lift()
     shapes()
     problems()
