@@ -232,8 +232,10 @@ class Kernel(CPUDispatcher):
         if Kernel.notes is not None:
             return Kernel.notes.patient
         types = tuple(map(self.typeof_pyval, args))
+        if types in self.overloads:
+            return True
         file = self.kept.file(types, self.targetctx)
-        return types in self.overloads or file is None or file.exists() or not Kernel.later(self, types, file, begin)
+        return file is None or file.exists() or not Kernel.later(self, types, file, begin)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
