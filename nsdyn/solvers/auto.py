@@ -203,6 +203,11 @@ class Auto:
     effort: float = 4.0
     accept: float = 1.0
 
+    @property
+    def aims(self) -> tuple[float, float]:
+        """What islands of few coordinates are solved to where Newton gets there, and at least; measures in m/s or -."""
+        return sharp(self.tol), MARGIN * self.accept * self.tol
+
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         solution = self._solved(problem, r0, self.tol)
@@ -238,7 +243,7 @@ class Auto:
         r, u = np.zeros(3 * nc) if r0 is None else problem.impulse(r0).copy(), np.empty(3 * nc)
         if not nc:
             return Solution.judge(problem, r, self.tol, 0, clock() - start)
-        given, good = (problem.q, problem.mu, problem.scales), MARGIN * self.accept * self.tol
+        given, (enough, good) = (problem.q, problem.mu, problem.scales), self.aims
         if blocks is None:
             most = TUNING.cost * TUNING.sweep
             count, error, residual = _start.by_matrix(problem.csr, *given, problem.q_norm, r, u, good, most)
@@ -246,7 +251,7 @@ class Auto:
         else:
             label, islands = np.empty(nc, np.int64), np.empty((3, nc))
             found, left, count, error, residual = _start.by_factors(
-                blocks.arrays, *given, r, u, label, islands, sharp(self.tol), good, LIMITS
+                blocks.arrays, *given, r, u, label, islands, enough, good, LIMITS
             )
             error /= problem.q_norm
         if not left:

@@ -24,8 +24,7 @@ from nsdyn._kernels.stepping import workless as _workless
 from nsdyn.collision.contacts import ContactSet, Looked, Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.solvers.auto import LIMITS, Auto, sharp
-from nsdyn.solvers.newton import MARGIN
+from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.solving import Way, pose, solve
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -226,5 +225,5 @@ def _means(s: System, met: Encounter, most: int) -> tuple[bool, float, float, tu
     """What solves in passes, as of `_workless.workless`: the kernel does what `Auto` does with small islands."""
     solver = s.solver
     if isinstance(solver, Auto) and met.joints is None and met.rows.blocks is met.rows.full:
-        return True, sharp(solver.tol), MARGIN * solver.accept * solver.tol, LIMITS, solver.tol, most
+        return True, *solver.aims, LIMITS, solver.tol, most
     return False, 0.0, 0.0, LIMITS, 0.0, most

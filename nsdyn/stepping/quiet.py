@@ -20,8 +20,7 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK, Certificate, Opening
 from nsdyn.problem.solution import Solution
-from nsdyn.solvers.auto import LIMITS, Auto, sharp
-from nsdyn.solvers.newton import MARGIN
+from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.flat import Flat, Found
@@ -78,7 +77,7 @@ class Quiet:
             *s.bounces,
             solver.tol,
             own,
-            *((sharp(solver.tol), MARGIN * solver.accept * solver.tol) if isinstance(solver, Auto) else (0.0, 0.0)),
+            *(solver.aims if isinstance(solver, Auto) else (0.0, 0.0)),
             *LIMITS,
             math.nan if polish else WEAK,
             s.inscribed.size,

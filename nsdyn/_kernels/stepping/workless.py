@@ -37,8 +37,10 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
     blocks, contacts, bodies, flags, laws : tuple
         As of `persistence.turn`.
     velocities : (v⁻, v_f)
+        Shape (n,) each, m/s and rad/s: before the forces of the move, and after them but for its impulses.
     given : tuple
-        mu and scales; local, shape (5, 3 rows), without couples; r and u of the last solve, if any.
+        mu and scales, shape (rows,), - and kg⁻¹; local, shape (5, 3 rows), without couples; r and u of the last solve,
+        if any, shape (3 rows,), N·s and m/s.
     apart : tuple
         Islands that are solved together, of which none changes because of another, or empty arrays: label, (rows,);
         contacts that slide through as foreseen, and those found to do otherwise, (nc,); and rows of whose islands the
@@ -50,8 +52,9 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
         Whether to begin with a solve, and there only to look back, as of `reconsider`; most times that others are
         looked for.
     state : tuple
-        couple and dv, those that act; change, that of v by r, made here if problems are solved here; left and other as
-        of `couples`; local, b, r and u, what is met, its problem and solution.
+        couple (nc, 3) and dv (n,), those that act; change (n,), that of v by r, made here if problems are solved here;
+        left and other, (nc,), as of `couples`; local (5, 3 rows), b, r and u, (3 rows,): what is met, its problem and
+        solution. All are changed in place.
     work : ndarray, shape (nc,)
         Works of the couples where nothing is left to do, J.
 
