@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn._kernels.stepping import law as _law
 from nsdyn.dynamics.values import Middle, Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -81,9 +80,8 @@ def collide(
     """
     d, c = s.dynamics, at.contacts
     if not (d.surfaces.count or _hits(s, at, h)):
-        where = c.frame1, c.frame2, c.point, c.normal, at.placement.x
         limit = s.solver.tol if s.elastic and _few.most(c.restitution) > 0.0 else s.slow / h
-        if _law.fastest(c.gap, s.closed, where, at.twists)[0] >= -limit:
+        if s.striking_speed(at) >= -limit:
             return None
     contacts, joints = take(c, c.gap <= s.closed), d.limit_rows(at.placement, at.v)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)

@@ -140,6 +140,22 @@ class System(NamedTuple):
         _persistence.last_status(contacts.key, self.detector.codes(contacts), warm.key, warm.pair, warm.status, out)
         return out
 
+    def striking_speed(self, at: Instant) -> float:
+        """The least normal velocity of what may strike in no time at an instant, m/s, 0 if none is negative.
+
+        Of contacts that are closed; those that pressed in the last move turn with their bodies, and close a little.
+        """
+        c, w = at.contacts, at.warm
+        warm = w.key, w.pair, w.status
+        # But where such a contact has just closed its gap and that gains energy, it is stopped first.
+        if self.depth < DEEP:
+            warm = w.key, w.pair, np.zeros_like(w.status)
+        contacts, where = (c.key, c.geom1, c.geom2, c.gap, c.restitution), (c.frame1, c.frame2, c.point, c.normal)
+        least: float = _persistence.striking_speed(
+            contacts, (*where, at.placement.x), at.twists, warm, self.inscribed.size, self.closed
+        )
+        return least
+
     def weights(self, contacts: ContactSet, there: Placement, rate: Array) -> Array:
         """Free accelerations of both bodies of contacts along their normals, added up, shape (nc,), m/s²."""
         out = np.empty(contacts.gap.size)

@@ -187,7 +187,10 @@ class Islands:
         if c.gap.size:
             u = parting(d, c, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
             limit = np.where(c.restitution > 0.0, s.solver.tol, s.slow / half.h)
-            out += self._nodes(c, (c.gap <= s.closed) & (u < -limit))
+            strikes = (c.gap <= s.closed) & (u < -limit)
+            if strikes.any():  # not what pressed before, which turns with its bodies
+                strikes &= (c.restitution > 0.0) | (s.last_status(c, begin.warm) == 0)
+            out += self._nodes(c, strikes)
         if _few.any_below(begin.limits, s.closed):
             joints, slots = d.joints, d.joints.limits
             limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * JOINT / half.h)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import count
 from typing import NamedTuple
 
@@ -40,6 +41,9 @@ all pieces as short have no more than `WORK` contacts."""
 
 LOOKS = 30
 """Most moves by which an impact is located."""
+
+LINEAR = 0.1
+"""Share of its last step that the next one of Newton's method has at most where it doubles its digits."""
 
 JUMP = 1e-9
 """Fraction of a move in which a gap changes its sign so abruptly that it jumps."""
@@ -275,9 +279,12 @@ def _until_event(
         return _least(moves[time].unmet, barred, wide, 1e-3 * s.closed)
 
     low, high, length, misses = 0.0, h, h, 0
+    aims: dict[float, float] = {}
     for _ in range(LOOKS):
         # Newton's method from the nearest as long as it gains: in free flight it is exact.
-        time = h if misses else _first_touch(s, begin, moves[length], barred)
+        if length not in aims:
+            aims[length] = _first_touch(s, begin, moves[length], barred)
+        time = h if misses else _next([*aims.items()][-2:])
         time = time if low < time < high else 0.5 * (low + high)
         nearest, found = abs(gap(length)), gap(time)
         misses = 0 if abs(found) <= 0.5 * nearest else misses + 1
@@ -289,6 +296,19 @@ def _until_event(
             break
     best, located = moves[length], abs(gap(length)) <= limit
     return (length, best) if located else capture()
+
+
+def _next(aims: list[tuple[float, float]]) -> float:
+    """Where to look after one or two times at which Newton's method aims at others.
+
+    It aims by slopes of free motion. Where impulses change with the time it only comes nearer by a constant share a
+    step: there the secant of aim - time tells the root.
+    """
+    (before, last), (time, aim) = aims[0], aims[-1]
+    far = aim - time
+    if time == before or not (abs(far) > LINEAR * abs(time - before) and math.isfinite(last + aim)):
+        return aim
+    return time + far / (1.0 - (aim - last) / (time - before))
 
 
 def _least(left: Unmet | None, barred: Index, wide: float, none: float) -> float:

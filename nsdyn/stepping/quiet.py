@@ -208,9 +208,7 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
         return None
     if s.elastic and _bounces(s, begin, (forces.foreseen - begin.v) / h):
         return None
-    where = old.frame1, old.frame2, old.point, old.normal, begin.placement.x
-    approach, all_closed = _law.fastest(old.gap, s.closed, where, begin.twists)
-    if not all_closed or approach < -s.slow / h:
+    if not (_few.most(old.gap) <= s.closed and s.striking_speed(begin) >= -s.slow / h):
         return None
     if d.with_actuators(d.joint_rows(there, v, forces.v, h), forces) is not None:
         return None

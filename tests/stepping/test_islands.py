@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
+from nsdyn.stepping.islands import Islands
+from nsdyn.stepping.sight import parting
 
 E = 0.8
 FAR = 1000.0
@@ -170,3 +172,26 @@ def test_islands_that_meet_within_a_step_are_made_together():
     assert step.ledger.kinetic == pytest.approx(1e4, rel=1e-12)
     x = step.q.reshape(-1, 7)[:, 0]
     assert (np.diff(x) >= 0.2 - 1e-9).all()
+
+
+def test_what_pressed_before_strikes_nothing(monkeypatch):
+    """Dominoes that fall over each other turn: their contacts approach a little where a step begins."""
+    scene = nd.scenes.setup("domino")
+    stepper, approaches, struck = nd.Stepper(scene.scene, **scene.options()), [], []
+    found = Islands._struck
+
+    def seen(self, begin, half):
+        s, c = self.whole, begin.contacts
+        u = parting(s.dynamics, c, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
+        fast = (c.gap <= s.closed) & (u < -s.slow / half.h)
+        approaches.append(fast.any())
+        pressed = s.last_status(c, begin.warm) > 0
+        nodes = found(self, begin, half)
+        struck.append((set(nodes.tolist()), (fast & ~pressed).any()))
+        return nodes
+
+    monkeypatch.setattr(Islands, "_struck", seen)
+    for _ in range(100):
+        stepper.step()
+    assert sum(approaches) > 10
+    assert all(bool(nodes) == new for nodes, new in struck)

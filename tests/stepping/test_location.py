@@ -62,3 +62,18 @@ def test_what_comes_to_rest_on_a_shaking_plate_is_located_no_more(monkeypatch):
             tried.append(moves(stepper, patched))
     assert sum(tried) < 400  # of 60 steps, among them those in which it hops and bounces
     assert max(tried[41:50]) <= 2  # where it rests
+
+
+@pytest.mark.parametrize("share", [-0.36, 0.3, -1.9])
+def test_newtons_method_that_nears_by_a_constant_share_is_not_followed(share):
+    """Its next two steps tell where it would end."""
+    root, begin = 0.25, 1.0
+    aims = [(t, root + share * (t - root)) for t in (begin, root + share * (begin - root))]
+    assert passage._next(aims) == pytest.approx(root, rel=1e-14, abs=0.0)  # but for round-off
+
+
+def test_newtons_method_that_doubles_its_digits_is_followed():
+    aims = [(t, 0.25 + 0.1 * (t - 0.25) ** 2) for t in (0.35, 0.251)]
+    assert passage._next(aims) == aims[1][1]
+    assert passage._next(aims[:1]) == aims[0][1]
+    assert passage._next([(0.35, np.inf), aims[1]]) == aims[1][1]

@@ -179,18 +179,6 @@ def weights(where, rates, out):
         out[c] = weight_of(c, where, rates)
 
 
-@in_place
-def fastest(gap, closed, where, twists):
-    """The least normal velocity of contacts that are closed, m/s, 0 if none is negative; whether all are closed."""
-    least, all_closed = 0.0, True
-    for c in range(gap.size):
-        if gap[c] <= closed:
-            least = min(least, approach_of(c, where, twists))
-        else:
-            all_closed = False
-    return least, all_closed
-
-
 @kernel
 def all_known(key, old_key, old_gap, closed):
     """Whether all contacts are among old ones that are closed."""

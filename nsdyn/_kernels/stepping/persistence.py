@@ -6,7 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import relative_velocity
-from nsdyn._kernels.stepping.law import offsets, places
+from nsdyn._kernels.stepping.law import approach_of, offsets, places
 from nsdyn._kernels.vectors import along, dot, put, row, times, to_local
 
 STILL = 1e-3
@@ -44,6 +44,22 @@ def last_status(key, pair, warm_key, warm_pair, warm_status, out):
             for k in range(warm_key.size):
                 if warm_pair[k] == pair[c] and kept[k] < 0:
                     out[c] = max(out[c], warm_status[k])
+
+
+@kernel
+def striking_speed(contacts, where, twists, warm, geoms, closed):
+    """The least normal velocity of contacts that may strike, m/s, 0 if none is negative.
+
+    Those that are closed, but that pressed in the last move and do not rebound: they turn with their bodies, and close
+    a little without striking. contacts = (keys, both geoms of so many, gaps, restitution), (nc,) each.
+    """
+    key, geom1, geom2, gap, restitution = contacts
+    was, least = np.empty(gap.size, np.int8), 0.0
+    last_status(key, geom1 * geoms + geom2, *warm, was)
+    for c in range(gap.size):
+        if gap[c] <= closed and (was[c] == 0 or restitution[c] > 0.0):
+            least = min(least, approach_of(c, where, twists))
+    return least
 
 
 @kernel

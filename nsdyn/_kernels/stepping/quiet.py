@@ -177,13 +177,20 @@ def bounces(num, met, x, twists, rates):
 
 
 @in_place
-def depart(num, bodies, forces, arm, met, old, f, w):
-    """The first half of a step; (whether it may be quiet, whether contacts are those where it begins)."""
+def depart(num, bodies, forces, arm, met, last, old, f, w):
+    """The first half of a step; (whether it may be quiet, whether contacts are those where it begins).
+
+    last = (keys, pairs of shapes, states) of what acted last.
+    """
     n, h = arm.size, num[STEP]
     names, points, scalars = met
     x, twists, v = vectors(old, X, n), (vectors(old, LINEAR, n), vectors(old, ANGULAR, n)), velocity(old, V, n)
-    approach, closed = law.fastest(scalars[0], num[CLOSED], (names[2], names[3], points[0], points[1], x), twists)
-    if not closed or approach < -num[SLOW] / h:
+    for c in range(names.shape[1]):
+        if not scalars[0, c] <= num[CLOSED]:
+            return False, False
+    closed = names[4], names[0], names[1], scalars[0], scalars[2]
+    where = names[2], names[3], points[0], points[1], x
+    if persistence.striking_speed(closed, where, twists, last, int(num[GEOMS]), num[CLOSED]) < -num[SLOW] / h:
         return False, False
     there = vectors(w, X, n), quaternions(w, QUATERNION, n), velocity(w, V_THERE, n), rotations(w, R_THERE, n)
     reach, far_rate, v_free = column(w, REACH, n), velocity(f, RATE, n), velocity(w, V_FREE, n)
@@ -425,7 +432,8 @@ def quiet(system, detection, old, begun, new, middle, end, next_key, direction, 
     first = contacts(begun, nc)
 
     if stage == 0:
-        may_be, same = depart(num, bodies, (gravity, no_load, num[WEIGHT]), arm, first, b_old, b, w)
+        falling, before = (gravity, no_load, num[WEIGHT]), (acted_old[:last], acted_old[last:], status_old)
+        may_be, same = depart(num, bodies, falling, arm, first, before, b_old, b, w)
         if not may_be:
             return OTHERWISE
         out[WENT], out[GOES] = 0.0 if same else 1.0, 0.0
@@ -445,9 +453,9 @@ def quiet(system, detection, old, begun, new, middle, end, next_key, direction, 
             middle[1][FOUND_NAMES * nc + MADE] = 0
     met, (frame, block, start, H, scales, made) = contacts(at, nc), rows(at, nc)
     if stage == 0 or stage == LOOK:
-        before = acted_old[:last], vectors(f_old[RESULTS + BODY * n :], FORCE, last), status_old
+        pressed = acted_old[:last], vectors(f_old[RESULTS + BODY * n :], FORCE, last), status_old
         of = frame, block, start, H[: made[SIZE]] if made[MADE] else H, scales, made[MADE] > 0
-        made[SIZE], norm, good = pose(num, masses, (first, b_old), before, met, of, w, own, place, flags[0], q)
+        made[SIZE], norm, good = pose(num, masses, (first, b_old), pressed, met, of, w, own, place, flags[0], q)
         made[MADE], out[NORM] = 1, norm if norm > 0.0 else 1.0
         if not good:
             return OTHERWISE
@@ -496,6 +504,6 @@ def quiet(system, detection, old, begun, new, middle, end, next_key, direction, 
     inscribed = numbers(sf, si, INSCRIBED)
     if out[GOES] > 0.0 and unfinished(num, blocks, bodies[3], arm, inscribed, met, r, flags, gap, b, w, own):
         return OTHERWISE
-    falling = mass, matrices(sf, si, INERTIA), gravity, no_load, nowhere[:0]
-    book(num, falling, blocks, met, frame, flags, direction, scales, status, f, w, own, a)
+    inertia = mass, matrices(sf, si, INERTIA), gravity, no_load, nowhere[:0]
+    book(num, inertia, blocks, met, frame, flags, direction, scales, status, f, w, own, a)
     return DONE
