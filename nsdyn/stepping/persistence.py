@@ -174,7 +174,8 @@ def solve_workless(
     if made:
         met = alone.turned(start.dv, alone.local[4])
     passes, problem, solution = PASSES if d.free and met.stays.any() else 0, pose(met, slides, way.closing), last
-    label, foreseen, switched, off = apart or TOGETHER
+    label, _, _, off = apart or TOGETHER
+    by_all = way if apart is None else way._replace(most=0)  # which would change others than what slips otherwise
     couple, dv = (start.impulse.copy(), start.dv.copy()) if made else (np.zeros((nc, 3)), np.zeros(d.n))
     local, b, r, u = met.local.copy(), problem.q.copy(), met.local[4].copy(), np.empty_like(problem.q)
     state = couple, dv, np.empty(d.n), np.full(nc, np.inf), np.empty(nc, np.bool_), local, b, r, u
@@ -190,7 +191,7 @@ def solve_workless(
                 (met.mu, problem.scales, alone.local, *((u, u) if last is None else (last.r, last.u))),
                 (met.stays, met.sticks, slides),
                 (met.end_gap, met.restitution, met.rebound, met.late, tuple(way.closing)),
-                (label, foreseen, switched, NO_ROWS if last is None or off is None else off),
+                (label, NO_ROWS if last is None or off is None else off),
                 solver,
                 (first, way.back, passes),
                 state,
@@ -208,7 +209,8 @@ def solve_workless(
             break
         first = first and left == passes
         which, before = (off, last) if first else (state[4], solution)
-        met, problem, again, changed = solve(met, s.solver, solution, slides, way if first else way._replace(back=True))
+        own = by_all if first else by_all._replace(back=True)
+        met, problem, again, changed = solve(met, s.solver, solution, slides, own)
         otherwise = otherwise or changed
         if apart is not None:
             apart.keep(slides)

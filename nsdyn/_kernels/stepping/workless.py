@@ -16,7 +16,7 @@ DONE, SOLVE = 0, 1
 def thaw(label, some, islands, before, after):
     """Leave (r, u) as they were `before` in the islands of no contact that is among `some`, in after.
 
-    Islands by their labels (rows,); `islands` is for work, as large as the largest label and one.
+    Islands by their labels (rows,); into `islands`, as large as the largest label and one, which have any of these.
     """
     islands[:] = False
     for c in range(some.size):
@@ -26,6 +26,21 @@ def thaw(label, some, islands, before, after):
         if not islands[label[c]]:
             for i in range(3 * c, 3 * c + 3):
                 after[0][i], after[1][i] = before[0][i], before[1][i]
+
+
+@in_place
+def reconsider_some(r, u, b, mu, local, slides, back, label, islands, changed):
+    """`reconsider` the contacts of some `islands` alone, by labels (nc,); into changed (nc,) which slide otherwise."""
+    for c in range(slides.size):
+        changed[c] = slides[c]
+    reconsider(r, u, b, mu, local, slides, back)
+    some = False
+    for c in range(slides.size):
+        if not islands[label[c]]:
+            slides[c] = changed[c]
+        changed[c] = slides[c] != changed[c]
+        some = some or changed[c]
+    return some
 
 
 @kernel
@@ -42,9 +57,8 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
         mu and scales, shape (rows,), - and kg⁻¹; local, shape (5, 3 rows), without couples; r and u of the last solve,
         if any, shape (3 rows,), N·s and m/s.
     apart : tuple
-        Islands that are solved together, of which none changes because of another, or empty arrays: label, (rows,);
-        contacts that slide through as foreseen, and those found to do otherwise, (nc,); and rows of whose islands the
-        first solution changes that of the last solve, empty where it changes all.
+        Islands that are solved together, of which none changes because of another: label, (rows,), empty where all is
+        one; and rows of whose islands the first solution changes that of the last solve, empty where it changes all.
     solver : tuple
         Whether problems of islands of few coordinates are solved here; `enough`, `good` and `limits` of `by_factors`;
         the tolerance; and how many more solves there are for contacts that slip otherwise.
@@ -65,11 +79,13 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
         and error, residual and factorisations of the last one.
     """
     (before, free), (first, back, passes) = velocities, begin
-    (mu, scales, alone, last_r, last_u), (stays, _, slides), (label, foreseen, switched, off) = given, flags, apart
+    (mu, scales, alone, last_r, last_u), (stays, _, slides), (label, off) = given, flags, apart
     own, enough, good, limits, tol, most = solver
     couple, dv, change, left, other, local, b, r, u = state
     names, measures = np.empty(mu.size, np.int64), np.empty((3, mu.size))
-    islands = np.empty(label.max() + 1 if label.size else 0, np.bool_)
+    if label.size == 0:
+        label = np.zeros(mu.size, np.int64)
+    islands, changed = np.empty(label.max() + 1 if label.size else 0, np.bool_), np.empty(mu.size, np.bool_)
     otherwise, solved, error, residual, count = False, 0, 0.0, 0.0, 0
     own = own and widest(blocks) <= limits[0]
     while True:
@@ -85,6 +101,8 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
             last_r, last_u, off = r.copy(), u.copy(), other
         if not own:
             return SOLVE, passes, otherwise, solved, error, residual, count
+        islands[:] = True
+        some, kept_r, kept_u = off, last_r, last_u
         for k in range(most + 1):
             norm, _ = size_of(b, mu)
             _, missed, count, error, residual = by_factors(
@@ -96,18 +114,15 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
                     r[:], u[:] = last_r, last_u
                 return SOLVE, passes, otherwise, solved, error, residual, count
             solved += 1
-            if not reconsider(r, u, b, mu, local, slides, back or k > 0):
+            if some.size:
+                thaw(label, some, islands, (kept_r, kept_u), (r, u))
+            if not reconsider_some(r, u, b, mu, local, slides, back or k > 0, label, islands, changed):
                 break
             if k < most:
                 offsets(local, laws, stays, slides, b)
+                some, kept_r, kept_u = changed, r.copy(), u.copy()
             else:
                 otherwise = True
-        if label.size:
-            for c in range(slides.size):
-                switched[c] = switched[c] or slides[c] != foreseen[c]
-                slides[c] = foreseen[c]
-            if off.size:
-                thaw(label, off, islands, (last_r, last_u), (r, u))
         first = False
     mean = np.empty(before.size)
     for i in range(mean.size):
