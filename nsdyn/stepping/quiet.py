@@ -31,6 +31,7 @@ from nsdyn.stepping.persistence import NO_COUPLE, unfinished
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import approach
 from nsdyn.stepping.solving import Way, solve
+from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Moves", "Quiet", "quiet_trees"]
@@ -40,6 +41,9 @@ Certify = Callable[[FC3D, Array, Array, Opening | None], tuple[Certificate, Open
 Moves = tuple[Instant, Array, bool, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
 """End of some moves, the last free acceleration, whether the end is clear, what acted, what was solved and the works of
 all parts: as of `nsdyn.stepping.move.Move`."""
+
+PAUSE = 16
+"""Most steps that are made by stages after some that were not quiet, before the kernel is asked again."""
 
 ASKS = 50
 """Steps after which it is asked again whether the kernel of quiet steps is compiled."""
@@ -91,11 +95,25 @@ class Quiet:
         )
         self._dynamics, self._size, self._moved, self._work = d, d.free, False, _room(d.free, 0)
         self._none, self._ready, self._asked = Found.room(0), False, 0
+        self._pause = self._left = 0
 
-    def step(self, old: Flat, certify: Certify) -> Flat | None:
-        """The next state, None where more may happen."""
-        if not (self._ready or self._is_ready(old)):
+    def step(self, now: State | Flat, certify: Certify) -> tuple[Flat, Flat] | None:
+        """The state and the next one; None where more may happen, or is likely to, as it did in the steps before."""
+        if self._left > 0:
+            self._left -= 1
             return None
+        old = now if isinstance(now, Flat) else Flat.of(now)
+        if old is not None:
+            if not (self._ready or self._is_ready(old)):
+                return None
+            if (new := self._next(old, certify)) is not None:
+                self._pause = 0
+                return old, new
+        self._left, self._pause = self._pause, min(2 * self._pause + 1, PAUSE)
+        return None
+
+    def _next(self, old: Flat, certify: Certify) -> Flat | None:
+        """The next state, None where more may happen."""
         n, nc, detector = self._size, old.found.nc, self._detector
         if self._work[1].size != 2 * nc + 2:
             self._work = _room(n, nc)

@@ -353,9 +353,9 @@ class Stepper:
 
     def _quietly(self, quiet: Quiet) -> Step | None:
         """A step of the kernel; None where it is more than that."""
-        before = self._now if isinstance(self._now, Flat) else Flat.of(self._now)
-        if before is None or (after := quiet.step(before, self._certificate)) is None:
+        if (found := quiet.step(self._now, self._certificate)) is None:
             return None
+        before, after = found
         untold = Untold(after, before.energies, (self.theta, self.system.solver.tol), self.dynamics)
         step = Step(untold=untold, t=after.t, dt=after.dt, names=self._names)
         if self._paradoxes.possible and self._paradoxes.met(step, after.body(RATE, 6)):
