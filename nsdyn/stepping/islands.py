@@ -219,7 +219,6 @@ class Islands:
             out += self._nodes(c, ends[: c.gap.size] > 0)
             if a.met.joints is not None:
                 out.append(d.joints.block[a.met.joints.slot[ends[c.gap.size :] > 0]])
-        out += self._nodes(c, a.slides)
         if a.met.joints is not None and (balls := a.met.rows.balls).size:
             off = unbalanced(a.met.rows, a.solution.r, a.solution.u, a.problem.scales)
             out.append(d.joints.block[a.met.joints.slot[balls[off] - c.gap.size]])

@@ -20,12 +20,12 @@ from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Impulses, Instant, System, account, among, take
-from nsdyn.stepping.persistence import NO_COUPLE, Apart, Couple, solve_workless
+from nsdyn.stepping.persistence import NO_COUPLE, Couple, solve_workless
 from nsdyn.stepping.projection import Placed, place, project
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, parting, reached, shown, touched
-from nsdyn.stepping.solving import SOLVES, Way
+from nsdyn.stepping.solving import SOLVES, TOGETHER, Apart, Way
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.displacements import displacement
 
@@ -243,8 +243,8 @@ def trial(
 def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: Index, skip: Bools) -> Trial:
     """A move of all islands that leaves alone what may strike, as a `trial` with nothing barred.
 
-    Nodes have the label of their island (nodes,), none of which changes because of another: the `Response.slides` are
-    those contacts that slide otherwise than foreseen. Contacts of the nodes `skip` are passed over; it is no motion.
+    Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
+    nodes `skip`, whose contacts are passed over.
     """
     contacts, joints, seen = _reachable(s, begin, half, NO_SLOTS)
     if skip.any():
@@ -290,9 +290,9 @@ def _respond(
 ) -> tuple[Half, Response]:
     """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
 
-    The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve,
-    as do contacts that slide otherwise than foreseen: not where nodes have a label (nodes,), that of their island. Then
-    nothing is done to an island because of another, and that is left to see who asks.
+    The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve:
+    not where nodes have a label (nodes,), that of their island. Then nothing is done to an island because of another,
+    and that is left to see who asks.
     """
     d, middle, forces, (contacts, joints, seen) = s.dynamics, half.middle, half.forces, reach
     closing = s.closing(half.h, barred is None)
@@ -316,7 +316,7 @@ def _respond(
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     alone, couple = met, NO_COUPLE
-    apart = None if label is None else Apart(_of_rows(s, met, label), slides.copy(), np.zeros(slides.size, np.bool_))
+    apart = TOGETHER if label is None else Apart(_of_rows(s, met, label))
     for left in reversed(range(GAPS + 1 if barred is not None else 1)):
         met, problem, solution, otherwise, couple = solve_workless(s, alone, half, known, slides, way, couple, apart)
         v = forces.v + couple.dv if couple.dv.size else forces.v
@@ -340,12 +340,11 @@ def _respond(
         off = alone.off(gap, solution.r, s.near(contacts, gap.size), s.closed)
         if not off.any():
             break
-        apart = apart and apart._replace(off=off)
+        apart = apart._replace(off=off)
         parts = parting(d, moved.contacts, there, v_end, end.driven_x, half.surfaces[2])
         rates = NOTHING if met.joints is None else d.joints.rates(met.joints.slot, v_end)
         ended = moved.contacts.key, parts, rates
         alone, known = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended), solution
-    slides = slides if apart is None else apart.switched
     return half, Response(
         met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved
     )

@@ -26,8 +26,8 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.solving import Way, pose, solve
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.stepping.solving import Apart, Way, pose, solve
+from nsdyn.tools.arrays import Array, Bools
 
 if TYPE_CHECKING:
     from nsdyn.stepping.half import Half
@@ -60,41 +60,7 @@ class Couple(NamedTuple):
 NO_COUPLE = Couple(np.empty((0, 3)), np.empty(0), np.empty(0))
 
 
-class Apart(NamedTuple):
-    """Islands that are solved together, of which none changes because of another.
-
-    Attributes
-    ----------
-    label : ndarray of int, shape (rows,)
-        Island of each contact and joint row.
-    slides : ndarray of bool, shape (nc,)
-        Which contacts slide through, as foreseen.
-    switched : ndarray of bool, shape (nc,)
-        Which have been found to do otherwise, and wait for a solve of their island.
-    off : ndarray of bool, shape (rows,), optional
-        Rows that end otherwise than they should: of islands without one nothing changes.
-    """
-
-    label: Index
-    slides: Bools
-    switched: Bools
-    off: Bools | None = None
-
-    def keep(self, slides: Bools) -> None:
-        """Let contacts slide as foreseen, and note which would not."""
-        np.logical_or(self.switched, slides != self.slides, out=self.switched)
-        slides[:] = self.slides
-
-    def thawed(self, last: Solution, solution: Solution, which: Bools) -> Solution:
-        """The solution in the islands of some contacts (nc,), the last one in all others, to the last bit."""
-        r, u, islands = solution.r.copy(), solution.u.copy(), np.empty(int(self.label.max(initial=-1)) + 1, np.bool_)
-        _workless.thaw(self.label, which, islands, (last.r, last.u), (r, u))
-        return solution._replace(r=r, u=u)
-
-
 NO_ROWS = np.empty(0, np.bool_)
-TOGETHER = Apart(np.empty(0, np.int64), NO_ROWS, NO_ROWS)
-"""No islands: all is one."""
 
 
 def unfinished(
@@ -162,7 +128,7 @@ def solve_workless(
     slides: Bools,
     way: Way,
     start: Couple,
-    apart: Apart | None,
+    apart: Apart,
 ) -> tuple[Encounter, FC3D, Solution, bool, Couple]:
     """`solve`, and couples with which contacts that persist do no work, from `start`; what is met with these.
 
@@ -174,8 +140,7 @@ def solve_workless(
     if made:
         met = alone.turned(start.dv, alone.local[4])
     passes, problem, solution = PASSES if d.free and met.stays.any() else 0, pose(met, slides, way.closing), last
-    label, _, _, off = apart or TOGETHER
-    by_all = way if apart is None else way._replace(most=0)  # which would change others than what slips otherwise
+    label, off = apart
     couple, dv = (start.impulse.copy(), start.dv.copy()) if made else (np.zeros((nc, 3)), np.zeros(d.n))
     local, b, r, u = met.local.copy(), problem.q.copy(), met.local[4].copy(), np.empty_like(problem.q)
     state = couple, dv, np.empty(d.n), np.full(nc, np.inf), np.empty(nc, np.bool_), local, b, r, u
@@ -209,12 +174,10 @@ def solve_workless(
             break
         first = first and left == passes
         which, before = (off, last) if first else (state[4], solution)
-        own = by_all if first else by_all._replace(back=True)
-        met, problem, again, changed = solve(met, s.solver, solution, slides, own)
+        own = way if first else way._replace(back=True)
+        of = apart._replace(off=which)
+        met, problem, again, changed = solve(met, s.solver, solution, slides, own, of, before)
         otherwise = otherwise or changed
-        if apart is not None:
-            apart.keep(slides)
-            again = again if before is None or which is None else apart.thawed(before, again, which)
         solution, passes, first = again, left if again.accepted else 0, False
         r[:], u[:], state[2][:] = again.r, again.u, rows.velocity_change(again.r)
     if made:
