@@ -9,24 +9,25 @@ const LOOKED_AT = 64;  // triangles that tell whether a surface bounds a solid
 const SOLID = [0.9, 0.95];  // the winding number behind them, and how many of them have it
 
 class Coarse {
-  constructor() { this.made = new Map(); }
+  constructor() { this.made = new Map(); }  // {solid, levels} of geometries
 
   // Shows a mesh in full, or as it needs to be where a metre has so many pixels.
   show(object, pixelsPerMetre) {
     const full = object.userData.full ??= {geometry: object.geometry, side: object.material.side};
-    if (!this.made.has(full.geometry)) this.made.set(full.geometry, new Map());
-    const made = this.made.get(full.geometry);
-    const coarse = metres => {
-      const level = Math.round(LEVELS * Math.log2(metres));
-      if (!made.has(level)) made.set(level, coarser(full.geometry, 2 ** (level / LEVELS)));
-      return made.get(level);
-    };
-    const scale = Math.cbrt(Math.abs(object.matrixWorld.determinant()));
-    object.geometry = pixelsPerMetre ? coarse(CELL / pixelsPerMetre / scale) : full.geometry;
-    // Nobody sees a solid from behind: half of its triangles need not be drawn.
-    const side = pixelsPerMetre && (made.solid ??= isSolid(full.geometry)) ? MeshCat.THREE.FrontSide : full.side;
-    object.material.needsUpdate ||= side !== object.material.side;
+    const {geometry, side} = pixelsPerMetre ? this.get(full, object, pixelsPerMetre) : full;
+    object.geometry = geometry;
+    object.material.needsUpdate = side !== object.material.side;
     object.material.side = side;
+  }
+
+  get({geometry, side}, object, pixelsPerMetre) {
+    if (!this.made.has(geometry)) this.made.set(geometry, {solid: isSolid(geometry), levels: new Map()});
+    const {solid, levels} = this.made.get(geometry);
+    const scale = Math.cbrt(Math.abs(object.matrixWorld.determinant()));
+    const level = Math.round(LEVELS * Math.log2(CELL / pixelsPerMetre / scale));
+    if (!levels.has(level)) levels.set(level, coarser(geometry, 2 ** (level / LEVELS)));
+    // Nobody sees a solid from behind: half of its triangles need not be drawn.
+    return {geometry: levels.get(level), side: solid ? MeshCat.THREE.FrontSide : side};
   }
 }
 
