@@ -121,7 +121,7 @@ def show_table(kind: str, arguments: argparse.Namespace) -> int:
             table.to_csv(arguments.csv)
         if arguments.parquet:
             table.to_parquet(arguments.parquet)
-    say(arguments, found.select(*SHOWN[kind]))
+    say(arguments, found.select(*SHOWN[kind]).text())
     say(arguments, f"step {k}, which ends at t = {trajectory.t[k]:g} s; --csv and --parquet have all steps and columns")
     return 0
 

@@ -129,5 +129,5 @@ def twists(trajectory: Trajectory, rows: Index) -> dict[int, Array]:
     found = trees(trajectory)
     if isinstance(found, str):
         return {}
-    by_tree = [np.array([m.twists(*found.state(i, k)) for k in rows]) for i, m in enumerate(found.mechanisms)]
+    by_tree = [m.twists(*found.state(i, rows)) for i, m in enumerate(found.mechanisms)]
     return {frame: by_tree[tree][:, joint - 1] for frame, (tree, joint) in found.links.items()}

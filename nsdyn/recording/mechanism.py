@@ -16,6 +16,12 @@ RANK = 1e-10
 """Singular values below this fraction of the largest are those of redundant rows."""
 
 
+def _moved(place: Array, wrench: Array) -> Array:
+    """Forces and moments in axes of places (..., 4, 4), as those about the world's origin, (..., 6)."""
+    force, moment = (np.einsum("...ij,...j->...i", place[..., :3, :3], wrench[..., k : k + 3]) for k in (0, 3))
+    return np.concatenate((force, moment + np.cross(place[..., :3, 3], force)), axis=-1)
+
+
 def _pose(matrix: Any) -> Any:
     return pin.SE3(np.array(matrix, dtype=float))
 
@@ -119,6 +125,12 @@ class Mechanism:
         self.light = self.model.copy()
         self.light.gravity = pin.Motion.Zero()
         self.data = self.model.createData()
+        bodies = self.model.inertias.tolist()[1:]
+        self._bodies = (  # masses, centres and inertias about these
+            np.array([body.mass for body in bodies])[:, None],
+            np.array([body.lever for body in bodies]).reshape(-1, 3),
+            np.array([body.inertia for body in bodies]).reshape(-1, 3, 3),
+        )
         self.nv = self.model.nv
         self.driven: Index = np.array(sorted(self.speeds), dtype=np.int64)
         self.loops = len(self._loops) + len(self._gears)
@@ -218,30 +230,45 @@ class Mechanism:
         return out
 
     def momenta(self, q: Array, v: Array) -> Array:
-        """Linear and angular momentum about the world's origin of every link, (links, 6), N·s and N·m·s."""
-        pin.forwardKinematics(self.model, self.data, q, v)
-        parts = zip(self.data.oMi, self.model.inertias, self.data.v, strict=True)
-        return np.array([place.act(body * twist).vector for place, body, twist in parts])[1:]
+        """Linear and angular momentum about the world's origin of every link, (n, links, 6), N·s and N·m·s.
+
+        In states (n, nq), (n, nv), as all that is many.
+        """
+        place, twist = self._links(q, v)
+        mass, lever, inertia = self._bodies
+        linear = mass * (twist[..., :3] + np.cross(twist[..., 3:], lever))
+        spin = np.cross(lever, linear) + np.einsum("lij,nlj->nli", inertia, twist[..., 3:])
+        return _moved(place, np.concatenate((linear, spin), axis=2))
 
     def twists(self, q: Array, v: Array) -> Array:
-        """Linear velocity at the world's origin and angular velocity of every link, (links, 6), m/s and rad/s."""
-        pin.forwardKinematics(self.model, self.data, q, v)
-        return np.array([place.act(twist).vector for place, twist in zip(self.data.oMi, self.data.v, strict=True)])[1:]
+        """Linear velocity at the world's origin and angular velocity of every link, (n, links, 6), m/s and rad/s."""
+        place, twist = self._links(q, v)
+        return np.roll(_moved(place, np.roll(twist, 3, axis=2)), 3, axis=2)
 
     def weights(self, q: Array) -> tuple[Array, Array]:
-        """Gravity on every link, (links, 6), N and, about the world's origin, N·m; and origins of the joints, m."""
-        pin.forwardKinematics(self.model, self.data, q)
-        parts = list(zip(self.data.oMi, self.model.inertias, strict=True))[1:]
-        force = np.array([body.mass * self.model.gravity.linear for _, body in parts])
-        moment = np.cross([place.act(body.lever) for place, body in parts], force)
-        return np.concatenate((force, moment), axis=1), np.array([place.translation for place, _ in parts])
+        """Gravity on every link, (n, links, 6), N and, about the world's origin, N·m; origins of joints, m."""
+        place, _ = self._links(q, np.zeros((len(q), self.nv)))
+        mass, lever, _ = self._bodies
+        origin = place[..., :3, 3]
+        force = np.broadcast_to(mass * self.model.gravity.linear, origin.shape)
+        centre = origin + np.einsum("nlij,lj->nli", place[..., :3, :3], lever)
+        return np.concatenate((force, np.cross(centre, force)), axis=2), origin
+
+    def _links(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Places (n, links, 4, 4) and, in their own axes, twists (n, links, 6) of all links."""
+        places, twists = np.empty((len(q), len(self.joints), 4, 4)), np.empty((len(q), len(self.joints), 6))
+        for k in range(len(q)):
+            pin.forwardKinematics(self.model, self.data, q[k], v[k])
+            places[k] = [place.homogeneous for place in self.data.oMi.tolist()[1:]]
+            twists[k] = [twist.vector for twist in self.data.v.tolist()[1:]]
+        return places, twists
 
     def passed(self, needs: Array) -> Array:
-        """What every joint passes on to its child, of what the links need, (links, 6) each, about one point."""
+        """What every joint passes on to its child, of what the links need, (n, links, 6), about one point in each."""
         out = needs.copy()
-        for k in reversed(range(len(out))):
+        for k in reversed(range(out.shape[1])):
             if parent := int(self.model.parents[k + 1]):
-                out[parent - 1] += out[k]
+                out[:, parent - 1] += out[:, k]
         return out
 
     def along(self, q: Array, passed: Array) -> Array:

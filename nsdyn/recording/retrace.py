@@ -24,7 +24,7 @@ from nsdyn.recording.columns import ON_JOINTS, PIECES
 from nsdyn.recording.courses import Course, move, respond
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.tables import left_out
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.displacements import displacement
 
 if TYPE_CHECKING:
@@ -152,8 +152,8 @@ class Trees:
             out[tree].setdefault(int(step[row]), []).append((int(row), int(side), joint))
         return out
 
-    def state(self, tree: int, k: int) -> tuple[Array, Array]:
-        """q and v of a tree in row k of the states."""
+    def state(self, tree: int, k: int | Index) -> tuple[Array, Array]:
+        """q and v of a tree in row k of the states, or in several rows."""
         q, v = self.at[tree]
         return self.trajectory.q[k, q], self.trajectory.v[k, v]
 

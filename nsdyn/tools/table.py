@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from importlib import import_module
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,9 @@ __all__ = ["Table", "matching"]
 
 SHOWN = 40
 """Rows that are printed."""
+
+WIDTH = 100
+"""Characters in a line of what shows itself."""
 
 NOTHING = 1e-12
 """What is smaller, beside 1 and the largest printed number of its unit, is round-off and printed as 0."""
@@ -86,11 +90,33 @@ class Table:
             sink.writerow(self.headers)
             sink.writerows(zip(*(map(_blank, values.tolist()) for values in self.columns.values()), strict=True))
 
-    def __repr__(self) -> str:
-        lines = [list(self.headers), *self._cells(SHOWN)]
+    def text(self, width: float = inf) -> str:
+        """The first rows, right-aligned; columns in the middle are left out of lines with more characters than that."""
+        lines = self._fitting([list(self.headers), *self._cells(SHOWN)], width)
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         out = ["  ".join(map(str.rjust, line, widths)) for line in lines]
-        return "\n".join([*out, *([f"... {len(self) - SHOWN} more rows"] if len(self) > SHOWN else [])])
+        return "\n".join([*out, *([f"... {more}"] if (more := self._more(SHOWN, lines[0])) else [])])
+
+    def __repr__(self) -> str:
+        return self.text(WIDTH)
+
+    def _fitting(self, lines: list[list[str]], width: float) -> list[list[str]]:
+        """The columns from both ends that fit, and between them one of dots."""
+        widths = [max(map(len, column)) + 2 for column in zip(*lines, strict=True)]
+        if sum(widths) - 2 <= width:
+            return lines
+        left = right = 0
+        room = width - len("...")
+        while (room := room - (widths[left] if left == right else widths[-1 - right])) >= 0:
+            left, right = (left + 1, right) if left == right else (left, right + 1)
+        return [[*line[:left], "...", *line[len(line) - right :]] for line in lines]
+
+    def _more(self, rows: int, headers: Sequence[str]) -> str:
+        """What is not shown, in words."""
+        rest = [f"{len(self) - rows} more rows"] if len(self) > rows else []
+        if "..." in headers:
+            rest.append(f"{len(self.columns) - len(headers) + 1} more columns, of which `headers` has the names")
+        return ", ".join(rest)
 
     def _cells(self, rows: int) -> list[list[str]]:
         first, largest = self[:rows].columns, dict[str, float]()
@@ -105,9 +131,9 @@ class Table:
         return [list(row) for row in zip(*columns, strict=True)]
 
     def _repr_html_(self) -> str:
-        cells = self._cells(notebook.ROWS)
-        more = f", the first {len(cells)}" if len(cells) < len(self) else ""
-        return notebook.table(f"{self.title}: {len(self)} rows{more}", self.headers, cells)
+        headers, *cells = self._fitting([list(self.headers), *self._cells(notebook.ROWS)], WIDTH)
+        more = f": {rest}" if (rest := self._more(notebook.ROWS, headers)) else ""
+        return notebook.table(f"{self.title}, {len(cells)} rows{more}", headers, cells)
 
 
 def matching(known: list[str], pattern: str, what: str) -> list[str]:

@@ -6,6 +6,7 @@ import pytest
 from mechanisms import add, at, four_bars, limit, pendulum, rod
 
 import nsdyn as nd
+from nsdyn.recording import retrace
 from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Loop
 
@@ -183,6 +184,31 @@ def test_reactions_balance_the_momentum_of_a_robot():
     off = np.abs(of_trunk + legs - contacts).max(axis=1)
     assert np.abs(legs).max() > 50.0
     assert np.median(off) < 1e-2 * np.abs(legs).max()
+
+
+def test_motion_of_links_in_many_states_is_that_of_pinocchio(rng):
+    """Momenta, twists and weights about the world's origin, against its spatial algebra link by link."""
+    scene = nd.scenes.load("quadruped")()
+    run = nd.simulate(scene, 0.002, dt=1e-3)
+    found = retrace.trees(run)
+    m = found.mechanisms[0]
+    q = np.array([pin.integrate(m.model, found.state(0, 0)[0], rng.normal(size=m.nv)) for _ in range(3)])
+    v = rng.normal(size=(3, m.nv))
+    momenta, twists, (weights, origins) = m.momenta(q, v), m.twists(q, v), m.weights(q)
+    gravity, data = pin.Motion(m.model.gravity.linear, np.zeros(3)), m.model.createData()
+    for k in range(3):
+        pin.forwardKinematics(m.model, data, q[k], v[k])
+        for link, (place, body, twist) in enumerate(zip(data.oMi, m.model.inertias, data.v, strict=True)):
+            if not link:
+                continue
+            for got, known in (
+                (momenta[k, link - 1], place.act(body * twist).vector),
+                (twists[k, link - 1], place.act(twist).vector),
+                (weights[k, link - 1], (place.act(body) * gravity).vector),
+                (origins[k, link - 1], place.translation),
+            ):
+                np.testing.assert_allclose(got, known, rtol=0, atol=1e-13 * max(1.0, np.abs(known).max()))
+    assert m.momenta(q[:0], v[:0]).shape == (0, len(m.joints), 6)
 
 
 def test_redundant_loops_carry_the_weight():

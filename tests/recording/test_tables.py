@@ -1,6 +1,7 @@
 """Tables of recordings against sums over `trajectory.contacts` and against the motion."""
 
 import csv
+import re
 import sys
 
 import numpy as np
@@ -127,6 +128,23 @@ def test_tables_without_their_extra(trajectory, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_tables_fit_into_lines(trajectory):
+    """From both ends as many columns as there is room for, which is used; what is left out is told."""
+    for kind in ("bodies", "pairs", "contacts", "energy"):
+        table = trajectory.table(kind)
+        lines = repr(table).splitlines()
+        *shown, last = lines
+        names = re.split(r" {2,}", shown[0].strip())
+        left, right = names.index("..."), len(names) - 1 - names.index("...")
+        assert names[:left] == list(table.headers[:left]) and names[left + 1 :] == list(table.headers[-right:])
+        assert 0 <= left - right <= 1 and len(set(map(len, shown))) == 1 and len(shown[0]) <= 100
+        assert f"{len(table.headers) - left - right} more columns" in last and len(last) <= 100
+        whole = table.text().splitlines()
+        assert re.split(r" {2,}", whole[0].strip()) == list(table.headers) and len(whole[0]) > 100
+        widest = max(len(whole[0]), 101)
+        assert table.text(len(whole[0])).splitlines()[0] == whole[0] and "..." in table.text(widest - 1)
+
+
 def test_tables_show_themselves(trajectory):
     table = trajectory.table("bodies")
     lines = repr(table.select("t", "body", "speed")).splitlines()
@@ -134,7 +152,7 @@ def test_tables_show_themselves(trajectory):
     rest = table[(table["step"] == 40) & (table["body"] == "below")].select("speed", "force_x", "force_z")
     assert repr(rest).splitlines()[1].split()[0] == "0" and rest["speed"] != 0.0  # round-off
     html = table._repr_html_()
-    assert "speed [m/s]" in html and "bodies: 123 rows, the first 20" in html and html.count("<tr>") == 21
+    assert "force_z [N]" in html and "bodies, 20 rows: 103 more rows, " in html and html.count("<tr>") == 21
     with pytest.raises(ValueError, match=r"did you mean 'speed'\? column must be one of speed, .* others; got 'sped'"):
         table["sped"]
 

@@ -178,6 +178,15 @@ def test_round_off_is_nothing(opened, sliding):
     assert shown == ["0 J", "280.0 nJ", "−3·10⁻¹⁴ J", "10⁻⁷".replace("10", "1·10"), "−0.5"]
 
 
+def test_angles_have_no_prefix(opened, sliding):
+    """Radians, as the axes and tables have them, with all digits where they are small."""
+    page = opened(sliding)
+    shown = page.run(
+        "[withUnit(3.788e-4, 'rad'), withUnit(-0.01234, 'rad/s'), withUnit(2e-5, 'rad'), withUnit(2e-5, 'm')]"
+    )
+    assert shown == ["3.788·10⁻⁴ rad", "−0.01234 rad/s", "2·10⁻⁵ rad", "20.00 µm"]
+
+
 def test_motion_of_bodies_and_joints(opened, sliding):
     page = opened(sliding)
     press(page, "motion")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
+from nsdyn.scene import meshes
 from nsdyn.tools.array_text import from_text
 from nsdyn.view import browser, looks
 
@@ -85,6 +86,69 @@ def test_meshes_do_not_lie_in_their_own_shadows(run, tmp_path, window):
         " out.push([o.material.side, o.material.shadowSide]); }); return out; })()"
     )
     assert sides == [window.run("[MeshCat.THREE.DoubleSide, MeshCat.THREE.BackSide]")]
+
+
+def ball(share):
+    """Corners and triangles of the upper share of a ball of 0.3 m, with many more triangles than pixels."""
+    polar, round_ = np.meshgrid(np.linspace(0.0, share * np.pi, 90), np.linspace(0.0, 2.0 * np.pi, 181), indexing="ij")
+    points = 0.3 * np.stack([np.sin(polar) * np.cos(round_), np.sin(polar) * np.sin(round_), np.cos(polar)], axis=2)
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    triangles = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3, 3)
+    size = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    corners = triangles[size > 1e-12].reshape(-1, 3)
+    return corners, np.arange(len(corners)).reshape(-1, 3)
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+@pytest.mark.parametrize("share", [1.0, 0.5], ids=["solid", "open"])
+def test_films_show_meshes_as_fine_as_pixels(share, tmp_path, window):
+    """With a fraction of the triangles the same picture; what is open is drawn from behind too."""
+    from PIL import Image
+
+    meshes.write_stl(tmp_path / "box.stl", meshes.Surface(*ball(share), None))
+    turned = '<visual><origin rpy="-2 0 0"/>'  # what is open shows its inside
+    (tmp_path / "r.urdf").write_text(
+        URDF.replace("<visual>", turned, 1).replace(' scale="-1 1 1"', ' scale="1e-3 1e-3 1e-3"')
+    )
+    scene = nd.Scene()
+    scene.add_halfspace("ground", (0, 0, 1), -1.0)
+    scene.add_urdf("r", tmp_path / "r.urdf", base="free")
+    nd.simulate(scene, 0.02, dt=0.01).to_html(tmp_path / "page.html")
+    pictures, counts = [], []
+    for more in ("", "&film"):
+        window.open((tmp_path / "page.html").as_uri() + "#picture" + more, (320, 180))
+        window.run("nsdyn.show(0.01)")
+        pictures.append(np.asarray(Image.open(io.BytesIO(window.picture())).convert("RGB")).astype(int))
+        counts.append(window.run("nsdyn.panes[0].stage.meshes[0].geometry.attributes.position.count / 3"))
+    assert counts[0] > 10_000 and 100 < counts[1] < 0.3 * counts[0]
+    side = window.run("nsdyn.panes[0].stage.meshes[0].material.side")
+    assert side == window.run(f"MeshCat.THREE.{'FrontSide' if share == 1.0 else 'DoubleSide'}")
+    red = [p[..., 0] - p[..., 1] > 60 for p in pictures]
+    inner = red[0].copy()
+    for axis in (0, 1):
+        inner &= np.roll(red[0], 1, axis) & np.roll(red[0], -1, axis)
+    outline = red[0].sum() - inner.sum()
+    assert red[0].sum() > 15 * outline > 1500 and (red[0] != red[1]).sum() < 0.75 * outline
+    # Less than a pixel along outlines, of the ball and of its shadow; what is open has specks of its own shadow.
+    least = 24 if share == 1.0 else 60
+    assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > least).sum() < 0.75 * 2 * outline
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_meshes_are_whole_where_nothing_moves(tmp_path, window):
+    """Coarse while pictures are late, whole again with the first of a scene at rest."""
+    meshes.write_stl(tmp_path / "box.stl", meshes.Surface(*ball(1.0), None))
+    (tmp_path / "r.urdf").write_text(URDF)
+    scene = nd.Scene()
+    scene.add_urdf("r", tmp_path / "r.urdf", base="free")
+    nd.simulate(scene, 0.02, dt=0.01).to_html(tmp_path / "page.html")
+    window.open((tmp_path / "page.html").as_uri() + "#t=0", (640, 360))
+    shown = "[m.geometry.attributes.position.count / 3, m.material.side === MeshCat.THREE.DoubleSide]"
+    (late, _), (later, _), (whole, both) = (
+        window.run(f"({draw}, (m => {shown})(nsdyn.panes[0].stage.meshes[0]))")
+        for draw in ("nsdyn.panes[0].stage.draw(1)", "nsdyn.panes[0].stage.draw(2)", "nsdyn.show(0.01)")
+    )
+    assert 100 < later < late < 0.5 * whole and whole > 10_000 and both
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")

@@ -15,7 +15,7 @@ class Blind {
   follow() {}
   pick() { return null; }
   showCollision() {}
-  keepGround() {}
+  begin() {}
 }
 
 function stageFor(place, recording) {

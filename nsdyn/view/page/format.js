@@ -5,8 +5,8 @@ const SUPERSCRIPTS = {"-": "⁻", ..."⁰¹²³⁴⁵⁶⁷⁸⁹"};
 const DIGITS = 4;
 const NEGLIGIBLE = 1e-9;  // of what is at play: no more than round-off
 
-// "9.81 mJ": with a prefix where the unit takes one and the number is no smaller than that, else with an exponent; 0 what
-// is negligible beside `play`.
+// "9.81 mJ": with a prefix where the unit takes one and the number is no smaller than that, else with an exponent, as
+// "3.788·10⁻⁴ rad"; 0 what is negligible beside `play`.
 function withUnit(value, unit, play = 0, digits = DIGITS) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (!Number.isFinite(value)) return (value < 0 ? "−∞ " : "∞ ") + unit;
@@ -14,8 +14,10 @@ function withUnit(value, unit, play = 0, digits = DIGITS) {
   const size = Math.abs(value);
   const sign = value < 0 ? "−" : "";
   const scale = PREFIXES.find(([factor]) => size >= factor * (1 - 1e-9));
-  if (unit === "" || unit === "kg" || unit.startsWith("√")) {
-    return sign + (size >= 1e-3 && size < 1e4 ? trimmed(size, digits) : exponential(size)) + (unit && " " + unit);
+  const angle = unit.startsWith("rad");
+  if (angle || unit === "" || unit === "kg" || unit.startsWith("√")) {
+    const number = size >= 1e-3 && size < 1e4 ? trimmed(size, digits) : exponential(size, angle ? digits : 2);
+    return sign + number + (unit && " " + unit);
   }
   if (!scale || size >= 1e12) return sign + exponential(size) + " " + unit;
   return sign + trimmed(size / scale[0], digits) + " " + scale[1] + unit;
@@ -29,9 +31,9 @@ function trimmed(size, digits) {
   return size.toFixed(Math.min(decimals, 9));
 }
 
-function exponential(size) {
-  const [mantissa, power] = size.toExponential(1).split("e");
-  return `${mantissa.replace(".0", "")}·${powerOfTen(Number(power))}`;
+function exponential(size, digits = 2) {
+  const [mantissa, power] = size.toExponential(digits - 1).split("e");
+  return `${mantissa.replace(/\.0+$/, "")}·${powerOfTen(Number(power))}`;
 }
 
 // "10⁻⁷"

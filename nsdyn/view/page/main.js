@@ -28,7 +28,7 @@ async function main() {
   const dock = new Dock(clock, states, recordings.flatMap(r => r.impacts).sort((a, b) => a.t - b.t));
   notes(recordings);
   for (const stage of stages) stage.resize();
-  if (document.body.classList.contains("film")) for (const stage of stages) stage.keepGround();
+  if (document.body.classList.contains("film")) for (const stage of stages) stage.begin();
   const asked = timeAsked();
   const inside = window.parent !== window;  // of a notebook, of which there may be many: they wait to be played
   const still = inside || asked !== null || document.body.classList.contains("picture");

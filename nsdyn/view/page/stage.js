@@ -3,7 +3,8 @@
 // three.js has y up, recordings have z up: (x, y, z) there is (x, z, -y) in the viewer.
 
 // Where pictures take longer than SLOW ms, as where software draws them, those of a moving scene get fewer pixels, no
-// shadows, no edges: [pixels per pixel of the page, shadows, edges]. A scene that stands still is drawn as the first.
+// shadows, no edges, meshes with fewer triangles: [pixels per pixel of the page, shadows, edges]. A scene that stands
+// still is drawn as the first.
 const QUALITIES = [[1, true, true], [0.7, false, true], [0.5, false, false], [0.35, false, false]];
 const SLOW = 30;
 const LATE = 150;  // ms that pictures may be late in all before they get worse
@@ -44,8 +45,15 @@ class Stage {
     this.shapes = nodes(recording.geoms.map(geom => geom.path));
     this.looks = nodes(recording.looks.map(look => look.path));
     const meshes = new Meshes(recording);
+    this.meshes = [];
+    this.coarse = new Coarse();
     recording.looks.forEach(({mesh}, k) => {
-      if (mesh !== null) this.looks[k].traverse(object => { if (object.isMesh) meshes.fill(object, mesh); });
+      if (mesh === null) return;
+      this.looks[k].traverse(object => {
+        if (!object.isMesh) return;
+        meshes.fill(object, mesh);
+        this.meshes.push(object);
+      });
     });
     this.showCollision(false);
     this.followed = null;
@@ -101,9 +109,11 @@ class Stage {
     this.viewer.set_dirty();
   }
 
-  // Draw the background and the ground once, behind a picture of what is before them: in a film the camera stands still.
-  keepGround() {
+  // For a film, in which the camera stands still: its meshes, and the background and the ground, which are drawn once,
+  // behind a picture of what is before them.
+  begin() {
     const {viewer, grounds} = this;
+    for (const object of this.meshes) this.coarse.show(object, this.pixelsPerMetre);
     const canvas = viewer.renderer.domElement;
     const others = [...this.shapes, ...this.looks].filter(node => node.visible && !grounds.includes(node));
     for (const node of others) node.visible = false;
@@ -200,6 +210,7 @@ class Stage {
     const [pixels, shadows, edges] = QUALITIES[quality];
     this.sun.castShadow = shadows;
     for (const object of this.edges) object.visible = edges;
+    for (const object of this.meshes) this.coarse.show(object, quality && pixels * this.pixelsPerMetre);
     this.viewer.renderer.setPixelRatio(pixels);
   }
 
