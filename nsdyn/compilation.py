@@ -5,6 +5,7 @@ Small examples run with the kernels as plain Python, which takes a second or two
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +20,7 @@ from nsdyn.stepping.impacts import LAWS
 from nsdyn.stepping.quiet import ASKS
 from nsdyn.stepping.stepper import Stepper
 
-__all__ = ["EXAMPLES", "noted"]
+__all__ = ["EXAMPLES", "noted", "work"]
 
 SCENES = (
     *("arm_pushes_box", "bounce", "bricard", "bullet", "euler_disk", "gripper", "quadruped"),
@@ -78,3 +79,11 @@ def noted(group: str) -> list[tuple[Kernel, Any]]:
     finally:
         Kernel.notes = None
     return sorted(notes.calls, key=lambda call: -len(reached(call[0].py_func.__module__)))
+
+
+def work(*groups: str) -> None:
+    """Compile what groups of examples need and nobody else does, the later groups after what others have to do."""
+    for group in groups:
+        for kernel, types in noted(group):
+            kernel.compile(types, wait=False)
+        os.nice(10)

@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import cache
 from pathlib import Path
 
@@ -22,31 +22,24 @@ def processes() -> int:
     return int(os.environ.get(PROCESSES) or cores or 1)
 
 
+_only = ExitStack()
+
+
 @cache
 def _helpers(*groups: str) -> "list[subprocess.Popen[bytes]]":
-    """Other processes that compile what groups of the examples in `nsdyn.compilation` need; they outlive this one."""
+    """Other processes that compile what groups of the examples in `nsdyn.compilation` need; they outlive this one.
+
+    None where another process of the user has some: of many that begin at once only one does.
+    """
     out: list[subprocess.Popen[bytes]] = []
     options = {"env": os.environ | _ONE_CORE, "start_new_session": True}
     options |= dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    with suppress(OSError):  # where no process can be started, this one compiles
-        for k in range(processes() - 1):
-            code = (
-                f"import sys; sys.path[:] = {sys.path}; from nsdyn._kernels import ahead; ahead.help_out({k}, {groups})"
-            )
-            out.append(subprocess.Popen([sys.executable, "-c", code], **options))
+    code = f"import sys; sys.path[:] = {sys.path}; from nsdyn.compilation import work; work(*{groups})"
+    if folder() and _only.enter_context(alone(folder() / "helpers", wait=False)):
+        with suppress(OSError):  # where no process can be started, this one compiles
+            for _ in range(processes() - 1):
+                out.append(subprocess.Popen([sys.executable, "-c", code], **options))
     return out
-
-
-def help_out(k: int, groups: tuple[str, ...]) -> None:
-    """Compile what groups of examples need and nobody else does, as helper k of all processes of the user."""
-    with alone(folder() / f"helper {k}", wait=False) as free:
-        if free:
-            from nsdyn.compilation import noted
-
-            for group in groups:
-                for kernel, types in noted(group):
-                    kernel.compile(types, wait=False)
-                os.nice(10)
 
 
 def compile_examples(group: str) -> None:
@@ -73,7 +66,7 @@ _RUNS = "step", "quiet"
 
 def _prepare() -> None:
     """Where a simulation compiles, others help."""
-    if "nsdyn.stepping.stepper" in sys.modules and folder():
+    if "nsdyn.stepping.stepper" in sys.modules:
         _helpers(*_RUNS)
 
 
@@ -81,13 +74,8 @@ def _later(file: Path, begin: bool) -> bool:
     """Whether others compile what is kept in a file, or will."""
     if processes() == 1 or not begin:
         return processes() > 1
-    if any(helper.poll() is None for helper in _helpers(*_RUNS)):
-        return True
-    for place in (file, *(folder() / f"helper {k}" for k in range(processes() - 1))):
-        with alone(place, wait=False) as free:
-            if not free:
-                return True
-    return False
+    with alone(file, wait=False) as free:
+        return not free or any(helper.poll() is None for helper in _helpers(*_RUNS))
 
 
 Kernel.prepare, Kernel.later = _prepare, _later

@@ -12,8 +12,7 @@ import gc
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -29,18 +28,6 @@ from nsdyn._kernels.cache import Cache, alone
 
 PATIENCE = 2.0
 """s of loading and compiling in a process about which nothing is said."""
-
-
-@contextmanager
-def _no_garbage() -> Iterator[None]:
-    """Without the search for cycles, which takes a fifth of a compilation, since it makes millions of objects."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 class _Loading(threading.local):
@@ -218,8 +205,14 @@ class Kernel(CPUDispatcher):
         """Load or compile for these types; without waiting None where another process does."""
         if types in self.overloads:
             return super().compile(types)
-        with _no_garbage(), alone(self.kept.file(types, self.targetctx), wait) as free:
-            return super().compile(types) if free else None
+        collects = gc.isenabled()
+        gc.disable()  # the search for cycles takes a fifth of a compilation, since it makes millions of objects
+        try:
+            with alone(self.kept.file(types, self.targetctx), wait) as free:
+                return super().compile(types) if free else None
+        finally:
+            if collects:
+                gc.enable()
 
     def is_ready(self, begin: bool, *args: Any) -> bool:
         """Whether a call with such arguments need not wait for more than loading; if not, `later` it need not."""
