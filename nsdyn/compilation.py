@@ -1,15 +1,14 @@
 """What is compiled before it is needed: nothing tells what a simulation calls, and for which types, but simulating.
 
-Each process runs small examples, the kernels as plain Python, which takes a second, and compiles what was called. All
-go through the same list, and leave out what another has compiled or is compiling.
+Small examples run with the kernels as plain Python, which takes a second or two, and what they call is noted.
 """
 
 from __future__ import annotations
 
-import logging
 import os
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from nsdyn._kernels.compiled import Kernel, Notes
 from nsdyn._kernels.problem import cones
 from nsdyn.scene import named as scenes
 from nsdyn.stepping.impacts import LAWS
+from nsdyn.stepping.quiet import ASKS
 from nsdyn.stepping.stepper import Stepper
 
 __all__ = ["EXAMPLES", "noted", "work"]
@@ -43,9 +43,15 @@ def _step() -> None:
     _steps("stack", 1)
 
 
+def _quiet() -> None:
+    """What they call when they have not waited for the kernel of quiet steps."""
+    _steps("slide", ASKS + 2)
+
+
 def _all() -> None:
     """What the named scenes call."""
     _step()
+    _quiet()
     for name in SCENES:
         _steps(name, 3)
     for impact in LAWS:
@@ -57,28 +63,27 @@ def _contact() -> None:
     cones.solve_one(np.eye(3), np.array([-1.0, 2.0, 0.0]), 0.5, np.zeros(3))
 
 
-EXAMPLES: dict[str, Callable[[], None]] = {"step": _step, "all": _all, "contact": _contact}
+EXAMPLES: dict[str, Callable[[], None]] = {"step": _step, "quiet": _quiet, "all": _all, "contact": _contact}
 
 
-def noted(group: str) -> Notes:
-    """Calls of kernels in a group of examples, which run as Python."""
-    Kernel.notes = notes = Notes(patient=group != "step")
+def noted(group: str) -> list[tuple[Kernel, Any]]:
+    """Kernels that Python calls in a group of examples, with the types of arguments.
+
+    First what reaches most: it takes longest.
+    """
+    Kernel.notes = notes = Notes()
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             EXAMPLES[group]()
     finally:
         Kernel.notes = None
-    return notes
+    return sorted(notes.calls, key=lambda call: -len(reached(call[0].py_func.__module__)))
 
 
-def work(group: str) -> None:
-    """Compile what a group needs and nobody else does, and print the index of each and their number.
-
-    First what reaches most: it takes longest.
-    """
-    logging.getLogger("nsdyn").setLevel(logging.ERROR)
-    calls = sorted(noted(group).calls, key=lambda call: -len(reached(call[0].py_func.__module__)))
-    for k, (kernel, types) in enumerate(calls):
-        if kernel.compile(types, wait=False) is not None:
-            os.write(1, f"{k} {len(calls)}\n".encode())
+def work(*groups: str) -> None:
+    """Compile what groups of examples need and nobody else does, the later groups after what others have to do."""
+    for group in groups:
+        for kernel, types in noted(group):
+            kernel.compile(types, wait=False)
+        os.nice(10)

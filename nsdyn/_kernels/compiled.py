@@ -12,8 +12,7 @@ import gc
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -29,18 +28,6 @@ from nsdyn._kernels.cache import Cache, alone
 
 PATIENCE = 2.0
 """s of loading and compiling in a process about which nothing is said."""
-
-
-@contextmanager
-def _no_garbage() -> Iterator[None]:
-    """Without the search for cycles, which takes a fifth of a compilation, since it makes millions of objects."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 class _Loading(threading.local):
@@ -135,17 +122,11 @@ class Called:
 
 
 class Notes:
-    """Calls of kernels from Python, in their order, while all kernels run as Python.
+    """Calls of kernels from Python, in their order, while all kernels run as Python."""
 
-    Parameters
-    ----------
-    patient : bool
-        Whether also of those that runs go on without until they are compiled.
-    """
-
-    def __init__(self, patient: bool) -> None:
+    def __init__(self) -> None:
         self.calls: dict[tuple[Kernel, Any], None] = {}
-        self.patient, self._inside = patient, False
+        self._inside = False
 
     def call(self, kernel: Kernel, *args: Any, **kws: Any) -> Any:
         """Run a kernel as Python; those it calls are none of Python's."""
@@ -163,15 +144,14 @@ class Notes:
 class Kernel(CPUDispatcher):
     """Compiled function: compiled by one process while others wait, and for variables where it is given constants."""
 
-    known: ClassVar[list[Kernel]] = []
     notes: ClassVar[Notes | None] = None
     """Where not None, nothing is compiled."""
 
     prepare: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
     """Called before a process compiles what Python calls."""
 
-    later: ClassVar[Callable[[Kernel, Any, Path, bool], bool]] = staticmethod(lambda kernel, types, file, begin: False)
-    """Whether another process compiles a kernel, or may; it begins now or need not yet."""
+    later: ClassVar[Callable[[Path, bool], bool]] = staticmethod(lambda file, begin: False)
+    """Whether other processes compile what is kept in a file, or will; they begin now or need not yet."""
 
     cache_path = None
     """Of what `stats` tells of a cache."""
@@ -179,14 +159,16 @@ class Kernel(CPUDispatcher):
     def enable_caching(self) -> None:
         """As numba does, in our cache."""
         self._cache, self.kept = self, Cache(self.py_func, "machine code")
-        self.known.append(self)
 
     def load_overload(self, types: Any, context: Any) -> CompileResult | None:
         """What numba asks of a cache."""
         kept = self.kept.load(types, context)
-        if kept is None and _loading.seconds > PATIENCE:
+        if kept is not None:
+            return CompileResult._rebuild(context, *kept)
+        Kernel.prepare()
+        if _loading.seconds > PATIENCE:
             announce()
-        return None if kept is None else CompileResult._rebuild(context, *kept)
+        return None
 
     def save_overload(self, types: Any, result: CompileResult) -> None:
         """What numba tells a cache."""
@@ -215,7 +197,6 @@ class Kernel(CPUDispatcher):
             return partial(Kernel.notes.call, self)
         begin = time.perf_counter()
         try:
-            Kernel.prepare()
             return super()._compile_for_args(*args, **kws)
         finally:
             _loading.seconds += time.perf_counter() - begin
@@ -224,18 +205,24 @@ class Kernel(CPUDispatcher):
         """Load or compile for these types; without waiting None where another process does."""
         if types in self.overloads:
             return super().compile(types)
-        with _no_garbage(), alone(self.kept.file(types, self.targetctx), wait) as free:
-            return super().compile(types) if free else None
+        collects = gc.isenabled()
+        gc.disable()  # the search for cycles takes a fifth of a compilation, since it makes millions of objects
+        try:
+            with alone(self.kept.file(types, self.targetctx), wait) as free:
+                return super().compile(types) if free else None
+        finally:
+            if collects:
+                gc.enable()
 
     def is_ready(self, begin: bool, *args: Any) -> bool:
         """Whether a call with such arguments need not wait for more than loading; if not, `later` it need not."""
         if Kernel.notes is not None:
-            return Kernel.notes.patient
+            return begin
         types = tuple(map(self.typeof_pyval, args))
         if types in self.overloads:
             return True
         file = self.kept.file(types, self.targetctx)
-        return file is None or file.exists() or not Kernel.later(self, types, file, begin)
+        return file is None or file.exists() or not Kernel.later(file, begin)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:

@@ -126,7 +126,7 @@ def test_critical_spins_of_the_tippe_top():
 
 
 @pytest.mark.case(26)
-@pytest.mark.parametrize("factor", [0.9, 1.15])
+@pytest.mark.parametrize("factor", [pytest.param(0.9, marks=pytest.mark.slow), 1.15])
 def test_tippe_top_leaves_the_upright_above_its_critical_spin(factor):
     top = TippeTop(factor * critical_spins()[0], 5.0, 8.0, dt=4e-3, glide=50.0)
     tilt = np.degrees(np.arccos(top.cosine))

@@ -589,7 +589,7 @@ def everything():
     return scene, lambda t, q, v: {"arm": nd.PD((0, 0, 30.0), (0, 0, 1.0), 0.5)}
 
 
-@pytest.mark.parametrize("theta", [0.5, pytest.param(0.7, marks=pytest.mark.slow), 1.0])
+@pytest.mark.parametrize("theta", [0.5, *(pytest.param(theta, marks=pytest.mark.slow) for theta in (0.7, 1.0))])
 def test_ledger_closes_with_everything_at_once(theta):
     scene, controller = everything()
     trajectory = nd.simulate(scene, 0.6, 2e-3, theta=theta, controller=controller)

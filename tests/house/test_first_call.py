@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import nsdyn
-from nsdyn._kernels import ahead, sorting
+from nsdyn._kernels import sorting
 from nsdyn._kernels.compiled import kernel
 
 HERE = Path(nsdyn.__file__).parent
@@ -49,7 +49,13 @@ def given(x):
     return x
 """
 
-
+OTHER_EXAMPLES = (
+    (HERE / "compilation.py").read_text()
+    + """
+from nsdyn._kernels import callee
+EXAMPLES |= {"step": lambda: None, "quiet": lambda: callee.given(1.0)}
+"""
+)
 MEANWHILE = """
 import time
 from nsdyn._kernels import callee
@@ -171,17 +177,13 @@ def test_sorting(rng):
 
 def test_examples_run_as_python():
     """In a process of their own: what is compiled already is not noted."""
-    code = (
-        "from nsdyn.compilation import noted; print(*{k.kept.name.partition('.')[0] for k, _ in noted('step').calls})"
-    )
+    code = "from nsdyn.compilation import noted; print(*{k.kept.name.partition('.')[0] for k, _ in noted('step')})"
     assert {"search", "workless", "motion"} <= set(python("-c", code).stdout.split())
 
 
-def test_several_processes_compile_each_kernel_once(tmp_path, monkeypatch):
-    """And they start no others, nor do they need more than the caller's path."""
-    monkeypatch.setenv("NSDYN_CACHE_DIR", str(tmp_path))
-    monkeypatch.setenv("NSDYN_COMPILE_PROCESSES", "2")
-    ahead.compile_examples("contact")
+def test_several_processes_compile_each_kernel_once(tmp_path):
+    code = "from nsdyn._kernels import ahead; ahead.compile_examples('contact')"
+    python("-c", code, NSDYN_CACHE_DIR=str(tmp_path), NSDYN_COMPILE_PROCESSES="3")
     names = [path.name.rpartition("-")[0] for path in tmp_path.glob("*.nbc")]
     assert len(names) == len(set(names)) >= 2
 
@@ -201,6 +203,7 @@ def test_machine_code_is_made_of_what_python_calls(package, tmp_path):
 def test_a_run_waits_for_no_kernel_that_it_can_do_without(package, tmp_path):
     """Another process compiles it, which goes on when the run ends; one that goes on loads it."""
     (package / "nsdyn" / "_kernels" / "callee.py").write_text(CALLEE)
+    (package / "nsdyn" / "compilation.py").write_text(OTHER_EXAMPLES)
     cache, environment = tmp_path / "cache", {"PYTHONPATH": str(package), "NSDYN_COMPILE_PROCESSES": ""}
     environment["NSDYN_CACHE_DIR"] = str(cache)
     assert python("-c", MEANWHILE.format(0), **environment).stdout == "False\n"

@@ -51,7 +51,7 @@ def test_members_are_the_product_in_order(serial):
         np.testing.assert_array_equal(m.result.energy.friction, alone.energy.friction)
 
 
-@pytest.mark.parametrize("kind", ["threads", "processes"])
+@pytest.mark.parametrize("kind", ["threads", pytest.param("processes", marks=pytest.mark.slow)])
 def test_same_bits_from_every_executor(serial, kind):
     """A function of a named scene goes to other processes by its name; what `keep` makes of a run comes back."""
     pool = ThreadPoolExecutor(4) if kind == "threads" else ProcessPoolExecutor(1, get_context("spawn"))

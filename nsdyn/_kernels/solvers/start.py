@@ -5,6 +5,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones, given
+from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.solvers import nesterov, newton
 
 POLISHED = 0.5
@@ -50,7 +51,8 @@ def small(blocks, q, mu, scales, r, measure, enough, good, q_norm, limits):
         closer = start + (1.0 - CLOSE * enough / missed) * (r - start)
         now = newton.measure_of(blocks, q, mu, scales, q_norm, closer, y, u, work)
         if now <= enough:
-            r[:], measure = closer, now
+            copy(closer, r)
+            measure = now
     return count + steps, measure
 
 

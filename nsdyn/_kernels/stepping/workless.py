@@ -4,6 +4,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import size_of, velocity_change
+from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.solvers.start import by_factors, widest
 from nsdyn._kernels.stepping.law import offsets, reconsider
 from nsdyn._kernels.stepping.persistence import turn, works
@@ -97,7 +98,12 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
             if passes == 0 or not turn(blocks, contacts, moving, bodies, (r, mu), flags, laws, found, (met, q)):
                 break
             passes, back = passes - 1, True
-            couple[:], dv[:], local[:], b[:] = turned, acting, met, q
+            copy(acting, dv)
+            copy(q, b)
+            for k in range(local.shape[0]):
+                copy(met[k], local[k])
+            for c in range(couple.shape[0]):
+                copy(turned[c], couple[c])
             last_r, last_u, off = r.copy(), u.copy(), other
         if not own:
             return SOLVE, passes, otherwise, solved, error, residual, count
@@ -111,7 +117,8 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
             error /= norm or 1.0
             if missed or not (error <= tol and residual <= tol):
                 if not first:
-                    r[:], u[:] = last_r, last_u
+                    copy(last_r, r)
+                    copy(last_u, u)
                 return SOLVE, passes, otherwise, solved, error, residual, count
             solved += 1
             if some.size:
