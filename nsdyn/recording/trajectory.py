@@ -19,6 +19,7 @@ from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, Solv
 from nsdyn.recording.tabulated import tabulated
 from nsdyn.tools import files, notebook
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import counted
 from nsdyn.tools.table import Table
 from nsdyn.tools.units import with_unit
 
@@ -52,7 +53,7 @@ class Trajectory:
     >>> import nsdyn as nd
     >>> run = nd.simulate(nd.scenes.load("slide")(), 0.1, dt=0.01)
     >>> run
-    <Trajectory of 'slide': 10 steps of 0.01 s, 1 moving bodies>
+    <Trajectory of 'slide': 10 steps of 0.01 s, 1 moving body>
     >>> run.body("box").position.shape, run.contacts(-1).status_names
     ((11, 3), ['slip', 'slip', 'slip', 'slip'])
     """
@@ -334,7 +335,7 @@ class Trajectory:
     def __repr__(self) -> str:
         return (
             f"<Trajectory of {self.meta['scene_name']!r}: {self.steps} steps of {self.dt:g} s, "
-            f"{len(self.scene['frames'])} moving bodies>"
+            f"{counted(len(self.scene['frames']), 'moving body', 'moving bodies')}>"
         )
 
     def _repr_html_(self) -> str:
