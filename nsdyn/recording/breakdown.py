@@ -13,7 +13,10 @@ from nsdyn.tools.arrays import Array
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["body_energies", "body_table", "pair_table", "pair_works"]
+__all__ = ["NEGLIGIBLE", "body_energies", "body_table", "pair_table", "pair_works"]
+
+NEGLIGIBLE = 1e-9
+"""Energy that is nothing beside the largest."""
 
 
 def pair_works(trajectory: Trajectory) -> dict[tuple[str, str], tuple[Array, Array]]:
@@ -56,8 +59,6 @@ def body_energies(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
 
 def pair_table(trajectory: Trajectory) -> str:
     """Text table of the works of the contacts of every pair, and of the rest of the ledger's, J."""
-    from nsdyn.recording.trajectory import NEGLIGIBLE  # which imports this module
-
     e, found = trajectory.energy, pair_works(trajectory)
     width = max([20, *(len(f"{a} | {b}") for a, b in found)])
     least = NEGLIGIBLE * trajectory.largest_energy

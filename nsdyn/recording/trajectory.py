@@ -31,9 +31,6 @@ __all__ = ["Trajectory"]
 ROUND_OFF = 1e-16
 """Of the largest energy: less than what is added to it and lost."""
 
-NEGLIGIBLE = 1e-9
-"""Energy that is nothing beside the largest."""
-
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -286,7 +283,7 @@ class Trajectory:
     @property
     def at_rest(self) -> bool:
         """Whether nothing moves: no more than a billionth of the largest energy is at play."""
-        return self.at_play <= NEGLIGIBLE * self.largest_energy
+        return self.at_play <= breakdown.NEGLIGIBLE * self.largest_energy
 
     @property
     def at_play(self) -> float:
@@ -325,7 +322,7 @@ class Trajectory:
     def _active_works(self) -> list[str]:
         """Works of more than round-off, without the defect."""
         works = {name: np.abs(self._cumulative(name)).max() for name in WORKS if name != "defect"}
-        least = NEGLIGIBLE * max(self.largest_energy, 1e-300, *works.values())
+        least = breakdown.NEGLIGIBLE * max(self.largest_energy, 1e-300, *works.values())
         return [name for name, work in works.items() if work > least]
 
     def _cumulative(self, work: str) -> Array:
