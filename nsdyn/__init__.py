@@ -6,6 +6,7 @@
     nd.simulate, nd.Stepper, nd.impacts         run it, step by step if need be, with a law of impact
     nd.PD, nd.Actuation                         control of joints, and of the actuators of MJCF files
     nd.Trajectory, nd.Table                     the recording: states, energies, contacts, forces, certificates, pages
+    nd.Live                                     a window that follows a stepper
     nd.check, nd.compare, nd.plots              audit a motion or a model, compare two runs, draw a recording
     nd.sweep, nd.refine                         many parameters, several time steps
     nd.FC3D, nd.solve, nd.solvers, nd.fclib     contact problems alone
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from nsdyn.study.sweep import sweep
     from nsdyn.tools.table import Table
     from nsdyn.view import plots
+    from nsdyn.view.live import Live
 
 __version__ = "0.1.0"
 
@@ -51,6 +53,7 @@ __all__ = [
     "Comparison",
     "FC3D",
     "Inspection",
+    "Live",
     "PD",
     "Material",
     "NotConverged",
@@ -95,6 +98,7 @@ _HOME = {
     "study.refinement": ("Refinement", "refine"),
     "study.sweep": ("sweep",),
     "tools.table": ("Table",),
+    "view.live": ("Live",),
 }
 _MODULES = {
     "fclib": "problem.fclib",

@@ -50,7 +50,7 @@ def clock() -> float:
 @lru_cache(maxsize=1)
 def announce() -> None:
     """Tell, once in a process, that kernels are compiled."""
-    logging.getLogger("nsdyn").warning("compiling kernels, once on this machine: half a minute or more")
+    logging.getLogger("nsdyn").warning("compiling kernels that are new to this machine: half a minute or more")
 
 
 class Linkable(JITCodeLibrary):

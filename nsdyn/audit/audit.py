@@ -74,14 +74,14 @@ class Audit:
         return told | {"not_audited": list(self.not_audited), "findings": findings}
 
     def __repr__(self) -> str:
-        lines = [f"{'audit':14} {'worst':>9} {'tolerance':>9}  {'':6} {'amount':>15}  where"]
+        lines = [f"{'audit':16} {'worst':>9} {'tolerance':>9}  {'':6} {'amount':>15}  where"]
         for f in self.findings:
             if f.reason:
-                lines.append(f"{f.name:14} {'-':>9} {f.tol:9.0e}  not audited: {f.reason}")
+                lines.append(f"{f.name:16} {'-':>9} {f.tol:9.0e}  not audited: {f.reason}")
                 continue
             where = f"step {f.step}, {' and '.join(f.bodies)}" if f.bodies else f"step {f.step}"
             lines.append(
-                f"{f.name:14} {f.worst:9.1e} {f.tol:9.0e}  {'passed' if f.passed else 'FAILED'} "
+                f"{f.name:16} {f.worst:9.1e} {f.tol:9.0e}  {'passed' if f.passed else 'FAILED'} "
                 f"{f.amount:9.2e} {f.unit:5}  {where if f.worst > 0.0 else ''}".rstrip()
             )
         lines.append(f"{self.name}: {self.verdict}")

@@ -17,6 +17,7 @@ from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.scene import Scene
+from nsdyn.tools.naming import counted
 
 __all__ = ["ROBOTS", "Inspection", "Joint", "Mass", "inspect_robot", "inspect_scene"]
 
@@ -112,10 +113,9 @@ class Inspection:
         return asdict(self) | {"passed": self.passed}
 
     def __repr__(self) -> str:
-        words = ("mass", "es"), ("joint coordinate", "s"), ("shape", "s")
-        numbers = len(self.masses), len(self.joints), self.shapes
-        counts = ", ".join(f"{n} {word}{more * (n != 1)}" for n, (word, more) in zip(numbers, words, strict=True))
-        lines = [f"{self.name}: {counts}, {self._totals()}"]
+        masses = counted(len(self.masses), "mass", "masses")
+        joints = counted(len(self.joints), "joint coordinate", "joint coordinates")
+        lines = [f"{self.name}: {masses}, {joints}, {counted(self.shapes, 'shape', 'shapes')}, {self._totals()}"]
         labels = [f"{body.name} (fixed)" if body.fixed else body.name for body in self.masses]
         width = max([10, *map(len, labels), *(len(joint.name) for joint in self.joints)])
         if self.masses:

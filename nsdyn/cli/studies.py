@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
-from nsdyn.cli.output import PICTURE_SIZE, add_input, add_json, add_output, check_files, picture, say_found, write_rows
+from nsdyn.cli.output import (
+    PICTURE_SIZE,
+    add_input,
+    add_json,
+    add_output,
+    check_files,
+    one_line,
+    picture,
+    say_found,
+    write_rows,
+)
 from nsdyn.cli.run import add_solver, chosen_solver
 from nsdyn.tools.files import PICTURE, TABLE
 
@@ -37,16 +48,20 @@ def study_steps(arguments: argparse.Namespace) -> int:
     name = arguments.scene
     parameters = settings.values(name, arguments.set)
     check_files(arguments)
-    found = nsdyn.refine(
-        name,
-        [settings.parse(text, 0.1, "--dt") for text in arguments.dt.split(",")],
-        nsdyn.scenes.seconds(name, "DURATION") if arguments.time is None else arguments.time,
-        parameters,
-        progress=True,
-        theta=arguments.theta,
-        solver=chosen_solver(arguments),
-        on_fail=arguments.on_fail,
-    )
+    try:
+        found = nsdyn.refine(
+            name,
+            [settings.parse(text, 0.1, "--dt") for text in arguments.dt.split(",")],
+            nsdyn.scenes.seconds(name, "DURATION") if arguments.time is None else arguments.time,
+            parameters,
+            progress=True,
+            theta=arguments.theta,
+            solver=chosen_solver(arguments),
+            on_fail=arguments.on_fail,
+        )
+    except nsdyn.NotConverged as failure:
+        print(f"nsdyn: not converged: {one_line(failure)}", file=sys.stderr)
+        return 1
     if arguments.csv:
         rows: list[dict[str, Any]] = [
             {name: value for name, value in run.items() if name != "orders"}

@@ -104,7 +104,8 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
         say(arguments, table(shown, [header for name, header in columns.items() if name != "failure"]))
     for m in members:
         if m.failure:
-            print(f"nsdyn: failed: {m.parameters}: {one_line(m.failure)}", file=sys.stderr)
+            which = f"{m.parameters}: " if m.parameters else ""
+            print(f"nsdyn: failed: {which}{one_line(m.failure)}", file=sys.stderr)
     return 1 if any(m.failure for m in members) else 0
 
 

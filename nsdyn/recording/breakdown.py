@@ -13,7 +13,10 @@ from nsdyn.tools.arrays import Array
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["body_energies", "body_table", "pair_table", "pair_works"]
+__all__ = ["NEGLIGIBLE", "body_energies", "body_table", "pair_table", "pair_works"]
+
+NEGLIGIBLE = 1e-9
+"""Energy that is nothing beside the largest."""
 
 
 def pair_works(trajectory: Trajectory) -> dict[tuple[str, str], tuple[Array, Array]]:
@@ -58,9 +61,11 @@ def pair_table(trajectory: Trajectory) -> str:
     """Text table of the works of the contacts of every pair, and of the rest of the ledger's, J."""
     e, found = trajectory.energy, pair_works(trajectory)
     width = max([20, *(len(f"{a} | {b}") for a, b in found)])
+    least = NEGLIGIBLE * trajectory.largest_energy
     lines = [f"{'work [J]':{width}}{'normal':>13}{'friction':>13}{'sum':>13}"]
 
     def line(name: str, normal: float, friction: float) -> None:
+        normal, friction = (work if abs(work) > least else 0.0 for work in (normal, friction))
         lines.append(f"{name:{width}}{normal:13.4e}{friction:13.4e}{normal + friction:13.4e}")
 
     sums = {pair: (float(normal.sum()), float(friction.sum())) for pair, (normal, friction) in found.items()}

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from nsdyn.recording import shares
 from nsdyn.recording.columns import CONTACT_STATES, ENERGIES, WORKS
-from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.table import Table
 
 __all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "SolverLog", "rotate"]
 
@@ -263,26 +263,23 @@ class ContactTable:
         return self.gap.size
 
     def __repr__(self) -> str:
-        width = max([5, *map(len, self.body1 + self.body2)])
-        lines = [
-            f"{'body1':{width}} {'body2':{width}} {'gap [m]':>10} {'u_N [m/s]':>10} {'|u_T|':>9}"
-            f" {'r_N [N·s]':>10} {'|r_T|':>9} {'mu':>5} status"
-        ]
-        for k, state in enumerate(self.status_names[:_SHOWN]):
-            slip, drag = np.hypot(*self.u[k, 1:]), np.hypot(*self.impulse[k, 1:])
-            lines.append(
-                f"{self.body1[k]:{width}} {self.body2[k]:{width}} {self.gap[k]:10.2e} {self.u[k, 0]:10.2e}"
-                f" {slip:9.2e} {self.impulse[k, 0]:10.3e} {drag:9.2e} {self.mu[k]:5.3g} {state}"
-            )
-        if len(self) > _SHOWN:
-            lines.append(f"... {len(self) - _SHOWN} more")
-        return "\n".join(lines)
+        return repr(self._table())
 
     def _repr_html_(self) -> str:
-        head = ["body 1", "body 2", "gap [m]", "u_N [m/s]", "‖u_T‖", "r_N [N·s]", "‖r_T‖", "mu", "status"]
-        u, r = ((x[:, 0].tolist(), np.hypot(x[:, 1], x[:, 2]).tolist()) for x in (self.u, self.impulse))
-        columns = self.body1, self.body2, self.gap.tolist(), *u, *r, self.mu.tolist(), self.status_names
-        return notebook.table(f"{len(self)} contacts", head, list(zip(*columns, strict=True)))
+        return self._table()._repr_html_()
 
-
-_SHOWN = 40  # contacts a printed table shows
+    def _table(self) -> Table:
+        """What is shown of it."""
+        u, r = self.u, self.impulse
+        columns = {
+            "body1": np.array(self.body1, dtype=object),
+            "body2": np.array(self.body2, dtype=object),
+            "gap": self.gap,
+            "u_N": u[:, 0],
+            "u_T": np.hypot(u[:, 1], u[:, 2]),
+            "r_N": r[:, 0],
+            "r_T": np.hypot(r[:, 1], r[:, 2]),
+            "mu": self.mu,
+            "status": np.array(self.status_names, dtype=object),
+        }
+        return Table("contacts", columns, {"gap": "m", "u_N": "m/s", "u_T": "m/s", "r_N": "N·s", "r_T": "N·s"})

@@ -19,6 +19,7 @@ from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, Solv
 from nsdyn.recording.tabulated import tabulated
 from nsdyn.tools import files, notebook
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import counted
 from nsdyn.tools.table import Table
 from nsdyn.tools.units import with_unit
 
@@ -29,9 +30,6 @@ __all__ = ["Trajectory"]
 
 ROUND_OFF = 1e-16
 """Of the largest energy: less than what is added to it and lost."""
-
-NEGLIGIBLE = 1e-9
-"""Energy that is nothing beside the largest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,7 @@ class Trajectory:
     >>> import nsdyn as nd
     >>> run = nd.simulate(nd.scenes.load("slide")(), 0.1, dt=0.01)
     >>> run
-    <Trajectory of 'slide': 10 steps of 0.01 s, 1 moving bodies>
+    <Trajectory of 'slide': 10 steps of 0.01 s, 1 moving body>
     >>> run.body("box").position.shape, run.contacts(-1).status_names
     ((11, 3), ['slip', 'slip', 'slip', 'slip'])
     """
@@ -285,7 +283,7 @@ class Trajectory:
     @property
     def at_rest(self) -> bool:
         """Whether nothing moves: no more than a billionth of the largest energy is at play."""
-        return self.at_play <= NEGLIGIBLE * self.largest_energy
+        return self.at_play <= breakdown.NEGLIGIBLE * self.largest_energy
 
     @property
     def at_play(self) -> float:
@@ -324,7 +322,7 @@ class Trajectory:
     def _active_works(self) -> list[str]:
         """Works of more than round-off, without the defect."""
         works = {name: np.abs(self._cumulative(name)).max() for name in WORKS if name != "defect"}
-        least = NEGLIGIBLE * max(self.largest_energy, 1e-300, *works.values())
+        least = breakdown.NEGLIGIBLE * max(self.largest_energy, 1e-300, *works.values())
         return [name for name, work in works.items() if work > least]
 
     def _cumulative(self, work: str) -> Array:
@@ -334,7 +332,7 @@ class Trajectory:
     def __repr__(self) -> str:
         return (
             f"<Trajectory of {self.meta['scene_name']!r}: {self.steps} steps of {self.dt:g} s, "
-            f"{len(self.scene['frames'])} moving bodies>"
+            f"{counted(len(self.scene['frames']), 'moving body', 'moving bodies')}>"
         )
 
     def _repr_html_(self) -> str:

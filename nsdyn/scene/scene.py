@@ -23,7 +23,7 @@ from nsdyn.scene.prescribed import Motion, Velocity
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import check_known, choice, unknown
+from nsdyn.tools.naming import check_known, choice, counted, unknown
 
 __all__ = ["Scene"]
 
@@ -89,7 +89,8 @@ class Scene:
     def __repr__(self) -> str:
         free = len(self.free_bodies)
         fixed, trees = len(self.bodies) - free, len(self.articulations)
-        return f"<Scene {self.name!r}: {free} free bodies, {fixed} fixed, {trees} articulations>"
+        robots = counted(trees, "articulation", "articulations")
+        return f"<Scene {self.name!r}: {counted(free, 'free body', 'free bodies')}, {fixed} fixed, {robots}>"
 
     def _repr_html_(self) -> str:
         head = ["body", "shape", "mass [kg]", "position [m]", "mu", "restitution"]

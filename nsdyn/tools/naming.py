@@ -6,13 +6,18 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
-__all__ = ["check_known", "choice", "unknown"]
+__all__ = ["check_known", "choice", "counted", "unknown"]
 
 MANY = 12
 """More names than these are not listed whole."""
 
 NEAR = 6
 """Of many names so many are listed, those nearest to what was given."""
+
+
+def counted(number: int, one: str, more: str) -> str:
+    """So many of something: ``1 body``, ``2 bodies``."""
+    return f"{number} {one if number == 1 else more}"
 
 
 def choice(value: Any, known: Iterable[str], what: str) -> str:

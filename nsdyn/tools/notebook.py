@@ -15,14 +15,16 @@ def table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]) -> 
     """A table of texts and numbers under a title; numbers to four digits, at most `ROWS` rows."""
     cut = [[f"... {len(rows) - ROWS} more", *[""] * (len(head) - 1)]] if len(rows) > ROWS else []
     body = "".join(_row("td", row) for row in [*rows[:ROWS], *cut])
-    return f"<table><caption>{escape(title)}</caption><thead>{_row('th', head)}</thead><tbody>{body}</tbody></table>"
+    return f"<table>{_caption(title)}<thead>{_row('th', head)}</thead><tbody>{body}</tbody></table>"
 
 
 def figures(title: str, pairs: Iterable[tuple[str, object]]) -> str:
     """A table of names and values."""
-    return (
-        f"<table><caption>{escape(title)}</caption><tbody>{''.join(_row('td', pair) for pair in pairs)}</tbody></table>"
-    )
+    return f"<table>{_caption(title)}<tbody>{''.join(_row('td', pair) for pair in pairs)}</tbody></table>"
+
+
+def _caption(title: str) -> str:
+    return f'<caption style="white-space: nowrap">{escape(title)}</caption>'
 
 
 def _row(tag: str, cells: Iterable[object]) -> str:

@@ -79,7 +79,9 @@ def _packed(
         raise ValueError(f"the state is not finite from t = {t[np.argmin(finite)]:g} s on")
     hits = marks.find(trajectory)
     strongest = np.argsort(-hits.impulse * hits.speed, kind="stable")[:MAX_IMPACTS]
-    rows = _chosen(t, fps, max_frames, at, hits.step[strongest].tolist())
+    # Of an impact the states before and after: between others speeds would not reach what they were.
+    around = [row for step in hits.step[strongest].tolist() for row in (step, step - 1)]
+    rows = _chosen(t, fps, max_frames, at, around)
     view = view or View([trajectory])
     values, arrays = _scene(trajectory, view)
     arrays["t"] = t[rows]

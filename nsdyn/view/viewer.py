@@ -78,7 +78,7 @@ def html(
     ----------
     trajectory : Trajectory
     fps : float, optional
-        Keyframes per second of simulated time, to which every impact is added; the browser interpolates between them.
+        Keyframes per second of simulated time, and before and after every impact; the browser interpolates between.
         By default all states where that makes the page no more than 1 MB larger than 30 would, else 30.
     forces : bool or {"pair", "point"}
         Whether the contact forces are drawn when the page opens, which a button changes. They are the mean since the

@@ -73,6 +73,12 @@ def failed(trajectory, name, step, *bodies):
     return finding
 
 
+def test_columns_are_below_each_other():
+    setup = nd.scenes.setup("arm_pushes_box")  # of articulations, whose findings have the longest names
+    head, *lines = repr(nd.check(nd.simulate(setup.scene, 0.05, **setup.options(dt=1e-2)))).splitlines()
+    assert {line.index("passed") for line in lines[:-1] if " passed " in line} == {head.index("tolerance") + 11}
+
+
 def test_overlap(trajectory):
     """A millionth of the size is caught, and measured."""
     x = trajectory.q[K, 2]

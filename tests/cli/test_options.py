@@ -2,6 +2,7 @@
 
 import argparse
 import importlib.util
+import itertools
 import json
 import shutil
 
@@ -107,15 +108,57 @@ def test_options(folder, monkeypatch, capsys, call):
         pytest.skip("no Chromium")
     monkeypatch.chdir(folder)
     monkeypatch.setattr(cases, "STEPS", (0.5,))
-    monkeypatch.setattr(ahead, "compile_examples", lambda group: None)
+    compiled: list[str] = []
+    monkeypatch.setattr(ahead, "compile_examples", compiled.append)
     code = cli.main([name, *words])
     out, err = capsys.readouterr()
     assert code == 0, err
+    assert ("all" in compiled) == ("--compile" in words)
     if "--json" in words:
         json.loads(out)
     for option in ("-o", "--csv", "--plot", "--store", "--html", "--png"):
         if option in words:
             assert (folder / words[words.index(option) + 1]).stat().st_size > 0
+
+
+def test_options_of_the_scheme_and_the_solver_arrive(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    options = f"slide --set mu=0.2 {SHORT} {SOLVED} --polish --on-fail raise".split()
+    assert cli.main(["run", *options, "-o", "scheme.h5"]) == 0
+    assert cli.main(["sweep", *options, "--workers", "1", "--store", "scheme.jsonl"]) == 0
+    head = json.loads((folder / "scheme.jsonl").read_text().partition("\n")[0])["sweep"]["options"]
+    for found in (nd.Trajectory.load("scheme.h5").meta, head):
+        assert (str(found["theta"]), str(found["polish"])) == ("0.6", "True")
+        assert found["solver"].startswith("Auto(tol=1e-09, loose=0.001,")
+    assert head["on_fail"] == "raise"
+
+
+def test_a_study_obeys_its_options(capsys):
+    """It has the errors of the same study in Python, whose options change them."""
+    call = "study slide --dt 2e-2,1e-2 --time 0.04 --json --solver pgs --theta 0.6 --set mu=0.3".split()
+
+    def errors(*more):
+        assert cli.main([*call, *more]) == 0
+        return [run["velocity"] for run in json.loads(capsys.readouterr().out)["runs"]]
+
+    solver = nd.solvers.by_name("pgs", 1e-3)
+    found = nd.refine("slide", [2e-2, 1e-2], 0.04, {"mu": 0.3}, theta=0.6, solver=solver)
+    assert errors("--tol", "1e-3") == [row.velocity for row in found.rows]
+    plain = nd.refine("slide", [2e-2, 1e-2], 0.04, {"mu": 0.3}, theta=0.6)
+    assert errors("--tol", "1e-3") != [row.velocity for row in plain.rows]
+    assert cli.main([*call, "--tol", "1e-300", "--on-fail", "ignore"]) == 0
+    capsys.readouterr()
+    assert cli.main([*call, "--tol", "1e-300", "--on-fail", "raise"]) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("nsdyn: not converged: step 1 ") and err.count("\n") == 1
+
+
+def test_a_check_shows_the_keyframe(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    for options, angle in (([], "0"), (["--keyframe", "bent"], "0.5")):
+        assert cli.main(["check", "m.xml", *options]) == 0
+        *_, joint = (line for line in capsys.readouterr().out.splitlines() if line.startswith("robot/knee "))
+        assert joint.split()[1] == angle
 
 
 @pytest.mark.parametrize("kind", ["bodies", "joints", "pairs", "contacts"])
@@ -158,8 +201,9 @@ def test_sweep_on_a_scheduler_of_dask(capsys):
 
 def test_a_tolerance_without_its_sign_is_told(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    for option in ("--tol", "--loose"):
-        assert cli.main(["run", "slide", *SHORT.split(), option, "1e8"]) == 2
+    calls = ("run slide", "sweep slide", "study slide --dt 1e-2,2e-2")
+    for call, option in itertools.product(calls, ("--tol", "--loose")):
+        assert cli.main([*call.split(), "--time", "0.04", option, "1e8"]) == 2
         said = f"did you mean 1e-08? {option} must be at most 1 m/s, got 1e+08"
         assert said in capsys.readouterr().err
 

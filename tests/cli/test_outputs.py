@@ -4,6 +4,7 @@ import csv
 import json
 import pydoc
 import re
+import time
 
 import matplotlib
 import numpy as np
@@ -83,6 +84,9 @@ def test_energy_by_on_the_command_line(trajectory, run, tmp_path):
     )
     head, *rows = csv.reader((tmp_path / "p.csv").read_text().splitlines())
     assert head[0] == "t [s]" and "above | below friction [J]" in head and len(rows) == trajectory.t.size
+    nd.simulate(nd.scenes.load("slide")(), 0.1, dt=1e-2).save("slide.h5")
+    row = run("energy", "slide.h5", "--by", "pair")[1].splitlines()[1]
+    assert row.split()[3] == "0.0000e+00" and float(row.split()[4]) < -0.5  # friction, and of impacts round-off
     found = json.loads(run("energy", "run.h5", "--by", "body", "--json")[1])
     assert found["series"]["ball"]["potential"] == trajectory.body_energies()["ball"][1].tolist()
     out = run("energy", "run.h5", "--by", "body")[1].splitlines()
@@ -377,6 +381,20 @@ def test_check_of_a_scene(run, tmp_path):
 # -- the interface -----------------------------------------------------------------------------------------------------
 
 
+def test_times_of_a_study_are_without_its_start():
+    """What the first step loads or compiles is no cost of a step."""
+    waited = []
+
+    def slow_at_first(t, q, v):
+        if not waited:
+            waited.append(time.sleep(0.5))
+        return {}
+
+    found = nd.refine(nd.scenes.load("slide"), [2e-2, 1e-2], 0.1, external_force=slow_at_first)
+    assert waited and all(0.0 < row.time < 0.3 for row in found.rows)
+    assert max(map(len, repr(found).splitlines())) <= 115  # a line of most terminals
+
+
 def test_dir_and_help_show_the_interface():
     assert set(nd.__all__) < set(dir(nd)) and all(not name.startswith("_") or "__" in name for name in dir(nd))
     text = pydoc.render_doc(nd, renderer=pydoc.plaintext)
@@ -388,6 +406,9 @@ def test_reprs_are_short(trajectory):
     scene = nd.scenes.load("wall")()
     assert repr(scene) == "<Scene 'wall': 105 free bodies, 1 fixed, 0 articulations>"
     assert len(repr(trajectory)) < 100
+    one = nd.Scene()
+    one.add_sphere("ball", 0.1, 1.0)
+    assert repr(one) == "<Scene 'scene': 1 free body, 0 fixed, 0 articulations>"
     assert repr(trajectory.energy).startswith("<Energy over 40 steps: ") and len(repr(trajectory.energy)) < 200
     assert repr(trajectory.solver).startswith("<SolverLog of 40 steps: 40 CONVERGED, ")
     assert repr(trajectory.body("ball")) == "<BodyMotion of 'ball': 41 states>"

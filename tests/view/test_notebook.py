@@ -119,6 +119,8 @@ def test_tables_of_objects(run):
     contacts = run.contacts(-1)
     cells = np.reshape(shown(contacts), (5, 9))
     assert cells[1:, 1].tolist() == ["box"] * 4 and cells[1:, 8].tolist() == ["slip"] * 4
+    assert cells[0, 2:7].tolist() == ["gap [m]", "u_N [m/s]", "u_T [m/s]", "r_N [N·s]", "r_T [N·s]"]
+    assert cells[1:, 2:4].tolist() == [["0", "0"]] * 4 and np.abs(contacts.u[:, 0]).max() < 1e-12  # round-off
     np.testing.assert_allclose(cells[1:, 5].astype(float), contacts.impulse[:, 0], rtol=1e-3)  # of four digits
     solution = nd.solve(nd.FC3D(np.eye(3), [-1.0, 0.2, 0.0], [0.5]))
     assert shown(solution)[6:] == ["1", "-0.2", "0", "0", "0", "0"]

@@ -585,12 +585,17 @@ def test_curves_of_the_other_recording_are_laid_over(opened, sliding):
     other = nd.simulate(faster, 0.7, dt=1e-3)
     known = nd.Trajectory(sliding.meta | {"parameters": '{"mu": 0.6}'}, sliding.scene, sliding.columns)
     page = opened(known, beside=other)
+    axes = "nsdyn.panes.map(pane => pane.chart.lanes.map(({low, high}) => [low, high]))"
+    click_on(page, ".tools .motion")
+    speeds = [lanes[0] for lanes in page.run(axes)]
+    assert speeds[0] == speeds[1] and speeds[0][1] > 2.0  # m/s, of the faster
+    click_on(page, ".tools .energy")
     lines = "nsdyn.panes.map(pane => pane.chart.lanes.map(lane => (lane.lines ?? []).filter(line => line.rim)))"
     assert page.run(lines) == [[[]], [[]]]
     lengths = lines.replace("line.rim)", "line.rim).map(line => [line.values.length, line.dash.join()])")
     click_on(page, ".tools .overlay")
     sizes = page.run("nsdyn.panes.map(pane => pane.ledger.t.length)")
-    for kind, counts in (("energy", (3, 4)), ("power", (1, 2)), ("checks", (3, 3))):
+    for kind, counts in (("energy", (3, 4)), ("power", (1, 2)), ("motion", (2, 4)), ("checks", (3, 3))):
         click_on(page, f".tools .{kind}")
         laid = [[line for lane in lanes for line in lane] for lanes in page.run(lengths)]
         assert [len(lines) for lines in laid] == list(counts), kind

@@ -212,6 +212,18 @@ def test_motion_of_bodies_and_joints(opened, sliding):
     assert page.run("nsdyn.panes[0].chart.lanes.map(lane => lane.unit)") == ["angle [rad]"]  # nothing drives it
 
 
+def test_many_plots_have_more_room(opened):
+    setup = nd.scenes.setup("gripper")
+    page = opened(nd.simulate(setup.scene, 0.1, **setup.options(dt=1e-2)))
+    height = "nsdyn.panes[0].chart.place.clientHeight"
+    one = page.run(height)
+    for kind in ("motion", "checks"):
+        press(page, kind)
+        assert page.run("nsdyn.panes[0].chart.lanes.length") == 3 and page.run(height) > 1.3 * one, kind
+    press(page, "energy")
+    assert page.run(height) == one
+
+
 @pytest.fixture(scope="module")
 def falling_row():
     return nd.simulate(nd.scenes.load("domino")(), 0.3, dt=2e-3)

@@ -76,6 +76,7 @@ def check(page, size, count, name, folder):
     shares = [(bottom - top) / height for _, top, _, bottom in views]
     picture = page.picture()
     (folder / f"{count} {name} {width}x{height}.png").write_bytes(picture)
+    assert all(bottom - top >= 30 for what, _, top, _, bottom, *_ in seen if what == "plot"), "a plot is flat"
     assert len(views) == count and len({(right - left, round(bottom - top)) for left, top, right, bottom in views}) == 1
     assert all(blue(picture, box) > 200 for box in views)
     return min(shares)

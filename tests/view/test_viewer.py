@@ -14,7 +14,7 @@ import umsgpack
 
 import nsdyn as nd
 from nsdyn.recording.trajectory import Trajectory
-from nsdyn.view import payload, solids, stage, viewer
+from nsdyn.view import marks, payload, solids, stage, viewer
 
 OCTAHEDRON = [(-1, 0, 0), (1, 0, 0), (0, -2, 0), (0, 2, 0), (0, 0, -3), (0, 0, 3)]
 FLOATS = 0x17  # Float32Array in the viewer's MessagePack dialect
@@ -90,6 +90,13 @@ def test_long_recordings_get_fewer_keyframes(falling):
     t = keyframes(viewer.html(falling, fps=1000, max_frames=7))[0]
     assert len(t) == 7 and t[0] == 0.0 and t[-1] == 1.0
     assert len(keyframes(viewer.html(falling, fps=1000))[0]) == len(falling.t)
+
+
+def test_impacts_have_a_keyframe_before_and_after():
+    bounce = nd.simulate(nd.scenes.load("bounce")(), 0.6, dt=1e-3)
+    hits = marks.find(bounce).step
+    shown = set(keyframes(viewer.html(bounce, fps=5))[0])
+    assert hits.size and {*bounce.t[hits], *bounce.t[hits - 1]} <= shown
 
 
 def test_one_moment(falling):

@@ -165,6 +165,21 @@ class Chart {
   }
 }
 
+// One range for the curves of a recording, the first, and those of the ones beside it, unless the curves of one would be
+// too small to see in it and none is `laid` over another.
+function commonRange(ranges, laid) {
+  const all = [Math.min(...ranges.map(range => range[0])), Math.max(...ranges.map(range => range[1]))];
+  const seen = ranges.every(([low, high]) => high - low > 0.2 * (all[1] - all[0]));
+  return laid || seen ? all : ranges[0];
+}
+
+// A curve of one recording over those of another.
+function dotted(t, values, colour) {
+  const other = colour.match(/[0-9a-f]{2}/g).map(part => parseInt(part, 16)).map(
+    part => Math.round(theme.dark ? 255 - 0.65 * (255 - part) : 0.65 * part));
+  return {t, values, colour: `rgb(${other})`, dash: [0, 5], width: 2.6, rim: true};
+}
+
 // Powers of ten in a range, so many at most.
 function decades(low, high, most) {
   const [first, last] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];

@@ -62,17 +62,10 @@ class Ledger {
       {values: this.expected(), colour: theme.colour("ink"), dash: [5, 4], width: 1},
     ];
     for (const other of laid) {
-      other.stack().slice(1).forEach((values, k) => lane.lines.push(other.dotted(values, other.layers[k].colour)));
+      other.stack().slice(1).forEach((values, k) => lane.lines.push(dotted(other.t, values, other.layers[k].colour)));
     }
     if (this.recording.at_rest) lane.note = `at rest: nothing of ${withUnit(this.recording.largest, "J")} moves`;
     return [lane];
-  }
-
-  // A curve of this recording over those of another.
-  dotted(values, colour) {
-    const other = colour.match(/[0-9a-f]{2}/g).map(part => parseInt(part, 16)).map(
-      part => Math.round(theme.dark ? 255 - 0.65 * (255 - part) : 0.65 * part));
-    return {t: this.t, values, colour: `rgb(${other})`, dash: [0, 5], width: 2.6, rim: true};
   }
 
   // Least and largest value of the stack; round-off of what is at rest does not fill its axis.
@@ -108,7 +101,7 @@ class Ledger {
     lane.areas = powers.map(({colour}, k) => ({values: [heights[k], heights[k + 1]], colour}));
     if (!powers.length) lane.note = "friction, impacts and damping take nothing";
     lane.lines = laid.flatMap(other => (
-      other.powers().map(({colour}, k) => other.dotted(other.powerStack()[k + 1], colour))));
+      other.powers().map(({colour}, k) => dotted(other.t, other.powerStack()[k + 1], colour))));
     const top = heights[heights.length - 1].reduce((a, b) => b > a ? b : a, 0);
     if (top > lane.high) lane.remark = `peaks up to ${withUnit(top, "W")} are cut`;
     return [lane];
@@ -124,12 +117,8 @@ class Ledger {
     return [Math.min(0, ...sums), Math.min(most, 5 * usual)];
   }
 
-  // One for this recording and those beside it, unless the curves of one would be too small to see in it.
   range(extremes, beside, laid) {
-    const ranges = [this, ...beside].map(ledger => ledger[extremes]());
-    const all = [Math.min(...ranges.map(range => range[0])), Math.max(...ranges.map(range => range[1]))];
-    const seen = ranges.every(([low, high]) => high - low > 0.2 * (all[1] - all[0]));
-    const [low, high] = laid.length || seen ? all : ranges[0];
+    const [low, high] = commonRange([this, ...beside].map(ledger => ledger[extremes]()), laid.length);
     const room = 0.06 * (high - low || 1);
     return {low: low < 0 ? low - room : low, high: high + room};
   }
@@ -144,7 +133,7 @@ class Ledger {
       const low = seen ? 10 ** Math.floor(Math.log10(Math.max(least, 1e-8 * most, FLOOR))) : LOST;
       const high = seen ? Math.max(10 * low, 10 ** Math.ceil(Math.log10(most) + 1e-9)) : 10 * LOST;
       const note = !recorded ? "not recorded" : seen ? "" : `less than ${powerOfTen(Math.round(Math.log10(LOST)))}: round-off`;
-      const lines = [{values, colour, width: 2}, ...laid.map(other => other.dotted(other.curve(name), colour))];
+      const lines = [{values, colour, width: 2}, ...laid.map(other => dotted(other.t, other.curve(name), colour))];
       return {unit, log: true, low, high, note, lines};
     });
   }

@@ -57,22 +57,35 @@ class Motion {
   // Number of the body whose curves are those of the one that is picked, or null.
   get picked() { return this.first.get(this.inspector.picked?.body) ?? null; }
 
-  lanes() {
+  // What a chart shows: `beside` and `laid` are as for the ledger.
+  lanes(kind, beside, laid) {
     const lanes = Array.from(this.lanesOf, ([unit, curves]) => {
-      let [low, high] = spanOf(curves.map(({values}) => values));
+      const all = [curves, ...beside.map(other => other.lanesOf.get(unit) ?? [])].filter(curves => curves.length);
+      let [low, high] = commonRange(all.map(curves => spanOf(curves.map(({values}) => values))), laid.length);
       // Round-off, of 15 bits, does not fill the axis: what stays where it is is shown beside 0.
       if (high - low < STILL_HERE * Math.max(Math.abs(low), Math.abs(high))) [low, high] = [Math.min(0, low), Math.max(0, high)];
       const room = Math.max(0.06 * (high - low), 1e-9);
-      const front = number => this.picked === number ? 2 : this.named.has(number) ? 1 : 0;
-      const lines = [...curves].sort((a, b) => front(a.number) - front(b.number)).map(({number, colour, values}) => {
-        const own = front(number) ? colour : theme.colour("light");
-        const faded = this.picked !== null && this.picked !== number;
-        return {values, colour: own + (faded ? "48" : ""), width: [1, 1.6, 2.6][front(number)]};
-      });
+      const lines = [...this.lines(curves), ...laid.flatMap(other => other.over(unit))];
       return {unit, low: low < 0 || low > room ? low - room : low, high: high + room, lines};
     });
     const note = "nothing moves";
     return {t: this.t, steps: false, lanes: lanes.length ? lanes : [{unit: "", low: 0, high: 1, note}]};
+  }
+
+  // Lines of curves, those with names and the one that is picked in front.
+  lines(curves) {
+    const front = number => this.picked === number ? 2 : this.named.has(number) ? 1 : 0;
+    return [...curves].sort((a, b) => front(a.number) - front(b.number)).map(({number, colour, values}) => {
+      const own = front(number) ? colour : theme.colour("light");
+      const faded = this.picked !== null && this.picked !== number;
+      return {values, colour: own + (faded ? "48" : ""), width: [1, 1.6, 2.6][front(number)]};
+    });
+  }
+
+  // Those with names, over the curves of another recording.
+  over(unit) {
+    const curves = (this.lanesOf.get(unit) ?? []).filter(({number}) => this.named.has(number));
+    return curves.map(({values, colour}) => dotted(this.t, values, colour));
   }
 
   // [label, colour, value, unit, what is at play] at a time: all of the body that is picked, or of all where they are few,

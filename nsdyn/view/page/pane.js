@@ -108,9 +108,11 @@ class Pane {
 
   show(kind) {
     this.kind = kind;
-    const others = this.others.map(pane => pane.ledger);
-    this.plot = kind === "motion" ? this.motion : this.ledger;
+    const plot = kind === "motion" ? "motion" : "ledger";
+    const others = this.others.map(pane => pane[plot]);
+    this.plot = this[plot];
     const lanes = this.plot.lanes(kind, others, this.laid ? others : []);
+    document.body.style.setProperty("--lanes", lanes.lanes.length);
     this.chart.show({begin: this.clock.begin, end: this.clock.end, ...lanes});
     this.figures.replaceChildren();
     const entry = (label, className, colour, words = "") => {
@@ -120,7 +122,7 @@ class Pane {
       place.append(label + " ");
       return place;
     };
-    if (this.laid && this.plot === this.ledger) {
+    if (this.laid) {
       entry(this.recording.label, "stroke", theme.colour("ink"));
       for (const {recording} of this.others) entry(recording.label, "stroke other", theme.colour("ink"));
     }

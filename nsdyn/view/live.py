@@ -1,0 +1,109 @@
+"""A scene while it is simulated, in a notebook or a browser: a process of meshcat serves it."""
+
+from __future__ import annotations
+
+import contextlib
+import html
+import io
+import time
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+import umsgpack
+from scipy.spatial.transform import Rotation
+
+from nsdyn.recording.recorder import Recorder
+from nsdyn.tools.arrays import Array
+from nsdyn.view.commands import Json, as_three, by_columns, set_property
+from nsdyn.view.solids import body_path, shape_commands
+from nsdyn.view.stage import View, stage_commands
+
+if TYPE_CHECKING:
+    from nsdyn.stepping.state import Start, Step
+    from nsdyn.stepping.stepper import Stepper
+
+__all__ = ["Live"]
+
+
+class Live:
+    """A window that follows a `Stepper`, seen from where its page would begin; shapes are those of contact.
+
+    A cell of a notebook that ends with it has the window, anything else opens `url` in a browser. Cells that run later
+    move what it shows. It is served by a process of meshcat on this machine until `close`, or this process ends.
+
+    Parameters
+    ----------
+    stepper : Stepper
+    fps : float
+        Most pictures a second of wall time, so that the simulation does not wait for them.
+
+    Attributes
+    ----------
+    url : str
+        Where a browser of this machine finds it.
+
+    Examples
+    --------
+    >>> import nsdyn as nd
+    >>> stepper = nd.Stepper(nd.scenes.load("slide")(), dt=1e-2)
+    >>> live = nd.Live(stepper)
+    >>> for _ in range(40):
+    ...     live.show(stepper.step())
+    >>> live.close()
+    """
+
+    def __init__(self, stepper: Stepper, fps: float = 30.0) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of what it imports from zmq
+            from meshcat.visualizer import ViewerWindow
+
+        scene, start = stepper.scene.describe(), stepper.start()
+        view = View([Recorder(None, {"dt": stepper.dt}, scene, start).trajectory()])
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints its address
+            self._window = ViewerWindow(None, True, [])
+        self.url: str = self._window.web_url
+        self._paths = [body_path(name) for name in scene["frames"]]
+        self._wait, self._next = 1.0 / fps, 0.0
+        for command in stage_commands(view) + shape_commands(scene, view):
+            self._send(command)
+        # Camera and sun look at the origin; from farther off than a page, for it is not known where bodies will go.
+        centre = np.eye(4)
+        centre[:3, 3] = -view.centre
+        self._send(_transform("/nsdyn", centre))
+        self._send(set_property("/Lights/Sun/<object>", "position", (view.sun - view.centre).tolist()))
+        camera = as_three(2.0 * (view.eye - view.centre))
+        self._send(set_property("/Cameras/default/rotated/<object>", "position", camera))
+        self.show(start)
+
+    def show(self, state: Step | Start) -> None:
+        """Show a state, unless the last is shown for less than a picture's time."""
+        if time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + self._wait
+        x, turn = state.frames_x, state.frames_quat
+        # Of free bodies alone q has all.
+        poses = state.q.reshape(-1, 7) if x is None or turn is None else np.column_stack([x, turn])
+        matrix = np.eye(4)
+        for path, pose in zip(self._paths, poses, strict=True):
+            matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(pose[3:]).as_matrix(), pose[:3]
+            self._send(_transform(path, matrix))
+
+    def close(self) -> None:
+        """End the process that serves it."""
+        self._window.zmq_socket.close(linger=0)
+        self._window.server_proc.kill()
+        self._window.server_proc.communicate()
+
+    def _send(self, command: Json) -> None:
+        parts = command["type"].encode(), command["path"].encode(), umsgpack.packb(command)
+        self._window.zmq_socket.send_multipart(parts)
+        self._window.zmq_socket.recv()
+
+    def _repr_html_(self) -> str:
+        style = "width: 100%; height: 400px; border: 1px solid #d5dbe1"
+        return f'<iframe src="{html.escape(self.url)}" style="{style}"></iframe>'
+
+
+def _transform(path: str, pose: Array) -> Json:
+    return {"type": "set_transform", "path": path, "matrix": by_columns(pose)}
