@@ -31,8 +31,8 @@ SOON, AGAIN = 1e-6, 0.1
 """Fractions of a move in which slip that turns round is not located: before it is nothing but round-off, and where slip
 has just been cut, which is located to second order, what is left of it."""
 
-GAIN = 1e-3
-"""Of the kinetic energy with which it begins, most that the contacts that persist may add in a step."""
+GAIN = 1e-5
+"""Of the kinetic energy with which it begins, most that contacts that persist and projections may add in a step."""
 
 SHALLOWER = 0.125
 """By what fraction bodies may run less far into each other in halves of a step in which they sank, were lifted far, or
@@ -145,7 +145,7 @@ def _pass(
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
     They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly,
-    and where contacts that persist add energy.
+    and where contacts that persist, or what is lifted, add energy.
     """
     sunk, path = False, [begin.placement]
     found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
@@ -153,8 +153,10 @@ def _pass(
         found, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
     now, rate, clear, done, solved, works = found
     d, gained = s.dynamics, sum(w.integration for w in works)
-    if not (s.elastic or d.surfaces.count):  # where nothing rebounds or is driven contacts only take energy
-        gained += sum(w.projection + max(0.0, w.normal + w.friction) for w in works)
+    if not d.surfaces.count:
+        gained += sum(w.projection for w in works)
+        if not s.elastic:  # where nothing rebounds contacts only take energy
+            gained += sum(max(0.0, w.normal + w.friction) for w in works)
     if gained > 0.0 and not d.trees:  # which keep their own errors small
         # Where all is at rest, what gravity gives in a step is the scale.
         sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * rate))
