@@ -23,7 +23,7 @@ from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
 from nsdyn.stepping.move import Move, Trial, attempt, finish
 from nsdyn.stepping.parts import Part, driven, merged
-from nsdyn.stepping.passage import Passage, through, undisturbed
+from nsdyn.stepping.passage import GAIN, Passage, through, undisturbed
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import parting
 from nsdyn.stepping.state import State
@@ -90,7 +90,10 @@ class Islands:
             tried = attempt(s, begin, half, callbacks, label, opened[label])
             self._open(begin, tried, label, opened)
             if not opened.any():
-                return _done(finish(s, begin, tried))
+                done = finish(s, begin, tried)
+                self._gaining(begin, done, tried, label, opened)
+                if not opened.any():
+                    return _done(done)
         return self._together(state, loads, half, label, opened, tried)
 
     def _together(
@@ -128,7 +131,12 @@ class Islands:
         left = ~opened[label]
         out = Passage(begin, half.rate.copy(), True, [], [], [], [])
         if tried is not None and left.any():
-            out = _done(finish(s, begin, self._kept(tried, left), left))
+            kept = self._kept(tried, left)
+            move, count = finish(s, begin, kept, left), opened.sum()
+            self._gaining(begin, move, kept, label, opened)
+            if opened.sum() > count:
+                return self._together(state, loads, half, label, opened, tried)
+            out = _done(move)
             out.done[0] = out.done[0]._replace(moves=np.repeat(left, np.diff(d.offset)))
         for part, p in made:
             out.rate[part.coordinates] = p.rate
@@ -241,6 +249,25 @@ class Islands:
             for one, other in pairwise(poses):
                 met = s.touches(one, other, tried.seen.memory, closed).contacts
                 opened[label[self._nodes(met, np.ones(met.gap.size, np.bool_))[0]]] = True
+
+    def _gaining(self, begin: Instant, made: Move, tried: Trial, label: Index, opened: Bools) -> None:
+        """Open the islands whose contacts add energy in a move made: by themselves these take it in pieces."""
+        s, d, a, met = self.whole, self.whole.dynamics, made.impulses, tried.response.met
+        if d.surfaces.count or d.trees or not a.status.size:  # as of `passage`
+            return
+        nothing = np.where(met.stays, a.normal, 0.0) + np.where(met.sticks & (a.status == 1), a.friction, 0.0)
+        other = a.normal + a.friction - nothing
+        island = label[s.nodes(a.contacts)]
+        gained, more = (np.bincount(island, work, minlength=opened.size) for work in (nothing, other))
+        if not s.elastic:
+            gained += np.maximum(more, 0.0)
+        if (gained > 0.0).any():
+            energies = []
+            for v in (begin.v, s.dt * made.rate):
+                linear, spin = v.reshape(-1, 2, 3).swapaxes(0, 1)
+                of_bodies = d.mass * (linear * linear).sum(axis=1) + np.einsum("ki,kij,kj->k", spin, d.J, spin)
+                energies.append(np.bincount(label, 0.5 * of_bodies, minlength=opened.size))
+            opened |= gained > GAIN * np.maximum(*energies)
 
     def _kept(self, tried: Trial, left: Bools) -> Trial:
         """What an attempt did to the nodes left."""

@@ -24,11 +24,14 @@ def test_what_parts_comes_back_without_work(free: tuple[float, float, float]) ->
     assert 0.5 * (u + after) @ r <= 1e-15
 
 
+@pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside a box"])
 @pytest.mark.parametrize(("spin", "mu"), [(30.0, 0.0), (100.0, 0.0), (100.0, 0.5), (150.0, 0.5)])
-def test_coarse_steps_of_a_thrown_ellipsoid_create_no_energy(spin: float, mu: float) -> None:
+def test_coarse_steps_of_a_thrown_ellipsoid_create_no_energy(spin: float, mu: float, beside: bool) -> None:
     """It turns by up to 1.5 rad a step and falls by as much as it is thick."""
     scene, material = nd.Scene(), nd.Material(mu=mu)
     scene.add_halfspace("ground", material=material)
+    if beside:
+        scene.add_box("box", (0.01, 0.01, 0.01), 1e-3, position=(1.0, 0.0, 0.005))
     thrown = {"position": (0, 0, 0.011), "angular_velocity": (0, spin, 0), "material": material}
     scene.add_ellipsoid("body", (0.01, 0.005, 0.002), 1.0, **thrown)
     stepper, energy = nd.Stepper(scene, dt=1e-2), []
