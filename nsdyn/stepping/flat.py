@@ -16,10 +16,10 @@ from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.encounter import Warm
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.instant import Instant
 from nsdyn.stepping.state import State, Step
+from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from nsdyn._kernels import reductions as _few
 from nsdyn._kernels import sorting as _sorting
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
-from nsdyn._kernels.stepping import persistence as _persistence
+from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -19,11 +19,12 @@ from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Energies, Forces, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.solvers import Solver
-from nsdyn.stepping.encounter import Basis, Closing, Encounter, Warm
+from nsdyn.stepping.encounter import Closing, Encounter
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.rounds import Impact
+from nsdyn.stepping.warm import Basis, Warm
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Impulses", "Instant", "System", "account", "among", "take"]
@@ -113,13 +114,13 @@ class System(NamedTuple):
 
     def unmoved(self, looked: Looked, now: Placement, reach: Array) -> bool:
         """Whether the contacts found somewhere are those of now, up to the gaps that `reach` (frames,) allows, m."""
-        same: bool = _law.unmoved(tuple(looked), (now.x, now.R, reach), self.arm, STILL * self.closed)
+        same: bool = _touching.unmoved(tuple(looked), (now.x, now.R, reach), self.arm, STILL * self.closed)
         return same
 
     def look(self, looked: Looked, x: Array, R: Array, reach: Array) -> Looked:
         """Where to look for contacts now: where they were looked for, but for frames of which that is no longer so."""
         out = Looked(np.empty_like(x), np.empty_like(R), np.empty_like(reach))
-        _law.look(tuple(looked), (x, R, reach), self.arm, STILL * self.closed, tuple(out))
+        _touching.look(tuple(looked), (x, R, reach), self.arm, STILL * self.closed, tuple(out))
         return out
 
     def deep(self, contacts: ContactSet) -> Array:
@@ -137,7 +138,7 @@ class System(NamedTuple):
     def last_status(self, contacts: ContactSet, warm: Warm) -> NDArray[np.int8]:
         """What the contacts were in the last move, shape (nc,): 0 open, 1 stick, 2 slip."""
         out = np.empty(contacts.gap.size, np.int8)
-        _persistence.last_status(contacts.key, self.detector.codes(contacts), warm.key, warm.pair, warm.status, out)
+        _touching.last_status(contacts.key, self.detector.codes(contacts), warm.key, warm.pair, warm.status, out)
         return out
 
     def striking_speed(self, at: Instant) -> float:
@@ -151,7 +152,7 @@ class System(NamedTuple):
         if self.depth < DEEP:
             warm = w.key, w.pair, np.zeros_like(w.status)
         contacts, where = (c.key, c.geom1, c.geom2, c.gap, c.restitution), (c.frame1, c.frame2, c.point, c.normal)
-        least: float = _persistence.striking_speed(
+        least: float = _touching.striking_speed(
             contacts, (*where, at.placement.x), at.twists, warm, self.inscribed.size, self.closed
         )
         return least
@@ -160,7 +161,7 @@ class System(NamedTuple):
         """Free accelerations of both bodies of contacts along their normals, added up, shape (nc,), m/s²."""
         out = np.empty(contacts.gap.size)
         where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, there.x
-        _law.weights(where, self.dynamics.twists(there, rate), out)
+        _touching.weights(where, self.dynamics.twists(there, rate), out)
         return out
 
     @property

@@ -18,10 +18,11 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.ball_joints import unbalanced
+from nsdyn.stepping.booking import Move, finish
 from nsdyn.stepping.collisions import striking
 from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
-from nsdyn.stepping.move import Move, Trial, attempt, finish
+from nsdyn.stepping.move import Trial, attempt
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import GAIN, Passage, through, undisturbed
 from nsdyn.stepping.reversal import endings

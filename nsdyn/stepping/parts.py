@@ -15,10 +15,10 @@ from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
-from nsdyn.stepping.encounter import Warm
 from nsdyn.stepping.half import Callbacks, Given, Loads
 from nsdyn.stepping.instant import Impulses, Instant, System, among
 from nsdyn.stepping.state import State
+from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Part", "driven", "merged"]

@@ -11,12 +11,13 @@ import numpy as np
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
+from nsdyn.stepping.booking import finish
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
 from nsdyn.stepping.instant import DEEP, SHALLOW, Impulses, Instant, System, among, take
-from nsdyn.stepping.move import Trial, finish, trial
-from nsdyn.stepping.quiet import Moves, quiet_trees
+from nsdyn.stepping.move import Trial, trial
+from nsdyn.stepping.quiet_trees import Moves, quiet_trees
 from nsdyn.stepping.sight import Unmet, approach
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import sight as _sight
+from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -67,7 +67,7 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
         motion = d.twists(here, begin.v), d.twists(here, rate)
         carried = _carried(d, before, begin.position.driven_x, half.surfaces[0])
         _sight.parting(where, carried, before.gap, before.restitution, motion, (s.closed, s.solver.tol, s.bounces), gap)
-    if _law.all_known(c.key, before.key, gap, s.closed):
+    if _touching.all_known(c.key, before.key, gap, s.closed):
         return contacts
     out, warm = np.empty(c.gap.size, np.bool_), begin.warm
     _sight.caught(
@@ -115,11 +115,11 @@ def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Arra
     slot : ndarray of int
         Joint rows that are met.
     """
-    if not limits.size and (found is met or _law.all_known(found.key, met.key, -r, -LEAST)):
+    if not limits.size and (found is met or _touching.all_known(found.key, met.key, -r, -LEAST)):
         return None
     pressed, known = np.empty(found.gap.size, np.bool_), np.empty(found.gap.size, np.bool_)
-    _law.known(found.key, met.key, -r, -LEAST, pressed)
-    _law.known(found.key, met.key, -r, np.inf, known)
+    _touching.known(found.key, met.key, -r, -LEAST, pressed)
+    _touching.known(found.key, met.key, -r, np.inf, known)
     left, rests = take(found, ~pressed), known[~pressed]
     code, gap = s.detector.codes(left), left.gap
     limit = np.where((left.restitution > 0.0) & ~rests, s.closed, s.deep(left))
@@ -135,7 +135,7 @@ def approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) 
     """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s; driven bodies at rest."""
     out = np.empty(contacts.gap.size)
     where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, placement.x
-    _law.approach(where, d.twists(placement, v), out)
+    _touching.approach(where, d.twists(placement, v), out)
     return out
 
 

@@ -9,7 +9,7 @@ from nsdyn._kernels.dynamics import motion
 from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.reductions import most
-from nsdyn._kernels.stepping import law
+from nsdyn._kernels.stepping import law, touching
 
 
 @in_place
@@ -29,7 +29,7 @@ def half(bodies, loads, position, h, theta, looked, near, out):
     for i in range(v_free.size):
         rate[i] = (v_free[i] - v_there[i]) / h
     motion.reach(v_free, theta * h, theta * h * h * fall, radius, reach)
-    same = law.unmoved(looked, (x, R, reach), arm, tol)
+    same = touching.unmoved(looked, (x, R, reach), arm, tol)
     return most(reach), same
 
 
@@ -61,7 +61,7 @@ def end(blocks, r, v_free, bodies, position, h, looked, out):
     """The second half of a move: v⁺ = v_f + M⁻¹ H r and a free flow; whether what was `looked` for is found there too.
 
     Into out = (v⁺, x, quaternion, v, R, linear, angular). looked = ((x, R, reach), reach, arm, tol), as of
-    `law.unmoved`.
+    `touching.unmoved`.
     """
     begun, reach, arm, tol = looked
     v_plus, x, quaternion, v, R, linear, angular = out
@@ -71,4 +71,4 @@ def end(blocks, r, v_free, bodies, position, h, looked, out):
     flow(bodies[0], bodies[1], position[0], position[1], v_plus, h, x, quaternion, v)
     motion.rotations(quaternion, R)
     motion.twists(R, v, x.shape[0], linear, angular)
-    return law.unmoved(begun, (x, R, reach), arm, tol)
+    return touching.unmoved(begun, (x, R, reach), arm, tol)

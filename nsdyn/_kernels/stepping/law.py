@@ -10,7 +10,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import in_range, relative_velocity, size_of
-from nsdyn._kernels.sorting import order, place_of
+from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row
 
 ROLLS = 12.0
@@ -27,27 +27,6 @@ NO_SLIP = 1e-14
 
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""
-
-
-@in_place
-def places(old_key, new_key, out):
-    """Where every new key stands among the old ones, -1 where it does not, into out (nc,)."""
-    known = 0
-    while known < min(old_key.size, new_key.size) and old_key[known] == new_key[known]:
-        out[known] = known
-        known += 1
-    if known < new_key.size:
-        sorted_places(old_key, new_key, known, out)
-
-
-@kernel
-def sorted_places(old_key, new_key, begin, out):
-    """`places` from the index `begin` on."""
-    old = order(old_key)
-    keys = old_key[old]
-    for c in range(begin, new_key.size):
-        k = place_of(keys, new_key[c])
-        out[c] = old[k] if k < keys.size and keys[k] == new_key[c] else -1
 
 
 @in_place
@@ -96,107 +75,6 @@ def begin_velocities(place, begin, here, carried, transport, u):
             u[3 * c + i] = dot(row(frame[c], i), w)
             if not there and transport.size:
                 u[3 * c + i] += transport[3 * c + i]
-
-
-@in_place
-def unmoved(looked, now, arm, tol):
-    """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far.
-
-    `looked` and `now` are (x, R, reach).
-    """
-    (x, R, reach), (x_now, R_now, reach_now) = looked, now
-    for f in range(arm.size):
-        shift, turn = 0.0, 0.0
-        for i in range(3):
-            shift = max(shift, abs(x[f, i] - x_now[f, i]))
-            for j in range(3):
-                turn = max(turn, abs(R[f, i, j] - R_now[f, i, j]))
-        if shift + 3.0 * turn * arm[f] > tol or reach_now[f] > reach[f] + tol:
-            return False
-    return True
-
-
-@in_place
-def look(looked, now, arm, tol, out):
-    """Where contacts are looked for: each frame where it was until it moves by tol, or must see farther.
-
-    What is found of a pair so depends on its two frames alone. As in `unmoved`, into out = (x, R, reach).
-    """
-    (x, R, reach), (x_now, R_now, reach_now), (x_out, R_out, reach_out) = looked, now, out
-    for f in range(arm.size):
-        own = slice(f, f + 1)
-        there, here = (x[own], R[own], reach[own]), (x_now[own], R_now[own], reach_now[own])
-        same = unmoved(there, here, arm[own], tol)
-        for i in range(3):
-            x_out[f, i] = x[f, i] if same else x_now[f, i]
-            for j in range(3):
-                R_out[f, i, j] = R[f, i, j] if same else R_now[f, i, j]
-        reach_out[f] = reach[f] if same else reach_now[f]
-
-
-@in_place
-def approach_of(c, where, twists):
-    """Normal velocity of contact c, m/s, of where = (frame1, frame2, point, normal, x) and twists = (linear, angular).
-
-    The frames are at x, and move as in `begin_velocities`.
-    """
-    (frame1, frame2, point, normal, x), (linear, angular) = where, twists
-    p, w = row(point, c), (0.0, 0.0, 0.0)
-    for s in range(2):
-        f = frame1[c] if s == 0 else frame2[c]
-        if f >= 0:
-            arm = minus(p, row(x, f))
-            w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
-    return dot(row(normal, c), w)
-
-
-@in_place
-def approach(where, twists, out):
-    """`approach_of` of all contacts, into out (nc,)."""
-    for c in range(out.size):
-        out[c] = approach_of(c, where, twists)
-
-
-@in_place
-def weight_of(c, where, rates):
-    """`weights` of contact c."""
-    (frame1, frame2, point, normal, x), (linear, angular) = where, rates
-    p, n, total = row(point, c), row(normal, c), 0.0
-    for f in (frame1[c], frame2[c]):
-        if f >= 0:
-            total += abs(dot(n, along(row(linear, f), 1.0, cross(row(angular, f), minus(p, row(x, f))))))
-    return total
-
-
-@in_place
-def weights(where, rates, out):
-    """How much faster free accelerations would make each contact approach, |a1·n| + |a2·n|, into out (nc,), m/s².
-
-    Of frames whose accelerations are those fields; as in `approach_of`. Not their difference: what two bodies that fall
-    together rest by is nothing, but one of them is borne.
-    """
-    for c in range(out.size):
-        out[c] = weight_of(c, where, rates)
-
-
-@kernel
-def all_known(key, old_key, old_gap, closed):
-    """Whether all contacts are among old ones that are closed."""
-    place = np.empty(key.size, np.int64)
-    places(old_key, key, place)
-    for c in range(key.size):
-        if place[c] < 0 or not old_gap[place[c]] <= closed:
-            return False
-    return True
-
-
-@kernel
-def known(key, old_key, old_gap, closed, out):
-    """Which contacts are among old ones that are closed, into out (nc,)."""
-    place = np.empty(key.size, np.int64)
-    places(old_key, key, place)
-    for c in range(key.size):
-        out[c] = place[c] >= 0 and old_gap[place[c]] <= closed
 
 
 @in_place

@@ -6,7 +6,8 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import relative_velocity
-from nsdyn._kernels.stepping.law import approach_of, offsets, places
+from nsdyn._kernels.stepping.law import offsets
+from nsdyn._kernels.stepping.touching import last_status, places
 from nsdyn._kernels.vectors import along, dot, put, row, times, to_local
 
 STILL = 1e-3
@@ -27,39 +28,6 @@ ARM = 1.0
 NO_ARM, NO_WORK, NOISE = 1e-10, 1e-12, 1e-10
 """Arms, as fractions of R, of what may be at rest, which have no couples; works, of r_N R ω, that are round-off;
 and those that are if another pass does not halve them: impulses of redundant contacts are less exact."""
-
-
-@kernel
-def last_status(key, pair, warm_key, warm_pair, warm_status, out):
-    """What each contact was in the last move, 0 open, 1 stick, 2 slip, into out (nc,).
-
-    One without a name there goes on from those of its pair of shapes whose names are lost: it has rolled far.
-    """
-    place, kept = np.empty(key.size, np.int64), np.empty(warm_key.size, np.int64)
-    places(warm_key, key, place)
-    places(key, warm_key, kept)
-    for c in range(key.size):
-        out[c] = warm_status[place[c]] if place[c] >= 0 else 0
-        if place[c] < 0:
-            for k in range(warm_key.size):
-                if warm_pair[k] == pair[c] and kept[k] < 0:
-                    out[c] = max(out[c], warm_status[k])
-
-
-@kernel
-def striking_speed(contacts, where, twists, warm, geoms, closed):
-    """The least normal velocity of contacts that may strike, m/s, 0 if none is negative.
-
-    Those that are closed, but that pressed in the last move and do not rebound: they turn with their bodies, and close
-    a little without striking. contacts = (keys, both geoms of so many, gaps, restitution), (nc,) each.
-    """
-    key, geom1, geom2, gap, restitution = contacts
-    was, least = np.empty(gap.size, np.int8), 0.0
-    last_status(key, geom1 * geoms + geom2, *warm, was)
-    for c in range(gap.size):
-        if gap[c] <= closed and (was[c] == 0 or restitution[c] > 0.0):
-            least = min(least, approach_of(c, where, twists))
-    return least
 
 
 @kernel

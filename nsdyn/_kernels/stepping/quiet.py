@@ -18,7 +18,7 @@ from nsdyn._kernels.problem.gauss import certificate_of
 from nsdyn._kernels.reductions import least
 from nsdyn._kernels.solvers.start import by_factors
 from nsdyn._kernels.stepping import account as _account
-from nsdyn._kernels.stepping import free, law, persistence, reversal
+from nsdyn._kernels.stepping import free, persistence, reversal, touching
 
 DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD = range(5)
 """How a call ends: the step is made; it is not quiet; geoms are to be placed, or Coal asked, where the impulses act;
@@ -169,8 +169,8 @@ def bounces(num, met, x, twists, rates):
     for c in range(names.shape[1]):
         e = scalars[2, c]
         if e > 0.0:
-            u = law.approach_of(c, where, twists)
-            rests = num[HALF] * law.weight_of(c, where, rates) * max(1.0 - e, num[LEAST])
+            u = touching.approach_of(c, where, twists)
+            rests = num[HALF] * touching.weight_of(c, where, rates) * max(1.0 - e, num[LEAST])
             if u > num[TOL] + rests or u < -(num[TOL] + rests / e):
                 return True
     return False
@@ -190,7 +190,7 @@ def depart(num, bodies, forces, arm, met, last, old, f, w):
             return False, False
     closed = names[4], names[0], names[1], scalars[0], scalars[2]
     where = names[2], names[3], points[0], points[1], x
-    if persistence.striking_speed(closed, where, twists, last, int(num[GEOMS]), num[CLOSED]) < -num[SLOW] / h:
+    if touching.striking_speed(closed, where, twists, last, int(num[GEOMS]), num[CLOSED]) < -num[SLOW] / h:
         return False, False
     there = vectors(w, X, n), quaternions(w, QUATERNION, n), velocity(w, V_THERE, n), rotations(w, R_THERE, n)
     reach, far_rate, v_free = column(w, REACH, n), velocity(f, RATE, n), velocity(w, V_FREE, n)
@@ -227,7 +227,7 @@ def look(detection, ready, looked, before, next_key, met, known):
     count, _ = search(geoms, pairs, limit, tolerance, ready, looked, (before[0], before[1]), next_key, met)
     if count == LEFT:
         return LEFT
-    return 0 if count == nc and law.all_known(met[0][4], *known) else 1
+    return 0 if count == nc and touching.all_known(met[0][4], *known) else 1
 
 
 @in_place
@@ -438,7 +438,7 @@ def quiet(system, detection, old, begun, new, middle, end, next_key, direction, 
             return OTHERWISE
         out[WENT], out[GOES] = 0.0 if same else 1.0, 0.0
         there = vectors(w, X, n), rotations(w, R_THERE, n), column(w, REACH, n)
-        law.look(placed(b_old, LOOKED, n), there, arm, num[STILL], placed(w, LOOKED_THERE, n))
+        touching.look(placed(b_old, LOOKED, n), there, arm, num[STILL], placed(w, LOOKED_THERE, n))
         if not same and (asks or middle[0].size < FOUND * nc):
             return LOOK
     at = begun
@@ -485,7 +485,7 @@ def quiet(system, detection, old, begun, new, middle, end, next_key, direction, 
         same = arrive(num, bodies, blocks, arm, nowhere, r, b, w)
         out[GOES] = 0.0 if same else 1.0
         there = vectors(b, X, n), rotations(b, R, n), nowhere
-        law.look(placed(w, LOOKED_THERE, n), there, arm, num[STILL], placed(b, LOOKED, n))
+        touching.look(placed(w, LOOKED_THERE, n), there, arm, num[STILL], placed(b, LOOKED, n))
         if not same and (asks or end[0].size < FOUND * nc):
             return LOOK_AHEAD
     for c in range(nc):
@@ -496,7 +496,7 @@ def quiet(system, detection, old, begun, new, middle, end, next_key, direction, 
         if found != 0:
             return LOOK_AHEAD if found == LEFT else OTHERWISE
         end[1][FOUND_NAMES * nc + MADE] = 0
-        law.places(into[0][4], met[0][4], place)
+        touching.places(into[0][4], met[0][4], place)
         for c in range(nc):
             gap[c] = into[2][0, place[c]]
     if least(gap) < -num[CLOSED]:

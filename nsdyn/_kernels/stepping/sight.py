@@ -5,8 +5,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.stepping.law import approach_of, known, places, weight_of
-from nsdyn._kernels.stepping.persistence import last_status
+from nsdyn._kernels.stepping.touching import approach_of, known, last_status, places, weight_of
 
 
 @in_place
@@ -19,7 +18,7 @@ def rests_of(weight, e, bounces):
 def parting(where, carried, gap, restitution, twists, sizes, out):
     """Gaps, into out (nc,), infinite of elastic contacts that are closed, but part faster than what rests.
 
-    `where` and twists, those of the velocity and of the free acceleration, as of `law.approach_of`; carried (nc,) is
+    `where` and twists, those of velocity and free acceleration, as of `touching.approach_of`; carried (nc,) is
     what moving surfaces add to the former, m/s; sizes = (what counts as closed, tolerance, bounces).
     """
     (velocity, rate), (closed, tol, bounces) = twists, sizes
@@ -42,7 +41,7 @@ def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
     contacts : tuple
         keys, pairs, depth at which each is deep, gaps and restitution.
     where : tuple
-        As of `law.approach_of`.
+        As of `touching.approach_of`.
     carried : ndarray, shape (nc,)
         What moving surfaces add to normal velocities, m/s.
     twists : tuple

@@ -1,0 +1,143 @@
+"""What a move did: where it ends without overlap, works, and energies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn.dynamics.tree_values import TreeEnd
+from nsdyn.dynamics.values import Energies, Position
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.stepping.energy import Works
+from nsdyn.stepping.half import Half
+from nsdyn.stepping.instant import Impulses, Instant, System, account
+from nsdyn.stepping.move import Response, Trial
+from nsdyn.stepping.projection import project
+from nsdyn.stepping.rounds import Impact
+from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.displacements import displacement
+
+__all__ = ["Move", "finish", "tree_works"]
+
+OPEN = np.int8(0)
+
+
+class Move(NamedTuple):
+    """A move and its end.
+
+    Attributes
+    ----------
+    end : Instant
+    impulses : Impulses
+    works : list of Works
+        Of its parts.
+    problem : FC3D
+    solution : Solution
+        Of the last problem solved.
+    clear : bool
+        Whether the end is without overlap.
+    rate : ndarray, shape (n,)
+        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
+    """
+
+    end: Instant
+    impulses: Impulses
+    works: list[Works]
+    problem: FC3D
+    solution: Solution
+    clear: bool
+    rate: Array
+
+
+def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -> Move:
+    """The move to a position without overlap, and what was done on its way; of the nodes `left`, if not of all."""
+    d, half, a = s.dynamics, tried.half, tried.response
+    placed = project(d, s.detector, a.moved, half.forces, s.closed)
+    v = half.middle.v
+    velocities = v, v if a.impact is None else v + a.kick, a.v
+    mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
+    r, h = a.solution.r, half.h
+    impulses, own, warm = account(s, a.met, half.forces, velocities, r, h, a.impact, a.problem, a.couple, mass)
+    # What has just closed its gap approaches: where it would become deep in the next move it strikes before.
+    sinks = s.dt / half.ahead * a.met.end_gap[: warm.status.size] > s.deep(a.met.contacts)
+    arrived = sinks & ~a.met.stays[: sinks.size]
+    if arrived.any():
+        warm = warm._replace(status=np.where(arrived, OPEN, warm.status))
+    works = []
+    v_end, twists = a.v_end, a.twists
+    if placed is not a.moved:
+        v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
+        twists = d.twists(placed.placement, v_end)
+        works.append(Works(projection=lifted))
+        for t, q, there in zip(d.trees, a.moved.position.trees, placed.position.trees, strict=True):
+            impulses.joints[4, t.coordinates] = displacement(t.model, q, there)
+    energies: Energies = ()
+    if d.trees:
+        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses, own, left)
+        if a.impact is not None:
+            works.append(_struck(s, half, a, a.impact, a.impulse))
+    end = Instant(
+        placed.position,
+        v_end,
+        placed.placement,
+        placed.contacts,
+        placed.limits,
+        placed.memory,
+        placed.looked,
+        warm,
+        twists,
+        energies,
+    )
+    return Move(end, impulses, [own, *works], a.problem, a.solution, placed.clear, half.rate)
+
+
+def tree_works(
+    s: System,
+    begin: Instant,
+    half: Half,
+    v: Array,
+    ends: tuple[TreeEnd, ...],
+    impulse: Array,
+    lifted: Position,
+    acted: Impulses,
+    own: Works,
+    left: Bools | None = None,
+) -> tuple[Works, Energies]:
+    """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
+
+    Trees that are not among the nodes `left` are passed over.
+
+    The forces leave v, with the impulses H r of contacts and joint rows; those of actuation, of external wrenches and
+    the most that actuators may give go into rows 0, 3 and 5 of `acted.joints`, the change of velocity of driven joints
+    into row 6, the wrenches into `acted.links`.
+    """
+    external, normal, friction, damping, constraint, integration, projection = own
+    energies, joints, link = [], acted.joints, 0
+    of_trees = zip(
+        s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
+    )
+    for node, (t, before, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
+        k, first = t.coordinates, link
+        link += t.model.njoints - 1
+        if left is not None and not left[node]:
+            energies.append(energy)
+            continue
+        w = t.works(before, free, v[k], end, q, impulse[k], energy, joints)
+        if free.loads.wrenches is not None:
+            acted.links[first:link] = half.h * free.loads.wrenches
+        joints[6, k] = t.speeding(before.begin_v, free.loads.rates)
+        energies.append((w.kinetic, w.potential))
+        external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
+        integration, projection = integration + w.integration, projection + w.projection
+    return Works(external, normal, friction, damping, constraint, integration, projection), tuple(energies)
+
+
+def _struck(s: System, half: Half, a: Response, impact: Impact, impulse: Array) -> Works:
+    """What the rows that work on the trees in two parts do, at two mean velocities, and not at that of the forces."""
+    full, v, struck = a.met.rows.full, half.middle.v, half.middle.v + a.kick
+    first, second = full.momentum(impact.r), full.momentum(a.solution.r)
+    booked = 0.5 * (first * (v + struck) + second * (struck + a.v))
+    own = zip((t.coordinates for t in s.dynamics.trees), a.trees, strict=True)
+    return Works(integration=sum(float(impulse[k] @ end.mean - booked[k].sum()) for k, end in own))
