@@ -28,7 +28,7 @@ __all__ = ["Moves", "quiet_trees"]
 
 Moves = tuple[Instant, Array, bool, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
 """End of some moves, the last free acceleration, whether the end is clear, what acted, what was solved and the works of
-all parts: as of `nsdyn.stepping.move.Move`."""
+all parts: as of `nsdyn.stepping.booking.Move`."""
 
 
 def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> Moves | None:
