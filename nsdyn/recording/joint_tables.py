@@ -208,4 +208,4 @@ AXES = {
 }
 """Coordinates of joints that have several, with their units: along and about axes.
 
-The place of a rotation is a quaternion, of a planar one its cosine and sine; velocities are in the axes of the child."""
+The place of a rotation is a quaternion, of a planar one its cosine and sine. Velocities are in axes of the child."""
