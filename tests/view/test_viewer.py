@@ -253,6 +253,14 @@ def test_camera_sees_everything_and_is_outside(falling):
     assert (np.abs(x @ right) < 4 / 3 * slope * (x @ forward)).all()
 
 
+def test_camera_is_as_near_as_the_shapes_are():
+    """A shape far from the origin of its link is where it is, not anywhere around that."""
+    scene = nd.scenes.load("gripper")()
+    view = stage.View([nd.simulate(scene, 0.01, dt=5e-3)])
+    assert view.radius < 0.25  # m; of the palm, 0.2 m wide, and the fingers below, 0.16 m high
+    assert (view.centre[:2] == pytest.approx([0.0, 0.0], abs=0.01)) and 0.06 < view.centre[2] < 0.16
+
+
 def test_meshcat_itself_is_not_loaded():
     code = "import sys; from nsdyn.view import viewer; viewer._meshcat_script(); print('meshcat' in sys.modules)"
     root = str(Path(nd.__file__).parents[1])
