@@ -21,7 +21,7 @@ FEW = 20
 FIXED_COLOUR = (0.62, 0.65, 0.68)
 
 HALF, SECTOR = (np.pi, 0.72), (np.pi / 16, 0.3)
-"""Angle and tone of the part of a round shape that shows how it turns: on flat ends a half would be taken for a shadow."""
+"""Angle and tone of the part of a round shape that shows how it turns. Half of a flat end would look like a shadow."""
 
 
 def body_path(frame: str) -> str:
