@@ -174,7 +174,7 @@ def joint_columns(trajectory: Trajectory, pattern: str, step: int | None) -> tup
     states = np.arange(t.steps + 1) if step is None else np.array([step])
     ended = states > 0  # a step ends at every state but the first
     passed = t.reactions if step is None else reactions(t, states[ended] - 1)
-    parts = []
+    labels, parts = list[tuple[str, str, str]](), list[Array]()
     for name, moved in found.items():
         count = max((values.shape[1] for values in moved.values()), default=1)
         for k, own in enumerate(_named(t, name, count)):
@@ -185,12 +185,13 @@ def joint_columns(trajectory: Trajectory, pattern: str, step: int | None) -> tup
                     rows = ended if len(values) == t.steps else states >= 0
                     part[rows, column] = values[states[rows] - (len(values) == t.steps), k]
             part[ended, len(COORDINATE) :] = passed[name]
-            parts.append((name, *own, part))
+            labels.append((name, *own))
+            parts.append(part)
     at = np.repeat(states, len(parts))
     out: Columns = {"step": at, "t": t.t[at]}
-    for place, column in enumerate(("joint", "coordinate", "unit")):
-        out[column] = np.tile([part[place] for part in parts], states.size)
-    values = np.stack([part for *_, part in parts], axis=1).reshape(len(at), -1)
+    for column, words in zip(("joint", "coordinate", "unit"), zip(*labels, strict=True), strict=True):
+        out[column] = np.tile(words, states.size)
+    values = np.stack(parts, axis=1).reshape(len(at), -1)
     out |= dict(zip(UNITS, values.T, strict=True))
     out["limit"] = out["limit"] / (t.dt * t.every)
     return out, UNITS
