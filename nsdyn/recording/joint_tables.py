@@ -189,8 +189,8 @@ def joint_columns(trajectory: Trajectory, pattern: str, step: int | None) -> tup
             parts.append(part)
     at = np.repeat(states, len(parts))
     out: Columns = {"step": at, "t": t.t[at]}
-    for column, words in zip(("joint", "coordinate", "unit"), zip(*labels, strict=True), strict=True):
-        out[column] = np.tile(words, states.size)
+    for label, words in zip(("joint", "coordinate", "unit"), zip(*labels, strict=True), strict=True):
+        out[label] = np.tile(words, states.size)
     values = np.stack(parts, axis=1).reshape(len(at), -1)
     out |= dict(zip(UNITS, values.T, strict=True))
     out["limit"] = out["limit"] / (t.dt * t.every)
