@@ -33,6 +33,7 @@ from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 from nsdyn.tools.workers import Worker
+from nsdyn.view import panels
 
 __all__ = ["PEERS", "Profile", "Run", "measure", "write_csv"]
 
@@ -178,12 +179,12 @@ class Profile:
             x = np.sort(self.ratios[:, k])
             x = x[np.isfinite(x)]
             y = np.arange(x.size + 1) / len(self.problems)
-            look = {"ls": ("-", "--", ":", "-.")[k // 10 % 4], "lw": 1.0 if name.startswith(tuple(PEERS)) else 2.0}
+            look = panels.look(k) | {"lw": 1.0 if name.startswith(tuple(PEERS)) else 1.6}
             axes.step(np.r_[1.0, x, end], np.r_[y, y[-1]], where="post", label=name, **look)
         axes.set(xscale="log", xlim=(1.0, end), ylim=(0.0, 1.02), title=f"tol {self.tol:g}")
         axes.set(xlabel="τ: time over the best time", ylabel="ρ(τ): fraction of the problems")
         if legend:
-            axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+            axes.legend(fontsize="small", frameon=False, handlelength=2.6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return axes
 
 

@@ -17,7 +17,7 @@ from nsdyn.tools.table import matching
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["JointMotion", "LoopReaction", "coordinates", "joint", "joint_columns", "loop", "position_unit"]
+__all__ = ["JointMotion", "LoopReaction", "coordinates", "joint", "joint_columns", "loop"]
 
 UNITS = {
     "position": "rad or m",
@@ -149,16 +149,19 @@ def loop(trajectory: Trajectory, name: str) -> LoopReaction:
     return LoopReaction(name, found[:, :3], found[:, 3:])
 
 
-def position_unit(trajectory: Trajectory, name: str, coordinate: int) -> str:
-    """Unit of a coordinate of a joint, rad or m; empty for quaternions, cosines and what a recording does not tell."""
+def _named(trajectory: Trajectory, name: str, count: int) -> list[tuple[str, str]]:
+    """Name and unit of each coordinate of a joint: along and about axes or a number, without one if it is the only one.
+
+    The unit is empty for quaternions, cosines and what a recording does not tell.
+    """
     told = [joint for a in trajectory.scene["articulations"] for joint in a.get("model", {}).get("joints", ())]
     names = link_names.joints(trajectory.scene)
-    kind = told[names.index(name)]["kind"].removeprefix("JointModel") if len(told) == len(names) else ""
-    if kind in ("FreeFlyer", "Planar"):
-        return "m" if coordinate < {"FreeFlyer": 3, "Planar": 2}[kind] else ""
-    if kind in ("", "Spherical", "Composite"):
-        return ""
-    return "m" if kind.startswith(("P", "Translation")) else "rad"
+    known = len(told) == len(names) and name in names
+    kind = told[names.index(name)]["kind"].removeprefix("JointModel") if known else ""
+    if kind in AXES:
+        return list(AXES[kind].items())
+    unit = "" if kind in ("", "Composite") else "m" if kind.startswith("P") else "rad"
+    return [(str(k + 1) if count > 1 else "", unit) for k in range(count)]
 
 
 def joint_columns(trajectory: Trajectory, pattern: str, step: int | None) -> tuple[Columns, dict[str, str]]:
@@ -171,9 +174,10 @@ def joint_columns(trajectory: Trajectory, pattern: str, step: int | None) -> tup
     states = np.arange(t.steps + 1) if step is None else np.array([step])
     ended = states > 0  # a step ends at every state but the first
     passed = t.reactions if step is None else reactions(t, states[ended] - 1)
-    parts = []
+    labels, parts = list[tuple[str, str, str]](), list[Array]()
     for name, moved in found.items():
-        for k in range(max((values.shape[1] for values in moved.values()), default=1)):
+        count = max((values.shape[1] for values in moved.values()), default=1)
+        for k, own in enumerate(_named(t, name, count)):
             part = np.full((states.size, len(COORDINATE) + 6), np.nan)
             for column, what in enumerate(COORDINATE):
                 values = moved.get(what, np.empty((0, 0)))
@@ -181,12 +185,13 @@ def joint_columns(trajectory: Trajectory, pattern: str, step: int | None) -> tup
                     rows = ended if len(values) == t.steps else states >= 0
                     part[rows, column] = values[states[rows] - (len(values) == t.steps), k]
             part[ended, len(COORDINATE) :] = passed[name]
-            parts.append((name, k + 1, part))
-    at, count = np.repeat(states, len(parts)), states.size
-    out: Columns = {"step": at, "t": t.t[at], "joint": np.tile([name for name, _, _ in parts], count)}
-    out["coordinate"] = np.tile([k for _, k, _ in parts], count)
-    out["unit"] = np.tile([position_unit(t, name, k - 1) if name in joints else "" for name, k, _ in parts], count)
-    values = np.stack([part for _, _, part in parts], axis=1).reshape(len(at), -1)
+            labels.append((name, *own))
+            parts.append(part)
+    at = np.repeat(states, len(parts))
+    out: Columns = {"step": at, "t": t.t[at]}
+    for label, words in zip(("joint", "coordinate", "unit"), zip(*labels, strict=True), strict=True):
+        out[label] = np.tile(words, states.size)
+    values = np.stack(parts, axis=1).reshape(len(at), -1)
     out |= dict(zip(UNITS, values.T, strict=True))
     out["limit"] = out["limit"] / (t.dt * t.every)
     return out, UNITS
@@ -194,3 +199,14 @@ def joint_columns(trajectory: Trajectory, pattern: str, step: int | None) -> tup
 
 COORDINATE = "position", "velocity", "torque", "limit_impulse", "friction", "external", "shift"
 """What every coordinate of a joint has."""
+
+AXES = {
+    "FreeFlyer": {**dict.fromkeys("xyz", "m"), **dict.fromkeys(("rx", "ry", "rz", "rw"), "")},
+    "Spherical": dict.fromkeys(("rx", "ry", "rz", "rw"), ""),
+    "Planar": {"x": "m", "y": "m", "rz": "", "rw": ""},
+    "Translation": dict.fromkeys("xyz", "m"),
+    "SphericalZYX": dict.fromkeys(("rz", "ry", "rx"), "rad"),
+}
+"""Coordinates of joints that have several, with their units: along and about axes.
+
+The place of a rotation is a quaternion, of a planar one its cosine and sine. Velocities are in axes of the child."""

@@ -130,9 +130,10 @@ class Trajectory:
 
             bodies : a moving body or link in a state. x, y, z, quaternion qx to qw, v, omega, speed as of `body`; mass
                 and kinetic energy, of all that a joint carries in the row of its first link; contact force on it.
-            joints : a coordinate of a joint, or a loop, in a state. unit of the position, position (angle), velocity,
-                torque, limit (force of it), friction, external, shift and the reaction on the child about the joint's
-                origin, of a loop on the link of its first frame, as of `joint` and `loop`.
+            joints : a coordinate of a joint (x, y, z, rx, ... of a free one; empty of an only one), or a loop, in a
+                state. unit of the position, position (angle), velocity, torque, limit (force of it), friction,
+                external, shift and the reaction on the child about the joint's origin, of a loop on the link of its
+                first frame, as of `joint` and `loop`.
             pairs : two bodies that ever touch, in a step. state and gap as of `pair`, NaN where apart; slip, the
                 largest after the step of a contact that pushes; normal_force, the sum over the contacts;
                 friction_force, the size of their net friction; force on body 2; work on both.

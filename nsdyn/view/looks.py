@@ -41,7 +41,7 @@ def visual_commands(scene: Json) -> list[Json]:
             matrix = by_columns(np.array(visual["placement"]))
             commands.append(set_object(look_path(scene, k), {"type": "Group", "matrix": matrix, "children": [node]}))
         else:
-            commands.append(set_object(look_path(scene, k), solid(visual, rgba, DETAIL, 1.0)))
+            commands.append(set_object(look_path(scene, k), solid(visual, rgba, DETAIL, marked=False)))
     return commands
 
 

@@ -254,7 +254,7 @@ def looks(numbers: Mapping[str, int]) -> dict[str, dict[str, Any]]:
     Numbers are those of the page's colours, so that what is one colour there is no other here unless it has to be.
     """
     own = dict[int, str]()
-    for name, k in numbers.items():
+    for name, k in sorted(numbers.items(), key=lambda item: item[1]):
         own.setdefault(k % len(PALETTE), name)
     first, free = {name: k for k, name in own.items()}, (k for k in count() if k not in own)
     return {name: look(first[name] if name in first else next(free)) for name in numbers}

@@ -29,6 +29,9 @@ NAMED = len(PALETTE)
 NEGLIGIBLE = 1e-9
 """Works of this part of the largest energy are left out, as on the page."""
 
+APART = 5e-3
+"""Of the height of a stack, what two lines have to be apart to be seen as two."""
+
 SIDES = " | "
 """Between the names of two bodies."""
 
@@ -229,14 +232,18 @@ def _joint(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _joints(trajectory: Trajectory, name: str) -> tuple[dict[str, tuple[Table, Any]], Shown]:
-    """Coordinates by their unit, with the name of that of every row, and how they are shown."""
+    """Coordinates by their unit, with the name of that of every row, and how they are shown: as what they carry is."""
     table = tabulated(trajectory, "joints", name)
-    several = set(table["joint"][table["coordinate"] > 1].tolist())
     pairs = zip(table["joint"].tolist(), table["coordinate"].tolist(), strict=True)
-    key = np.array([f"{joint} {k}" if joint in several else joint for joint, k in pairs], dtype=object)
+    key = np.array([f"{joint} {axis}".rstrip() for joint, axis in pairs], dtype=object)
     tables = {unit: (table[own], key[own]) for unit in UNITS if (own := table["unit"] == unit).any()}
     most = {n for one in tables.values() for n in _most(*one, "position", size=np.ptp)}
-    return tables, _shown(_numbered(key[np.isin(table["unit"], list(UNITS))]), most)
+    frames, carrier = trajectory.scene["frames"], dict(zip(key.tolist(), table["joint"].tolist(), strict=True))
+    numbers = {
+        n: frames.index(carrier[n]) if carrier[n] in frames else len(frames) + k
+        for n, k in _numbered(key[np.isin(table["unit"], list(UNITS))]).items()
+    }
+    return tables, _shown(numbers, most)
 
 
 def _phase(trajectory: Trajectory, name: str) -> list[Panel]:
@@ -269,11 +276,11 @@ def _energy(trajectory: Trajectory, name: str) -> list[Panel]:
         for name, (word, height) in heights.items()
         if name == "kinetic" or np.abs(height).max() > least
     ]
-    put_in = so_far("external") + so_far("constraint")
     total = np.sum([c.y for c in areas], axis=0)
     curves = [Curve("sum", t, total, {"color": "k", "lw": 1.2})]
-    if np.abs(put_in).max() > least or np.abs(total - total[0]).max() > 1e-3 * max(total.max(), least):
-        curves.append(Curve("sum, as it ought to be", t, total[0] + put_in, {"color": "k", "ls": "--", "lw": 0.8}))
+    ought = total[0] + so_far("external") + so_far("constraint")
+    if np.abs(total - ought).max() > APART * max(total.max(), least):
+        curves.append(Curve("sum, as it ought to be", t, ought, {"color": "k", "ls": "--", "lw": 0.8}))
     note = f"at rest: nothing of {with_unit(trajectory.largest_energy, 'J')} moves"
     return [Panel("energy [J]", curves, trajectory.largest_energy, areas=areas, note=note)]
 

@@ -20,6 +20,9 @@ FEW = 20
 
 FIXED_COLOUR = (0.62, 0.65, 0.68)
 
+HALF, SECTOR = (np.pi, 0.72), (np.pi / 16, 0.3)
+"""Angle and tone of the part of a round shape that shows how it turns. Half of a flat end would look like a shadow."""
+
 
 def body_path(frame: str) -> str:
     """Path of a moving frame in the page's tree."""
@@ -53,22 +56,21 @@ def shape_commands(scene: Json, view: View) -> list[Json]:
             plane = halfspace_object(np.array(geom["size"]), geom["offset"], colour(geom), view)
             commands.append(set_object(path, plane))
             continue
-        commands.append(set_object(path, solid(geom, colour(geom), detail, 0.72)))
+        commands.append(set_object(path, solid(geom, colour(geom), detail)))
     corners = corner_object(halfspaces(scene["geoms"]), view)  # not those of a recording beside it
     return commands + ([set_object("/nsdyn/corners", corners)] if corners else [])
 
 
-def solid(geom: Json, colour: Iterable[float], detail: int, tone: float) -> Json:
+def solid(geom: Json, colour: Iterable[float], detail: int, marked: bool = True) -> Json:
     """Node of a bounded shape where it is placed: a polytope and its edges, or a round one.
 
-    Half circles have `detail` sides; the second half of a round shape has the colour times `tone`, which shows how it
-    turns.
+    Half circles have `detail` sides; a part of a round shape is darker, if it is `marked`.
     """
-    children = _nodes(geom, colour, detail, tone)
+    children = _nodes(geom, colour, detail, marked)
     return {"type": "Group", "matrix": by_columns(np.array(geom["placement"])), "children": children}
 
 
-def _nodes(geom: Json, colour: Iterable[float], detail: int, tone: float) -> list[Json]:
+def _nodes(geom: Json, colour: Iterable[float], detail: int, marked: bool) -> list[Json]:
     kind, size = geom["shape"], geom["size"]
     if "vertices" in geom:
         return _polytope(np.array(geom["vertices"]), geom["faces"], colour)
@@ -87,17 +89,19 @@ def _nodes(geom: Json, colour: Iterable[float], detail: int, tone: float) -> lis
         profile, scale = arc, np.diag([*size, 1.0])
     else:
         profile = arc * size[0]
+    part, tone = (SECTOR if kind == "cylinder" else HALF) if marked else (0.0, 1.0)
     nodes = []
-    for half, factor in ((0.0, 1.0), (np.pi, tone)):
+    for start, angle, factor in ((part, 2.0 * np.pi - part, 1.0), (0.0, part, tone)):
         points = [{"x": float(x), "y": float(y)} for x, y in profile]
         lathe = {
             "type": "LatheGeometry",
             "points": points,
-            "segments": detail,
-            "phiStart": half,
-            "phiLength": np.pi,
+            "segments": round(detail * angle / np.pi),
+            "phiStart": start,
+            "phiLength": angle,
         }
-        nodes.append(surface(lathe, shaded(colour, factor)) | {"matrix": by_columns(scale @ UPRIGHT)})
+        if angle:
+            nodes.append(surface(lathe, shaded(colour, factor)) | {"matrix": by_columns(scale @ UPRIGHT)})
     return nodes
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array
 from nsdyn.view.commands import Json, as_buffer, as_hex, as_three, by_columns, set_object, set_property, shaded, uuid_of
 
@@ -53,15 +54,17 @@ class View:
         sizes: list[float] = []
         for trajectory in trajectories:
             every = 1 + trajectory.steps // 1000  # enough to see where a body goes
-            positions = [trajectory.body(name).position[::every] for name in trajectory.scene["frames"]]
+            motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
             for geom in (*trajectory.scene["geoms"], *trajectory.scene.get("visuals", ())):
                 if geom["shape"] == "halfspace":
                     continue
-                placement = np.array(geom["placement"])
-                moves = geom["frame"] >= 0
-                points.append(positions[geom["frame"]] if moves else placement[None, :3, 3])
-                ball = _radius(geom) + (float(np.linalg.norm(placement[:3, 3])) if moves else 0.0)
-                reach.append(np.full(len(points[-1]), ball))
+                place, moves = np.array(geom["placement"])[:3, 3], geom["frame"] >= 0
+                if moves:
+                    motion = motions[geom["frame"]]
+                    points.append(motion.position[::every] + rotate(motion.quaternion[::every], place))
+                else:
+                    points.append(place[None])
+                reach.append(np.full(len(points[-1]), _radius(geom)))
                 sizes += [_radius(geom)] * moves
         self.planes = halfspaces(geom for trajectory in trajectories for geom in trajectory.scene["geoms"])
         # Where there is nothing, the unit ball.

@@ -13,6 +13,7 @@ from test_problem import corner_box
 import nsdyn as nd
 from nsdyn.bench import profiles
 from nsdyn.tools.workers import Worker
+from nsdyn.view import panels
 
 HANGS = """
 import sys, time, json
@@ -78,6 +79,7 @@ def test_csv_and_plot(made_up, tmp_path):
     assert made_up.plot(Figure().subplots(), legend=False).get_legend() is None
     axes = made_up.plot(Figure().subplots())
     for line, k in zip(axes.lines, (0, 1), strict=True):
+        assert {"color": line.get_color(), "ls": line.get_linestyle()} == panels.look(k)
         x, y = line.get_data()
         for factor in (1.0, 2.9, 3.1, 4.1):
             assert y[np.searchsorted(x, factor, "right") - 1] == pytest.approx(made_up.rho(factor)[k])

@@ -272,6 +272,26 @@ def test_coordinates_in_two_units_can_be_told_apart():
     figure = drawn(lambda figure: plots.draw(run, "joint", figure=figure))
     looks = {line.get_label(): (line.get_color(), line.get_linestyle()) for ax in figure.axes for line in ax.lines}
     assert len(set(looks.values())) == len(looks) == 15
+    # The page has the colours of frames: of the trunk, and of what the knees carry.
+    for name, frame in (("root_joint x", 0), ("FL_knee", 1), ("FR_knee", 2), ("HL_knee", 3), ("HR_knee", 4)):
+        assert run.scene["frames"][frame].endswith(name.partition(" ")[0]) and looks[name] == (
+            *panels.look(frame).values(),
+        )
+    free = run.table("joints", "*root_joint")
+    assert free["coordinate"][:7].tolist() == ["x", "y", "z", "rx", "ry", "rz", "rw"]
+    assert free["unit"][:7].tolist() == ["m"] * 3 + [""] * 4
+    assert {f"root_joint {axis}" for axis in "xyz"} < looks.keys()
+    assert set(run.table("joints", "*knee")["coordinate"]) == {""}
+
+
+def test_a_line_behind_another_has_no_name(slide):
+    """The sum is what it ought to be where nothing is put in, and where fingers close."""
+    setup = nd.scenes.setup("gripper")
+    closing = nd.simulate(setup.scene, 0.1, **setup.options(dt=5e-3))
+    assert closing.energy.external.sum() > 0.5 * closing.largest_energy
+    for run in (slide, closing):
+        (panel,) = plots.KINDS["energy"](run, "*")
+        assert [c.label for c in panel.curves] == ["sum"]
 
 
 def test_colours_are_those_of_the_page():

@@ -122,6 +122,32 @@ def test_nothing_lies_on_the_scene_or_on_a_control(window, pages, size, count, t
     assert window.run("document.querySelector('.gui li').checkVisibility()")
 
 
+@pytest.mark.parametrize("size", [ZOOMED, LYING])
+def test_two_legends_are_seen_whole(window, pages, size):
+    window.open((pages / "2.html").as_uri() + "#t=0.1", size)
+    window.run("(nsdyn.show(0.1), new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done))))")
+    seen = window.run(
+        "Array.from(document.querySelectorAll('.values')).map(legend => { const box = legend.getBoundingClientRect();"
+        " return Array.from(legend.children).map(e => [e.textContent, e.getBoundingClientRect()])"
+        ".filter(([, {width}]) => width > 0).map(([text, {right, bottom}]) => ["
+        "text, right <= box.right + 1 && bottom <= box.bottom + 1]); })"
+    )
+    assert len(seen) == 2
+    for legend in seen:
+        assert any("sum" in text for text, _ in legend) and all(inside for _, inside in legend), legend
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_the_controls_are_as_bright_as_the_page(window, pages, dark):
+    from PIL import Image
+
+    window.open((pages / "1.html").as_uri() + "#t=0.1", (1280, 800))
+    window.run(f"theme.set({str(dark).lower()}); document.querySelector('.tools .tree').click()")
+    box = "(box => [box.left, box.top, box.right, box.bottom])(document.querySelector('.gui').getBoundingClientRect())"
+    picture = Image.open(io.BytesIO(window.picture())).convert("L").crop(window.run(box))
+    assert (np.asarray(picture).mean() < 100) == dark
+
+
 def test_targets_are_large_under_fingers_in_any_window(window, pages):
     window.open((pages / "1.html").as_uri() + "#t=0", (1280, 800))
     least = (

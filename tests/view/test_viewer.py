@@ -15,6 +15,7 @@ import umsgpack
 import nsdyn as nd
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.view import marks, payload, solids, stage, viewer
+from nsdyn.view.commands import as_hex
 
 OCTAHEDRON = [(-1, 0, 0), (1, 0, 0), (0, -2, 0), (0, 2, 0), (0, 0, -3), (0, 0, 3)]
 FLOATS = 0x17  # Float32Array in the viewer's MessagePack dialect
@@ -156,7 +157,7 @@ def extent(object_):
             if geometry["type"] == "LatheGeometry":
                 profile = np.array([(p["x"], p["y"]) for p in geometry["points"]])
                 r, y = profile.T
-                turn = np.linspace(0, np.pi, geometry["segments"] + 1) + geometry["phiStart"]
+                turn = np.linspace(0, geometry["phiLength"], geometry["segments"] + 1) + geometry["phiStart"]
                 x, z = np.outer(np.sin(turn), r), np.outer(np.cos(turn), r)
                 x = np.stack([x, np.broadcast_to(y, x.shape), z], axis=-1).reshape(-1, 3)
             else:
@@ -168,6 +169,18 @@ def extent(object_):
     walk(object_["object"], np.eye(4))
     points = np.concatenate(points)
     return points.min(axis=0), points.max(axis=0)
+
+
+def test_a_coin_has_a_dark_sector_that_is_no_shadow():
+    """Small, and darker than any shadow on it."""
+    coin = {"shape": "cylinder", "size": (0.1, 0.01), "placement": np.eye(4)}
+    rest, sector = solids.solid(coin, (0.3, 0.6, 0.9), 32)["children"]
+    angles = [node["geometry"]["phiLength"] for node in (rest, sector)]
+    assert sum(angles) == pytest.approx(2 * np.pi) and 0 < angles[1] < np.radians(15)
+    assert sum(node["geometry"]["segments"] for node in (rest, sector)) == 64
+    assert sector["material"]["color"] == as_hex(0.3 * np.array([0.3, 0.6, 0.9]))
+    (plain,) = solids.solid(coin, (0.3, 0.6, 0.9), 32, marked=False)["children"]
+    assert plain["geometry"]["phiLength"] == pytest.approx(2 * np.pi)
 
 
 @pytest.mark.parametrize(
@@ -238,6 +251,14 @@ def test_camera_sees_everything_and_is_outside(falling):
     slope = math.tan(math.radians(stage.FIELD_OF_VIEW / 2))
     assert (np.abs(x @ up) < slope * (x @ forward)).all()
     assert (np.abs(x @ right) < 4 / 3 * slope * (x @ forward)).all()
+
+
+def test_camera_is_as_near_as_the_shapes_are():
+    """A shape far from the origin of its link is where it is, not anywhere around that."""
+    scene = nd.scenes.load("gripper")()
+    view = stage.View([nd.simulate(scene, 0.01, dt=5e-3)])
+    assert view.radius < 0.25  # m; of the palm, 0.2 m wide, and the fingers below, 0.16 m high
+    assert (view.centre[:2] == pytest.approx([0.0, 0.0], abs=0.01)) and 0.06 < view.centre[2] < 0.16
 
 
 def test_meshcat_itself_is_not_loaded():
