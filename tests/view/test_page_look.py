@@ -3,12 +3,13 @@
 import io
 import re
 import time
+from functools import partial
 
 import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn.view import browser, viewer
+from nsdyn.view import browser
 
 pytestmark = pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 
@@ -21,15 +22,9 @@ def sliding():
 
 
 @pytest.fixture
-def opened(window, tmp_path):
-    """Function that opens the page of a recording in a window of a size."""
-
-    def open_(trajectory, size=SIZE, **options):
-        viewer.write_html(trajectory, tmp_path / "page.html", **options)
-        window.open((tmp_path / "page.html").as_uri() + "#t=0.1", size)
-        return window
-
-    return open_
+def opened(opened):
+    """Function that opens the page of a recording at 0.1 s."""
+    return partial(opened, size=SIZE, at="#t=0.1")
 
 
 def reloaded(page):
