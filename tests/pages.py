@@ -37,9 +37,14 @@ BACK = f"""
   return {STATE.strip()};
 }})(nsdyn, opening)
 """
-OPENING = """
-window.opening = {t: nsdyn.clock.t, pressed: Array.from(
-  document.querySelectorAll(".tools [aria-pressed]"), button => button.getAttribute("aria-pressed"))}
+OPENING = f"""
+(async () => {{
+  const pressed = Array.from(document.querySelectorAll(".tools [aria-pressed]"), b => b.getAttribute("aria-pressed"));
+  window.opening = {{t: nsdyn.clock.t, pressed}};
+  nsdyn.show(opening.t);
+  await {RESTED};
+  return {STATE.strip()};
+}})()
 """
 
 
@@ -65,7 +70,5 @@ class Opener:
         self.key = None
         if at.startswith("#t="):
             self.key = key
-            self.window.run(OPENING)
-            self.window.run(RESTED)
-            self.state = self.window.run(STATE)
+            self.state = self.window.run(OPENING)
         return self.window

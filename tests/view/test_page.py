@@ -215,6 +215,24 @@ def test_all_that_moves_is_in_the_picture_of_every_window(opened, falling):
             assert 0.8 < reach.max() < 1.0, (size, preset)  # all in it, and it is not empty
 
 
+def test_forces_at_the_edge_of_their_cone_are_red(opened, sliding):
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))
+    resting = nd.simulate(scene, 0.1, dt=1e-2)
+    drawn = {}
+    for trajectory in (resting, sliding):
+        page = opened(trajectory)
+        click_on(page, ".tools .cones")
+        show(page, 0.1)
+        drawn[trajectory] = [
+            pixels(page, "r > 180 && g < 60 && b < 90 && a > 200"),  # red
+            pixels(page, "r < 60 && g < 70 && b < 80 && a > 200"),  # dark
+        ]
+    assert drawn[sliding][0] > 20 and drawn[sliding][1] == 0
+    assert drawn[resting][0] == 0 and drawn[resting][1] > 20
+
+
 def test_energies_are_those_of_the_ledger_and_their_sum_is_flat(opened, sliding):
     page = opened(sliding)
     e, k = sliding.energy, 100
@@ -242,6 +260,7 @@ def test_energies_are_those_of_the_ledger_and_their_sum_is_flat(opened, sliding)
 
 def test_power_is_what_each_step_took(opened, sliding):
     page = opened(sliding)
+    assert page.run("getComputedStyle(document.querySelector('.tools')).display") == "flex"
     click_on(page, ".power")
     k = 101
     show(page, sliding.t[k])
@@ -438,24 +457,6 @@ def test_the_scrubber_is_a_slider(opened, sliding):
     assert page.run("document.querySelector('.scrubber').getAttribute('aria-valuetext')") == "0.500 s of 0.5 s"
 
 
-def test_forces_at_the_edge_of_their_cone_are_red(opened, sliding):
-    scene = nd.Scene()
-    scene.add_halfspace("ground")
-    scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))
-    resting = nd.simulate(scene, 0.1, dt=1e-2)
-    drawn = {}
-    for trajectory in (sliding, resting):
-        page = opened(trajectory)
-        click_on(page, ".tools .cones")
-        show(page, 0.1)
-        drawn[trajectory] = [
-            pixels(page, "r > 180 && g < 60 && b < 90 && a > 200"),  # red
-            pixels(page, "r < 60 && g < 70 && b < 80 && a > 200"),  # dark
-        ]
-    assert drawn[sliding][0] > 20 and drawn[sliding][1] == 0
-    assert drawn[resting][0] == 0 and drawn[resting][1] > 20
-
-
 def test_nothing_is_loaded_and_nothing_goes_wrong(opened, sliding, tmp_path):
     page = opened(sliding)
 
@@ -511,8 +512,6 @@ def test_the_address_points_at_the_time_shown(opened, sliding, window):
 
 
 def test_picture_has_a_clock_and_no_controls(sliding, opened):
-    page = opened(sliding)
-    assert page.run("getComputedStyle(document.querySelector('.tools')).display") == "flex"
     page = opened(sliding, at="#picture")
     hidden = page.run(
         "['.tools', '.below', '#transport', '#notes'].map(s => getComputedStyle(document.querySelector(s)).display)"
@@ -538,7 +537,7 @@ def test_checks_that_are_round_off_are_told(opened):
 
 def test_scale_of_forces(opened, sliding):
     """The bar is as long as an arrow of its force across the middle of the picture."""
-    page = opened(sliding, forces="point")
+    page = opened(sliding, forces=True)
     page.run("document.querySelector('.front').click()")
     show(page, 0.45)
     width = place(page, ".scale.forces .bar")[2]
@@ -550,7 +549,7 @@ def test_scale_of_forces(opened, sliding):
     )
     assert x[1] - x[0] == pytest.approx(width, rel=0.01) and 24 <= width <= 60
     # Of the box, on four points that carry a quarter of its weight each.
-    forces = page.run("(a => Array.from(a['forces/force']).slice(-12))(nsdyn.recordings[0].arrays)")
+    forces = contents(viewer.html(sliding, forces="point"))[1]["forces/force"][-12:]
     np.testing.assert_allclose(np.reshape(forces, (4, 3)), np.tile((0, 0, 2 * 9.81 / 4), (4, 1)), rtol=0, atol=1e-2)
 
 
