@@ -24,18 +24,13 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="1"/>
 </visual><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
 <link name="tool"><visual><origin xyz="0 0 0.5"/><geometry><box size="0.1 0.1 0.1"/></geometry></visual></link>
 <joint name="weld" type="fixed"><parent link="base"/><child link="tool"/></joint></robot>"""
-# It has no visual shape.
-ARM = """<link name="arm"><inertial><mass value="1"/>
-<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
-<collision><geometry><sphere radius="0.05"/></geometry></collision></link><joint name="hinge" type="continuous">
-<parent link="base"/><child link="arm"/><origin xyz="0.2 0 0"/></joint></robot>"""
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
     (folder / "box.stl").write_bytes(fuzz.binary_stl())
-    (folder / "r.urdf").write_text(URDF.replace("</robot>", ARM))
+    (folder / "r.urdf").write_text(URDF)
     scene = nd.Scene()
     scene.add_halfspace("ground", (0, 0, 1), -1.0)
     scene.add_urdf("r", folder / "r.urdf", base="free")
@@ -66,7 +61,7 @@ def test_visual_shapes_or_collision_shapes(run, opened):
     middle = page.run("nsdyn.panes[0].stage.project([-0.05, 0.1, 0.15])")
     at = f"nsdyn.panes[0].stage.pick({middle[0]}, {middle[1]})"
     assert page.run(f"nsdyn.recordings[0].bodies[{at}].name") == "r/base"
-    assert page.run("nsdyn.recordings[0].bodies.map(b => b.name)") == ["ground", "r/base", "r/arm", "r/tool"]
+    assert page.run("nsdyn.recordings[0].bodies.map(b => b.name)") == ["ground", "r/base", "r/tool"]
     normals = page.run(
         "(() => { let n; nsdyn.panes[0].stage.looks[0].traverse(o => { if (o.isMesh) "
         "n = Array.from(o.geometry.attributes.normal.array); }); return n; })()"
@@ -90,15 +85,6 @@ def test_meshes_do_not_lie_in_their_own_shadows(run, opened):
         " out.push([o.material.side, o.material.shadowSide]); }); return out; })()"
     )
     assert sides == [page.run("[MeshCat.THREE.DoubleSide, MeshCat.THREE.BackSide]")]
-
-
-@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
-def test_links_that_have_no_visual_shape_show_their_collision_shape(run, opened):
-    page = opened(run, (1280, 720))
-    shown = "nsdyn.panes[0].stage.shapes.map(node => node.visible)"
-    assert page.run(shown) == [True, False, True]  # of the ground, the base, which has a visual shape, and the arm
-    page.run("document.querySelector('.tools .collision').click()")
-    assert page.run(shown) == [True, True, True]
 
 
 def ball(share):
@@ -173,3 +159,20 @@ def test_all_buttons_there_can_be_have_one_row(run, opened):
         tops = page.run("Array.from(document.querySelectorAll('#tools button'), b => b.getBoundingClientRect().top)")
         assert len(tops) == 17 and max(tops) - min(tops) < 1, size
         assert page.run("document.getElementById('dock').clientHeight < 50 * innerWidth / 1280"), size
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_links_that_have_no_visual_shape_show_their_collision_shape(tmp_path, opened):
+    arm = """<link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+    </inertial><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
+    <joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/><origin xyz="1 0 0"/>
+    </joint></robot>"""
+    (tmp_path / "box.stl").write_bytes(fuzz.binary_stl())
+    (tmp_path / "r.urdf").write_text(URDF.replace("</robot>", arm))
+    scene = nd.Scene()
+    scene.add_urdf("r", tmp_path / "r.urdf", base="free")
+    page = opened(nd.simulate(scene, 0.02, dt=0.01), (640, 360))
+    shown = "nsdyn.panes[0].stage.shapes.map(node => node.visible)"
+    assert page.run(shown) == [False, True]  # of the base, which has a visual shape, and of the arm
+    page.run("document.querySelector('.tools .collision').click()")
+    assert page.run(shown) == [True, True]
