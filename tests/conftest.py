@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+import pages
 import pytest
 
 import nsdyn as nd
@@ -32,6 +33,12 @@ def window():
     """A headless browser: one of all tests of a process, each of which opens its own page."""
     with browser.browsing() as page:
         yield page
+
+
+@pytest.fixture(scope="session")
+def opened(window, tmp_path_factory):
+    """Function that opens the page of a recording, at its beginning and paused, in a window of a size."""
+    return pages.Opener(window, tmp_path_factory.mktemp("pages"))
 
 
 def drift(trajectory: nd.Trajectory) -> float:

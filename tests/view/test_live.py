@@ -46,7 +46,8 @@ def test_a_window_follows_a_stepper(stepper, window, tmp_path):
         assert window.run(PLACES) == start  # the last picture is not over yet
         live._next = 0.0
         live.show(step)
-        window.run(SOON.replace("CONDITION", f"{PLACES.strip()}[0][2] < 1.99"))
+        moved = f"{PLACES.strip()}.every((place, k) => place.join() !== {start}[k].join())"
+        window.run(SOON.replace("CONDITION", moved))
         poses = np.column_stack([step.frames_x, step.frames_quat])
         np.testing.assert_allclose(window.run(PLACES), poses, rtol=0, atol=1e-9)
         assert np.abs(poses - start).max(axis=1).min() > 1e-2  # all of them moved

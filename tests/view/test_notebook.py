@@ -134,24 +134,24 @@ def test_tables_of_objects(run):
     assert shown(solution)[6:] == ["1", "-0.2", "0", "0", "0", "0"]
 
 
-def test_a_trajectory_plays_in_its_cell(run, tmp_path, monkeypatch):
+def test_a_trajectory_plays_in_its_cell(run, tmp_path, monkeypatch, request):
     shown = run._repr_html_()
     assert len(shown) < embedding.LARGEST and Cells(shown).open == []
     if browser.chromium():
         path = tmp_path / "notebook.html"
         path.write_text(f"{shown}<script>window.ready = true</script>")
-        with browser.browsing() as page:
-            page.open(path, (1000, 800))
-            page.run(
-                "new Promise((done, fail) => { const look = () => { const cell = frames[0];"
-                " if (cell.failure) fail(cell.failure); else if (cell.ready) done(); else setTimeout(look, 20); };"
-                " look(); })"
-            )
-            assert page.run("frames[0].nsdyn.clock.playing") is False
-            page.run("frames[0].nsdyn.dock.step(1, false)")
-            assert page.run("frames[0].nsdyn.clock.t") == run.t[1]
-            assert [e for e in page.events if e.get("method") == "Runtime.exceptionThrown"] == []
-            (tmp_path / "notebook.png").write_bytes(page.picture())
+        page = request.getfixturevalue("window")
+        page.open(path, (1000, 800))
+        page.run(
+            "new Promise((done, fail) => { const look = () => { const cell = frames[0];"
+            " if (cell.failure) fail(cell.failure); else if (cell.ready) done(); else setTimeout(look, 20); };"
+            " look(); })"
+        )
+        assert page.run("frames[0].nsdyn.clock.playing") is False
+        page.run("frames[0].nsdyn.dock.step(1, false)")
+        assert page.run("frames[0].nsdyn.clock.t") == run.t[1]
+        assert [e for e in page.events if e.get("method") == "Runtime.exceptionThrown"] == []
+        (tmp_path / "notebook.png").write_bytes(page.picture())
     monkeypatch.setattr(embedding, "LARGEST", 1000)
     assert "<iframe" not in run._repr_html_() and "write it with to_html" in run._repr_html_()
 

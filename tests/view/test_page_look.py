@@ -3,9 +3,12 @@
 import io
 import re
 import time
+from functools import partial
 
 import numpy as np
 import pytest
+from pages import RESTED
+from test_viewer import contents
 
 import nsdyn as nd
 from nsdyn.view import browser, viewer
@@ -21,15 +24,9 @@ def sliding():
 
 
 @pytest.fixture
-def opened(window, tmp_path):
-    """Function that opens the page of a recording in a window of a size."""
-
-    def open_(trajectory, size=SIZE, **options):
-        viewer.write_html(trajectory, tmp_path / "page.html", **options)
-        window.open((tmp_path / "page.html").as_uri() + "#t=0.1", size)
-        return window
-
-    return open_
+def opened(opened):
+    """Function that opens the page of a recording at 0.1 s."""
+    return partial(opened, size=SIZE, at="#t=0.1")
 
 
 def reloaded(page):
@@ -50,21 +47,25 @@ def brightness(page):
     """Mean over a picture, of 255."""
     from PIL import Image
 
-    page.run("(nsdyn.show(0.1), new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done))))")
+    page.run("nsdyn.show(0.1)")
+    page.run(RESTED)
     return float(np.asarray(Image.open(io.BytesIO(page.picture())).convert("L")).mean())
 
 
-@pytest.mark.parametrize("size", [SIZE, (1920, 1080), (390, 844)])
-def test_curves_and_scrubber_have_one_axis(opened, sliding, size):
-    page = opened(sliding, size)
-    for t in (0.0, 0.1, 0.3):
-        places = page.run(
-            f"(({{chart, timeline}}) => [chart.back.getBoundingClientRect().left + chart.x({t}),"
-            f" timeline.canvas.getBoundingClientRect().left + timeline.x({t})])(nsdyn.panes[0])"
-        )
-        assert places[0] == places[1]
-    page.run("nsdyn.panes[0].inspector.body(1)")  # which takes room of the curves, or all of it
-    assert page.run("nsdyn.panes[0].timeline.canvas.checkVisibility()")
+def test_curves_and_scrubber_have_one_axis(opened, sliding):
+    page = opened(sliding)
+    for size in (SIZE, (1920, 1080), (390, 844)):
+        page.resize(size)
+        page.run(RESTED)
+        for t in (0.0, 0.1, 0.3):
+            places = page.run(
+                f"(({{chart, timeline}}) => [chart.back.getBoundingClientRect().left + chart.x({t}),"
+                f" timeline.canvas.getBoundingClientRect().left + timeline.x({t})])(nsdyn.panes[0])"
+            )
+            assert places[0] == places[1], size
+        page.run("nsdyn.panes[0].inspector.body(1)")  # which takes room of the curves, or all of it
+        assert page.run("nsdyn.panes[0].timeline.canvas.checkVisibility()"), size
+        page.run("nsdyn.panes[0].inspector.clear()")
 
 
 def test_text_grows_with_the_window(opened, sliding):
@@ -72,43 +73,22 @@ def test_text_grows_with_the_window(opened, sliding):
     sizes = []
     for size in ((390, 844), SIZE, (1920, 1080), (3840, 2160)):
         page.resize(size)
-        page.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        page.run(RESTED)
         sizes.append(page.run("[parseFloat(getComputedStyle(document.body).fontSize), 13 * theme.unit]"))
     assert np.ravel(sizes) == pytest.approx(np.repeat([13, 13, 16.25, 26], 2), abs=0.1)
 
 
-def test_dark_as_the_system_is_or_as_one_asks(opened, sliding):
-    page = opened(sliding)
-    light = brightness(page)
-    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
-    try:
-        dark = brightness(page)
-        assert light > 190 and dark < 80
-        page.call("Input.dispatchKeyEvent", type="keyDown", key="d")
-        assert brightness(page) == pytest.approx(light, abs=0.5)
-        press(page, "dark")
-        assert brightness(page) == pytest.approx(dark, abs=0.5)
-        assert page.run("document.querySelector('.tools .dark').getAttribute('aria-pressed')") == "true"
-        reloaded(page)  # dark from the beginning
-        assert brightness(page) == pytest.approx(dark, abs=0.5)
-        page.run("history.replaceState = () => {}; location.hash = '#picture'")  # the page writes its time there
-        reloaded(page)  # but pictures are for papers
-        assert brightness(page) > 190
-    finally:
-        page.call("Emulation.setEmulatedMedia", features=[])
-
-
-@pytest.mark.parametrize("dark", [False, True])
-def test_the_grid_is_seen_by_day_and_at_night(opened, sliding, dark):
+def test_the_grid_is_seen_by_day_and_at_night(opened, sliding):
     from PIL import Image
 
     page = opened(sliding)
-    page.run(f"theme.set({str(dark).lower()})")
-    brightness(page)  # drawn at rest
-    picture = np.asarray(Image.open(io.BytesIO(page.picture())).convert("L"), dtype=float)
-    ground = picture[330:450, 20:400]  # without bodies and shadows
-    ink = np.percentile(ground, 0.5 if not dark else 99.5) - np.median(ground)
-    assert abs(ink) > 8.0 and (ink > 0.0) == dark  # levels of 255
+    for dark in (False, True):
+        page.run(f"theme.set({str(dark).lower()})")
+        brightness(page)  # drawn at rest
+        picture = np.asarray(Image.open(io.BytesIO(page.picture())).convert("L"), dtype=float)
+        ground = picture[330:450, 20:400]  # without bodies and shadows
+        ink = np.percentile(ground, 0.5 if not dark else 99.5) - np.median(ground)
+        assert abs(ink) > 8.0 and (ink > 0.0) == dark, dark  # levels of 255
 
 
 def test_front_side_and_top_are_parallel(opened, sliding):
@@ -140,17 +120,6 @@ def test_dots_behind_bodies_fade(opened, sliding):
     assert [h for *_, h in page.run(hidden)] == [False] * 4
 
 
-def test_open_contacts_are_shown_if_one_asks(opened):
-    page = opened(nd.simulate(nd.scenes.load("bounce")(), 0.48, dt=1e-3))
-    page.run("nsdyn.show(nsdyn.dock.impacts[0].t + 0.002)")
-    count = "[nsdyn.panes[0].overlay.counts[0], nsdyn.panes[0].overlay.placed.length]"
-    contacts, dots = page.run(count)
-    assert dots == page.run("nsdyn.panes[0].overlay.contacts.length") - contacts
-    press(page, "open")
-    page.run("nsdyn.show(nsdyn.clock.t)")
-    assert page.run("nsdyn.panes[0].overlay.placed.length") == dots + contacts
-
-
 def test_every_step_can_be_stepped_through(opened, sliding):
     """What friction takes in each step, of which a page of 30 states a second knows ten."""
     page = opened(sliding)
@@ -162,8 +131,7 @@ def test_every_step_can_be_stepped_through(opened, sliding):
         taken = page.run("nsdyn.panes[0].plot.values('power', nsdyn.clock.t).find(row => row[0] === 'friction')[2]")
         # Differences of sums so far in single precision, of 2 J over 1 ms.
         assert taken == pytest.approx(-sliding.energy.friction[k - 1] / sliding.dt, rel=1e-3)
-    few = opened(sliding, fps=30)
-    assert few.run("nsdyn.dock.states.length") == 10
+    assert contents(viewer.html(sliding, fps=30))[1]["t"].size == 10
 
 
 def test_round_off_is_nothing(opened, sliding):
@@ -187,7 +155,7 @@ def test_angles_have_no_prefix(opened, sliding):
     assert shown == ["3.788·10⁻⁴ rad", "−0.01234 rad/s", "2·10⁻⁵ rad", "20.00 µm"]
 
 
-def test_motion_of_bodies_and_joints(opened, sliding):
+def test_motion_of_bodies(opened, sliding):
     page = opened(sliding)
     press(page, "motion")
     rows = page.run("nsdyn.panes[0].plot.values('motion', 0.1)")
@@ -196,6 +164,64 @@ def test_motion_of_bodies_and_joints(opened, sliding):
     assert [row[2] for row in rows] == pytest.approx([speed, 0.1], rel=1e-4)  # 15 bits
     low, high = page.run("nsdyn.panes[0].chart.lanes.map(({low, high}) => [low, high])[1]")
     assert low == 0.0 and 0.1 < high < 0.11  # it stays at its height, of which round-off is no picture
+
+
+def test_scenes_without_visuals_have_no_choice(opened, sliding):
+    assert opened(sliding).run("document.querySelector('.tools .collision')") is None
+
+
+def test_without_webgl_the_curves_show(opened, sliding):
+    broken = (
+        "(get => { HTMLCanvasElement.prototype.getContext = function (kind, ...more) {"
+        " return kind.includes('webgl') ? null : get.call(this, kind, ...more); }; })"
+        "(HTMLCanvasElement.prototype.getContext)"
+    )
+    page = opened(sliding)
+    script = page.call("Page.addScriptToEvaluateOnNewDocument", source=broken)["identifier"]
+    reloaded(page)
+    page.call("Page.removeScriptToEvaluateOnNewDocument", identifier=script)
+    assert "draws no 3D picture" in page.run("document.querySelector('.view').textContent")
+    page.run("nsdyn.show(0.2)")
+    plot = page.run("document.querySelector('.curves .plot').getBoundingClientRect().height")
+    assert plot > 0.4 * SIZE[1] and "friction took 1.4" in page.run("document.querySelector('.values').textContent")
+    for button in ("power", "motion", "checks", "front", "contacts", "forces", "cones", "tree", "dark"):
+        press(page, button)
+    assert page.run("window.failure") is None
+
+
+def test_dark_as_the_system_is_or_as_one_asks(opened, sliding):
+    page = opened(sliding, size=(640, 360))
+    light = brightness(page)
+    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    try:
+        dark = brightness(page)
+        assert light > 190 and dark < 80
+        page.call("Input.dispatchKeyEvent", type="keyDown", key="d")
+        assert brightness(page) == pytest.approx(light, abs=0.5)
+        press(page, "dark")
+        assert brightness(page) == pytest.approx(dark, abs=0.5)
+        assert page.run("document.querySelector('.tools .dark').getAttribute('aria-pressed')") == "true"
+        reloaded(page)  # dark from the beginning
+        assert brightness(page) == pytest.approx(dark, abs=0.5)
+        page.run("history.replaceState = () => {}; location.hash = '#picture'")  # the page writes its time there
+        reloaded(page)  # but pictures are for papers
+        assert brightness(page) > 190
+    finally:
+        page.call("Emulation.setEmulatedMedia", features=[])
+
+
+def test_open_contacts_are_shown_if_one_asks(opened):
+    page = opened(nd.simulate(nd.scenes.load("bounce")(), 0.48, dt=1e-3))
+    page.run("nsdyn.show(nsdyn.dock.impacts[0].t + 0.002)")
+    count = "[nsdyn.panes[0].overlay.counts[0], nsdyn.panes[0].overlay.placed.length]"
+    contacts, dots = page.run(count)
+    assert dots == page.run("nsdyn.panes[0].overlay.contacts.length") - contacts
+    press(page, "open")
+    page.run("nsdyn.show(nsdyn.clock.t)")
+    assert page.run("nsdyn.panes[0].overlay.placed.length") == dots + contacts
+
+
+def test_motion_of_joints(opened):
     drive = {"cart_pole": np.array([3.0, 0.1])}
     run = nd.simulate(nd.scenes.load("cart_pole")(), 0.2, dt=1e-2, controller=lambda t, q, v: drive)
     page = opened(run)
@@ -207,9 +233,6 @@ def test_motion_of_bodies_and_joints(opened, sliding):
     assert {"angle [rad]", "torque [N·m]", "position [m]", "force [N]"} == set(units)
     page.run("nsdyn.panes[0].inspector.body(nsdyn.recordings[0].bodies.findIndex(b => b.joint?.name === 'pole'))")
     assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == ["pole angle", "pole torque"]
-    page = opened(nd.simulate(nd.scenes.load("double_pendulum")(), 0.1, dt=1e-2))
-    press(page, "motion")
-    assert page.run("nsdyn.panes[0].chart.lanes.map(lane => lane.unit)") == ["angle [rad]"]  # nothing drives it
 
 
 def test_many_plots_have_more_room(opened):
@@ -263,6 +286,7 @@ def test_a_joint_that_carries_several_links_has_one_curve(opened, tmp_path):
     press(page, "motion")
     one = ["shoulder angle"]
     assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == one
+    assert page.run("nsdyn.panes[0].chart.lanes.map(lane => lane.unit)") == ["angle [rad]"]  # nothing drives it
     page.run("nsdyn.panes[0].inspector.body(nsdyn.recordings[0].bodies.findIndex(b => b.name === 'r/hand'))")
     assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == one
 
@@ -287,7 +311,7 @@ def test_nothing_is_written_over_the_curves(opened, falling_row):
 
 
 def test_a_lone_number_on_an_axis_is_that_of_its_line(opened, falling_row):
-    page = opened(falling_row, (1280, 480))
+    page = opened(falling_row)
     words = (
         "(() => { const seen = [], draw = CanvasRenderingContext2D.prototype.fillText;"
         " CanvasRenderingContext2D.prototype.fillText = function (text) { seen.push(text); };"
@@ -296,25 +320,6 @@ def test_a_lone_number_on_an_axis_is_that_of_its_line(opened, falling_row):
         " CanvasRenderingContext2D.prototype.fillText = draw; return seen; })()"
     )
     assert "0.020" in page.run(words) or "0.02" in page.run(words)
-
-
-def test_without_webgl_the_curves_show(opened, sliding):
-    broken = (
-        "(get => { HTMLCanvasElement.prototype.getContext = function (kind, ...more) {"
-        " return kind.includes('webgl') ? null : get.call(this, kind, ...more); }; })"
-        "(HTMLCanvasElement.prototype.getContext)"
-    )
-    page = opened(sliding)
-    script = page.call("Page.addScriptToEvaluateOnNewDocument", source=broken)["identifier"]
-    reloaded(page)
-    page.call("Page.removeScriptToEvaluateOnNewDocument", identifier=script)
-    assert "draws no 3D picture" in page.run("document.querySelector('.view').textContent")
-    page.run("nsdyn.show(0.2)")
-    plot = page.run("document.querySelector('.curves .plot').getBoundingClientRect().height")
-    assert plot > 0.4 * SIZE[1] and "friction took 1.4" in page.run("document.querySelector('.values').textContent")
-    for button in ("power", "motion", "checks", "front", "contacts", "forces", "cones", "tree", "dark"):
-        press(page, button)
-    assert page.run("window.failure") is None
 
 
 def test_more_than_two_recordings(opened):
@@ -331,12 +336,11 @@ def test_more_than_two_recordings(opened):
     assert page.run(dotted) == [6, 6, 6]  # of two others each: kinetic, potential, friction
 
 
-def test_a_film_has_curves_contacts_and_a_clock(opened, sliding, window, tmp_path):
-    opened(sliding)
-    window.open((tmp_path / "page.html").as_uri() + "#picture&film&curves=power", (640, 360))
+def test_a_film_has_curves_contacts_and_a_clock(opened, sliding):
+    page = opened(sliding, size=(640, 360), at="#picture&film&curves=power")
     shown = "['.plot', '.values', '.scrubber', '.legend', '#clock', '.tools', '#transport', '#notes']"
-    seen = window.run(f"{shown}.map(s => document.querySelector(s).checkVisibility())")
-    assert seen == [True] * 5 + [False] * 3 and window.run("nsdyn.panes[0].kind") == "power"
+    seen = page.run(f"{shown}.map(s => document.querySelector(s).checkVisibility())")
+    assert seen == [True] * 5 + [False] * 3 and page.run("nsdyn.panes[0].kind") == "power"
     box = "(s => (b => [b.left, b.top, b.right, b.bottom])(document.querySelector(s).getBoundingClientRect()))"
-    clock, view = window.run(f"['#clock', '.view'].map({box})")
+    clock, view = page.run(f"['#clock', '.view'].map({box})")
     assert view[0] < clock[0] and view[1] < clock[1] and clock[2] <= view[2] and clock[3] <= view[3]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pages import RESTED
 
 import nsdyn as nd
 from nsdyn.scene import meshes
@@ -44,48 +45,46 @@ def test_arrays_of_meshes_are_those_of_the_recording(run):
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
-def test_visual_shapes_or_collision_shapes(run, tmp_path, window):
+def test_visual_shapes_or_collision_shapes(run, opened):
     from PIL import Image
 
-    run.to_html(tmp_path / "page.html")
+    page = opened(run, (1280, 720))
 
     def red():
         """Pixels as red as the box."""
-        window.run("nsdyn.show(0)")
-        rgb = np.asarray(Image.open(io.BytesIO(window.picture())).convert("RGB")).astype(int)
+        page.run("nsdyn.show(0)")
+        rgb = np.asarray(Image.open(io.BytesIO(page.picture())).convert("RGB")).astype(int)
         return int(((rgb[..., 0] > 90) & (rgb[..., 1] < 60) & (rgb[..., 2] < 60)).sum())
 
-    window.open((tmp_path / "page.html").as_uri() + "#t=0", (1280, 720))
     assert red() > 3000
     # The corners of the box on the screen, from the middle of its mirrored half: what is clicked there is the link.
-    middle = window.run("nsdyn.panes[0].stage.project([-0.05, 0.1, 0.15])")
+    middle = page.run("nsdyn.panes[0].stage.project([-0.05, 0.1, 0.15])")
     at = f"nsdyn.panes[0].stage.pick({middle[0]}, {middle[1]})"
-    assert window.run(f"nsdyn.recordings[0].bodies[{at}].name") == "r/base"
-    assert window.run("nsdyn.recordings[0].bodies.map(b => b.name)") == ["ground", "r/base", "r/tool"]
-    normals = window.run(
+    assert page.run(f"nsdyn.recordings[0].bodies[{at}].name") == "r/base"
+    assert page.run("nsdyn.recordings[0].bodies.map(b => b.name)") == ["ground", "r/base", "r/tool"]
+    normals = page.run(
         "(() => { let n; nsdyn.panes[0].stage.looks[0].traverse(o => { if (o.isMesh) "
         "n = Array.from(o.geometry.attributes.normal.array); }); return n; })()"
     )
     # Of a box each corner has the normal of its side: no edge is smoothed away.
     assert np.abs(np.reshape(normals, (-1, 3))).max(axis=1) == pytest.approx(1.0, abs=1e-6)
     button = "document.querySelector('.tools .collision')"
-    assert window.run(f"{button}.getAttribute('aria-pressed')") == "false"
-    window.run(f"{button}.click()")
+    assert page.run(f"{button}.getAttribute('aria-pressed')") == "false"
+    page.run(f"{button}.click()")
     assert red() == 0
-    window.run(f"{button}.click()")
+    page.run(f"{button}.click()")
     assert red() > 3000
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
-def test_meshes_do_not_lie_in_their_own_shadows(run, tmp_path, window):
+def test_meshes_do_not_lie_in_their_own_shadows(run, opened):
     """Which would be stripes: what turns away from the light casts the shadows, as of all other bodies."""
-    run.to_html(tmp_path / "page.html")
-    window.open((tmp_path / "page.html").as_uri() + "#t=0", (1280, 720))
-    sides = window.run(
+    page = opened(run, (1280, 720))
+    sides = page.run(
         "(() => { const out = []; nsdyn.panes[0].stage.looks[0].traverse(o => { if (o.isMesh && o.castShadow)"
         " out.push([o.material.side, o.material.shadowSide]); }); return out; })()"
     )
-    assert sides == [window.run("[MeshCat.THREE.DoubleSide, MeshCat.THREE.BackSide]")]
+    assert sides == [page.run("[MeshCat.THREE.DoubleSide, MeshCat.THREE.BackSide]")]
 
 
 def ball(share):
@@ -152,14 +151,18 @@ def test_meshes_are_whole_where_nothing_moves(tmp_path, window):
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
-def test_scenes_without_visuals_have_no_choice(tmp_path, window):
-    nd.simulate(nd.scenes.load("slide")(), 0.02, dt=0.01).to_html(tmp_path / "page.html")
-    window.open((tmp_path / "page.html").as_uri() + "#t=0", (1280, 720))
-    assert window.run("document.querySelector('.tools .collision')") is None
+def test_all_buttons_there_can_be_have_one_row(run, opened):
+    page = opened(run, (1280, 720), beside=run)
+    for size in ((1280, 720), (1280, 1024), (1920, 1080)):
+        page.resize(size)
+        page.run(RESTED)
+        tops = page.run("Array.from(document.querySelectorAll('#tools button'), b => b.getBoundingClientRect().top)")
+        assert len(tops) == 17 and max(tops) - min(tops) < 1, size
+        assert page.run("document.getElementById('dock').clientHeight < 50 * innerWidth / 1280"), size
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
-def test_links_that_have_no_visual_shape_show_their_collision_shape(tmp_path, window):
+def test_links_that_have_no_visual_shape_show_their_collision_shape(tmp_path, opened):
     arm = """<link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
     </inertial><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
     <joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/><origin xyz="1 0 0"/>
@@ -168,19 +171,8 @@ def test_links_that_have_no_visual_shape_show_their_collision_shape(tmp_path, wi
     (tmp_path / "r.urdf").write_text(URDF.replace("</robot>", arm))
     scene = nd.Scene()
     scene.add_urdf("r", tmp_path / "r.urdf", base="free")
-    nd.simulate(scene, 0.02, dt=0.01).to_html(tmp_path / "page.html")
-    window.open((tmp_path / "page.html").as_uri() + "#t=0", (1280, 720))
+    page = opened(nd.simulate(scene, 0.02, dt=0.01), (640, 360))
     shown = "nsdyn.panes[0].stage.shapes.map(node => node.visible)"
-    assert window.run(shown) == [False, True]  # of the base, which has a visual shape, and of the arm
-    window.run("document.querySelector('.tools .collision').click()")
-    assert window.run(shown) == [True, True]
-
-
-@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
-def test_all_buttons_there_can_be_have_one_row(run, tmp_path, window):
-    run.to_html(tmp_path / "page.html", beside=run)
-    for size in ((1280, 720), (1280, 1024), (1920, 1080)):
-        window.open((tmp_path / "page.html").as_uri() + "#t=0", size)
-        tops = window.run("Array.from(document.querySelectorAll('#tools button'), b => b.getBoundingClientRect().top)")
-        assert len(tops) == 17 and max(tops) - min(tops) < 1
-        assert window.run("document.getElementById('dock').clientHeight < 50 * innerWidth / 1280")
+    assert page.run(shown) == [False, True]  # of the base, which has a visual shape, and of the arm
+    page.run("document.querySelector('.tools .collision').click()")
+    assert page.run(shown) == [True, True]
