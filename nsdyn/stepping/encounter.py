@@ -8,7 +8,7 @@ to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is re
     b_N = u_f + c_N + [G > closed or stays] (G - L) / τ     u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
     b_T = u_f + c_T       of a contact that sticks, or stops: slip of the end
         = u⁻ + u_f        of one that slides through: twice the mean slip, exactly
-    b   = u⁻ + u_f        of one that parts (u_k > 0) faster than G closes: it comes back as fast, and takes no energy
+    b_N = u⁻ + u_f        of one that parts (u_k > 0) faster than G closes: it comes back as fast, and gives no energy
 
 where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there; L, less
 than what counts as closed, keeps speeds of contacts that stay from alternating (`left_open`). A gap closes at the

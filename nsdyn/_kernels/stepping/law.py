@@ -221,11 +221,11 @@ def offsets(local, laws, stays, slides, b):
     Normal: u_free + drift, plus the speed at which a gap closes where it is open, or of either sign but for what is
     `left_open` where a row `stays` (rows,), empty for none, minus what is kept of an impact (`rebound`, empty for
     none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip without impulses,
-    where a contact slides through. What parts, at u - drift, and is pressed all the same has twice the mean velocity in
-    all directions, but for what an impact gave: as in Frémond's law no impulse does positive work. `local` is what
-    `local_velocities` gives; laws = (end_gap, restitution, rebound, late, closing), closing = (closed, shallow, ahead,
-    until) as of `Closing`: gaps up to `closed` count as none, those up to `shallow` close just when the next impulses
-    act, `until` seconds later, and others, and those that may rebound, within the step; `late` is that of `Encounter`.
+    where a contact slides through. What parts, at u - drift, and is pressed all the same comes back no faster than it
+    parted, but for what an impact gave: its normal impulse does no positive work. `local` is what `local_velocities`
+    gives; laws = (end_gap, restitution, rebound, late, closing), closing = (closed, shallow, ahead, until) as of
+    `Closing`: gaps up to `closed` count as none, those up to `shallow` close just when the next impulses act, `until`
+    seconds later, and others, and those that may rebound, within the step; `late` is that of `Encounter`.
     """
     u, u_free, drift = local[1], local[2], local[3]
     end_gap, restitution, rebound, late, (closed, shallow, ahead, until) = laws
@@ -241,7 +241,7 @@ def offsets(local, laws, stays, slides, b):
         given = rebound[c] if rebound.size > 0 else 0.0
         parts = not (stays.size > c and stays[c]) and given == 0.0 and ahead * part > closed
         b[i] += (max(close, part) if parts else close) - given
-        if parts or (slides.size > c and slides[c]):
+        if slides.size > c and slides[c]:
             b[i + 1], b[i + 2] = u[i + 1] + u_free[i + 1], u[i + 2] + u_free[i + 2]
         else:
             b[i + 1], b[i + 2] = u_free[i + 1] + drift[i + 1], u_free[i + 2] + drift[i + 2]
