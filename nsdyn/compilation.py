@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from nsdyn._kernels.ahead import helpers
 from nsdyn._kernels.cache import reached
 from nsdyn._kernels.compiled import Kernel, Notes
 from nsdyn._kernels.problem import cones
@@ -20,7 +21,7 @@ from nsdyn.stepping.impacts import LAWS
 from nsdyn.stepping.quiet import ASKS
 from nsdyn.stepping.stepper import Stepper
 
-__all__ = ["EXAMPLES", "noted", "work"]
+__all__ = ["EXAMPLES", "compile_examples", "noted", "work"]
 
 SCENES = (
     *("arm_pushes_box", "bounce", "bricard", "bullet", "euler_disk", "gripper", "quadruped"),
@@ -79,6 +80,22 @@ def noted(group: str) -> list[tuple[Kernel, Any]]:
     finally:
         Kernel.notes = None
     return sorted(notes.calls, key=lambda call: -len(reached(call[0].py_func.__module__)))
+
+
+def compile_examples(group: str) -> None:
+    """Compile what a group of examples needs, with a progress bar on terminals."""
+    from tqdm import tqdm
+
+    others = helpers(group)
+    try:
+        left = noted(group)
+        with tqdm(total=len(left), unit="kernel", disable=None) as bar:
+            for wait in (False, True):
+                left = [(kernel, types) for kernel, types in left if kernel.compile(types, wait) is None]
+                bar.update(bar.total - len(left) - bar.n)
+    finally:
+        for other in others:
+            other.kill()
 
 
 def work(*groups: str) -> None:

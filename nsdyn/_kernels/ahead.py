@@ -26,7 +26,7 @@ _only = ExitStack()
 
 
 @cache
-def _helpers(*groups: str) -> "list[subprocess.Popen[bytes]]":
+def helpers(*groups: str) -> "list[subprocess.Popen[bytes]]":
     """Other processes that compile what groups of the examples in `nsdyn.compilation` need; they outlive this one.
 
     None where another process of the user has some: of many that begin at once only one does.
@@ -42,24 +42,6 @@ def _helpers(*groups: str) -> "list[subprocess.Popen[bytes]]":
     return out
 
 
-def compile_examples(group: str) -> None:
-    """Compile what a group of examples needs, with a progress bar on terminals."""
-    from tqdm import tqdm
-
-    from nsdyn.compilation import noted
-
-    others = _helpers(group)
-    try:
-        left = noted(group)
-        with tqdm(total=len(left), unit="kernel", disable=None) as bar:
-            for wait in (False, True):
-                left = [(kernel, types) for kernel, types in left if kernel.compile(types, wait) is None]
-                bar.update(bar.total - len(left) - bar.n)
-    finally:
-        for other in others:
-            other.kill()
-
-
 _RUNS = "step", "quiet"
 """What a simulation needs; last the kernel of quiet steps, without which runs go on."""
 
@@ -67,7 +49,7 @@ _RUNS = "step", "quiet"
 def _prepare() -> None:
     """Where a simulation compiles, others help."""
     if "nsdyn.stepping.stepper" in sys.modules:
-        _helpers(*_RUNS)
+        helpers(*_RUNS)
 
 
 def _later(file: Path, begin: bool) -> bool:
@@ -75,7 +57,7 @@ def _later(file: Path, begin: bool) -> bool:
     if processes() == 1 or not begin:
         return processes() > 1
     with alone(file, wait=False) as free:
-        return not free or any(helper.poll() is None for helper in _helpers(*_RUNS))
+        return not free or any(helper.poll() is None for helper in helpers(*_RUNS))
 
 
 Kernel.prepare, Kernel.later = _prepare, _later

@@ -86,9 +86,9 @@ def diagnose(arguments: argparse.Namespace) -> int:
 
     wrong = wrong_packages()
     if arguments.compile and not wrong:
-        from nsdyn._kernels import ahead
+        from nsdyn import compilation
 
-        ahead.compile_examples("all")
+        compilation.compile_examples("all")
     packages: dict[str, Any] = {}
     for distribution, module in PACKAGES.items():
         spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server

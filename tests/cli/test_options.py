@@ -98,7 +98,7 @@ def test_no_option_is_left_out():
     ],
 )
 def test_options(folder, monkeypatch, capsys, call):
-    from nsdyn._kernels import ahead
+    from nsdyn import compilation
     from nsdyn.bench import cases
 
     name, *words = call.split()
@@ -109,7 +109,7 @@ def test_options(folder, monkeypatch, capsys, call):
     monkeypatch.chdir(folder)
     monkeypatch.setattr(cases, "STEPS", (0.5,))
     compiled: list[str] = []
-    monkeypatch.setattr(ahead, "compile_examples", compiled.append)
+    monkeypatch.setattr(compilation, "compile_examples", compiled.append)
     code = cli.main([name, *words])
     out, err = capsys.readouterr()
     assert code == 0, err

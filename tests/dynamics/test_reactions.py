@@ -284,7 +284,10 @@ def test_the_table_of_joints():
         t.table("joints", "p/j")
     robot = nd.simulate(nd.scenes.load("quadruped")(), 0.01, 5e-3)
     table, first = robot.table("joints", "*root_joint"), robot.joint("quadruped/root_joint")
-    assert list(table["coordinate"]) == 3 * [*range(1, 8)] and list(table["unit"][:7]) == ["m"] * 3 + [""] * 4
+    assert (
+        list(table["coordinate"]) == 3 * ["x", "y", "z", "rx", "ry", "rz", "rw"]
+        and list(table["unit"][:7]) == ["m"] * 3 + [""] * 4
+    )
     np.testing.assert_array_equal(table["position"].reshape(3, 7), first.position)
     np.testing.assert_array_equal(table["velocity"].reshape(3, 7)[:, :6], first.velocity)
     assert np.isnan(table["velocity"].reshape(3, 7)[:, 6]).all()  # seven coordinates have six velocities

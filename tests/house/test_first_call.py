@@ -117,7 +117,7 @@ def test_a_terminal_gets_a_bar_that_counts(tmp_path):
     main, end = pty.openpty()
     termios.tcsetwinsize(end, (24, 80))
     with subprocess.Popen(
-        [sys.executable, "-c", "from nsdyn._kernels import ahead; ahead.compile_examples('contact')"],
+        [sys.executable, "-c", "from nsdyn.compilation import compile_examples; compile_examples('contact')"],
         stdout=subprocess.DEVNULL,
         stderr=end,
         env=os.environ | {"NSDYN_CACHE_DIR": str(tmp_path)},
@@ -184,7 +184,7 @@ def test_examples_run_as_python():
 
 
 def test_several_processes_compile_each_kernel_once(tmp_path):
-    code = "from nsdyn._kernels import ahead; ahead.compile_examples('contact')"
+    code = "from nsdyn.compilation import compile_examples; compile_examples('contact')"
     python("-c", code, NSDYN_CACHE_DIR=str(tmp_path), NSDYN_COMPILE_PROCESSES="3")
     names = [path.name.rpartition("-")[0] for path in tmp_path.glob("*.nbc")]
     assert len(names) == len(set(names)) >= 2

@@ -139,10 +139,11 @@ def check_all(page, size, count, tmp_path):
 
 
 @pytest.mark.parametrize("size", [ZOOMED, LYING])
-def test_two_legends_are_seen_whole(window, pages, size):
-    window.open((pages / "2.html").as_uri() + "#t=0.1", size)
-    window.run("(nsdyn.show(0.1), new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done))))")
-    seen = window.run(
+def test_two_legends_are_seen_whole(opened, runs, size):
+    page = opened(runs[0], size, "#t=0.1", beside=runs[1])
+    page.run("nsdyn.show(0.1)")
+    page.run(RESTED)
+    seen = page.run(
         "Array.from(document.querySelectorAll('.values')).map(legend => { const box = legend.getBoundingClientRect();"
         " return Array.from(legend.children).map(e => [e.textContent, e.getBoundingClientRect()])"
         ".filter(([, {width}]) => width > 0).map(([text, {right, bottom}]) => ["
@@ -154,13 +155,13 @@ def test_two_legends_are_seen_whole(window, pages, size):
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_the_controls_are_as_bright_as_the_page(window, pages, dark):
+def test_the_controls_are_as_bright_as_the_page(opened, runs, dark):
     from PIL import Image
 
-    window.open((pages / "1.html").as_uri() + "#t=0.1", (1280, 800))
-    window.run(f"theme.set({str(dark).lower()}); document.querySelector('.tools .tree').click()")
+    page = opened(runs[0], (1280, 800), "#t=0.1")
+    page.run(f"theme.set({str(dark).lower()}); document.querySelector('.tools .tree').click()")
     box = "(box => [box.left, box.top, box.right, box.bottom])(document.querySelector('.gui').getBoundingClientRect())"
-    picture = Image.open(io.BytesIO(window.picture())).convert("L").crop(window.run(box))
+    picture = Image.open(io.BytesIO(page.picture())).convert("L").crop(page.run(box))
     assert (np.asarray(picture).mean() < 100) == dark
 
 
