@@ -274,31 +274,34 @@ def _until_event(
     barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
     far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))
     wide, moves = float(far.max(initial=s.closed)), {h: m}
+    # Of what rebounds the energy tells where it struck.
+    none = (1e-3 if limit <= s.closed else 0.5) * s.closed
 
     def gap(time: float) -> float:
         if time not in moves:
             effort.spend(begin)
             moves[time] = _try(s, loads, begin, t, time, barred)
-        return _least(moves[time].unmet, barred, wide, 1e-3 * s.closed)
+        return _least(moves[time].unmet, barred, wide, none)
 
-    low, high, length, misses = 0.0, h, h, 0
+    low, high, length, last, misses, gains = 0.0, h, h, h, 0, True
     aims: dict[float, float] = {}
     for _ in range(LOOKS):
-        # Newton's method from the nearest as long as it gains: in free flight it is exact.
-        if length not in aims:
-            aims[length] = _first_touch(s, begin, moves[length], barred)
-        time = h if misses else _next([*aims.items()][-2:])
-        time = time if low < time < high else 0.5 * (low + high)
+        # Newton's method as long as it gains, else halves: in free flight it is exact.
+        if last not in aims:
+            aims[last] = _first_touch(s, begin, moves[last], barred)
+        time = _next([*aims.items()][-2:])
+        aimed = gains and low < time < high
+        time = time if aimed else 0.5 * (low + high)
         nearest, found = abs(gap(length)), gap(time)
+        gains = not aimed or abs(found) <= 0.5 * abs(gap(last))
         misses = 0 if abs(found) <= 0.5 * nearest else misses + 1
         low, high = (time, high) if found > 0.0 else (low, time)
-        length = length if abs(found) > nearest else time
+        length, last = length if abs(found) > nearest else time, time
         # Beyond what the solver leaves of velocities nothing is gained. A gap that jumps, where another feature is the
         # first to touch, has no root.
-        if found == 0.0 or high - low <= JUMP * h or (misses > 1 and abs(gap(length)) <= limit):
+        if found == 0.0 or high - low <= JUMP * h or (misses > 1 and -limit <= gap(length) <= s.closed):
             break
-    best, located = moves[length], abs(gap(length)) <= limit
-    return (length, best) if located else capture()
+    return (length, moves[length]) if -limit <= gap(length) <= s.closed else capture()
 
 
 def _next(aims: list[tuple[float, float]]) -> float:
