@@ -21,12 +21,12 @@ from nsdyn.stepping.ball_joints import unbalanced
 from nsdyn.stepping.booking import Move, finish
 from nsdyn.stepping.collisions import striking
 from nsdyn.stepping.half import Half, Loads, first_half
-from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
+from nsdyn.stepping.instant import FAST, JOINT, Instant, System
 from nsdyn.stepping.move import Trial, attempt
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import GAIN, Passage, through, undisturbed
 from nsdyn.stepping.reversal import endings
-from nsdyn.stepping.sight import parting
+from nsdyn.stepping.sight import followed, parting
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -246,9 +246,9 @@ class Islands:
         fast = d.node[:-1][tried.half.reach > FAST * s.smallest] if tried.half.fast else d.node[:0]
         if not opened[label[fast[fast >= 0]]].all():
             poses = [Poses(*p[:2]) for p in (begin.placement, tried.half.middle.placement, a.moved.placement)]
-            closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+            known = followed(s, begin, found)
             for one, other in pairwise(poses):
-                met = s.touches(one, other, tried.seen.memory, closed).contacts
+                met = s.touches(one, other, tried.seen.memory, known).contacts
                 opened[label[self._nodes(met, np.ones(met.gap.size, np.bool_))[0]]] = True
 
     def _gaining(self, begin: Instant, made: Move, tried: Trial, label: Index, opened: Bools) -> None:

@@ -203,7 +203,7 @@ def trial(
         unmet = others(s, moved.contacts, response.met.contacts, r, limits, slots)
         if half.fast and not barred.size:
             places = half.middle.placement, moved.placement
-            until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
+            until = touched(s, begin, moved.contacts, places, seen.memory, h, half.reach / half.ahead)
         if not barred.size:
             turned = h * reversal(response.met, s.solver, response.problem, response.solution)
     return Trial(half, joints, seen, response, unmet, until, turned)
