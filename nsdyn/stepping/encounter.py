@@ -340,11 +340,10 @@ class Encounter(NamedTuple):
         local[4] = r
         return self.otherwise()._replace(rows=rows, local=local)
 
-    def off(self, gap: Array, r: Array, most: Array, closed: float) -> Bools:
-        """Which rows stay and are pressed by r, but end with a gap (rows,), of no more than `most`."""
-        away, pressed = np.abs(gap), r[0 : 3 * gap.size : 3] > 0.0
-        out: Bools = self.stays & pressed & (away > closed) & (away <= most)
-        return out
+    def off(self, gap: Array, r: Array, ahead: float, closed: float) -> Bools | None:
+        """Which rows stay and are pressed by r, but end with a gap (rows,) not foreseen; None if none do."""
+        out = np.empty(gap.size, np.bool_)
+        return out if _law.off(gap, r, self.stays, self.local[3], ahead, closed, out) else None
 
     def otherwise(self) -> Encounter:
         """The same where the problem is not as it was posed."""

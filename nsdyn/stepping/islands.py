@@ -24,7 +24,7 @@ from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System
 from nsdyn.stepping.move import Trial, attempt
 from nsdyn.stepping.parts import Part, driven, merged
-from nsdyn.stepping.passage import GAIN, Passage, through, undisturbed
+from nsdyn.stepping.passage import GAIN, Passage, through, turns_far, undisturbed
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import followed, parting
 from nsdyn.stepping.state import State
@@ -256,6 +256,8 @@ class Islands:
         s, d, a, met = self.whole, self.whole.dynamics, made.impulses, tried.response.met
         if d.surfaces.count or d.trees or not a.status.size:  # as of `passage`
             return
+        far = turns_far(s, s.dt, a, begin, made.end)
+        opened[label[s.nodes(a.contacts)[far]]] = True
         nothing = np.where(met.stays, a.normal, 0.0) + np.where(met.sticks & (a.status == 1), a.friction, 0.0)
         other = a.normal + a.friction - nothing
         island = label[s.nodes(a.contacts)]

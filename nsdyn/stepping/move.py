@@ -306,8 +306,8 @@ def _respond(
         gap = s.detector.gaps(contacts, moved.contacts, Poses(there.x, there.R))
         if met.joints is not None:
             gap = np.concatenate((gap, _limits(s, met.joints, there)))
-        off = alone.off(gap, solution.r, s.near(contacts, gap.size), s.closed)
-        if not off.any():
+        off = alone.off(gap, solution.r, half.ahead, s.closed)
+        if off is None:
             break
         apart = apart._replace(off=off)
         parts = parting(d, moved.contacts, there, v_end, end.driven_x, half.surfaces[2])

@@ -190,6 +190,29 @@ def left_open(gap, u, ahead, closed):
     return min(max(LEFT * (gap + ahead * u), -MOST_LEFT * closed), MOST_LEFT * closed)
 
 
+@in_place
+def ends_off(c, gap, r, stays, drift, ahead, closed):
+    """Whether row c stays, is pressed and ends a move with a gap all the same, by what its law does not foresee.
+
+    That is less than what it foresees: the way that the rows add, `ahead` times their drift. What is farther is another
+    contact, in which a contact that has gone far is found again.
+    """
+    away, i = abs(gap[c]), 3 * c
+    if not (stays[c] and r[i] > 0.0 and away > closed):
+        return False
+    return away <= ahead * math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)
+
+
+@in_place
+def off(gap, r, stays, drift, ahead, closed, out):
+    """`ends_off` of every row, into out (rows,), and whether any is."""
+    some = False
+    for c in range(out.size):
+        out[c] = ends_off(c, gap, r, stays, drift, ahead, closed)
+        some = some or out[c]
+    return some
+
+
 @kernel
 def end_otherwise(off, gap, key, ended, local, sizes, end_gap, late):
     """Correct G and `late` (rows,) of rows that are `off` (rows,): they end with other gaps (rows,) and speeds.
