@@ -306,14 +306,16 @@ def _respond(
         gap = s.detector.gaps(contacts, moved.contacts, Poses(there.x, there.R))
         if met.joints is not None:
             gap = np.concatenate((gap, _limits(s, met.joints, there)))
-        off = alone.off(gap, solution.r, half.ahead, s.closed)
+        off = alone.off(gap, solution.r, s.closed)
         if off is None:
             break
-        apart = apart._replace(off=off)
         parts = parting(d, moved.contacts, there, v_end, end.driven_x, half.surfaces[2])
         rates = NOTHING if met.joints is None else d.joints.rates(met.joints.slot, v_end)
         ended = moved.contacts.key, parts, rates
-        alone, known = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended), solution
+        further = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended)
+        if further is None:
+            break
+        alone, known, apart = further, solution, apart._replace(off=off)
     return half, Response(
         met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved
     )

@@ -100,7 +100,7 @@ def unfinished(
         return None
     d, c = s.dynamics, met.contacts
     gap = s.detector.gaps(c, moved, Poses(ended.x, ended.R))
-    out = met.off(gap, r, s.theta * h, s.closed)
+    out = met.off(gap, r, s.closed)
     if d.free:
         other = np.empty(c.gap.size, np.bool_)
         found = np.zeros((gap.size, 3)), np.empty(d.n), np.full(gap.size, np.inf), other

@@ -19,7 +19,6 @@ from nsdyn._kernels.reductions import least
 from nsdyn._kernels.solvers.start import by_factors
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import free, persistence, reversal, touching
-from nsdyn._kernels.stepping.law import ends_off
 
 DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD = range(5)
 """How a call ends: the step is made; it is not quiet; geoms are to be placed, or Coal asked, where the impulses act;
@@ -327,9 +326,9 @@ def unfinished(num, blocks, inverse_J, arm, met, r, flags, gap, f, w, own):
         (stays, sticks, slides),
         (couple, velocity(w, TURN, n), left, other),
     )
-    begun, ended, drift = w[LOOKED_THERE * n :], f[LOOKED * n :], own[9 * nc : 12 * nc]
+    begun, ended = w[LOOKED_THERE * n :], f[LOOKED * n :]
     for c in range(nc):
-        if other[c] or ends_off(c, gap, r, stays, drift, num[THETA] * num[STEP], num[CLOSED]):
+        if other[c] or (stays[c] and r[3 * c] > 0.0 and abs(gap[c]) > num[CLOSED]):
             for b in (names[2, c], names[3, c]):
                 if b >= 0:
                     for i in range(3 * b, 3 * b + 3):
