@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from itertools import count
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,18 +11,18 @@ from nsdyn._kernels.stepping.law import TURNS
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.booking import finish
+from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
 from nsdyn.stepping.instant import DEEP, SHALLOW, Impulses, Instant, System, among, take
 from nsdyn.stepping.move import Trial, trial
-from nsdyn.stepping.quiet_trees import Moves, quiet_trees
+from nsdyn.stepping.quiet_trees import quiet_trees
 from nsdyn.stepping.sight import approach
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Passage", "through"]
+__all__ = ["GAIN", "through", "turns_far", "undisturbed"]
 
 WORK, EVENT = 400, 8
 """Most contacts in all moves that an island tries in a step to locate its events, so that the effort is bounded, and
@@ -51,33 +50,6 @@ JUMP = 1e-9
 """Fraction of a move in which a gap changes its sign so abruptly that it jumps."""
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
-
-
-class Passage(NamedTuple):
-    """Moves and impacts one after the other.
-
-    Attributes
-    ----------
-    end : Instant
-    rate : ndarray, shape (n,)
-        Last free acceleration, m/s² and rad/s².
-    clear : bool
-        Whether the end is without overlap.
-    done : list of Impulses
-    solved : list of (FC3D, Solution)
-        Of all problems.
-    works : list of Works
-    path : list of Placement
-        Where the frames were on their way: between two of them bodies go straight, turning at constant rates.
-    """
-
-    end: Instant
-    rate: Array
-    clear: bool
-    done: list[Impulses]
-    solved: list[tuple[FC3D, Solution]]
-    works: list[Works]
-    path: list[Placement]
 
 
 class Effort:
@@ -150,10 +122,10 @@ def _pass(
     and where contacts that persist, or what is lifted, add energy.
     """
     sunk, path = False, [begin.placement]
-    found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
-    if found is None:
-        found, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
-    now, rate, clear, done, solved, works = found
+    out, half = undisturbed(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
+    if out is None:
+        out, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
+    now, rate, _, done, solved, works, _ = out
     d, gained = s.dynamics, sum(w.integration for w in works)
     if not d.surfaces.count:
         gained += sum(w.projection for w in works)
@@ -164,18 +136,17 @@ def _pass(
         sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * rate))
     sunk = sunk or any(turns_far(s, h, a, begin, now).any() for a in done)
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
-    return Passage(now, rate, clear, done, solved, works, [*path, now.placement]), coarse
+    return out._replace(path=[*path, now.placement]), coarse
 
 
 def undisturbed(
     s: System, begin: Instant, t: float, h: float, callbacks: Callbacks
 ) -> tuple[Passage | None, Half | None]:
     """A move of h s from the time t in which nothing new is met, None where anything is; its first half, if known."""
-    found, half = _quietly(s, begin, t, h, callbacks)
-    if found is None:
-        return None, half
-    now, rate, clear, done, solved, works = found
-    return Passage(now, rate, clear, done, solved, works, []), half
+    if not s.dynamics.trees:
+        return None, None
+    half = first_half(s, begin, t, h, callbacks)
+    return quiet_trees(s, begin, half, callbacks), half
 
 
 def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant) -> Bools:
@@ -188,13 +159,6 @@ def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant
     return out
 
 
-def _quietly(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> tuple[Moves | None, Half | None]:
-    if s.dynamics.trees:
-        half = first_half(s, begin, t, h, callbacks)
-        return quiet_trees(s, begin, half, callbacks), half
-    return None, None
-
-
 def _moves(
     s: System,
     loads: Loads,
@@ -205,7 +169,7 @@ def _moves(
     half: Half | None,
     path: list[Placement],
     effort: Effort,
-) -> tuple[Moves, bool]:
+) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
 
     Where they were goes into the path.
@@ -228,15 +192,15 @@ def _moves(
         half = None
         m = finish(s, now, tried)
         path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
-        done.append(_later(m.impulses, h - left))
+        done.append(_later(m.done[0], h - left))
         moved = tried.response.moved
         sunk = sunk or s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
-        solved.append((m.problem, m.solution))
+        solved += m.solved
         works += m.works
         if left <= 1e-12 * h:
             break
-    return (now, rate, clear, done, solved, works), sunk
+    return Passage(now, rate, clear, done, solved, works), sunk
 
 
 def _jammed(solution: Solution) -> bool:
