@@ -99,7 +99,7 @@ def ball(share):
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
-@pytest.mark.parametrize("share", [1.0, 0.5], ids=["solid", "open"])
+@pytest.mark.parametrize("share", [pytest.param(1.0, id="solid", marks=pytest.mark.slow), pytest.param(0.5, id="open")])
 def test_films_show_meshes_as_fine_as_pixels(share, tmp_path, window):
     """With a fraction of the triangles the same picture; what is open is drawn from behind too."""
     from PIL import Image
