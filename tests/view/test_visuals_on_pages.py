@@ -134,6 +134,29 @@ def test_films_show_meshes_as_fine_as_pixels(share, tmp_path, window):
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_films_leave_nothing_out(tmp_path, window):
+    """Drawn is only the rectangle around bodies and their shadows, and the picture is that of the whole."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_halfspace("wall", (-1, 0, 0), -1.0)
+    for k in range(3):
+        place, size = (0.5 * k - 0.5, 0.1 * k, 1.0 + 0.3 * k), (0.1 + 0.1 * k, 0.1, 0.2)
+        scene.add_box(f"box{k}", size, 1.0, position=place, linear_velocity=(1, 0.5, 0), angular_velocity=(2, 0, 3))
+    nd.simulate(scene, 0.8, dt=0.01).to_html(tmp_path / "page.html")
+    window.open((tmp_path / "page.html").as_uri() + "#picture&film", (640, 360))
+    stage = "nsdyn.panes[0].stage"
+    for t in (0.0, 0.3, 0.6, 0.8):
+        pictures = []
+        for cut in ("delete FILM.cut", "FILM.cut = () => FILM.stage.viewer.renderer.setScissorTest(false)"):
+            window.run(cut.replace("FILM", f"{stage}.film") + f"; {stage}.places = null; nsdyn.show({t})")
+            pictures.append(window.picture())
+        assert pictures[0] == pictures[1]
+    window.run(f"delete {stage}.film.cut; {stage}.places = null; nsdyn.show(0.6)")
+    *_, wide, high = window.run(f"{stage}.viewer.renderer.getScissor(new MeshCat.THREE.Vector4()).toArray()")
+    assert wide * high < 0.7 * 640 * 360
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_meshes_are_whole_where_nothing_moves(tmp_path, window):
     """Coarse while pictures are late, whole again with the first of a scene at rest."""
     meshes.write_stl(tmp_path / "box.stl", meshes.Surface(*ball(1.0), None))
