@@ -7,6 +7,7 @@ from itertools import count
 
 import numpy as np
 
+from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.law import TURNS
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
@@ -125,7 +126,8 @@ def _pass(
     out, half = undisturbed(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
     if out is None:
         out, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
-    now, rate, _, done, solved, works, _ = out
+        sunk = sunk or any(turns_far(s, h, a, begin, out.end).any() for a in out.done)
+    now, solved, works = out.end, out.solved, out.works
     d, gained = s.dynamics, sum(w.integration for w in works)
     if not d.surfaces.count:
         gained += sum(w.projection for w in works)
@@ -134,7 +136,6 @@ def _pass(
     if gained > 0.0 and not d.trees:  # which keep their own errors small
         # Where all is at rest, what gravity gives in a step is the scale.
         sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * rate))
-    sunk = sunk or any(turns_far(s, h, a, begin, now).any() for a in done)
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
     return out._replace(path=[*path, now.placement]), coarse
 
@@ -151,11 +152,9 @@ def undisturbed(
 
 def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant) -> Bools:
     """Contacts (nc,) that touch, of bodies that turn so far in half a move of h s that its law does not foresee it."""
-    out = (acted.r[:, 0] > 0.0) | (acted.contacts.gap <= s.closed)
-    if out.any():
-        spin = np.append(np.maximum(*[np.einsum("fi,fi->f", i.twists[1], i.twists[1]) for i in (begin, end)]), 0.0)
-        c = acted.contacts
-        out &= s.theta * h * np.sqrt(np.maximum(spin[c.frame1], spin[c.frame2])) > TURNS
+    c, out = acted.contacts, np.empty(acted.status.size, np.bool_)
+    touch = c.frame1, c.frame2, c.gap, acted.status, s.closed
+    _touching.turns_far(touch, (begin.twists[1], end.twists[1]), TURNS / (s.theta * h), out)
     return out
 
 

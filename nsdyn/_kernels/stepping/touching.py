@@ -160,3 +160,19 @@ def striking_speed(contacts, where, twists, warm, geoms, closed):
         if gap[c] <= closed and (was[c] == 0 or restitution[c] > 0.0):
             least = min(least, approach_of(c, where, twists))
     return least
+
+
+@in_place
+def turns_far(contacts, spins, most, out):
+    """Which contacts touch whose bodies turn faster than `most`, rad/s, into out (nc,).
+
+    contacts = (frame1, frame2, gap, status, closed): those that are closed, or press. spins: angular velocities of the
+    frames, (frames, 3), at both ends of a move.
+    """
+    frame1, frame2, gap, status, closed = contacts
+    for c in range(out.size):
+        out[c] = False
+        if status[c] > 0 or gap[c] <= closed:
+            for f in (frame1[c], frame2[c]):
+                for spin in spins:
+                    out[c] = out[c] or (f >= 0 and dot(row(spin, f), row(spin, f)) > most * most)
