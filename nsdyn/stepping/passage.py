@@ -135,7 +135,7 @@ def _pass(
             gained += sum(max(0.0, w.normal + w.friction) for w in works)
     if gained > 0.0 and not d.trees:  # which keep their own errors small
         # Where all is at rest, what gravity gives in a step is the scale.
-        sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * rate))
+        sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * out.rate))
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
     return out._replace(path=[*path, now.placement]), coarse
 
