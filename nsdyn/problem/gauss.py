@@ -38,7 +38,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Certificate", "Opening", "along", "certify", "of_all", "of_own"]
+__all__ = ["Certificate", "Opening", "along", "certify", "least_direction", "of_all", "of_own"]
 
 NOTHING = np.empty(0)
 
@@ -216,7 +216,7 @@ def _relax(blocks: Blocks, mu: Array, b: Array, aim: float, enough: float, sweep
 
 def of_all(problem: FC3D) -> Array:
     """`Opening.d` with κ > 0 at every contact; empty if none is found."""
-    return _least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
+    return least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
 
 
 def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
@@ -228,10 +228,10 @@ def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
         if _relax(problem.blocks, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
             return d * (unit / speed)
     inside[0::3] += OWN_ENOUGH
-    return _least_direction(problem, inside, SLACK * OWN_ENOUGH) * (unit / speed)
+    return least_direction(problem, inside, SLACK * OWN_ENOUGH) * (unit / speed)
 
 
-def _least_direction(problem: FC3D, b: Array, slack: float) -> Array:
+def least_direction(problem: FC3D, b: Array, slack: float) -> Array:
     """`Opening.d` of least ‖d‖_M with Hᵀ d ∈ b - slack e_N + K*, by a growing penalty; empty if there is none.
 
     The minimum of ½‖d‖²_M + Σ ρ/2 dist²(Hᵀ d, b + K*) grows with ρ to the least ‖d‖_M without slack, so that the first

@@ -54,7 +54,7 @@ class Velocity:
 
     def factor(self, A: Array) -> Callable[[Array], Array]:
         """Function g ↦ W (I + A W)⁻¹ g."""
-        solve = self.graph.lu(self.blocks, A)
+        solve = self.graph.factor(self.blocks, A)
         return lambda g: self.relative(solve(self.blocks.momentum(g)))
 
     def change(self, r: Array) -> Array:
@@ -69,7 +69,7 @@ class Velocity:
         """(M + Σ H_c A_c H_cᵀ)⁻¹ (H P - M y)."""
         missing = np.empty_like(y)
         _blocks.block_product(self.blocks.offset, self.blocks.m_start, self.blocks.m, y, missing)
-        return self.graph.solve(self.blocks, A, self.blocks.momentum(P) - missing)
+        return self.graph.factor(self.blocks, A)(self.blocks.momentum(P) - missing)
 
 
 class Local:

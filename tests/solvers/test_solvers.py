@@ -150,11 +150,11 @@ def test_factorisations_by_blocks_and_by_w(rng):
         wide[3 * c : 3 * c + 3, 3 * c : 3 * c + 3] = A[c]
     b, g = rng.normal(size=blocks.n), rng.normal(size=W.shape[0])
     graph = linear.Factor(blocks.offset, blocks.block)
-    x = graph.solve(blocks, A, b)
+    x = graph.factor(blocks, A)(b)
     np.testing.assert_allclose(x, np.linalg.solve(M + H @ wide @ H.T, b), rtol=1e-9, atol=1e-10)
     even = A + A.transpose(0, 2, 1)
     np.testing.assert_allclose(
-        graph.solve(blocks, even, b), np.linalg.solve(M + H @ (wide + wide.T) @ H.T, b), rtol=1e-9, atol=1e-10
+        graph.factor(blocks, even)(b), np.linalg.solve(M + H @ (wide + wide.T) @ H.T, b), rtol=1e-9, atol=1e-10
     )
     expected = W @ np.linalg.solve(np.eye(W.shape[0]) + wide @ W, g)
     for operator in (operators.Velocity(blocks), operators.Local(problem.W)):
