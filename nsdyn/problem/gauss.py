@@ -33,7 +33,6 @@ import numpy as np
 
 from nsdyn._kernels.problem import gauss as _kernels
 from nsdyn._kernels.problem.cones import ROUNDING
-from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
 from nsdyn.tools.arrays import Array
@@ -205,13 +204,8 @@ def _relaxed(problem: FC3D, d: Array) -> Array:
     if b is None or d.size != b.n:
         return NOTHING
     d = d.copy()
-    return d if _relax(b, problem.mu, np.zeros_like(problem.q), AIM, ENOUGH, SWEEPS, d) else NOTHING
-
-
-def _relax(blocks: Blocks, mu: Array, b: Array, aim: float, enough: float, sweeps: int, d: Array) -> bool:
-    """Change d (n,) by projections until κ(Hᵀ d - b) ≥ `enough` < `aim` at every contact; whether that was reached."""
-    kernel = _kernels.relax_free if (np.diff(blocks.offset) == 6).all() else _kernels.relax
-    return kernel(blocks.arrays, mu, b, aim, enough, sweeps, d)  # type: ignore[no-any-return]
+    nothing = np.zeros_like(problem.q)
+    return d if _kernels.relax(b.arrays, problem.mu, nothing, AIM, ENOUGH, SWEEPS, d) else NOTHING
 
 
 def of_all(problem: FC3D) -> Array:
@@ -225,7 +219,7 @@ def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
     inside = -hat / unit
     if problem.blocks is not None:
         d = np.zeros(problem.blocks.n)
-        if _relax(problem.blocks, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
+        if _kernels.relax(problem.blocks.arrays, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
             return d * (unit / speed)
     inside[0::3] += OWN_ENOUGH
     return least_direction(problem, inside, SLACK * OWN_ENOUGH) * (unit / speed)

@@ -103,7 +103,7 @@ class _Layout:
     def assemble(self, blocks: Blocks, A: Array, data: Array) -> None:
         """K = M + Σ H_c A_c H_cᵀ, into data."""
         given = self.indptr, self.begin, self.slot, self.diagonal
-        _matrix.assemble_sparse(blocks.arrays, A, *given, data)
+        _matrix.assemble(blocks.arrays, A, *given, data)
 
 
 class Factor:
@@ -130,7 +130,8 @@ class Factor:
         """Function b ↦ K⁻¹ b, until the next on this graph, for K = M + Σ H_c A_c H_cᵀ; RuntimeError when singular."""
         if not _matrix.symmetric(A):
             layout, matrix = self._ordered
-            layout.assemble(blocks, A, matrix.K.data)
+            # The rows of Kᵀ are the columns of K.
+            layout.assemble(blocks, np.ascontiguousarray(A.transpose(0, 2, 1)), matrix.K.data)
             return matrix.factor()
         self._layout.assemble(blocks, A, self._data)
         # QDLDL wants the upper triangle; to have it cut out by SciPy costs as much as the factorisation.

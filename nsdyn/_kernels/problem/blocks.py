@@ -19,23 +19,29 @@ SMALLEST, LARGEST = 1e-150, 1e150
 
 
 @in_place
+def relative_velocity_of(blocks, v, c):
+    """Hᵀ v of contact c: three scalars."""
+    offset, block, start, H = blocks[:4]
+    u0, u1, u2 = 0.0, 0.0, 0.0
+    for s in range(2):
+        k = block[c, s]
+        if k >= 0:
+            # Unsigned indices spare the test whether they count from the end: a third of the time.
+            o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+            d, e = a + n, a + n + n
+            for j in range(n):
+                x = v[o + j]
+                u0 += H[a + j] * x
+                u1 += H[d + j] * x
+                u2 += H[e + j] * x
+    return u0, u1, u2
+
+
+@in_place
 def relative_velocity(blocks, v, u):
     """u = Hᵀ v, into u (3 nc,)."""
-    offset, block, start, H = blocks[:4]
-    for c in range(block.shape[0]):
-        u0, u1, u2 = 0.0, 0.0, 0.0
-        for s in range(2):
-            k = block[c, s]
-            if k >= 0:
-                # Unsigned indices spare the test whether they count from the end: a third of the time.
-                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
-                d, e = a + n, a + n + n
-                for j in range(n):
-                    x = v[o + j]
-                    u0 += H[a + j] * x
-                    u1 += H[d + j] * x
-                    u2 += H[e + j] * x
-        u[3 * c], u[3 * c + 1], u[3 * c + 2] = u0, u1, u2
+    for c in range(blocks[1].shape[0]):
+        u[3 * c], u[3 * c + 1], u[3 * c + 2] = relative_velocity_of(blocks, v, c)
 
 
 @in_place

@@ -18,6 +18,7 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity
 from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
+from nsdyn._kernels.problem.sparse import assemble, dense_pattern
 from nsdyn._kernels.reductions import copy
 
 PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
@@ -72,48 +73,6 @@ def stiffness(u, r, rho, mu, A):
         B[1, 0], B[2, 0] = rho[c] * mu[c] * x, rho[c] * mu[c] * y
         B[1, 1], B[2, 2] = k * y * y, k * x * x
         B[1, 2] = B[2, 1] = -k * x * y
-
-
-@in_place
-def assemble_dense(blocks, A, K):
-    """K = M + Σ H_c A_c H_cᵀ as a dense matrix, into K (n, n)."""
-    offset, block, start, H, m_start, m, _ = blocks
-    K[:] = 0.0
-    for k in range(offset.size - 1):
-        o, n = offset[k], offset[k + 1] - offset[k]
-        for i in range(n):
-            for j in range(n):
-                K[o + i, o + j] = m[m_start[k] + i * n + j]
-    for c in range(block.shape[0]):
-        a = A[c]
-        rubs = a[1, 1] != 0.0 or a[2, 2] != 0.0  # else it has one row
-        if a[0, 0] == 0.0 and not rubs:
-            continue
-        for s in range(2):
-            k = block[c, s]
-            if k < 0:
-                continue
-            ok, nk, hk = offset[k], offset[k + 1] - offset[k], start[c, s]
-            for t in range(2):
-                l = block[c, t]
-                if l < 0:
-                    continue
-                ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
-                # Views, so that no index may count from the end and loops along them become vectors.
-                h0, h1, h2 = H[hl : hl + nl], H[hl + nl : hl + 2 * nl], H[hl + 2 * nl : hl + 3 * nl]
-                for i in range(nk):
-                    row = K[ok + i, ol : ol + nl]
-                    if not rubs:
-                        y0 = H[hk + i] * a[0, 0]
-                        for j in range(nl):
-                            row[j] += y0 * h0[j]
-                        continue
-                    x0, x1, x2 = H[hk + i], H[hk + nk + i], H[hk + 2 * nk + i]
-                    y0 = x0 * a[0, 0] + x1 * a[1, 0] + x2 * a[2, 0]
-                    y1 = x0 * a[0, 1] + x1 * a[1, 1] + x2 * a[2, 1]
-                    y2 = x0 * a[0, 2] + x1 * a[1, 2] + x2 * a[2, 2]
-                    for j in range(nl):
-                        row[j] += y0 * h0[j] + y1 * h1[j] + y2 * h2[j]
 
 
 @in_place
@@ -200,7 +159,7 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     n, nr = blocks[0][-1], q.size
     y, kept, F, work, own_y = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     u, own, shown, P = np.empty(nr), np.empty(nr), np.empty(nr), np.empty(nr)
-    A, K = np.empty((mu.size, 3, 3)), np.empty((n, n))
+    (indptr, slot, diagonal), A, K = dense_pattern(*blocks[:2]), np.empty((mu.size, 3, 3)), np.empty((n, n))
     pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     best = measure_of(blocks, q, mu, scales, q_norm, r, y, u, work)
     estimate = r.copy()
@@ -212,7 +171,7 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
     while best > tol and count < max_iter and penalty > LEAST:
         defect(blocks, y, P, F, work)
         stiffness(u, estimate, rho, mu, A)
-        assemble_dense(blocks, A, K)
+        assemble(blocks, A, indptr, blocks[0], slot, diagonal, K.reshape(-1))
         if not factorise(K, pivot, low, end):
             return count, best
         substitute(K, pivot, low, end, F)
