@@ -28,9 +28,9 @@ import h5py
 import numpy as np
 import scipy.sparse as sp
 
-from nsdyn.problem.condensation import condensed, embedded, factors, is_symmetric, planar, solver_of
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
+from nsdyn.recording.condensation import condensed, embedded, factors, is_symmetric, planar, solver_of
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.datasets import check_heaps, created, dataset
