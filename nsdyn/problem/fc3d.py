@@ -176,7 +176,7 @@ class FC3D:
         """Island of each contact, shape (nc,), from 0 in the order of their first contacts: islands share no block."""
         label = np.empty(self.nc, np.int64)
         if self.blocks is None:
-            _given.islands(*self.csr[:2], label)
+            _given.islands(self.csr, label)
         else:
             _blocks.islands(self.blocks.block, self.blocks.offset.size - 1, label)
         return label
@@ -185,7 +185,7 @@ class FC3D:
         """u = W r + q, shape (3 nc,), m/s."""
         if self.blocks is None:
             u = np.empty_like(self.q)
-            _given.velocity(*self.csr, self.q, r, u)
+            _given.velocity(self.csr, self.q, r, u)
             return u
         return self.blocks.relative_velocity(self.blocks.velocity_change(r)) + self.q
 

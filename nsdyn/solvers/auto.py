@@ -194,19 +194,16 @@ class Auto:
         all means.
     effort : float
         Bound on the effort beyond `loose`, as a multiple of that for `loose`; `Tuning.free` where the start meets it.
-    accept : float
-        Fraction of the tolerance within which a warm start is the solution of an island.
     """
 
     tol: float = 1e-8
     loose: float = 1e-4
     effort: float = 4.0
-    accept: float = 1.0
 
     @property
     def aims(self) -> tuple[float, float]:
         """What islands of few coordinates are solved to where Newton gets there, and at least; measures in m/s or -."""
-        return sharp(self.tol), MARGIN * self.accept * self.tol
+        return sharp(self.tol), MARGIN * self.tol
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
@@ -246,7 +243,7 @@ class Auto:
         given, (enough, good) = (problem.q, problem.mu, problem.scales), self.aims
         if blocks is None:
             most = TUNING.cost * TUNING.sweep
-            count, error, residual = _start.by_matrix(problem.csr, *given, problem.q_norm, r, u, good, most)
+            count, error, residual = _start.by_matrix((problem.csr, *given, problem.q_norm), r, u, good, most)
             left = not max(error, residual) <= self.tol
         else:
             label, islands = np.empty(nc, np.int64), np.empty((3, nc))

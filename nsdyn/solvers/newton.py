@@ -61,8 +61,8 @@ class Multipliers:
                     break
             return
         p = self.problem
-        given = self._dense, p.q, p.mu, p.scales, self.r, tol, p.q_norm, self._penalty, most
-        used, self.best = _kernels.dense(*given)
+        given = self._dense, p.q, p.mu, p.scales, p.q_norm
+        used, self.best = _kernels.dense(given, self.r, tol, self._penalty, most)
         self.count, self.ended = self.count + used, used < most
 
     def _taken(self) -> Iterator[bool]:

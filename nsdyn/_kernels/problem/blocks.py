@@ -212,13 +212,22 @@ def respond(blocks, r, v_free, p, v):
         v[i] = v_free[i] + v[i]
 
 
+@in_place
+def velocity(blocks, q, r, y, u, work):
+    """y = M⁻¹ H r and u = Hᵀ y + q, into y (n,) and u (3 nc,); `work` (n,) is for H r."""
+    offset, _, _, _, m_start, _, minv = blocks
+    momentum(blocks, r, work)
+    block_product(offset, m_start, minv, work, y)
+    relative_velocity(blocks, y, u)
+    for i in range(q.size):
+        u[i] += q[i]
+
+
 @kernel
 def judged(blocks, q, mu, scales, r, u):
     """u = Hᵀ M⁻¹ H r + q, into u; returns the two `measures` of r."""
-    v = np.empty(blocks[0][-1])
-    velocity_change(blocks, r, v)
-    relative_velocity(blocks, v, u)
-    u += q
+    y, work = np.empty(blocks[0][-1]), np.empty(blocks[0][-1])
+    velocity(blocks, q, r, y, u, work)
     return measures(scales, u, r, mu)
 
 
@@ -331,23 +340,16 @@ def number(parent, label):
 
 @kernel
 def islands(block, count, label):
-    """Connected components of the graph of blocks and contacts; contacts are connected when they share a block.
+    """Islands of contacts, which are connected when they share one of so many blocks, into label (nc,); how many.
 
-    The label of every contact into label (nc,), ascending in the order of first contact; returns their number.
+    Their labels ascend in the order of their first contacts.
     """
-    parent = np.arange(count)
-    for c in range(block.shape[0]):
-        a, b = block[c, 0], block[c, 1]
-        if a >= 0 and b >= 0:
-            unite(parent, a, b)
-    label_of_root = np.full(count, -1, np.int64)
-    found = 0
-    for c in range(block.shape[0]):
-        k = block[c, 0] if block[c, 0] >= 0 else block[c, 1]
-        while parent[k] != k:
-            k = parent[k]
-        if label_of_root[k] < 0:
-            label_of_root[k] = found
-            found += 1
-        label[c] = label_of_root[k]
-    return found
+    parent, first = np.arange(label.size), np.full(count, -1, np.int64)
+    for c in range(label.size):
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0 and first[k] < 0:
+                first[k] = c
+            elif k >= 0:
+                unite(parent, first[k], c)
+    return number(parent, label)

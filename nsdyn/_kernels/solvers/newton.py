@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity
+from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity, velocity
 from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.problem.sparse import assemble, dense_pattern
@@ -86,20 +86,10 @@ def defect(blocks, y, P, F, work):
 
 
 @in_place
-def velocity_of(blocks, q, r, y, u, work):
-    """y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
-    offset, _, _, _, m_start, _, minv = blocks
-    momentum(blocks, r, work)
-    block_product(offset, m_start, minv, work, y)
-    relative_velocity(blocks, y, u)
-    for i in range(q.size):
-        u[i] += q[i]
-
-
-@in_place
-def measure_of(blocks, q, mu, scales, q_norm, r, y, u, work):
+def measure_of(problem, r, y, u, work):
     """Larger of the literature's error and the residual in m/s of impulse r, with its own y and u."""
-    velocity_of(blocks, q, r, y, u, work)
+    blocks, q, mu, scales, q_norm = problem
+    velocity(blocks, q, r, y, u, work)
     return measure_at(scales, u, r, mu, q_norm)
 
 
@@ -148,27 +138,28 @@ def settled(scales, u, shown, own, P, estimate):
 
 
 @kernel
-def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
-    """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
+def dense(problem, r, tol, penalty, most):
+    """Solve (blocks, q, mu, scales, q_norm) by dense factorisations, in place of r; (factorisations, measure of r).
 
     Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and where F
     has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, doubles with every quick
     success and falls after a failure, which goes back to where F had settled last. The loop is that of
     `nsdyn.solvers.newton`, compiled: 2 us a step for one body, and 25 for ten bodies, where that takes 35 and 60.
     """
+    blocks, q, mu, scales, _ = problem
     n, nr = blocks[0][-1], q.size
     y, kept, F, work, own_y = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     u, own, shown, P = np.empty(nr), np.empty(nr), np.empty(nr), np.empty(nr)
     (indptr, slot, diagonal), A, K = dense_pattern(*blocks[:2]), np.empty((mu.size, 3, 3)), np.empty((n, n))
     pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    best = measure_of(blocks, q, mu, scales, q_norm, r, y, u, work)
+    best = measure_of(problem, r, y, u, work)
     estimate = r.copy()
     copy(y, kept)
     copy(u, own)
     count, inner, before = 0, 0, np.inf
     rho = penalty / scales
     projected(u, estimate, rho, mu, P)
-    while best > tol and count < max_iter and penalty > LEAST:
+    while best > tol and count < most and penalty > LEAST:
         defect(blocks, y, P, F, work)
         stiffness(u, estimate, rho, mu, A)
         assemble(blocks, A, indptr, blocks[0], slot, diagonal, K.reshape(-1))
@@ -181,7 +172,7 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
         relative_velocity(blocks, y, u)
         u += q
         projected(u, estimate, rho, mu, P)
-        measure = measure_of(blocks, q, mu, scales, q_norm, P, own_y, shown, work)
+        measure = measure_of(problem, P, own_y, shown, work)
         if measure < best:
             best = measure
             copy(P, r)
@@ -207,46 +198,24 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
 
 @kernel
 def extract(blocks, label, island):
-    """Contacts and blocks of one island: (contacts, blocks)."""
+    """Contacts and blocks of one island: (contacts, blocks), whose rows and masses stay where they are."""
     offset, block, start, H, m_start, m, minv = blocks
     contacts = np.flatnonzero(label == island)
-    nb = offset.size - 1
-    new = np.full(nb, -1, np.int64)
-    for c in contacts:
+    own, new = block[contacts], np.full(offset.size - 1, -1, np.int64)
+    for c in range(contacts.size):
         for s in range(2):
-            if block[c, s] >= 0:
-                new[block[c, s]] = 0
+            if own[c, s] >= 0:
+                new[own[c, s]] = 0
     kept = np.flatnonzero(new == 0)
-    o = np.zeros(kept.size + 1, np.int64)
-    ms = np.zeros(kept.size + 1, np.int64)
-    for e in range(kept.size):
-        n = offset[kept[e] + 1] - offset[kept[e]]
-        new[kept[e]] = e
-        o[e + 1] = o[e] + n
-        ms[e + 1] = ms[e] + n * n
-    mm, mi = np.empty(ms[-1]), np.empty(ms[-1])
-    for e in range(kept.size):
-        a = m_start[kept[e]]
-        mm[ms[e] : ms[e + 1]] = m[a : a + ms[e + 1] - ms[e]]
-        mi[ms[e] : ms[e + 1]] = minv[a : a + ms[e + 1] - ms[e]]
-    b = np.full((contacts.size, 2), -1, np.int64)
-    st = np.zeros((contacts.size, 2), np.int64)
-    size = 0
-    for e in range(contacts.size):
+    begin = np.zeros(kept.size + 1, np.int64)
+    for k in range(kept.size):
+        new[kept[k]] = k
+        begin[k + 1] = begin[k] + offset[kept[k] + 1] - offset[kept[k]]
+    for c in range(contacts.size):
         for s in range(2):
-            k = block[contacts[e], s]
-            if k >= 0:
-                b[e, s], st[e, s] = new[k], size
-                size += 3 * (offset[k + 1] - offset[k])
-    rows = np.empty(size)
-    for e in range(contacts.size):
-        for s in range(2):
-            k = block[contacts[e], s]
-            if k >= 0:
-                n = 3 * (offset[k + 1] - offset[k])
-                a = start[contacts[e], s]
-                rows[st[e, s] : st[e, s] + n] = H[a : a + n]
-    return contacts, (o, b, st, rows, ms[:-1].copy(), mm, mi)
+            if own[c, s] >= 0:
+                own[c, s] = new[own[c, s]]
+    return contacts, (begin, own, start[contacts], H, m_start[kept], m, minv)
 
 
 @kernel
