@@ -78,7 +78,8 @@ class FC3D:
         rows = 3 * (self.csr[0].size - 1)
         if rows != self.q.size:
             raise ValueError(f"W must have {self.q.size} rows like q, got {rows}")
-        self._check_scales()
+        if not _blocks.in_range(self.scales):
+            self._refuse_scales()
         if not (normal := self.W.diagonal()[0::3] > 0.0).all():
             raise ValueError(f"W must have a positive normal diagonal, not at {np.flatnonzero(~normal).tolist()[:5]}")
 
@@ -91,19 +92,16 @@ class FC3D:
         """Problem with W = Hᵀ M⁻¹ H given by its factors, and the `scales` if known; W is assembled when asked for."""
         problem = cls.__new__(cls)
         problem._set(q, mu)
-        problem.blocks, nc = blocks, len(problem.mu)
-        if blocks.nc != nc:
-            raise ValueError(f"blocks must have {nc} contacts like mu, got {blocks.nc}")
+        problem.blocks = blocks
+        if blocks.nc != problem.nc:
+            raise ValueError(f"blocks must have {problem.nc} contacts like mu, got {blocks.nc}")
+        problem._check_values()
         if scales is None:
-            scales = np.empty(nc)
-            q_norm, good = _blocks.prepare(blocks.arrays, problem.q, problem.mu, scales)
-        else:
-            q_norm, good = _blocks.size_of(problem.q, problem.mu)
+            scales = np.empty(problem.nc)
+            _blocks.delassus_scales(blocks.arrays, scales)
         problem.scales = scales
-        if not good:
-            problem._check_values()
-            problem._check_scales()
-        problem.q_norm = q_norm or 1.0
+        if not _blocks.in_range(scales):
+            problem._refuse_scales()
         return problem
 
     @classmethod
@@ -138,14 +136,14 @@ class FC3D:
         if not (np.isfinite(self.mu).all() and (self.mu >= 0).all()):
             raise ValueError("mu must be finite and not negative")
 
-    def _check_scales(self) -> None:
+    def _refuse_scales(self) -> None:
+        """ValueError for sizes of diagonal blocks that are not what they have to be."""
         fine = (self.scales >= _blocks.SMALLEST) & (self.scales <= _blocks.LARGEST)
-        if not fine.all():
-            bad = np.flatnonzero(~fine).tolist()
-            raise ValueError(
-                f"W must have a non-zero positive diagonal block at every contact, not at {bad[:5]}, "
-                f"and none below {_blocks.SMALLEST:g} or above {_blocks.LARGEST:g}"
-            )
+        bad = np.flatnonzero(~fine).tolist()
+        raise ValueError(
+            f"W must have a non-zero positive diagonal block at every contact, not at {bad[:5]}, "
+            f"and none below {_blocks.SMALLEST:g} or above {_blocks.LARGEST:g}"
+        )
 
     @cached_property
     def W(self) -> sp.bsr_array:

@@ -147,15 +147,10 @@ def certify(
     ----------
     J. J. Moreau, Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
     """
-    mu, impulse = problem.mu, np.empty(problem.q.size)
-    b, d = problem.blocks, opening.d if opening else NOTHING
-    found = None if b is None or u is None else _kernels.certificate_of(b.arrays, u, r, mu, problem.scales, d, impulse)
-    if u is None or found is None or found[0]:
-        if _kernels.into_cones(r, mu, impulse) or u is None:
-            u = problem.velocity(impulse)
-        gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
-    else:
-        _, gap, shift, speed, step, total, square = found
+    impulse, d = np.empty(problem.q.size), opening.d if opening else NOTHING
+    if _kernels.into_cones(r, problem.mu, impulse) or u is None:
+        u = problem.velocity(impulse)
+    gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
     if not math.isfinite(gap + shift):
         return Certificate(gap, shift, math.inf), opening
     if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):

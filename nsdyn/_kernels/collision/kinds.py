@@ -164,6 +164,13 @@ def has_corner(geometry, face, corner):
     return False
 
 
+@in_place
+def side(geometry, g, face, k):
+    """The ends (shape frame) of the edge of geom g that begins at entry k of the loop of a face (a row)."""
+    first, after = geometry.vertex_ptr[g], k + 1 if k + 1 < geometry.loop_ptr[face + 1] else geometry.loop_ptr[face]
+    return row(geometry.vertices, first + geometry.loop[k]), row(geometry.vertices, first + geometry.loop[after])
+
+
 @in_place(forceinline=True)
 def incident(geometry, g, n, whole, rim, poly):
     """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius).

@@ -172,24 +172,16 @@ def delassus(blocks):
                         seen[a] = b
                         indices[fill[a]] = b
                         fill[a] += 1
+    # Row b has got its blocks left of the diagonal, those of rows a < b transposed, when its turn comes.
     copy(indptr[:-1], fill)
     for a in range(nc):
-        for p in range(indptr[a], indptr[a + 1]):
+        for p in range(fill[a], indptr[a + 1]):
             b = indices[p]
-            if b < a:
-                # Rows are filled in ascending order of a, so row b has reached its entry for column a.
-                while indices[fill[b]] != a:
-                    fill[b] += 1
-                mirror = data[fill[b]]
-                for i in range(3):
-                    for j in range(3):
-                        data[p, i, j] = mirror[j, i]
-            else:
-                _add_coupling(blocks, y, a, b, data[p])
-                if a == b:
-                    for i in range(3):
-                        for j in range(i):
-                            data[p, i, j] = data[p, j, i]
+            _add_coupling(blocks, y, a, b, data[p])
+            for i in range(3):
+                for j in range(3):
+                    data[fill[b], j, i] = data[p, i, j]
+            fill[b] += 1
     return indptr, indices, data
 
 
@@ -229,14 +221,6 @@ def judged(blocks, q, mu, scales, r, u):
     y, work = np.empty(blocks[0][-1]), np.empty(blocks[0][-1])
     velocity(blocks, q, r, y, u, work)
     return measures(scales, u, r, mu)
-
-
-@in_place
-def prepare(blocks, q, mu, scales):
-    """`delassus_scales`; returns the norm of q, and whether q, mu and the scales are what they have to be."""
-    delassus_scales(blocks, scales)
-    norm, good = size_of(q, mu)
-    return norm, good and in_range(scales)
 
 
 @in_place

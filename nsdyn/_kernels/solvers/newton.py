@@ -221,14 +221,8 @@ def extract(blocks, label, island):
 @kernel
 def gather(contacts, q, mu, scales, r):
     """(q, mu, scales, r) of some contacts."""
-    nc = contacts.size
-    own_q, own_mu, own_scales, x = np.empty(3 * nc), np.empty(nc), np.empty(nc), np.empty(3 * nc)
-    for e in range(nc):
-        c = contacts[e]
-        own_mu[e], own_scales[e] = mu[c], scales[c]
-        for i in range(3):
-            x[3 * e + i], own_q[3 * e + i] = r[3 * c + i], q[3 * c + i]
-    return own_q, own_mu, own_scales, x
+    own_q, own_r = q.reshape((-1, 3))[contacts], r.reshape((-1, 3))[contacts]
+    return own_q.reshape(-1), mu[contacts], scales[contacts], own_r.reshape(-1)
 
 
 @in_place
