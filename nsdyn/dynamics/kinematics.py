@@ -22,14 +22,24 @@ class Kinematics(Layout):
     def halfway(self, position: Position, v: Array, h: float, theta: float, twist: Array) -> Middle:
         """Where the forces of a step of h act: after (1 - θ) h of motion without any, Φ.
 
-        Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it, driven bodies with
-        `twist` (surfaces, 2, 3), linear and angular velocities in world axes.
+        Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it.
+
+        Parameters
+        ----------
+        position : Position
+        v : ndarray, shape (n,)
+        h, theta : float
+            Step, s, and θ.
+        twist : ndarray, shape (surfaces, 2, 3)
+            Linear and angular velocities of driven bodies, world axes.
         """
         ahead = (1.0 - theta) * h
         if self._lone:
             only = self.trees[0].halfway(position.trees[0], v, h, theta)
             return Middle(position.bent(only.q), only.v, Placement.of(only.links), (only,))
         x, quaternion, after, X, R = self._flow(position, v, ahead)
+        if self._bodies_only:
+            return Middle(position.moved(x, quaternion), after, Placement(X, R, ()), ())
         halves = tuple(
             [t.halfway(q, v[t.coordinates], h, theta) for t, q in zip(self.trees, position.trees, strict=True)]
         )
@@ -42,9 +52,20 @@ class Kinematics(Layout):
     def end(
         self, middle: Middle, forces: Forces, v: Array, impulse: Array, h: float, twist: Array
     ) -> tuple[Position, Array, Placement, tuple[TreeEnd, ...]]:
-        """(position, velocity, frames, trees) after h s without forces from the middle of a step, which left v there.
+        """(position, velocity, frames, trees) after a step's second part, without forces.
 
-        The impulses H r (n,) of contacts and joint rows tell which trees are pushed.
+        Parameters
+        ----------
+        middle : Middle
+        forces : Forces
+        v : ndarray, shape (n,)
+            Velocity that forces and impulses leave in the middle.
+        impulse : ndarray, shape (n,)
+            H r of contacts and joint rows, which tells which trees are pushed.
+        h : float
+            Length of that part, s.
+        twist : ndarray, shape (surfaces, 2, 3)
+            Linear and angular velocities of driven bodies, world axes.
         """
         position = middle.position
         if self._lone:
@@ -53,6 +74,8 @@ class Kinematics(Layout):
             only = self.trees[0].end(middle.trees[0], free, v, pushed)
             return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
         x, quaternion, after, X, R = self._flow(position, v, h)
+        if self._bodies_only:
+            return position.moved(x, quaternion), after, Placement(X, R, ()), ()
         ends = []
         for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
             pushed = free.loads.implicit or _few.largest(impulse[t.coordinates]) > 0.0
@@ -110,9 +133,16 @@ class Kinematics(Layout):
         return linear, angular
 
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
-        """How far any point of each frame's shapes moves in h seconds, m, shape (frames,); `dt` of them under gravity.
+        """How far any point of each frame's shapes may move, m, shape (frames,).
 
-        Driven bodies move with `twist` (surfaces, 2, 3).
+        Parameters
+        ----------
+        place : Placement
+        v : ndarray, shape (n,)
+        h, dt : float
+            How long they move, and how long of that under gravity, s.
+        twist : ndarray, shape (surfaces, 2, 3)
+            Linear and angular velocities of driven bodies, world axes.
         """
         out = np.zeros(self.frames)
         fall = h * dt * self.weight

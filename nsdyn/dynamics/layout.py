@@ -134,6 +134,7 @@ class Layout:
         self.frames = first + self._driven
         self.nowhere, self.no_works = np.zeros(self.frames), np.zeros(self.free)
         self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((self.free, 3))
+        self._bodies_only = self.frames == self.free and not trees
         # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
         self._lone = len(trees) == 1 and not self.free and not self._driven
         self._constrained = any(t.constrained for t in trees)
@@ -156,7 +157,7 @@ class Layout:
             [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(self._driven, np.bool_)]
         )
         self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
-        self.alone = self.frames == self.free and not self.trees and not self.surfaces.count
+        self.alone = self._bodies_only and not self.surfaces.count
 
     @staticmethod
     def _velocity(body: Any) -> Array:

@@ -106,7 +106,17 @@ class FC3D:
 
     @classmethod
     def prepared(cls, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> FC3D:
-        """Problem as of `from_blocks`, of what has been looked at: q (3 nc,) m/s, mu and scales (nc,), and ‖q‖."""
+        """Problem as of `from_blocks`, of what has been looked at.
+
+        Parameters
+        ----------
+        blocks : Blocks
+        q : ndarray, shape (3 nc,)
+            m/s.
+        mu, scales : ndarray, shape (nc,)
+        q_norm : float
+            ‖q‖₂, m/s.
+        """
         problem = cls.__new__(cls)
         problem.blocks, problem.q, problem.mu, problem.scales, problem.q_norm = blocks, q, mu, scales, q_norm or 1.0
         return problem
@@ -223,12 +233,8 @@ class FC3D:
     def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:
         """(both measures within tol, error, residual in m/s, u) of an impulse r."""
         r = self.impulse(r)
-        if self.blocks is None:
-            u = self.velocity(r)
-            top, residual = _cones.measures(self.scales, u, r, self.mu)
-        else:
-            u = np.empty_like(self.q)
-            top, residual = _blocks.judged(self.blocks.arrays, self.q, self.mu, self.scales, r, u)
+        u = self.velocity(r)
+        top, residual = _cones.measures(self.scales, u, r, self.mu)
         error = top / self.q_norm
         return error <= tol and residual <= tol, error, residual, u
 

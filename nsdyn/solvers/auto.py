@@ -66,6 +66,14 @@ LIMITS = (DENSE, *TUNING.small)
 class Search:
     """The best impulse of one island so far, and what it has cost.
 
+    Parameters
+    ----------
+    problem : FC3D
+    r : ndarray, shape (3 nc,)
+        Where it begins, N·s.
+    tol, loose, effort : float
+        As of `Auto`.
+
     Attributes
     ----------
     r, best : ndarray, float

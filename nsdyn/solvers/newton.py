@@ -109,7 +109,19 @@ class Multipliers:
 
 
 def newton(problem: FC3D, W: Operator, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
-    """Newton for any W, in place of r: (factorisations, measure of r)."""
+    """Newton for any W: (factorisations, measure of r).
+
+    Parameters
+    ----------
+    problem : FC3D
+    W : Operator
+    r : ndarray, shape (3 nc,)
+        Where it begins, N·s, and what it finds.
+    tol, penalty : float
+        As of `Newton`.
+    most : int
+        Factorisations.
+    """
     run = Multipliers(problem, W, r, penalty)
     run.run(tol, most)
     return run.count, run.best
