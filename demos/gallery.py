@@ -78,6 +78,7 @@ EXHIBITS = (
         "m",
         2.0**2 / (2 * 0.5 * G),
         {"heading": 30.0},
+        at=0.2,
     ),
     Exhibit(
         "A thousand kilograms on nine boxes of one",
@@ -119,6 +120,7 @@ EXHIBITS = (
         lambda t: 2.0 * math.dist(*t.body("ball").position[[0, -1]]) / t.t[-1] ** 2,
         "m/s²",
         G * math.sin(math.radians(10)) / (1 + 2 / (5 * math.sin(math.radians(45)) ** 2)),
+        at=0.7,
     ),
     Exhibit(
         "Books over the edge of a table",

@@ -30,7 +30,7 @@ def scene(length: float = 1.0, mass: float = 1.0, width: float = 0.1) -> Scene:
         centre = pin.SE3(np.eye(3), 0.5 * part * along)
         model.appendBodyToJoint(joint, pin.Inertia.FromBox(part * mass, *size), centre)
         model.addJointFrame(joint)
-        collisions[name] = [(shapes.box(np.where(along == 0.0, 0.05 * length, 0.8 * part * length)), centre)]
+        collisions[name] = [(shapes.box(np.where(along == 0.0, 0.05 * length, part * length)), centre)]
         return joint
 
     joint = 0

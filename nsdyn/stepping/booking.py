@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from nsdyn.dynamics.tree_values import TreeEnd
-from nsdyn.dynamics.values import Energies, Position
+from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.energy import Works
@@ -19,39 +20,39 @@ from nsdyn.stepping.rounds import Impact
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement
 
-__all__ = ["Move", "finish", "tree_works"]
+__all__ = ["Passage", "finish", "tree_works"]
 
 OPEN = np.int8(0)
 
 
-class Move(NamedTuple):
-    """A move and its end.
+class Passage(NamedTuple):
+    """A move, or moves and impacts one after the other.
 
     Attributes
     ----------
     end : Instant
-    impulses : Impulses
-    works : list of Works
-        Of its parts.
-    problem : FC3D
-    solution : Solution
-        Of the last problem solved.
+    rate : ndarray, shape (n,)
+        Last free acceleration, m/s² and rad/s².
     clear : bool
         Whether the end is without overlap.
-    rate : ndarray, shape (n,)
-        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
+    done : list of Impulses
+    solved : list of (FC3D, Solution)
+        Of all problems.
+    works : list of Works
+    path : sequence of Placement
+        Where the frames were on their way: between two of them bodies go straight, turning at constant rates.
     """
 
     end: Instant
-    impulses: Impulses
-    works: list[Works]
-    problem: FC3D
-    solution: Solution
-    clear: bool
     rate: Array
+    clear: bool
+    done: list[Impulses]
+    solved: list[tuple[FC3D, Solution]]
+    works: list[Works]
+    path: Sequence[Placement] = ()
 
 
-def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -> Move:
+def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -> Passage:
     """The move to a position without overlap, and what was done on its way; of the nodes `left`, if not of all."""
     d, half, a = s.dynamics, tried.half, tried.response
     placed = project(d, s.detector, a.moved, half.forces, s.closed)
@@ -90,7 +91,7 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
         twists,
         energies,
     )
-    return Move(end, impulses, [own, *works], a.problem, a.solution, placed.clear, half.rate)
+    return Passage(end, half.rate, placed.clear, [impulses], [(a.problem, a.solution)], [own, *works])
 
 
 def tree_works(

@@ -322,14 +322,16 @@ class Encounter(NamedTuple):
 
     def corrected(
         self, gap: Array, off: Bools, r: Array, closed: float, ahead: float, ended: tuple[Index, Array, Array]
-    ) -> Encounter:
+    ) -> Encounter | None:
         """The same with the gaps (rows,) that the rows that are `off` end with, and impulses to start from.
 
         The move takes `ahead` s after the impulses, and has `ended` with contacts of such names and normal speeds, m/s,
-        and joint rows of such speeds.
+        and joint rows of such speeds. Rows whose gaps are not theirs are no longer `off`; None where all are so.
         """
         end_gap, late, local = self.end_gap.copy(), self.late.copy(), self.local.copy()
-        _law.end_otherwise(off, gap, self.contacts.key, ended, self.local, (ahead, closed), end_gap, late)
+        own = self.contacts.key, ended, self.local, (ahead, closed)
+        if not _law.end_otherwise(off, gap, *own, end_gap, late):
+            return None
         local[4] = r
         return self.otherwise()._replace(end_gap=end_gap, late=late, local=local)
 
@@ -340,11 +342,10 @@ class Encounter(NamedTuple):
         local[4] = r
         return self.otherwise()._replace(rows=rows, local=local)
 
-    def off(self, gap: Array, r: Array, most: Array, closed: float) -> Bools:
-        """Which rows stay and are pressed by r, but end with a gap (rows,), of no more than `most`."""
-        away, pressed = np.abs(gap), r[0 : 3 * gap.size : 3] > 0.0
-        out: Bools = self.stays & pressed & (away > closed) & (away <= most)
-        return out
+    def off(self, gap: Array, r: Array, closed: float) -> Bools | None:
+        """Which rows stay and are pressed by r, but end with a gap (rows,); None if none do."""
+        out = np.empty(gap.size, np.bool_)
+        return out if _law.off(gap, r, self.stays, closed, out) else None
 
     def otherwise(self) -> Encounter:
         """The same where the problem is not as it was posed."""

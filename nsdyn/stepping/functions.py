@@ -43,8 +43,10 @@ class Functions:
         self._given = {"controller": controller, "external_force": external_force}
         for what, given in self._given.items():
             if given is not None and not callable(given):
+                returned = {"controller": '{"arm": nd.PD(...)}', "external_force": '{"box": (1, 0, 0)}'}[what]
                 raise ValueError(
-                    f"{what} must be a function of (t, q, v), or of (t, q, v, last), or None, got {given!r}"
+                    f"{what} must be a function of (t, q, v), or of (t, q, v, last), or None, "
+                    f"as `lambda t, q, v: {returned}`; got {given!r}"
                 )
         self._seeing = {what for what, given in self._given.items() if given and callbacks.takes(given, "last")}
         self.take_last = bool(self._seeing)

@@ -195,12 +195,6 @@ class System(NamedTuple):
         out: Array = self.solver.tol + parting / np.where(restitution > 0.0, restitution, 1.0)
         return out
 
-    def near(self, contacts: ContactSet, rows: int) -> Array:
-        """Gaps, m or rad, up to which rows that were pressed all through a move are closed but for numerics."""
-        out = np.full(rows, FAST * JOINT)
-        out[: contacts.gap.size] = FAST * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
-        return out
-
     def sunk(self, contacts: ContactSet) -> bool:
         """Whether bodies are in each other by more than `FAST` of the inscribed radius of the smaller shape."""
         if _few.least(contacts.gap) >= -FAST * self.smallest:

@@ -7,6 +7,7 @@ motion then says whether it came near another after all: these are made once mor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -18,15 +19,15 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.ball_joints import unbalanced
-from nsdyn.stepping.booking import Move, finish
+from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import striking
 from nsdyn.stepping.half import Half, Loads, first_half
-from nsdyn.stepping.instant import FAST, JOINT, Instant, System, take
+from nsdyn.stepping.instant import FAST, JOINT, Instant, System
 from nsdyn.stepping.move import Trial, attempt
 from nsdyn.stepping.parts import Part, driven, merged
-from nsdyn.stepping.passage import GAIN, Passage, through, undisturbed
+from nsdyn.stepping.passage import GAIN, through, turns_far, undisturbed
 from nsdyn.stepping.reversal import endings
-from nsdyn.stepping.sight import parting
+from nsdyn.stepping.sight import followed, parting
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -94,7 +95,7 @@ class Islands:
                 done = finish(s, begin, tried)
                 self._gaining(begin, done, tried, label, opened)
                 if not opened.any():
-                    return _done(done)
+                    return done
         return self._together(state, loads, half, label, opened, tried)
 
     def _together(
@@ -106,7 +107,7 @@ class Islands:
         if tried is not None:
             boxes = self._swept(s, [begin.placement, half.middle.placement, tried.response.moved.placement])
         done: dict[tuple[int, ...], tuple[Part, Passage]] = {}
-        key = (begin if tried is None else tried.seen).memory.next_key
+        key = (begin if tried is None else tried.reach).memory.next_key
         while True:
             for k in np.flatnonzero(opened).tolist():
                 nodes = np.flatnonzero(label == k)
@@ -130,14 +131,14 @@ class Islands:
             opened = again
         made = [done[tuple(np.flatnonzero(label == k).tolist())] for k in np.flatnonzero(opened).tolist()]
         left = ~opened[label]
-        out = Passage(begin, half.rate.copy(), True, [], [], [], [])
+        out = Passage(begin, half.rate.copy(), True, [], [], [])
         if tried is not None and left.any():
             kept = self._kept(tried, left)
             move, count = finish(s, begin, kept, left), opened.sum()
             self._gaining(begin, move, kept, label, opened)
             if opened.sum() > count:
                 return self._together(state, loads, half, label, opened, tried)
-            out = _done(move)
+            out = move
             out.done[0] = out.done[0]._replace(moves=np.repeat(left, np.diff(d.offset)))
         for part, p in made:
             out.rate[part.coordinates] = p.rate
@@ -177,7 +178,7 @@ class Islands:
             first, second = np.concatenate((first, least[before])), np.concatenate((second, np.arange(self.count)))
         return int(_islands.islands(*boxes, self._node, first, second, label))
 
-    def _swept(self, s: System, path: list[Placement]) -> tuple[Array, Array]:
+    def _swept(self, s: System, path: Sequence[Placement]) -> tuple[Array, Array]:
         """Boxes about the geoms on their way, (geoms, 3) each, m."""
         frame, free = s.detector.frame, s.dynamics.free
         lower, upper = s.detector.boxes(*path[0][:2])
@@ -246,16 +247,18 @@ class Islands:
         fast = d.node[:-1][tried.half.reach > FAST * s.smallest] if tried.half.fast else d.node[:0]
         if not opened[label[fast[fast >= 0]]].all():
             poses = [Poses(*p[:2]) for p in (begin.placement, tried.half.middle.placement, a.moved.placement)]
-            closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+            known = followed(s, begin, found)
             for one, other in pairwise(poses):
-                met = s.touches(one, other, tried.seen.memory, closed).contacts
+                met = s.touches(one, other, tried.reach.memory, known).contacts
                 opened[label[self._nodes(met, np.ones(met.gap.size, np.bool_))[0]]] = True
 
-    def _gaining(self, begin: Instant, made: Move, tried: Trial, label: Index, opened: Bools) -> None:
+    def _gaining(self, begin: Instant, made: Passage, tried: Trial, label: Index, opened: Bools) -> None:
         """Open the islands whose contacts add energy in a move made: by themselves these take it in pieces."""
-        s, d, a, met = self.whole, self.whole.dynamics, made.impulses, tried.response.met
+        s, d, a, met = self.whole, self.whole.dynamics, made.done[0], tried.response.met
         if d.surfaces.count or d.trees or not a.status.size:  # as of `passage`
             return
+        far = turns_far(s, s.dt, a, begin, made.end)
+        opened[label[s.nodes(a.contacts)[far]]] = True
         nothing = np.where(met.stays, a.normal, 0.0) + np.where(met.sticks & (a.status == 1), a.friction, 0.0)
         other = a.normal + a.friction - nothing
         island = label[s.nodes(a.contacts)]
@@ -305,8 +308,3 @@ class Islands:
         forces, free = tried.half.forces, left[: d.free, None]
         forces = forces._replace(force=free * forces.force, torque=free * forces.torque)
         return tried._replace(half=tried.half._replace(forces=forces), response=response)
-
-
-def _done(m: Move) -> Passage:
-    """A step in one move."""
-    return Passage(m.end, m.rate, m.clear, [m.impulses], [(m.problem, m.solution)], m.works, [])

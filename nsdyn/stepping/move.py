@@ -38,34 +38,24 @@ LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
 
 
-class Seen(NamedTuple):
-    """What was found where the impulses of a move act.
-
-    Attributes
-    ----------
-    contacts : ContactSet
-    memory : ContactMemory
-    looked : Looked
-    """
-
-    contacts: ContactSet
-    memory: ContactMemory
-    looked: Looked
-
-
 class Reach(NamedTuple):
-    """What the second half of a move may need of what was `seen`.
+    """What the second half of a move may need, of what was found where its impulses act.
 
     Attributes
     ----------
     contacts : ContactSet
     joints : JointRows or None
-    seen : Seen
+    found : ContactSet
+        All that was found.
+    memory : ContactMemory
+    looked : Looked
     """
 
     contacts: ContactSet
     joints: JointRows | None
-    seen: Seen
+    found: ContactSet
+    memory: ContactMemory
+    looked: Looked
 
 
 class Response(NamedTuple):
@@ -125,8 +115,7 @@ class Trial(NamedTuple):
     Attributes
     ----------
     half : Half
-    joints : JointRows or None
-    seen : Seen
+    reach : Reach
     response : Response
     unmet : Unmet, optional
         What the motion did not meet, where it ends; None where there is nothing or all was caught.
@@ -138,8 +127,7 @@ class Trial(NamedTuple):
     """
 
     half: Half
-    joints: JointRows | None
-    seen: Seen
+    reach: Reach
     response: Response
     unmet: Unmet | None
     touched: float
@@ -174,7 +162,6 @@ def trial(
     """
     half = half or first_half(s, begin, t, h, callbacks)
     reach = _reachable(s, begin, half, barred)
-    _, joints, seen = reach
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
     rough = barred is None
     half, response = _respond(s, begin, half, reach, barred, None, rough)
@@ -183,14 +170,14 @@ def trial(
         places = half.middle.placement, response.moved.placement
         found = response.moved.contacts
         real, memory, missed = shown(
-            s, response.met, response.solution.r, found, seen.memory, places, half.fast, missed
+            s, response.met, response.solution.r, found, reach.memory, places, half.fast, missed
         )
-        seen = seen._replace(memory=memory)
         same = real is response.met.contacts and not response.otherwise
         if same and (response.solution.converged or not rough):
             break
         rough = not same and left > 0
-        half, response = _respond(s, begin, half, Reach(real, joints, seen), barred, response, rough)
+        reach = reach._replace(contacts=real, memory=memory)
+        half, response = _respond(s, begin, half, reach, barred, response, rough)
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return trial(s, begin, t, h, None, barred, again)
     unmet, until, turned = None, h, h
@@ -199,14 +186,14 @@ def trial(
         limits = moved.limits
         if limits.size and not barred.size and _few.least(limits) >= -s.closed:
             limits = NOTHING
-        r, slots = response.normal, NO_SLOTS if joints is None else joints.slot
+        r, slots = response.normal, NO_SLOTS if reach.joints is None else reach.joints.slot
         unmet = others(s, moved.contacts, response.met.contacts, r, limits, slots)
         if half.fast and not barred.size:
             places = half.middle.placement, moved.placement
-            until = touched(s, begin, places, seen.memory, h, half.reach / half.ahead)
+            until = touched(s, begin, moved.contacts, places, reach.memory, h, half.reach / half.ahead)
         if not barred.size:
             turned = h * reversal(response.met, s.solver, response.problem, response.solution)
-    return Trial(half, joints, seen, response, unmet, until, turned)
+    return Trial(half, reach, response, unmet, until, turned)
 
 
 def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: Index, skip: Bools) -> Trial:
@@ -215,36 +202,34 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: 
     Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
     nodes `skip`, whose contacts are passed over.
     """
-    contacts, joints, seen = _reachable(s, begin, half, NO_SLOTS)
+    reach = _reachable(s, begin, half, NO_SLOTS)
     if skip.any():
-        contacts = take(contacts, ~skip[s.nodes(contacts)])
-    half, response = _respond(s, begin, half, Reach(contacts, joints, seen), NO_SLOTS, None, False, label)
+        reach = reach._replace(contacts=take(reach.contacts, ~skip[s.nodes(reach.contacts)]))
+    half, response = _respond(s, begin, half, reach, NO_SLOTS, None, False, label)
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return attempt(s, begin, again, None, label, skip)
-    slots, moved = NO_SLOTS if joints is None else joints.slot, response.moved
-    unmet = others(s, moved.contacts, contacts, response.normal, moved.limits, slots)
-    return Trial(half, joints, seen, response, unmet, half.h, half.h)
+    slots, moved = NO_SLOTS if reach.joints is None else reach.joints.slot, response.moved
+    unmet = others(s, moved.contacts, reach.contacts, response.normal, moved.limits, slots)
+    return Trial(half, reach, response, unmet, half.h, half.h)
 
 
 def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> Reach:
     """Contacts and joint rows that the second half may need, but for what is to be left alone; all that was found."""
     middle, v = half.middle, half.forces.foreseen
     x, R, _ = middle.placement
-    if half.same:
-        seen = Seen(begin.contacts, begin.memory, begin.looked)
-    else:
-        looked = s.look(begin.looked, x, R, half.reach)
-        seen = Seen(*s.detector.find(*looked, begin.memory), looked)
-    contacts, joints = seen.contacts, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
+    looked, found, memory = begin.looked, begin.contacts, begin.memory
+    if not half.same:
+        looked = s.look(looked, x, R, half.reach)
+        found, memory = s.detector.find(*looked, memory)
+    contacts, joints = found, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
     if barred is None:
         if half.fast:
-            contacts, memory = reached(s, contacts, begin, middle.placement, seen.memory)
-            seen = seen._replace(memory=memory)
-        return Reach(contacts, joints, seen)
+            contacts, memory = reached(s, contacts, begin, middle.placement, memory)
+        return Reach(contacts, joints, found, memory, looked)
     contacts = caught(s, contacts, begin, half, barred)
     if joints is not None:
         joints = caught_limits(s, joints, begin, v, half.ahead, barred)
-    return Reach(contacts, joints, seen)
+    return Reach(contacts, joints, found, memory, looked)
 
 
 def _respond(
@@ -263,10 +248,10 @@ def _respond(
     not where nodes have a label (nodes,), that of their island. Then nothing is done to an island because of another,
     and that is left to see who asks.
     """
-    d, middle, forces, (contacts, joints, seen) = s.dynamics, half.middle, half.forces, reach
+    d, middle, forces, (contacts, joints, found, memory, looked) = s.dynamics, half.middle, half.forces, reach
     closing = s.closing(half.h, barred is None)
     start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-    every, at, moving = d.with_actuators(joints, forces), middle.seen(seen.looked), half.surfaces[1:]
+    every, at, moving = d.with_actuators(joints, forces), middle.seen(looked), half.surfaces[1:]
     met = Encounter.of(d, contacts, every, at, forces, start, half.reach, moving, half.h, half.ahead, closing)
     impact: Impact | None = None
     kick: Array | float = 0.0
@@ -296,24 +281,26 @@ def _respond(
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
-        twists, same = d.twists(there, v_end), s.unmoved(seen.looked, there, near)
+        twists, same = d.twists(there, v_end), s.unmoved(looked, there, near)
         if same:
-            moved = Placed(end, there, seen.contacts, d.limits(there), seen.memory, seen.looked, True)
+            moved = Placed(end, there, found, d.limits(there), memory, looked, True)
         else:
-            moved = place(d, s.detector, end, there, seen.memory, s.look(seen.looked, there.x, there.R, near))
+            moved = place(d, s.detector, end, there, memory, s.look(looked, there.x, there.R, near))
         if not left or not met.stays.any():
             break
         gap = s.detector.gaps(contacts, moved.contacts, Poses(there.x, there.R))
         if met.joints is not None:
             gap = np.concatenate((gap, _limits(s, met.joints, there)))
-        off = alone.off(gap, solution.r, s.near(contacts, gap.size), s.closed)
-        if not off.any():
+        off = alone.off(gap, solution.r, s.closed)
+        if off is None:
             break
-        apart = apart._replace(off=off)
         parts = parting(d, moved.contacts, there, v_end, end.driven_x, half.surfaces[2])
         rates = NOTHING if met.joints is None else d.joints.rates(met.joints.slot, v_end)
         ended = moved.contacts.key, parts, rates
-        alone, known = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended), solution
+        further = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended)
+        if further is None:
+            break
+        alone, known, apart = further, solution, apart._replace(off=off)
     return half, Response(
         met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved
     )

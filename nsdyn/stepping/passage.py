@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import math
 from itertools import count
-from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels.stepping.law import TURNS
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.booking import finish
+from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
 from nsdyn.stepping.instant import DEEP, SHALLOW, Impulses, Instant, System, among, take
 from nsdyn.stepping.move import Trial, trial
-from nsdyn.stepping.quiet_trees import Moves, quiet_trees
-from nsdyn.stepping.sight import Unmet, approach
+from nsdyn.stepping.quiet_trees import quiet_trees
+from nsdyn.stepping.sight import approach
 from nsdyn.stepping.state import State
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Passage", "through"]
+__all__ = ["GAIN", "through", "turns_far", "undisturbed"]
 
 WORK, EVENT = 400, 8
 """Most contacts in all moves that an island tries in a step to locate its events, so that the effort is bounded, and
@@ -50,33 +50,6 @@ JUMP = 1e-9
 """Fraction of a move in which a gap changes its sign so abruptly that it jumps."""
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
-
-
-class Passage(NamedTuple):
-    """Moves and impacts one after the other.
-
-    Attributes
-    ----------
-    end : Instant
-    rate : ndarray, shape (n,)
-        Last free acceleration, m/s² and rad/s².
-    clear : bool
-        Whether the end is without overlap.
-    done : list of Impulses
-    solved : list of (FC3D, Solution)
-        Of all problems.
-    works : list of Works
-    path : list of Placement
-        Where the frames were on their way: between two of them bodies go straight, turning at constant rates.
-    """
-
-    end: Instant
-    rate: Array
-    clear: bool
-    done: list[Impulses]
-    solved: list[tuple[FC3D, Solution]]
-    works: list[Works]
-    path: list[Placement]
 
 
 class Effort:
@@ -149,10 +122,10 @@ def _pass(
     and where contacts that persist, or what is lifted, add energy.
     """
     sunk, path = False, [begin.placement]
-    found, half = _quietly(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
-    if found is None:
-        found, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
-    now, rate, clear, done, solved, works = found
+    out, half = undisturbed(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
+    if out is None:
+        out, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
+    now, rate, _, done, solved, works, _ = out
     d, gained = s.dynamics, sum(w.integration for w in works)
     if not d.surfaces.count:
         gained += sum(w.projection for w in works)
@@ -161,26 +134,29 @@ def _pass(
     if gained > 0.0 and not d.trees:  # which keep their own errors small
         # Where all is at rest, what gravity gives in a step is the scale.
         sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * rate))
+    sunk = sunk or any(turns_far(s, h, a, begin, now).any() for a in done)
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
-    return Passage(now, rate, clear, done, solved, works, [*path, now.placement]), coarse
+    return out._replace(path=[*path, now.placement]), coarse
 
 
 def undisturbed(
     s: System, begin: Instant, t: float, h: float, callbacks: Callbacks
 ) -> tuple[Passage | None, Half | None]:
     """A move of h s from the time t in which nothing new is met, None where anything is; its first half, if known."""
-    found, half = _quietly(s, begin, t, h, callbacks)
-    if found is None:
-        return None, half
-    now, rate, clear, done, solved, works = found
-    return Passage(now, rate, clear, done, solved, works, []), half
+    if not s.dynamics.trees:
+        return None, None
+    half = first_half(s, begin, t, h, callbacks)
+    return quiet_trees(s, begin, half, callbacks), half
 
 
-def _quietly(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> tuple[Moves | None, Half | None]:
-    if s.dynamics.trees:
-        half = first_half(s, begin, t, h, callbacks)
-        return quiet_trees(s, begin, half, callbacks), half
-    return None, None
+def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant) -> Bools:
+    """Contacts (nc,) that touch, of bodies that turn so far in half a move of h s that its law does not foresee it."""
+    out = (acted.r[:, 0] > 0.0) | (acted.contacts.gap <= s.closed)
+    if out.any():
+        spin = np.append(np.maximum(*[np.einsum("fi,fi->f", i.twists[1], i.twists[1]) for i in (begin, end)]), 0.0)
+        c = acted.contacts
+        out &= s.theta * h * np.sqrt(np.maximum(spin[c.frame1], spin[c.frame2])) > TURNS
+    return out
 
 
 def _moves(
@@ -193,7 +169,7 @@ def _moves(
     half: Half | None,
     path: list[Placement],
     effort: Effort,
-) -> tuple[Moves, bool]:
+) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
 
     Where they were goes into the path.
@@ -216,15 +192,15 @@ def _moves(
         half = None
         m = finish(s, now, tried)
         path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
-        done.append(_later(m.impulses, h - left))
+        done.append(_later(m.done[0], h - left))
         moved = tried.response.moved
         sunk = sunk or s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
-        solved.append((m.problem, m.solution))
+        solved += m.solved
         works += m.works
         if left <= 1e-12 * h:
             break
-    return (now, rate, clear, done, solved, works), sunk
+    return Passage(now, rate, clear, done, solved, works), sunk
 
 
 def _jammed(solution: Solution) -> bool:
@@ -266,39 +242,74 @@ def _until_event(
         return _until_event(s, loads, begin, t, m.touched, soon, effort)
     if soon < m.turned < h:
         return _until_event(s, loads, begin, t, m.turned, h, effort)
-    if m.unmet is None:
-        return h, m
-    hit = m.unmet.gap < -m.unmet.limit
-    if not hit.any():
+    if m.unmet is None or not (hit := m.unmet.gap < -m.unmet.limit).any():
         return h, m
     barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
+    return _located(s, loads, begin, t, {h: m}, barred, limit, effort) or capture()
+
+
+def _located(
+    s: System,
+    loads: Loads,
+    begin: Instant,
+    t: float,
+    moves: dict[float, Trial],
+    barred: Index,
+    limit: float,
+    effort: Effort,
+) -> tuple[float, Trial] | None:
+    """The move that ends where it first touches what is barred, and its length; None if none is found.
+
+    Parameters
+    ----------
+    s : System
+    loads : callable
+    begin : Instant
+    t : float
+        Where the move begins, s.
+    moves : dict
+        One that has run into what is barred, by its length, s.
+    barred : ndarray of int
+        Codes, as of `Unmet`.
+    limit : float
+        How far they may run into each other, m.
+    effort : Effort
+    """
+    (h,) = moves
     far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))
-    wide, moves = float(far.max(initial=s.closed)), {h: m}
+    wide = float(far.max(initial=s.closed))
+    aims: dict[float, float] = {}
+    gaps: dict[float, float] = {}
+    # Of what rebounds the energy tells where it struck.
+    none = (1e-3 if limit <= s.closed else 0.5) * s.closed
 
     def gap(time: float) -> float:
         if time not in moves:
             effort.spend(begin)
             moves[time] = _try(s, loads, begin, t, time, barred)
-        return _least(moves[time].unmet, barred, wide, 1e-3 * s.closed)
+        if time not in aims:
+            aims[time], gaps[time] = _first_touch(s, begin, moves[time], barred, wide)
+        return gaps[time]
 
-    low, high, length, misses = 0.0, h, h, 0
-    aims: dict[float, float] = {}
+    low, high, length, last, misses, gains = 0.0, h, h, h, 0, True
+    nearest = abs(gap(h))
     for _ in range(LOOKS):
-        # Newton's method from the nearest as long as it gains: in free flight it is exact.
-        if length not in aims:
-            aims[length] = _first_touch(s, begin, moves[length], barred)
-        time = h if misses else _next([*aims.items()][-2:])
-        time = time if low < time < high else 0.5 * (low + high)
-        nearest, found = abs(gap(length)), gap(time)
-        misses = 0 if abs(found) <= 0.5 * nearest else misses + 1
+        # Newton's method as long as it gains, else halves: in free flight it is exact.
+        time = _next([*aims.items()][-2:])
+        aimed = gains and low < time < high
+        time = time if aimed else 0.5 * (low + high)
+        found = gap(time)
+        gains = not aimed or abs(found) <= 0.5 * abs(gap(last))
         low, high = (time, high) if found > 0.0 else (low, time)
-        length = length if abs(found) > nearest else time
+        misses = 0 if abs(found) <= 0.5 * nearest else misses + 1
+        if abs(found) <= nearest:
+            length, nearest = time, abs(found)
+        last = time
         # Beyond what the solver leaves of velocities nothing is gained. A gap that jumps, where another feature is the
         # first to touch, has no root.
-        if found == 0.0 or high - low <= JUMP * h or (misses > 1 and abs(gap(length)) <= limit):
+        if nearest <= none or high - low <= JUMP * h or (misses > 1 and -limit <= gap(length) <= s.closed):
             break
-    best, located = moves[length], abs(gap(length)) <= limit
-    return (length, best) if located else capture()
+    return (length, moves[length]) if -limit <= gap(length) <= s.closed else None
 
 
 def _next(aims: list[tuple[float, float]]) -> float:
@@ -314,18 +325,12 @@ def _next(aims: list[tuple[float, float]]) -> float:
     return time + far / (1.0 - (aim - last) / (time - before))
 
 
-def _least(left: Unmet | None, barred: Index, wide: float, none: float) -> float:
-    """Least gap of what is barred, `wide` where none of it is near; 0 where it is no more than `none`, m or rad."""
-    gaps = NOTHING if left is None else left.gap[among(left.code, barred)]
-    gap = float(gaps.min()) if gaps.size else wide
-    return 0.0 if abs(gap) <= none else gap
+def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float) -> tuple[float, float]:
+    """When a move first touches what is barred, s, and its least gap there, `wide` where nothing of it is near.
 
-
-def _first_touch(s: System, begin: Instant, m: Trial, barred: Index) -> float:
-    """When a move first touches what is barred, s: by parabolas of gaps that end as it does.
-
-    They accelerate as they did on the way, whatever else pressed there; under the free forces where they were not seen
-    at the beginning. The time may be past the end of the move; infinite where nothing tells.
+    By parabolas of gaps that end as it does. They accelerate as they did on the way, whatever else pressed there; under
+    the free forces where they were not seen at the beginning. The time may be past the end of the move; infinite where
+    nothing tells. What is closed without approaching, as where it has just begun to part, does not touch.
     """
     d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
     pressed = a.met.contacts.key[a.normal > 0.0]
@@ -334,6 +339,7 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index) -> float:
     slots = joints.limits[-1 - barred[barred < 0]]
     gap = np.concatenate((c.gap, joints.gaps(slots, d.angles(there)) if slots.size else NOTHING))
     u, fall = (np.concatenate((approach(d, c, there, w), joints.rates(slots, w))) for w in (a.v_end, rate))
+    least = float(gap[(np.abs(gap) > s.closed) | (u < -s.solver.tol)].min(initial=wide))
     began = np.concatenate((np.full(c.gap.size, np.nan), joints.rates(slots, begin.v)))
     _, here, was = np.intersect1d(c.key, before.key, return_indices=True)
     began[here] = approach(d, before, begin.placement, begin.v)[was]
@@ -345,7 +351,7 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         x = np.where(u < 0.0, 2.0 * gap / (u - root), (u + root) / fall)
     times = m.half.h - x[((gap < 0.0) & (x > 0.0)) | ((gap > 0.0) & (u < 0.0))]
-    return float(times[times > 0.0].min(initial=np.inf))
+    return float(times[times > 0.0].min(initial=np.inf)), least
 
 
 def _try(

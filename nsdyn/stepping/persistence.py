@@ -100,7 +100,7 @@ def unfinished(
         return None
     d, c = s.dynamics, met.contacts
     gap = s.detector.gaps(c, moved, Poses(ended.x, ended.R))
-    out = met.off(gap, r, s.near(c, gap.size), s.closed)
+    out = met.off(gap, r, s.closed)
     if d.free:
         other = np.empty(c.gap.size, np.bool_)
         found = np.zeros((gap.size, 3)), np.empty(d.n), np.full(gap.size, np.inf), other
@@ -113,11 +113,11 @@ def unfinished(
             (met.stays, met.sticks, slides),
             found,
         )
-        out |= other
-    if out.any():
+        out = other if out is None else out | other
+    if out is not None:
         went = np.append((begun.x != ended.x).any(axis=1) | (begun.R != ended.R).any(axis=(1, 2)), False)
         out &= went[c.frame1] | went[c.frame2]
-    return out if out.any() else None
+    return out if out is not None and out.any() else None
 
 
 def solve_workless(

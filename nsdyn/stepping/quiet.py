@@ -59,7 +59,6 @@ class Quiet:
             FAST * s.smallest,
             s.slow,
             STILL * s.closed,
-            FAST,
             s.elastic,
             *s.bounces,
             solver.tol,
@@ -70,7 +69,7 @@ class Quiet:
             s.inscribed.size,
         )
         floats = [moments, axes, inverse_mass, inverse_J, radius, d.mass, d.J, m, minv, d.gravity, d.no_load, s.arm]
-        floats += [d.nowhere, s.inscribed, np.array(numbers, dtype=float)]
+        floats += [d.nowhere, np.array(numbers, dtype=float)]
         self._arrays, self._solver, self._detector = (
             pack(floats, [block_of_frame, offset, m_start])[:2],
             solver,

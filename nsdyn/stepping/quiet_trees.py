@@ -11,27 +11,20 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
-from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
-from nsdyn.stepping.booking import tree_works
+from nsdyn.stepping.booking import Passage, tree_works
 from nsdyn.stepping.encounter import Encounter, foresee
-from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
-from nsdyn.stepping.instant import NOTHING, Impulses, Instant, System, account
+from nsdyn.stepping.instant import NOTHING, Instant, System, account
 from nsdyn.stepping.persistence import NO_COUPLE, unfinished
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import approach
 from nsdyn.stepping.solving import Way, solve
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Moves", "quiet_trees"]
-
-Moves = tuple[Instant, Array, bool, list[Impulses], list[tuple[FC3D, Solution]], list[Works]]
-"""End of some moves, the last free acceleration, whether the end is clear, what acted, what was solved and the works of
-all parts: as of `nsdyn.stepping.booking.Move`."""
+__all__ = ["quiet_trees"]
 
 
-def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> Moves | None:
+def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> Passage | None:
     """`quiet` in scenes with trees, under whatever forces, from the first half of a move, which callbacks correct.
 
     No joint is near its limits, none has dry friction, and no actuator is at its limit.
@@ -79,7 +72,7 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses, own)
     twists = d.twists(place, v_end)
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)
-    return end, half.rate, True, [impulses], [(problem, solution)], [works]
+    return Passage(end, half.rate, True, [impulses], [(problem, solution)], [works])
 
 
 def _bounces(s: System, begin: Instant, rate: Array) -> bool:

@@ -25,7 +25,18 @@ from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among, take
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Unmet", "approach", "caught", "caught_limits", "others", "parting", "reached", "shown", "touched"]
+__all__ = [
+    "Unmet",
+    "approach",
+    "caught",
+    "caught_limits",
+    "followed",
+    "others",
+    "parting",
+    "reached",
+    "shown",
+    "touched",
+]
 
 PAST = 0.05
 """Fraction of the smaller inscribed radius by which bodies get into each other where a fast move is cut short, which is
@@ -168,20 +179,39 @@ def reached(
     return _merged(others, first, s.detector), touches.memory
 
 
+def followed(s: System, begin: Instant, end: ContactSet) -> ContactSet:
+    """Contacts where a move begins of pairs that do not pass through each other unseen, of the contacts at its end.
+
+    They are closed, or the same features are on the same sides there.
+    """
+    c = begin.contacts
+    where = np.empty(c.gap.size, np.int64)
+    _touching.places(end.key, c.key, where)
+    same = where >= 0
+    same[same] = (c.normal[same] * end.normal[where[same]]).sum(axis=1) > 0.0
+    return take(c, (c.gap <= s.closed) | same)
+
+
 def touched(
-    s: System, begin: Instant, places: tuple[Placement, Placement], memory: ContactMemory, h: float, speed: Array
+    s: System,
+    begin: Instant,
+    end: ContactSet,
+    places: tuple[Placement, Placement],
+    memory: ContactMemory,
+    h: float,
+    speed: Array,
 ) -> float:
-    """Time just after a pair that is open where a move of h s begins touches on its way, h if none does before, s.
+    """Time just after a pair that is open where a move of h s begins touches on its way unseen, s; h if none does.
 
     Not much after it, so that what is hit is seen from the side where it is: the frames move with `speed` (frames,).
     """
-    closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+    known = followed(s, begin, end)
     first, second, third = [Poses(*place[:2]) for place in (begin.placement, *places)]
     before, length = 0.0, (1.0 - s.theta) * h
-    touches = s.touches(first, second, memory, closed)
+    touches = s.touches(first, second, memory, known)
     if not touches.fraction.size:
         before, length = length, s.theta * h
-        touches = s.touches(second, third, memory, closed)
+        touches = s.touches(second, third, memory, known)
     if not touches.fraction.size:
         return h
     k, c = int(touches.fraction.argmin()), touches.contacts

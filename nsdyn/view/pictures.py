@@ -36,7 +36,7 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
     """
     with browsing() as browser, files.writing(picture, files.FRAME) as part:
         browser.open(_as_picture(page), size)
-        part.write_bytes(browser.picture())
+        part.write_bytes(browser.picture(optimizeForSpeed=False))
 
 
 def check_film() -> None:

@@ -45,8 +45,8 @@ LARGE_PAGE = 50e6
 """Bytes; browsers get slow."""
 
 SCRIPTS = (
-    "format theme recording clock timeline sight meshes coarse stage blind overlay chart ledger motion inspector pane"
-    " tools main"
+    "format theme recording clock timeline sight meshes backs coarse film stage blind overlay chart ledger motion"
+    " inspector pane tools main"
 ).split()
 """Of the folder `page`, in the order of their use."""
 

@@ -74,14 +74,19 @@ def test_script_runs(script, tmp_path, monkeypatch, capsys):
     "scene",
     [
         "--begin 7132",
-        "--begin 3229 --seed 1",
-        "--begin 9438 --seed 1",
         "--begin 1109 --seed 2",
         "--bad --begin 85 --seed 3",
-        "--bad --begin 679 --seed 3",
-        "--bad --begin 200 --seed 4",
-        pytest.param("--begin 34 --seed 77", marks=pytest.mark.slow),
         "--begin 182 --seed 20261125",
+        *(
+            pytest.param(scene, marks=pytest.mark.slow)
+            for scene in (
+                "--begin 3229 --seed 1",
+                "--begin 9438 --seed 1",
+                "--bad --begin 679 --seed 3",
+                "--bad --begin 200 --seed 4",
+                "--begin 34 --seed 77",
+            )
+        ),
     ],
 )
 def test_random_scenes_in_which_something_was_found(scene, monkeypatch, capsys):

@@ -235,7 +235,7 @@ def test_coulomb_oscillator_all_the_way(h, bar):
 
 
 @pytest.mark.case(22)
-@pytest.mark.parametrize("duration", [3.3, pytest.param(7.5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("duration", [2.4, pytest.param(7.5, marks=pytest.mark.slow)])
 def test_stick_and_slip_on_a_belt(duration):
     """Case 22: carried to x = mu m g/k, then round it with amplitude v_b/omega, grazing the belt's speed, undamped."""
     mu, stiffness, belt = 0.3, 100.0, 0.5

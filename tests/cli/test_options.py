@@ -153,6 +153,12 @@ def test_a_study_obeys_its_options(capsys):
     assert out == "" and err.startswith("nsdyn: not converged: step 1 ") and err.count("\n") == 1
 
 
+def test_a_study_takes_what_is_loose():
+    """A tolerance that no machine meets is missed, and the loose one is met or missed."""
+    call = "study slide --dt 2e-2,1e-2 --time 0.04 --tol 1e-300 --on-fail raise".split()
+    assert [cli.main([*call, "--loose", loose]) for loose in ("1e-3", "1e-300")] == [0, 1]
+
+
 def test_a_check_shows_the_keyframe(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     for options, angle in (([], "0"), (["--keyframe", "bent"], "0.5")):

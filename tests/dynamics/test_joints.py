@@ -31,7 +31,7 @@ def run(model, duration, dt=1e-3, gravity=(0, 0, -G), q=None, v=None, controller
 
 
 @pytest.mark.case(30)
-@pytest.mark.parametrize("duration", [4.0, pytest.param(10.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("duration", [2.0, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_double_pendulum_keeps_its_energy(duration):
     total = run(pendulum(2), duration, q=(2.5, 1.0)).energy.total
     assert np.abs(total - total[0]).max() <= 1e-6  # of 36 J that go back and forth
@@ -47,7 +47,7 @@ def test_double_pendulum_keeps_its_energy(duration):
 )
 def test_smooth_motion_is_fourth_order_and_second_with_implicit_forces(joints, ratio):
     def end(dt):
-        return run(pendulum(2), 1.0, dt, q=(1.5, 1.0), **joints).q[-1]
+        return run(pendulum(2), 0.5, dt, q=(1.5, 1.0), **joints).q[-1]
 
     fine = end(5e-4)
     errors = [np.abs(end(dt) - fine).max() for dt in (2e-3, 1e-3)]  # which are one part each
@@ -75,7 +75,7 @@ def test_damping_takes_what_it_should():
 
 def test_armature_is_inertia():
     """A pendulum's small oscillation: ω² = m g l / 2 (I + armature)."""
-    trajectory = run(pendulum(), 6.0, q=[1e-4], armature=0.5)
+    trajectory = run(pendulum(), 3.5, q=[1e-4], armature=0.5)
     q, t = trajectory.q[:, 0], trajectory.t
     down = np.flatnonzero((q[:-1] > 0) & (q[1:] <= 0))
     crossing = t[down] + q[down] / (q[down] - q[down + 1]) * 1e-3
@@ -91,7 +91,7 @@ def test_armature_is_inertia():
 def test_pd_is_stable_at_any_gain(kp, kd):
     target = np.array([1.0, 0.5, -0.5])
     control = nd.PD(kp, kd, target)
-    trajectory = run(pendulum(3), 2.0, 5e-3, q=(0.5, -0.3, 1.0), controller=lambda t, q, v: {"a": control})
+    trajectory = run(pendulum(3), 1.0, 5e-3, q=(0.5, -0.3, 1.0), controller=lambda t, q, v: {"a": control})
     if kp:
         # At rest, off the target by what gravity bends: at most 1.5 + 2.5 + 3.5 m of 9.81 N.
         assert np.abs(trajectory.v[-1]).max() < 1e-9 and np.abs(trajectory.q[-1] - target).max() < 74.0 / kp
@@ -280,14 +280,15 @@ def test_unknown_articulation_is_refused():
 # -- dry friction ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("links", [1, 3])
-def test_joint_friction_holds_below_its_threshold(links):
-    """Rods that friction holds at an angle for 10 s: gravity asks for 0.99 of the first joint's friction."""
+@pytest.mark.parametrize("links", [pytest.param(1, marks=pytest.mark.slow), 3])
+@pytest.mark.parametrize("duration", [2.0, pytest.param(10.0, marks=pytest.mark.slow)])
+def test_joint_friction_holds_below_its_threshold(links, duration):
+    """Rods that friction holds at an angle: gravity asks for 0.99 of the first joint's friction."""
     q = np.array([0.5, -0.3, 0.4])[:links]
     tip = np.cumsum(q)
     lever = [0.5 * np.sin(tip[k]) + sum(np.sin(tip[i]) for i in range(k)) for k in range(links)]
     tau = np.array([G * sum(lever[k:]) - G * (links - k) * sum(np.sin(tip[i]) for i in range(k)) for k in range(links)])
-    trajectory = run(pendulum(links), 10.0, 1e-2, q=q, friction=np.abs(tau) / 0.99)
+    trajectory = run(pendulum(links), duration, 1e-2, q=q, friction=np.abs(tau) / 0.99)
     assert np.abs(trajectory.q - q).max() <= 1e-12
     scene = nd.Scene()
     add(scene, "a", pendulum(links), q=q, friction=np.abs(tau) / 0.99)
@@ -314,7 +315,7 @@ def test_joint_friction_slips_at_the_analytic_rate():
 
 
 def test_driven_above_its_threshold_a_joint_slips():
-    trajectory = run(slider(2.0), 1.0, friction=3.0, controller=lambda t, q, v: {"a": np.array([5.0])})
+    trajectory = run(slider(2.0), 0.5, friction=3.0, controller=lambda t, q, v: {"a": np.array([5.0])})
     np.testing.assert_allclose(trajectory.v[:, 0], (5.0 - 3.0) / 2.0 * trajectory.t, rtol=0, atol=1e-12)
 
 
@@ -322,7 +323,7 @@ def test_driven_above_its_threshold_a_joint_slips():
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("duration", [2.0, pytest.param(5.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("duration", [1.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_pendulum_bounces_off_its_stop(restitution, duration):
     trajectory = run(pendulum(lower=-0.3, upper=2.0), duration, q=[1.0], restitution=restitution)
     assert trajectory.q.min() >= -0.3 - 1e-10 and trajectory.q.max() <= 2.0
@@ -341,9 +342,9 @@ def test_pendulum_bounces_off_its_stop(restitution, duration):
 def test_resting_on_a_stop_is_exact():
     """Pressed on its upper limit a mass stays there, and the limit pushes back with the force."""
     scene = nd.Scene()
-    add(scene, "a", slider(2.0, upper=0.2), q=[0.1], restitution=0.8)
+    add(scene, "a", slider(2.0, upper=0.2), q=[0.1], restitution=0.5)
     stepper = nd.Stepper(scene, 1e-3, controller=lambda t, q, v: {"a": np.array([10.0])})
-    for _ in range(2000):
+    for _ in range(800):
         step = stepper.step()
     assert step.q[0] == pytest.approx(0.2, abs=1e-10) and abs(step.v[0]) <= 1e-12
     assert step.joint_impulse[0] == pytest.approx(-10.0 * 1e-3, rel=1e-9)
@@ -364,7 +365,7 @@ def test_limits_push_on_what_they_carry():
     table = shapes.box((1, 1, 0.1)), at((0, 0, -0.05))
     add(scene, "lift", limit(model, 0.0, 0.5), q=[0.1], collisions={"lift": [table]})
     scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.2))
-    trajectory = nd.simulate(scene, 1.0)
+    trajectory = nd.simulate(scene, 0.5)
     assert closes(trajectory) < 1e-12
     body = trajectory.body("box")
     assert body.position[-1, 2] == pytest.approx(0.1, abs=1e-9) and trajectory.q[-1, 7] == pytest.approx(0.0, abs=1e-10)
@@ -422,7 +423,7 @@ def test_shaker_throws_a_box_above_one_g(amplitude, flies):
     scene.add_box("table", (1, 1, 0.1), position=(0, 0, -0.05), fixed=True)
     scene.set_motion("table", velocity=lambda t: (0, 0, amplitude * G / omega * np.sin(omega * t)))
     scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1))
-    trajectory = nd.simulate(scene, 1.0)
+    trajectory = nd.simulate(scene, 0.4)
     apart = trajectory.body("box").position[:, 2] - trajectory.body("table").position[:, 2] - 0.15
     assert apart.min() >= -1e-9
     assert (apart.max() > 1e-3) == flies and (flies or apart.max() < 1e-9)
@@ -439,15 +440,15 @@ def test_turntable_carries_a_box_around():
     )
     scene.set_pair("box", "table", mu=0.5)
     h = np.pi / 2000
-    trajectory = nd.simulate(scene, np.pi, h)
-    # A whole turn, to second order in the 3 mrad of a step.
+    trajectory = nd.simulate(scene, 0.5 * np.pi, h)
+    # Half a turn, to second order in the 3 mrad of a step.
     radius, angle = (
         np.hypot(*trajectory.body("box").position[-1, :2]),
-        np.arctan2(*trajectory.body("box").position[-1, 1::-1]),
+        np.arctan2(*-trajectory.body("box").position[-1, 1::-1]),
     )
     assert radius / 0.2 - 1.0 == pytest.approx(0.0, abs=0.1 * (2.0 * h) ** 2)
     assert angle == pytest.approx(0.0, abs=1e-4)
-    assert abs(trajectory.body("table").quaternion[-1, 2]) == pytest.approx(0.0, abs=1e-9)
+    assert abs(trajectory.body("table").quaternion[-1, 3]) == pytest.approx(0.0, abs=1e-9)
     assert closes(trajectory) < 1e-12
 
 
@@ -456,7 +457,7 @@ def test_driven_joint_moves_as_told_and_its_work_is_booked():
     scene = nd.Scene()
     add(scene, "a", pendulum(2), q=(0.0, 0.3))
     scene.set_motion("a/j0", velocity=np.sin)
-    trajectory = nd.simulate(scene, 2.0)
+    trajectory = nd.simulate(scene, 1.2)
     np.testing.assert_allclose(trajectory.v[:, 0], np.sin(trajectory.t), rtol=0, atol=1e-14)
     # Trapezoidal rule, h²/12.
     np.testing.assert_allclose(trajectory.q[:, 0], 1 - np.cos(trajectory.t), rtol=0, atol=2e-7)
@@ -592,7 +593,7 @@ def everything():
 @pytest.mark.parametrize("theta", [0.5, *(pytest.param(theta, marks=pytest.mark.slow) for theta in (0.7, 1.0))])
 def test_ledger_closes_with_everything_at_once(theta):
     scene, controller = everything()
-    trajectory = nd.simulate(scene, 0.6, 2e-3, theta=theta, controller=controller)
+    trajectory = nd.simulate(scene, 0.4, 2e-3, theta=theta, controller=controller)
     assert closes(trajectory) < 1e-12
     for name in ("external", "normal", "friction", "damping", "constraint"):
         assert np.abs(getattr(trajectory.energy, name)).max() > 1e-6, f"{name} takes no part"
@@ -627,12 +628,12 @@ def test_resuming_is_exact_to_the_bit():
         return nd.Stepper(scene, 2e-3, controller=lambda t, q, v: {"a": nd.PD((0, 0, 30.0), (0, 0, 1.0), 0.5)})
 
     whole, first, second = stepper(), stepper(), stepper()
-    for _ in range(300):
+    for _ in range(160):
         last = whole.step()
-    for _ in range(150):
+    for _ in range(80):
         first.step()
     second.set_state(first.get_state())
-    for _ in range(150):
+    for _ in range(80):
         end = second.step()
     assert end.q.tobytes() == last.q.tobytes() and end.v.tobytes() == last.v.tobytes()
     assert end.frames_x.tobytes() == last.frames_x.tobytes()

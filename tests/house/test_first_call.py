@@ -113,14 +113,14 @@ def test_the_time_of_solving_is_without_loading():
     assert 0.0 < times.min() and times.max() < 0.3
 
 
-def test_a_terminal_gets_a_bar_that_counts(tmp_path):
+def test_a_terminal_gets_a_bar_and_several_processes_compile_each_kernel_once(tmp_path):
     main, end = pty.openpty()
     termios.tcsetwinsize(end, (24, 80))
     with subprocess.Popen(
         [sys.executable, "-c", "from nsdyn.compilation import compile_examples; compile_examples('contact')"],
         stdout=subprocess.DEVNULL,
         stderr=end,
-        env=os.environ | {"NSDYN_CACHE_DIR": str(tmp_path)},
+        env=os.environ | {"NSDYN_CACHE_DIR": str(tmp_path), "NSDYN_COMPILE_PROCESSES": "2"},
     ):
         os.close(end)
         shown = b""
@@ -129,6 +129,8 @@ def test_a_terminal_gets_a_bar_that_counts(tmp_path):
                 shown += part
     os.close(main)
     assert b"| 1/1 [" in shown and b"kernel" in shown
+    names = [path.name.rpartition("-")[0] for path in tmp_path.glob("*.nbc")]
+    assert len(names) == len(set(names)) >= 2
 
 
 def test_functions_of_users_from_nowhere_compile():
@@ -181,13 +183,6 @@ def test_examples_run_as_python():
     """In a process of their own: what is compiled already is not noted."""
     code = "from nsdyn.compilation import noted; print(*{k.kept.name.partition('.')[0] for k, _ in noted('step')})"
     assert {"search", "workless", "motion"} <= set(python("-c", code).stdout.split())
-
-
-def test_several_processes_compile_each_kernel_once(tmp_path):
-    code = "from nsdyn.compilation import compile_examples; compile_examples('contact')"
-    python("-c", code, NSDYN_CACHE_DIR=str(tmp_path), NSDYN_COMPILE_PROCESSES="3")
-    names = [path.name.rpartition("-")[0] for path in tmp_path.glob("*.nbc")]
-    assert len(names) == len(set(names)) >= 2
 
 
 def test_machine_code_is_made_of_what_python_calls(package, tmp_path):

@@ -140,8 +140,8 @@ def test_chain_of_ball_joints_lands_and_comes_to_rest_under_their_friction():
     scene.add_model(
         "a", model, q=q, friction=[1.0] * model.nv, material=material, collisions=links, self_collisions=False
     )
-    run = nd.simulate(scene, 1.5, 1e-2)
-    assert nd.check(run).passed, nd.check(run)
+    run = nd.simulate(scene, 1.0, 1e-2)
+    assert nd.check(run).passed
     friction = np.concatenate([run.joint(f"a/j{k}").friction for k in range(n)])
     assert np.linalg.norm(friction, axis=1).max() <= 1.0 + 1e-9  # what pieces of a step add up to
 

@@ -22,7 +22,7 @@ TIMES = ["wall_time", "solver/time"]  # of a machine, not of a motion
 
 RUNS = {
     "stack": ({"height": 4}, 120, {}),
-    "pile": ({"boxes": 3, "spheres": 3}, 150, {}),  # falls, collides and comes to rest
+    "pile": ({"boxes": 3, "spheres": 3}, 100, {}),  # falls, collides and comes to rest
     "quadruped": ({}, 120, {}),  # with its controller
     "rolling": ({"balls": 2}, 120, {"every": 3}),
     "woodpecker": ({}, 90, {"contacts": False}),
@@ -119,7 +119,7 @@ def test_a_state_is_in_the_file_before_its_head(tmp_path, monkeypatch):
 
 def test_run_that_ended_goes_on(tmp_path):
     whole, part = tmp_path / "whole.h5", tmp_path / "part.h5"
-    s = setup("pile")
+    s = setup("stack")
     nd.simulate(s.scene, 0.5, dt=0.01, record=whole)
     nd.simulate(s.scene, 0.2, dt=0.01, record=part)
     assert nd.simulate(s.scene, 0.2, dt=0.01, resume=part).steps == 20

@@ -37,7 +37,7 @@ def runs():
     return [nd.simulate(nd.scenes.load("slide")(mu=mu), 0.3, dt=2e-3) for mu in (0.2, 0.5)]
 
 
-@pytest.fixture(scope="module", params=[1, 2])
+@pytest.fixture(scope="module", params=[pytest.param(1, marks=pytest.mark.slow), 2])
 def count(request):
     """How many recordings the page has."""
     return request.param
@@ -138,7 +138,7 @@ def check_all(page, size, count, tmp_path):
         page.run(press("overlay"))
 
 
-@pytest.mark.parametrize("size", [ZOOMED, LYING])
+@pytest.mark.parametrize("size", [pytest.param(ZOOMED, marks=pytest.mark.slow), LYING])
 def test_two_legends_are_seen_whole(opened, runs, size):
     page = opened(runs[0], size, "#t=0.1", beside=runs[1])
     page.run("nsdyn.show(0.1)")

@@ -99,7 +99,7 @@ def ball(share):
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
-@pytest.mark.parametrize("share", [1.0, 0.5], ids=["solid", "open"])
+@pytest.mark.parametrize("share", [pytest.param(1.0, id="solid", marks=pytest.mark.slow), pytest.param(0.5, id="open")])
 def test_films_show_meshes_as_fine_as_pixels(share, tmp_path, window):
     """With a fraction of the triangles the same picture; what is open is drawn from behind too."""
     from PIL import Image
@@ -131,6 +131,29 @@ def test_films_show_meshes_as_fine_as_pixels(share, tmp_path, window):
     # Less than a pixel along outlines, of the ball and of its shadow; what is open has specks of its own shadow.
     least = 24 if share == 1.0 else 60
     assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > least).sum() < 0.75 * 2 * outline
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_films_leave_nothing_out(tmp_path, window):
+    """Drawn is only the rectangle around bodies and their shadows, and the picture is that of the whole."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_halfspace("wall", (-1, 0, 0), -1.0)
+    for k in range(3):
+        place, size = (0.5 * k - 0.5, 0.1 * k, 1.0 + 0.3 * k), (0.1 + 0.1 * k, 0.1, 0.2)
+        scene.add_box(f"box{k}", size, 1.0, position=place, linear_velocity=(1, 0.5, 0), angular_velocity=(2, 0, 3))
+    nd.simulate(scene, 0.8, dt=0.01).to_html(tmp_path / "page.html")
+    window.open((tmp_path / "page.html").as_uri() + "#picture&film", (640, 360))
+    stage = "nsdyn.panes[0].stage"
+    for t in (0.0, 0.3, 0.6, 0.8):
+        pictures = []
+        for cut in ("delete FILM.cut", "FILM.cut = () => FILM.stage.viewer.renderer.setScissorTest(false)"):
+            window.run(cut.replace("FILM", f"{stage}.film") + f"; {stage}.places = null; nsdyn.show({t})")
+            pictures.append(window.picture())
+        assert pictures[0] == pictures[1]
+    window.run(f"delete {stage}.film.cut; {stage}.places = null; nsdyn.show(0.6)")
+    *_, wide, high = window.run(f"{stage}.viewer.renderer.getScissor(new MeshCat.THREE.Vector4()).toArray()")
+    assert wide * high < 0.7 * 640 * 360
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")

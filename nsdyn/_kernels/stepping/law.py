@@ -190,28 +190,46 @@ def left_open(gap, u, ahead, closed):
     return min(max(LEFT * (gap + ahead * u), -MOST_LEFT * closed), MOST_LEFT * closed)
 
 
+@in_place
+def off(gap, r, stays, closed, out):
+    """Which rows stay and are pressed, but end a move with a gap (rows,), into out (rows,); whether any does."""
+    some = False
+    for c in range(out.size):
+        out[c] = stays[c] and r[3 * c] > 0.0 and abs(gap[c]) > closed
+        some = some or out[c]
+    return some
+
+
 @kernel
 def end_otherwise(off, gap, key, ended, local, sizes, end_gap, late):
     """Correct G and `late` (rows,) of rows that are `off` (rows,): they end with other gaps (rows,) and speeds.
 
     Of ended = (names, speeds, speeds of joint rows) contacts with the names `key` (nc,) have the first there; `late` is
-    by how much these are more than foreseen, m/s. sizes = (h₂, what counts as closed).
+    by how much these are more than foreseen, m/s. sizes = (h₂, what counts as closed). A gap of more than the rows
+    turn by, or than such speeds open, is that of another contact, under whose name one that has gone far is found
+    again: it is not `off`. Returns whether any is.
     """
     ahead, closed = sizes
-    nc = key.size
+    nc, some = key.size, False
     place = np.empty(nc, np.int64)
     places(ended[0], key, place)
     for c in range(off.size):
         if off[c]:
-            left = left_open(end_gap[c], local[0, 3 * c] - late[c], ahead, closed)
+            i = 3 * c
+            left = left_open(end_gap[c], local[0, i] - late[c], ahead, closed)
             foreseen = (left - end_gap[c]) / ahead
-            end_gap[c] += gap[c] - left
             if c >= nc:
-                late[c] = ended[2][c - nc] - foreseen
+                more = ended[2][c - nc] - foreseen
             elif place[c] >= 0:
-                late[c] = ended[1][place[c]] - foreseen
+                more = ended[1][place[c]] - foreseen
             else:  # it rolls away: nothing is left open
-                late[c] = local[0, 3 * c] + end_gap[c] / ahead
+                more = local[0, i] + end_gap[c] / ahead
+            bent = math.sqrt(local[3, i] ** 2 + local[3, i + 1] ** 2 + local[3, i + 2] ** 2)
+            off[c] = abs(gap[c] - left) <= ahead * max(bent, abs(more))
+            if off[c]:
+                end_gap[c] += gap[c] - left
+                late[c], some = more, True
+    return some
 
 
 @in_place

@@ -11,8 +11,8 @@ from nsdyn._kernels.stepping.touching import last_status, places
 from nsdyn._kernels.vectors import along, dot, put, row, times, to_local
 
 STILL = 1e-3
-"""Fraction of what forces change a velocity by in a move below which a closed contact neither approaches nor slips; and
-of what counts as closed, by which the rows of a contact at rest may drift in one."""
+"""Fraction of what forces, and bodies that turn towards each other, change a velocity by in a move below which a closed
+contact neither approaches nor slips; and of what counts as closed, by which the rows of a contact at rest may drift."""
 
 LEFT = 1e-8
 """What the solver's tolerance leaves of a relative velocity, and of what its rows turn by: bodies that fall together,
@@ -61,7 +61,7 @@ def persists(names, warm, begin, limits, local, end_gap, struck, out):
             known, gap, old = True, limits[0][c - nc], 2 if limits[1][c - nc] else 0
         speed = math.sqrt(u_begin[i] ** 2 + u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
         bent = math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)
-        still = STILL * abs(u_free[i] - u[i]) - LEFT * (speed + bent)
+        still = STILL * (abs(u_free[i] - u[i]) + max(0.0, -drift[i])) - LEFT * (speed + bent)
         if gap < -2.0 * closed or (old == 0 and (not known or gap > closed or abs(u_begin[i]) >= still)):
             continue
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h

@@ -39,10 +39,9 @@ the problem is to be solved; the geoms where it ends. After the last three it go
     NO_LOAD,
     ARM,
     NOWHERE,
-    INSCRIBED,
     NUMBERS,
     SYSTEM,
-) = range(16)
+) = range(15)
 BLOCK_OF_FRAME, OFFSET, M_START = range(3)
 
 # The last of the floats: numbers, with the names that they have in `System`, `Closing`, `Auto` and `gauss`.
@@ -56,7 +55,6 @@ BLOCK_OF_FRAME, OFFSET, M_START = range(3)
     FASTEST,
     SLOW,
     STILL,
-    NEAR,
     ELASTIC,
     HALF,
     LEAST,
@@ -70,7 +68,7 @@ BLOCK_OF_FRAME, OFFSET, M_START = range(3)
     FEW,
     WEAK,
     GEOMS,
-) = range(23)
+) = range(22)
 
 # The results of a step.
 (
@@ -310,7 +308,7 @@ def arrive(num, bodies, blocks, arm, nowhere, r, f, w):
 
 
 @in_place
-def unfinished(num, blocks, inverse_J, arm, inscribed, met, r, flags, gap, f, w, own):
+def unfinished(num, blocks, inverse_J, arm, met, r, flags, gap, f, w, own):
     """Whether contacts that persist do work, or have gaps where the step ends: `nsdyn.stepping.persistence`."""
     (names, points, scalars), (slides, stays, sticks, other), n, nc = met, flags, arm.size, gap.size
     mean, v, v_plus = velocity(w, V_FREE, n), velocity(w, V_THERE, n), velocity(w, V_PLUS, n)
@@ -330,9 +328,7 @@ def unfinished(num, blocks, inverse_J, arm, inscribed, met, r, flags, gap, f, w,
     )
     begun, ended = w[LOOKED_THERE * n :], f[LOOKED * n :]
     for c in range(nc):
-        most = num[NEAR] * min(inscribed[names[0, c]], inscribed[names[1, c]])
-        off = stays[c] and r[3 * c] > 0.0 and num[CLOSED] < abs(gap[c]) <= most
-        if off or other[c]:
+        if other[c] or (stays[c] and r[3 * c] > 0.0 and abs(gap[c]) > num[CLOSED]):
             for b in (names[2, c], names[3, c]):
                 if b >= 0:
                     for i in range(3 * b, 3 * b + 3):
@@ -501,8 +497,7 @@ def quiet(system, detection, old, begun, new, middle, end, next_key, direction, 
             gap[c] = into[2][0, place[c]]
     if least(gap) < -num[CLOSED]:
         return OTHERWISE
-    inscribed = numbers(sf, si, INSCRIBED)
-    if out[GOES] > 0.0 and unfinished(num, blocks, bodies[3], arm, inscribed, met, r, flags, gap, b, w, own):
+    if out[GOES] > 0.0 and unfinished(num, blocks, bodies[3], arm, met, r, flags, gap, b, w, own):
         return OTHERWISE
     inertia = mass, matrices(sf, si, INERTIA), gravity, no_load, nowhere[:0]
     book(num, inertia, blocks, met, frame, flags, direction, scales, status, f, w, own, a)

@@ -5,29 +5,33 @@
 const CELL = 3;  // pixels
 const LEVELS = 2;  // of cells, within a factor of two
 const STIFF = 0.02;  // what draws a corner to the mean of those it stands for, beside the planes
-const LOOKED_AT = 64;  // triangles that tell whether a surface bounds a solid
-const SOLID = [0.9, 0.95];  // the winding number behind them, and how many of them have it
 
 class Coarse {
-  constructor() { this.made = new Map(); }  // {solid, levels} of geometries
-
-  // Shows a mesh in full, or as it needs to be where a metre has so many pixels.
-  show(object, pixelsPerMetre) {
-    const full = object.userData.full ??= {geometry: object.geometry, side: object.material.side};
-    const {geometry, side} = pixelsPerMetre ? this.get(full, object, pixelsPerMetre) : full;
-    object.geometry = geometry;
-    object.material.needsUpdate = side !== object.material.side;
-    object.material.side = side;
+  constructor(stage) {
+    this.stage = stage;
+    this.made = new Map();  // of geometries, by their cells
   }
 
-  get({geometry, side}, object, pixelsPerMetre) {
-    if (!this.made.has(geometry)) this.made.set(geometry, {solid: isSolid(geometry), levels: new Map()});
-    const {solid, levels} = this.made.get(geometry);
+  // Shows all meshes in full, or as they need to be where a metre has so many pixels.
+  show(pixelsPerMetre) {
+    const {meshes} = this.stage;
+    if (pixelsPerMetre && meshes.length) this.both ??= seenFromBehind(this.stage);
+    for (const object of meshes) {
+      const {geometry, side} = object.userData.full ??= {geometry: object.geometry, side: object.material.side};
+      object.geometry = pixelsPerMetre ? this.get(geometry, object, pixelsPerMetre) : geometry;
+      const shown = pixelsPerMetre && !this.both.has(object) ? MeshCat.THREE.FrontSide : side;
+      object.material.needsUpdate = shown !== object.material.side;
+      object.material.side = shown;
+    }
+  }
+
+  get(geometry, object, pixelsPerMetre) {
+    if (!this.made.has(geometry)) this.made.set(geometry, new Map());
+    const levels = this.made.get(geometry);
     const scale = Math.cbrt(Math.abs(object.matrixWorld.determinant()));
     const level = Math.round(LEVELS * Math.log2(CELL / pixelsPerMetre / scale));
     if (!levels.has(level)) levels.set(level, coarser(geometry, 2 ** (level / LEVELS)));
-    // Nobody sees a solid from behind: half of its triangles need not be drawn.
-    return {geometry: levels.get(level), side: solid ? MeshCat.THREE.FrontSide : side};
+    return levels.get(level);
   }
 }
 
@@ -103,31 +107,4 @@ function representatives(x, cell, count, size) {
     }
   }
   return mean;
-}
-
-// Whether a surface bounds a solid: behind its triangles the winding number is 1, however they are joined (Jacobson et
-// al. 2013). Those looked at are spread evenly over the area.
-function isSolid({attributes: {position: {array: x}}}) {
-  const corner = (k, from = [0, 0, 0]) => [x[k] - from[0], x[k + 1] - from[1], x[k + 2] - from[2]];
-  let area = 0;
-  const areas = Float64Array.from({length: x.length / 9}, (_, k) => (
-    area += Math.hypot(...cross(corner(9 * k + 3, corner(9 * k)), corner(9 * k + 6, corner(9 * k))))));
-  let [solid, own] = [0, 0];
-  for (let n = 0; n < LOOKED_AT; n++) {
-    while (areas[own] < (n + 0.5) / LOOKED_AT * area) own++;
-    const centre = [0, 1, 2].map(i => (x[9 * own + i] + x[9 * own + 3 + i] + x[9 * own + 6 + i]) / 3);
-    let turns = 0.5;  // its own, seen from behind
-    for (let k = 0; k < areas.length; k++) {
-      if (k !== own) turns += angle(...[0, 3, 6].map(i => corner(9 * k + i, centre))) / (4 * Math.PI);
-    }
-    solid += turns > SOLID[0];
-  }
-  return solid > SOLID[1] * LOOKED_AT;
-}
-
-// Solid angle of a triangle, seen from the origin (van Oosterom and Strackee 1983).
-function angle(a, b, c) {
-  const dot = (u, v) => u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
-  const [la, lb, lc] = [Math.sqrt(dot(a, a)), Math.sqrt(dot(b, b)), Math.sqrt(dot(c, c))];
-  return 2 * Math.atan2(dot(a, cross(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb);
 }

@@ -46,7 +46,7 @@ class Stage {
     this.looks = nodes(recording.looks.map(look => look.path));
     const meshes = new Meshes(recording);
     this.meshes = [];
-    this.coarse = new Coarse();
+    this.coarse = new Coarse(this);
     recording.looks.forEach(({mesh}, k) => {
       if (mesh === null) return;
       this.looks[k].traverse(object => {
@@ -72,6 +72,7 @@ class Stage {
       this.choose();
       this.stayAbove();
       this.clip();
+      this.film?.cut();
       render();
       this.measure();
       for (const draw of this.drawn) draw();
@@ -109,25 +110,10 @@ class Stage {
     this.viewer.set_dirty();
   }
 
-  // For a film, in which the camera stands still: its meshes, and the background and the ground, which are drawn once,
-  // behind a picture of what is before them.
+  // For a film, in which the camera stands still.
   begin() {
-    const {viewer, grounds} = this;
-    for (const object of this.meshes) this.coarse.show(object, this.pixelsPerMetre);
-    const canvas = viewer.renderer.domElement;
-    const others = [...this.shapes, ...this.looks].filter(node => node.visible && !grounds.includes(node));
-    for (const node of others) node.visible = false;
-    viewer.render();
-    canvas.style.background = `url(${canvas.toDataURL()}) 0 0 / 100% 100%`;
-    for (const node of others) node.visible = true;
-    viewer.hide_background();
-    for (const ground of grounds) {
-      ground.traverse(object => {
-        if (!object.material?.vertexColors) return;
-        // Of several, one hides the shadows on others that lie behind it.
-        if (grounds.length > 1 && object.isMesh) object.material.colorWrite = false; else object.visible = false;
-      });
-    }
+    this.coarse.show(this.pixelsPerMetre);
+    this.film = new Film(this);
   }
 
   get camera() { return this.viewer.camera; }
@@ -210,7 +196,7 @@ class Stage {
     const [pixels, shadows, edges] = QUALITIES[quality];
     this.sun.castShadow = shadows;
     for (const object of this.edges) object.visible = edges;
-    for (const object of this.meshes) this.coarse.show(object, quality && pixels * this.pixelsPerMetre);
+    this.coarse.show(quality && pixels * this.pixelsPerMetre);
     this.viewer.renderer.setPixelRatio(pixels);
   }
 
