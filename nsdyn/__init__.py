@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from nsdyn.audit.audit import Audit
     from nsdyn.audit.checking import check
     from nsdyn.audit.inspection import Inspection
-    from nsdyn.problem import fclib
     from nsdyn.problem.fc3d import FC3D
     from nsdyn.problem.solution import NotConverged, Solution, Status
+    from nsdyn.recording import fclib
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.scene import named as scenes
     from nsdyn.scene.actuation import Actuation
@@ -101,7 +101,7 @@ _HOME = {
     "view.live": ("Live",),
 }
 _MODULES = {
-    "fclib": "problem.fclib",
+    "fclib": "recording.fclib",
     "impacts": "stepping.impacts",
     "plots": "view.plots",
     "scenes": "scene.named",

@@ -26,8 +26,8 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn.problem import fclib
 from nsdyn.problem.fc3d import FC3D
+from nsdyn.recording import fclib
 from nsdyn.solvers import SOLVERS, by_name
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array

@@ -12,7 +12,7 @@ __all__ = ["bench_engines", "profile_solvers", "solve_file"]
 def solve_file(arguments: argparse.Namespace) -> int:
     """Exit code of ``nsdyn solve``."""
     from nsdyn import solvers
-    from nsdyn.problem import fclib
+    from nsdyn.recording import fclib
 
     solver = solvers.by_name(arguments.solver, arguments.tol)
     check_files(arguments)

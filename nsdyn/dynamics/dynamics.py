@@ -1,35 +1,26 @@
-"""Mass matrices, flows, forces and contact Jacobians of a scene: functions of values, which keep nothing.
+"""Equations of motion of a scene: forces, mass matrices, rows of contacts and joints, energies.
 
-Free bodies are batched in arrays; each articulated tree has its own Pinocchio model. The velocity is one vector v
-(n,) in blocks: 6 per free body (linear in world axes, angular in body axes), then nv per tree. Bodies that move as
-prescribed have a frame, but no block.
+All are functions of values, which keep nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
 from operator import is_
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
-from nsdyn._kernels.dynamics.rotation import principal
 from nsdyn.collision.contacts import ContactSet
-from nsdyn.dynamics.actuators import Actuators, Control
-from nsdyn.dynamics.forests import parts
-from nsdyn.dynamics.joints import NO_CLUTCHES, JointLaws, JointRows, Rows
-from nsdyn.dynamics.surfaces import Surfaces
-from nsdyn.dynamics.tree_values import FreeMotion, Links, TreeEnd
-from nsdyn.dynamics.trees import Tree
+from nsdyn.dynamics.actuators import Control
+from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
+from nsdyn.dynamics.kinematics import Kinematics
+from nsdyn.dynamics.layout import rotation
+from nsdyn.dynamics.tree_values import FreeMotion
 from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
 from nsdyn.problem.blocks import Blocks
-from nsdyn.scene.control import Axes
-from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice, unknown
 
@@ -38,12 +29,7 @@ __all__ = ["Controls", "Dynamics", "Wrenches"]
 NOTHING: Mapping[Any, Any] = {}
 Wrenches = tuple[Array, Array, Mapping[int, tuple[Array, Array]]]
 Controls = Mapping[int, Control]
-NONE, NO_VECTORS = np.empty(0), np.empty((0, 3))
-
-
-def _rotation(quaternion: Array) -> Array:
-    """Rotation matrix of a unit quaternion xyzw."""
-    return np.array(pin.Quaternion(quaternion).toRotationMatrix())
+NONE = np.empty(0)
 
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:
@@ -53,251 +39,15 @@ def _mapping(given: Any, what: str) -> Mapping[str, Any]:
     return given
 
 
-class Dynamics:
+class Dynamics(Kinematics):
     """Equations of motion of a scene between contacts.
 
     Parameters
     ----------
     scene : Scene
-
-    Attributes
-    ----------
-    held : ndarray of bool, shape (frames,)
-        Frames that nothing but prescribed motion moves.
-    prescribed : bool
-        Whether there are such frames or joint coordinates.
-    node : ndarray of int, shape (frames + 1,)
-        Block of coordinates that moves each frame, -1 for none, as for the world, which is the last.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        bodies, frames, driven = scene.free_bodies, scene.link_frames(), scene.driven_bodies
-        self.gravity: Array = np.array(scene.gravity)
-        self.weight = float(np.linalg.norm(self.gravity))
-        self.surfaces, self._driven = Surfaces(scene), len(driven)
-        self.names = {b.name: k for k, b in enumerate(bodies)}
-        self._forests: dict[str, tuple[int, Actuators]] = {}
-        trees: list[Tree] = []
-        for name, a in scene.articulations.items():
-            driven_joints = {
-                a.model.getJointId(joint): m
-                for key, m in scene.motions.items()
-                for owner, _, joint in [key.partition("/")]
-                if owner == name and m.kind == "joint"
-            }
-            forest, planted = parts(a), len(trees)
-            for part in forest:
-                before = part.joints.start - 1
-                joints = [joint - before for owner, joint in frames if owner == name and joint in part.joints]
-                motions = {
-                    a.model.idx_vs[joint] - part.v.start: m
-                    for joint, m in driven_joints.items()
-                    if joint in part.joints
-                }
-                trees.append(Tree(part.articulation, self.gravity, joints, motions))
-            scalar = np.concatenate([t.scalar for t in trees[planted:]])
-            axes = Axes.of(name, a.model, scalar, a.coordinates)
-            self._forests[name] = planted, Actuators(axes, a.effort, [part.v for part in forest], a.actuators)
-        mass, J = np.array([b.mass for b in bodies]), np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
-        radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
-        m, minv = np.zeros((2, mass.size, 6, 6))
-        of_mass, eye = mass[:, None, None], np.eye(3)
-        inverse = np.linalg.inv(J)
-        m[:, :3, :3], m[:, 3:, 3:] = of_mass * eye, J
-        minv[:, :3, :3], minv[:, 3:, 3:] = eye / of_mass, 0.5 * (inverse + inverse.swapaxes(1, 2))
-        self._compose((mass, J, radius, *principal(J), m, minv), trees)
-        self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
-        starts = [t.start(t.articulation.q, t.articulation.v) for t in self.trees]
-        self._start = (
-            Position(
-                np.array([b.position for b in bodies]).reshape(-1, 3),
-                np.array([b.quaternion for b in bodies]).reshape(-1, 4),
-                tuple(q for q, _ in starts),
-                np.array([b.position for b in driven]).reshape(-1, 3),
-                np.array([b.quaternion for b in driven]).reshape(-1, 4),
-            ),
-            np.concatenate([self._velocity(b) for b in bodies] + [v for _, v in starts] + [np.empty(0)]),
-        )
-
-    def only(self, bodies: Index, trees: Index, geoms: Index) -> Dynamics:
-        """Those of some free bodies and trees, and of what moves as prescribed, which nothing else moves.
-
-        The shapes of all these are `geoms`, ascending, and counted anew.
-        """
-        out = copy(self)
-        out.surfaces = self.surfaces.only(geoms)
-        out._compose(tuple([a[bodies] for a in self._own]), [self.trees[k] for k in trees.tolist()])
-        return out
-
-    def during(self, t: float, h: float) -> Dynamics:
-        """The same with surfaces whose velocities change linearly in the h s from t on."""
-        if not self.surfaces.count:
-            return self
-        out = copy(self)
-        out.surfaces = self.surfaces.during(t, h)
-        return out
-
-    def _compose(self, own: tuple[Array, ...], trees: list[Tree]) -> None:
-        """The layout of coordinates and frames, and all that follows from it and what free bodies have of their `own`.
-
-        That is their masses, inertias, radii, principal moments and axes, M and its inverse.
-        """
-        self._own, (self.mass, self.J, self.radius, *self._principal, m, minv) = own, own
-        mass, self.free, self.trees = self.mass, self.mass.size, []
-        start, first = 6 * self.free, self.free
-        for t in trees:
-            self.trees.append(t.at(start, first))
-            start, first = start + t.model.nv, first + len(t.joints)
-        self.frames = first + self._driven
-        self.nowhere, self.no_works = np.zeros(self.frames), np.zeros(self.free)
-        self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((self.free, 3))
-        # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
-        self._lone = len(trees) == 1 and not self.free and not self._driven
-        self._constrained = any(t.constrained for t in trees)
-        sizes = [6] * self.free + [t.model.nv for t in trees]
-        self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
-        self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
-        owner = [self.free + k for k, t in enumerate(trees) for _ in t.joints]
-        self.block_of_frame = np.array([*range(self.free), *owner, *([-1] * self._driven)], dtype=np.int64)
-        self.node = np.append(self.block_of_frame, -1)
-        self.n = int(self.offset[-1])
-        self._m, self._minv = m.ravel(), minv.ravel()
-        self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
-        self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
-        self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
-        self.no_impulses = NO_VECTORS, np.zeros((7, self.n))
-        self.links, self.no_push = sum(t.model.njoints - 1 for t in self.trees), np.zeros((0, 6))
-        self.joints = JointLaws(self.trees, self.free)
-        self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]
-        self.held = np.concatenate(
-            [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(self._driven, np.bool_)]
-        )
-        self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
-        self.alone = self.frames == self.free and not self.trees and not self.surfaces.count
-
-    @staticmethod
-    def _velocity(body: Any) -> Array:
-        return np.concatenate((body.linear_velocity, _rotation(body.quaternion).T @ body.angular_velocity))
-
-    def start(self) -> tuple[Position, Array]:
-        """Initial position and velocity of the scene."""
-        return self._start
-
-    # -- configurations ----------------------------------------------------------------------------------------
-
-    def halfway(self, position: Position, v: Array, h: float, theta: float, twist: Array) -> Middle:
-        """Where the forces of a step of h act: after (1 - θ) h of motion without any, Φ.
-
-        Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it, driven bodies with
-        `twist` (surfaces, 2, 3), linear and angular velocities in world axes.
-        """
-        ahead = (1.0 - theta) * h
-        if self._lone:
-            only = self.trees[0].halfway(position.trees[0], v, h, theta)
-            return Middle(position.bent(only.q), only.v, Placement.of(only.links), (only,))
-        x, quaternion, after, X, R = self._flow(position, v, ahead)
-        if self.frames == self.free and not self.trees:
-            there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
-            return Middle(there, after, Placement(X, R, ()), ())
-        halves = tuple(
-            [t.halfway(q, v[t.coordinates], h, theta) for t, q in zip(self.trees, position.trees, strict=True)]
-        )
-        for t, half in zip(self.trees, halves, strict=True):
-            after[t.coordinates] = half.v
-        driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, ahead * twist)
-        there = Position(x, quaternion, tuple([half.q for half in halves]), *driven)
-        return Middle(there, after, self._with_others(there, X, R, [half.links for half in halves]), halves)
-
-    def end(
-        self, middle: Middle, forces: Forces, v: Array, impulse: Array, h: float, twist: Array
-    ) -> tuple[Position, Array, Placement, tuple[TreeEnd, ...]]:
-        """(position, velocity, frames, trees) after h s without forces from the middle of a step, which left v there.
-
-        The impulses H r (n,) of contacts and joint rows tell which trees are pushed.
-        """
-        position = middle.position
-        if self._lone:
-            free = forces.trees[0]
-            pushed = free.loads.implicit or _few.largest(impulse) > 0.0
-            only = self.trees[0].end(middle.trees[0], free, v, pushed)
-            return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
-        x, quaternion, after, X, R = self._flow(position, v, h)
-        if self.frames == self.free and not self.trees:
-            there = Position(x, quaternion, (), position.driven_x, position.driven_quaternion)
-            return there, after, Placement(X, R, ()), ()
-        ends = []
-        for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            pushed = free.loads.implicit or _few.largest(impulse[t.coordinates]) > 0.0
-            ends.append(t.end(half, free, v[t.coordinates], pushed))
-            after[t.coordinates] = ends[-1].v
-        driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
-        there = Position(x, quaternion, tuple([e.q for e in ends]), *driven)
-        links = [t.links(q) for t, q in zip(self.trees, there.trees, strict=True)]
-        return there, after, self._with_others(there, X, R, links), tuple(ends)
-
-    def _flow(self, position: Position, v: Array, h: float) -> tuple[Array, Array, Array, Array, Array]:
-        """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
-        x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
-        X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
-        moments, axes = self._principal
-        _motion.flow(moments, axes, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
-        return x, quaternion, after, X, R
-
-    def shift(self, position: Position, step: Array) -> Position:
-        """Position ⊕ a small displacement `step` (n,) in the coordinates of velocities, loops closed."""
-        x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
-        _motion.integrate(position.x, position.quaternion, step, 1.0, x, quaternion)
-        moved = zip(self.trees, position.trees, strict=True)
-        trees = tuple([t.close(pin.integrate(t.model, q, step[t.coordinates])) for t, q in moved])
-        return Position(x, quaternion, trees, position.driven_x, position.driven_quaternion)
-
-    def place(self, position: Position) -> Placement:
-        """Frames and Jacobians at a position."""
-        if self._lone:
-            return Placement.of(self.trees[0].links(position.trees[0]))
-        x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
-        _motion.place(position.x, position.quaternion, x, R)
-        links = [t.links(q) for t, q in zip(self.trees, position.trees, strict=True)]
-        return self._with_others(position, x, R, links)
-
-    def _with_others(self, position: Position, x: Array, R: Array, links: list[Links]) -> Placement:
-        """The placement whose free bodies are in x and R."""
-        if position.driven_x.size:
-            nd = len(position.driven_x)
-            _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])
-        for t, at in zip(self.trees, links, strict=True):
-            x[t.frames], R[t.frames] = at.x, at.R
-        return Placement(x, R, tuple(links))
-
-    def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
-        """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
-        if self._lone:
-            return self.trees[0].twists(place.links[0], v)
-        linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
-        if self.free:
-            _motion.twists(place.R, v, self.free, linear, angular)
-        for t, links in zip(self.trees, place.links, strict=True):
-            own = linear[t.frames], angular[t.frames]
-            _links.twists(links.x, t.support, links.J, v[t.coordinates], *own)
-        return linear, angular
-
-    def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
-        """How far any point of each frame's shapes moves in h seconds, m, shape (frames,); `dt` of them under gravity.
-
-        Driven bodies move with `twist` (surfaces, 2, 3).
-        """
-        out = np.zeros(self.frames)
-        fall = h * dt * self.weight
-        if self.free:
-            _motion.reach(v, h, fall, self.radius, out)
-        for t, links in zip(self.trees, place.links, strict=True):
-            at = links.x, t.support, links.J, v[t.coordinates], h, t.radius, fall
-            _links.reach(*at, out[t.frames])
-        if self.surfaces.count:
-            self.surfaces.reach(h * np.abs(twist), out)
-        return out
-
-    # -- forces ------------------------------------------------------------------------------------------------
+    # -- forces -----------------------------------------------------------------------------------------------------
 
     def forces(
         self,
@@ -390,7 +140,7 @@ class Dynamics:
             pull, turn = parts if parts.ndim == 2 else (parts, np.zeros(3))
             if name in self.names:
                 k = self.names[name]
-                force[k], torque[k] = pull, _rotation(middle.quaternion[k]).T @ turn
+                force[k], torque[k] = pull, rotation(middle.quaternion[k]).T @ turn
             elif name in self._bodies:
                 k, body = self._bodies[name], name.partition("/")[2]
                 push, wrenches = self.trees[k].pushed(middle.trees[k], body, pull, turn)
@@ -419,7 +169,7 @@ class Dynamics:
                 out[k] = control
         return out
 
-    # -- rows --------------------------------------------------------------------------------------------------
+    # -- rows -------------------------------------------------------------------------------------------------------
 
     def joint_rows(self, place: Placement, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of joint limits and joint friction of a step; None when there are none."""
@@ -441,15 +191,6 @@ class Dynamics:
         """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
         slots = self.joints.limits
         return self.joints.gaps(slots, self.angles(place)) if slots.size else NONE
-
-    def angles(self, place: Placement) -> Array:
-        """Joint coordinates, shape (n,), 0 where there are none."""
-        if self._lone:
-            return place.links[0].angle
-        out = np.zeros(self.n)
-        for t, links in zip(self.trees, place.links, strict=True):
-            out[t.coordinates] = links.angle
-        return out
 
     def rows(
         self, contacts: ContactSet, place: Placement, forces: Forces, joints: JointRows | None
@@ -479,7 +220,7 @@ class Dynamics:
         """Factors of contacts of free bodies alone, as of `Blocks`."""
         return Rows(Blocks(self.offset, block, start, H, self.m_start, self._m, self._minv), NOTHING, *NO_CLUTCHES)
 
-    # -- what is shown -----------------------------------------------------------------------------------------
+    # -- energies ---------------------------------------------------------------------------------------------------
 
     def energies(self, position: Position, v: Array, trees: Energies) -> tuple[float, float]:
         """(kinetic, potential) energy, J, with that of `tree_energies`; potential energy is 0 at the world's origin."""
@@ -505,24 +246,3 @@ class Dynamics:
         bodies = self.mass, self.J, self.gravity
         now, then = _motion.free_energies(*bodies, after.x, out), _motion.free_energies(*bodies, before.x, v)
         return out, (now[0] - then[0]) + (now[1] - then[1])
-
-    def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
-        """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
-        if self._lone:
-            return position.trees[0].copy(), v.copy()
-        q, out = np.empty(7 * len(position.x)), np.empty(v.size)
-        _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)
-        return np.concatenate((q, *position.trees)) if position.trees else q, out
-
-    def poses(self, position: Position, place: Placement) -> tuple[Array, Array] | tuple[None, None]:
-        """Positions (frames, 3) and quaternions (frames, 4) of all frames; None where all are free bodies."""
-        if self.frames == self.free:
-            return None, None
-        quaternion = np.empty((self.frames, 4))
-        links = slice(self.free, self.frames - len(position.driven_x))
-        _links.quaternions(place.R[links], quaternion[links])
-        if self.free:
-            quaternion[: self.free] = position.quaternion
-        if links.stop < self.frames:
-            quaternion[links.stop :] = position.driven_quaternion
-        return place.x, quaternion

@@ -27,10 +27,20 @@ vibration may turn by a third of a rad, where the midpoint rule errs by a thousa
 
 
 def slide(model: pin.Model, data: pin.Data, closures: Closures, driven: Array, q: Array, v: Array, h: float) -> Flow:
-    """Motion for h seconds, in pieces where a step of the implicit midpoint rule is too long to be solved or resolved.
+    """Motion in pieces where a step of the implicit midpoint rule is too long to be solved or resolved.
 
-    The model is without gravity. The work is that of the driven joints, with rows `driven` (k, nv), which keep their
-    speed.
+    The work is that of the driven joints, which keep their speed.
+
+    Parameters
+    ----------
+    model, data : pinocchio.Model, pinocchio.Data
+        Without gravity.
+    closures : Closures
+    driven : ndarray, shape (k, nv)
+        Rows of the driven joints.
+    q, v : ndarray, shapes (nq,), (nv,)
+    h : float
+        s.
 
     Raises
     ------

@@ -24,7 +24,7 @@ def uzawa_iterates(csr: tuple[Index, Index, Array], q: Array, radius: Array, rho
     """
     r, u = r.copy(), np.empty_like(r)
     while True:
-        _given.velocity(*csr, q, r, u)
+        _given.velocity(csr, q, r, u)
         new = np.empty_like(r)
         _kernels.step_on_cylinders(r, u, rho, radius, new)
         r = new

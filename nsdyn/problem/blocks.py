@@ -13,17 +13,7 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["Blocks"]
 
 
-class _Arrays(NamedTuple):
-    offset: Index
-    block: Index
-    start: Index
-    H: Array
-    m_start: Index
-    m: Array
-    minv: Array
-
-
-class Blocks(_Arrays):
+class Blocks(NamedTuple):
     """Factors of W = Hᵀ M⁻¹ H in blocks of coordinates.
 
     Attributes
@@ -41,6 +31,14 @@ class Blocks(_Arrays):
     m, minv : ndarray
         Blocks of M [kg, kg m²] and of M⁻¹, row by row.
     """
+
+    offset: Index
+    block: Index
+    start: Index
+    H: Array
+    m_start: Index
+    m: Array
+    minv: Array
 
     @property
     def arrays(self) -> tuple[Any, ...]:
@@ -97,26 +95,12 @@ class Blocks(_Arrays):
         places = 3 * c[pair] + row, self.offset[k][pair] + column
         return sp.csr_array((self.H[start[pair] + inside], places), shape=(3 * self.nc, self.n))
 
+    def mass(self) -> sp.csr_array:
+        """M, shape (n, n)."""
+        sizes = np.diff(self.offset)
+        parts = [self.m[a : a + n * n].reshape(n, n) for a, n in zip(self.m_start, sizes, strict=True)]
+        return sp.csr_array(sp.block_diag(parts)) if parts else sp.csr_array((0, 0))
+
     def dense(self) -> tuple[Array, Array]:
         """(M, H) as dense arrays of shapes (n, n) and (n, 3 nc), for checks on small problems."""
-        M = np.zeros((self.n, self.n))
-        for k, o in enumerate(self.offset[:-1]):
-            n = self.offset[k + 1] - o
-            M[o : o + n, o : o + n] = self.m[self.m_start[k] : self.m_start[k] + n * n].reshape(n, n)
-        return M, self.jacobian().toarray().T
-
-    @staticmethod
-    def from_delassus(W: Any) -> Blocks:
-        """Factors M = I and H = V Λ^½ of the symmetric part of a given W, one block of rank(W) coordinates.
-
-        Eigenvalues below 1e-14 of the largest are round-off of a rank-deficient W and are left out.
-        """
-        A = W.toarray() if sp.issparse(W) else np.asarray(W)
-        eigenvalues, V = np.linalg.eigh(0.5 * (A + A.T))
-        keep = eigenvalues > 1e-14 * eigenvalues[-1]
-        H = V[:, keep] * np.sqrt(eigenvalues[keep])
-        nc, n = A.shape[0] // 3, H.shape[1]
-        eye = np.eye(n).ravel()
-        block = np.column_stack((np.zeros(nc, np.int64), np.full(nc, -1, np.int64)))
-        start = np.column_stack((3 * n * np.arange(nc), np.zeros(nc, np.int64)))
-        return Blocks(np.array([0, n]), block, start, np.ascontiguousarray(H).ravel(), np.array([0]), eye, eye)
+        return self.mass().toarray(), self.jacobian().toarray().T

@@ -78,7 +78,8 @@ class FC3D:
         rows = 3 * (self.csr[0].size - 1)
         if rows != self.q.size:
             raise ValueError(f"W must have {self.q.size} rows like q, got {rows}")
-        self._check_scales()
+        if not _blocks.in_range(self.scales):
+            self._refuse_scales()
         if not (normal := self.W.diagonal()[0::3] > 0.0).all():
             raise ValueError(f"W must have a positive normal diagonal, not at {np.flatnonzero(~normal).tolist()[:5]}")
 
@@ -91,24 +92,31 @@ class FC3D:
         """Problem with W = Hᵀ M⁻¹ H given by its factors, and the `scales` if known; W is assembled when asked for."""
         problem = cls.__new__(cls)
         problem._set(q, mu)
-        problem.blocks, nc = blocks, len(problem.mu)
-        if blocks.nc != nc:
-            raise ValueError(f"blocks must have {nc} contacts like mu, got {blocks.nc}")
+        problem.blocks = blocks
+        if blocks.nc != problem.nc:
+            raise ValueError(f"blocks must have {problem.nc} contacts like mu, got {blocks.nc}")
+        problem._check_values()
         if scales is None:
-            scales = np.empty(nc)
-            q_norm, good = _blocks.prepare(blocks.arrays, problem.q, problem.mu, scales)
-        else:
-            q_norm, good = _blocks.size_of(problem.q, problem.mu)
+            scales = np.empty(problem.nc)
+            _blocks.delassus_scales(blocks.arrays, scales)
         problem.scales = scales
-        if not good:
-            problem._check_values()
-            problem._check_scales()
-        problem.q_norm = q_norm or 1.0
+        if not _blocks.in_range(scales):
+            problem._refuse_scales()
         return problem
 
     @classmethod
     def prepared(cls, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> FC3D:
-        """Problem as of `from_blocks`, of what has been looked at: q (3 nc,) m/s, mu and scales (nc,), and ‖q‖."""
+        """Problem as of `from_blocks`, of what has been looked at.
+
+        Parameters
+        ----------
+        blocks : Blocks
+        q : ndarray, shape (3 nc,)
+            m/s.
+        mu, scales : ndarray, shape (nc,)
+        q_norm : float
+            ‖q‖₂, m/s.
+        """
         problem = cls.__new__(cls)
         problem.blocks, problem.q, problem.mu, problem.scales, problem.q_norm = blocks, q, mu, scales, q_norm or 1.0
         return problem
@@ -138,14 +146,14 @@ class FC3D:
         if not (np.isfinite(self.mu).all() and (self.mu >= 0).all()):
             raise ValueError("mu must be finite and not negative")
 
-    def _check_scales(self) -> None:
+    def _refuse_scales(self) -> None:
+        """ValueError for sizes of diagonal blocks that are not what they have to be."""
         fine = (self.scales >= _blocks.SMALLEST) & (self.scales <= _blocks.LARGEST)
-        if not fine.all():
-            bad = np.flatnonzero(~fine).tolist()
-            raise ValueError(
-                f"W must have a non-zero positive diagonal block at every contact, not at {bad[:5]}, "
-                f"and none below {_blocks.SMALLEST:g} or above {_blocks.LARGEST:g}"
-            )
+        bad = np.flatnonzero(~fine).tolist()
+        raise ValueError(
+            f"W must have a non-zero positive diagonal block at every contact, not at {bad[:5]}, "
+            f"and none below {_blocks.SMALLEST:g} or above {_blocks.LARGEST:g}"
+        )
 
     @cached_property
     def W(self) -> sp.bsr_array:
@@ -176,7 +184,7 @@ class FC3D:
         """Island of each contact, shape (nc,), from 0 in the order of their first contacts: islands share no block."""
         label = np.empty(self.nc, np.int64)
         if self.blocks is None:
-            _given.islands(*self.csr[:2], label)
+            _given.islands(self.csr, label)
         else:
             _blocks.islands(self.blocks.block, self.blocks.offset.size - 1, label)
         return label
@@ -185,7 +193,7 @@ class FC3D:
         """u = W r + q, shape (3 nc,), m/s."""
         if self.blocks is None:
             u = np.empty_like(self.q)
-            _given.velocity(*self.csr, self.q, r, u)
+            _given.velocity(self.csr, self.q, r, u)
             return u
         return self.blocks.relative_velocity(self.blocks.velocity_change(r)) + self.q
 
@@ -225,12 +233,8 @@ class FC3D:
     def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:
         """(both measures within tol, error, residual in m/s, u) of an impulse r."""
         r = self.impulse(r)
-        if self.blocks is None:
-            u = self.velocity(r)
-            top, residual = _cones.measures(self.scales, u, r, self.mu)
-        else:
-            u = np.empty_like(self.q)
-            top, residual = _blocks.judged(self.blocks.arrays, self.q, self.mu, self.scales, r, u)
+        u = self.velocity(r)
+        top, residual = _cones.measures(self.scales, u, r, self.mu)
         error = top / self.q_norm
         return error <= tol and residual <= tol, error, residual, u
 

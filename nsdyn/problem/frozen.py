@@ -18,14 +18,11 @@ Oper. Res. 1, 1976.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from nsdyn._kernels.problem import gauss as _kernels
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.linear import contact_graph
-from nsdyn.problem.operators import Local
+from nsdyn.problem.operators import operator
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Least"]
@@ -57,7 +54,7 @@ class Least:
     """
 
     def __init__(self, problem: FC3D, b: Array, d: Array) -> None:
-        self._product, self._solve = _response(problem)
+        self._W = operator(problem)
         self._mu, self._scales, self._b = problem.mu, problem.scales, b
         self._A = np.empty((problem.nc, 3, 3))
         self.restart(d)
@@ -68,7 +65,7 @@ class Least:
         self.d, self.o, self.square = d, *self._along(d)
 
     def _along(self, d: Array) -> tuple[Array, float]:
-        o = self._product(d)
+        o = self._W.product(d)
         return o, float(d @ o)
 
     def step(self, x: Array, penalty: float) -> tuple[float, float]:
@@ -81,7 +78,7 @@ class Least:
         _kernels.curvature(self.o, *given, self._A)
         g = self.estimate - self.d
         try:
-            moved = self._solve(self._A, g)
+            moved = self._W.factor(self._A)(g)
         except RuntimeError:  # singular up to round-off
             return 0.0, np.inf
         change, fraction = g - np.einsum("cij,cj->ci", self._A, moved.reshape(-1, 3)).ravel(), 1.0
@@ -94,16 +91,3 @@ class Least:
         self.d, self.o, self.square = d, o, square
         _, left = self._along(self.estimate - d)
         return fraction, float(np.sqrt(max(0.0, left)))
-
-
-def _response(problem: FC3D) -> tuple[Callable[[Array], Array], Callable[[Array, Array], Array]]:
-    """Functions r ↦ W r and (A, g) ↦ W (I + A W)⁻¹ g for symmetric blocks A."""
-    blocks = problem.blocks
-    if blocks is None:
-        W = Local(problem.W)
-        return W.product, lambda A, g: W.factor(A)(g)
-    graph = contact_graph(blocks)
-    return (
-        lambda r: blocks.relative_velocity(blocks.velocity_change(r)),
-        lambda A, g: blocks.relative_velocity(graph.solve(blocks, A, blocks.momentum(g))),
-    )

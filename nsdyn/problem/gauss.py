@@ -33,12 +33,11 @@ import numpy as np
 
 from nsdyn._kernels.problem import gauss as _kernels
 from nsdyn._kernels.problem.cones import ROUNDING
-from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Certificate", "Opening", "along", "certify", "of_all", "of_own"]
+__all__ = ["Certificate", "Opening", "along", "certify", "least_direction", "of_all", "of_own"]
 
 NOTHING = np.empty(0)
 
@@ -148,15 +147,10 @@ def certify(
     ----------
     J. J. Moreau, Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
     """
-    mu, impulse = problem.mu, np.empty(problem.q.size)
-    b, d = problem.blocks, opening.d if opening else NOTHING
-    found = None if b is None or u is None else _kernels.certificate_of(b.arrays, u, r, mu, problem.scales, d, impulse)
-    if u is None or found is None or found[0]:
-        if _kernels.into_cones(r, mu, impulse) or u is None:
-            u = problem.velocity(impulse)
-        gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
-    else:
-        _, gap, shift, speed, step, total, square = found
+    impulse, d = np.empty(problem.q.size), opening.d if opening else NOTHING
+    if _kernels.into_cones(r, problem.mu, impulse) or u is None:
+        u = problem.velocity(impulse)
+    gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
     if not math.isfinite(gap + shift):
         return Certificate(gap, shift, math.inf), opening
     if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):
@@ -205,18 +199,13 @@ def _relaxed(problem: FC3D, d: Array) -> Array:
     if b is None or d.size != b.n:
         return NOTHING
     d = d.copy()
-    return d if _relax(b, problem.mu, np.zeros_like(problem.q), AIM, ENOUGH, SWEEPS, d) else NOTHING
-
-
-def _relax(blocks: Blocks, mu: Array, b: Array, aim: float, enough: float, sweeps: int, d: Array) -> bool:
-    """Change d (n,) by projections until κ(Hᵀ d - b) ≥ `enough` < `aim` at every contact; whether that was reached."""
-    kernel = _kernels.relax_free if (np.diff(blocks.offset) == 6).all() else _kernels.relax
-    return kernel(blocks.arrays, mu, b, aim, enough, sweeps, d)  # type: ignore[no-any-return]
+    nothing = np.zeros_like(problem.q)
+    return d if _kernels.relax(b.arrays, problem.mu, nothing, AIM, ENOUGH, SWEEPS, d) else NOTHING
 
 
 def of_all(problem: FC3D) -> Array:
     """`Opening.d` with κ > 0 at every contact; empty if none is found."""
-    return _least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
+    return least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
 
 
 def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
@@ -225,13 +214,13 @@ def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
     inside = -hat / unit
     if problem.blocks is not None:
         d = np.zeros(problem.blocks.n)
-        if _relax(problem.blocks, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
+        if _kernels.relax(problem.blocks.arrays, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
             return d * (unit / speed)
     inside[0::3] += OWN_ENOUGH
-    return _least_direction(problem, inside, SLACK * OWN_ENOUGH) * (unit / speed)
+    return least_direction(problem, inside, SLACK * OWN_ENOUGH) * (unit / speed)
 
 
-def _least_direction(problem: FC3D, b: Array, slack: float) -> Array:
+def least_direction(problem: FC3D, b: Array, slack: float) -> Array:
     """`Opening.d` of least ‖d‖_M with Hᵀ d ∈ b - slack e_N + K*, by a growing penalty; empty if there is none.
 
     The minimum of ½‖d‖²_M + Σ ρ/2 dist²(Hᵀ d, b + K*) grows with ρ to the least ‖d‖_M without slack, so that the first

@@ -103,7 +103,7 @@ class _Layout:
     def assemble(self, blocks: Blocks, A: Array, data: Array) -> None:
         """K = M + Σ H_c A_c H_cᵀ, into data."""
         given = self.indptr, self.begin, self.slot, self.diagonal
-        _matrix.assemble_sparse(blocks.arrays, A, *given, data)
+        _matrix.assemble(blocks.arrays, A, *given, data)
 
 
 class Factor:
@@ -126,16 +126,13 @@ class Factor:
         layout = _Layout(offset, block, elimination_order(offset.size - 1, first, second))
         return layout, Ordered(layout.indptr, layout.indices, layout.to)
 
-    def lu(self, blocks: Blocks, A: Array) -> Callable[[Array], Array]:
-        """Function b ↦ K⁻¹ b for K = M + Σ H_c A_c H_cᵀ; RuntimeError when K is singular."""
-        layout, matrix = self._ordered
-        layout.assemble(blocks, A, matrix.K.data)
-        return matrix.factor()
-
-    def solve(self, blocks: Blocks, A: Array, b: Array) -> Array:
-        """K⁻¹ b, by LDLᵀ where K is symmetric."""
+    def factor(self, blocks: Blocks, A: Array) -> Callable[[Array], Array]:
+        """Function b ↦ K⁻¹ b, until the next on this graph, for K = M + Σ H_c A_c H_cᵀ; RuntimeError when singular."""
         if not _matrix.symmetric(A):
-            return self.lu(blocks, A)(b)
+            layout, matrix = self._ordered
+            # The rows of Kᵀ are the columns of K.
+            layout.assemble(blocks, np.ascontiguousarray(A.transpose(0, 2, 1)), matrix.K.data)
+            return matrix.factor()
         self._layout.assemble(blocks, A, self._data)
         # QDLDL wants the upper triangle; to have it cut out by SciPy costs as much as the factorisation.
         np.take(self._data, self.upper, out=self.U.data)
@@ -143,8 +140,7 @@ class Factor:
             self.ldl = qdldl.Solver(self.U, upper=True)
         else:
             self.ldl.update(self.U, upper=True)
-        out: Array = self.ldl.solve(b)
-        return out
+        return self.ldl.solve  # type: ignore[no-any-return]
 
 
 @lru_cache(maxsize=16)

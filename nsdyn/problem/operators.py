@@ -1,9 +1,13 @@
-"""W as methods need it that factorise (I + A W): given by its factors, or as a sparse matrix."""
+"""W = Hᵀ M⁻¹ H as methods need it that factorise (I + A W): given by its factors, or as a sparse matrix.
+
+A (nc, 3, 3) is block-diagonal; RuntimeError where I + A W is singular. The velocity change y = M⁻¹ H r of an impulse
+has its own coordinates; those of a W given alone are relative velocities, with H = I.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,31 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["Local", "Operator", "Velocity", "operator"]
 
 
-class Operator(Protocol):
-    """W = Hᵀ M⁻¹ H as the methods need it, for block-diagonal A (nc, 3, 3); RuntimeError where I + A W is singular.
-
-    The velocity change y = M⁻¹ H r of an impulse has its own coordinates; those of a W given alone are relative
-    velocities, with H = I.
-    """
-
-    def product(self, r: Array) -> Array:
-        """W r."""
-
-    def factor(self, A: Array) -> Callable[[Array], Array]:
-        """Function g ↦ W (I + A W)⁻¹ g."""
-
-    def change(self, r: Array) -> Array:
-        """Velocity change y = M⁻¹ H r."""
-
-    def relative(self, y: Array) -> Array:
-        """Hᵀ y."""
-
-    def towards(self, A: Array, P: Array, y: Array) -> Array:
-        """The dy of (I + M⁻¹ Σ H_c A_c H_cᵀ) dy = M⁻¹ H P - y."""
-
-
 class Velocity:
-    """W = Hᵀ M⁻¹ H by its factors: W (I + A W)⁻¹ = Hᵀ (M + Σ H_c A_c H_cᵀ)⁻¹ H."""
+    """W by its factors: W (I + A W)⁻¹ = Hᵀ (M + Σ H_c A_c H_cᵀ)⁻¹ H."""
 
     def __init__(self, blocks: Blocks) -> None:
         self.blocks, self.graph = blocks, contact_graph(blocks)
@@ -54,7 +35,7 @@ class Velocity:
 
     def factor(self, A: Array) -> Callable[[Array], Array]:
         """Function g ↦ W (I + A W)⁻¹ g."""
-        solve = self.graph.lu(self.blocks, A)
+        solve = self.graph.factor(self.blocks, A)
         return lambda g: self.relative(solve(self.blocks.momentum(g)))
 
     def change(self, r: Array) -> Array:
@@ -66,10 +47,10 @@ class Velocity:
         return self.blocks.relative_velocity(y)
 
     def towards(self, A: Array, P: Array, y: Array) -> Array:
-        """(M + Σ H_c A_c H_cᵀ)⁻¹ (H P - M y)."""
+        """The dy of (I + M⁻¹ Σ H_c A_c H_cᵀ) dy = M⁻¹ H P - y."""
         missing = np.empty_like(y)
         _blocks.block_product(self.blocks.offset, self.blocks.m_start, self.blocks.m, y, missing)
-        return self.graph.solve(self.blocks, A, self.blocks.momentum(P) - missing)
+        return self.graph.factor(self.blocks, A)(self.blocks.momentum(P) - missing)
 
 
 class Local:
@@ -110,10 +91,14 @@ class Local:
         return y
 
     def towards(self, A: Array, P: Array, y: Array) -> Array:
-        """(I + W A)⁻¹ d = d - W (I + A W)⁻¹ A d for d = W P - y."""
+        """The dy of (I + W A) dy = W P - y."""
+        # (I + W A)⁻¹ d = d - W (I + A W)⁻¹ A d
         d = self.product(P) - y
         out: Array = d - self.factor(A)((A @ d.reshape(-1, 3, 1)).ravel())
         return out
+
+
+Operator = Velocity | Local
 
 
 def operator(problem: FC3D) -> Operator:

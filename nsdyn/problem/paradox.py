@@ -36,9 +36,6 @@ Solve = Callable[[FC3D, Array], Solution]
 APART = 1e-6
 """Distance of two velocities, over the change that the larger impulse makes, from which on they are two."""
 
-EXACT = 1e-9
-"""Larger of both measures of a solution of one contact, in the unit of its velocity: those of a root of a quartic."""
-
 FALL, ODD = 1e-3, 10.0
 """Of the loads on the normals, what is left of them; and the change of slip over those, from which on there may be a
 jam: where friction is a force it is at most of the order of μ."""
@@ -54,39 +51,10 @@ def ambiguous(problem: FC3D, u: Array, r: Array) -> Index:
     return out[: _kernels.ambiguous(problem.blocks.arrays, problem.mu, u, r, out)]
 
 
-def all_of_one(W: Array, q: Array, mu: float) -> list[Array]:
-    """All impulses (3,) that solve u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K of one contact, W (3, 3) of full rank.
-
-    It opens where q_N ≥ 0; sticks where -W⁻¹ q is in K; and slips with u_T = -α r_T, α > 0, where the impulse that
-    leaves u_N = 0 is on the edge of K. By Cramer's rule its r_N det and r_T det are polynomials in α of degrees 2 and
-    1: four roots at most.
-    """
-    found, eye = [np.zeros(3)] if q[0] >= 0.0 else [], np.diag([0.0, 1.0, 1.0])
-
-    def impulse(alpha: float) -> Array:
-        return np.asarray(-np.linalg.solve(W + alpha * eye, q), dtype=float)
-
-    stick = impulse(0.0)
-    if stick[0] > 0.0 and np.hypot(*stick[1:]) <= mu * stick[0]:
-        found.append(stick)
-    # Polynomials through their values, in the unit of W_TT.
-    unit = 0.5 * float(W[1, 1] + W[2, 2])
-    at = unit * np.arange(5.0)
-    values = []
-    for alpha in at:
-        r = impulse(alpha) * np.linalg.det(W + alpha * eye)
-        values.append(r[1] ** 2 + r[2] ** 2 - (mu * r[0]) ** 2)
-    roots = np.roots(np.polyfit(np.arange(5.0), np.array(values) / max(np.abs(values).max(), 1e-300), 4))
-    real = roots[np.abs(roots.imag) <= 1e-6 * (1.0 + np.abs(roots))].real
-    problem = FC3D(W / unit, q / (np.abs(q).max() or 1.0), [mu])
-    for alpha in unit * real[real > 0.0]:
-        r = impulse(alpha)
-        size = np.hypot(*r[1:])
-        if r[0] > 0.0 and size > 0.0:
-            r[1:] *= mu * r[0] / size
-            if problem.solved(r * unit / (np.abs(q).max() or 1.0), EXACT)[0]:
-                found.append(r)
-    return found
+def all_of_one(W: Array, q: Array, mu: float) -> Array:
+    """All impulses that solve the law of one contact, u = W r + q with W (3, 3) symmetric, shape (k, 3)."""
+    out = np.empty((_kernels.MOST, 3))
+    return out[: _kernels.solutions(W, q, mu, out)]
 
 
 def others(problem: FC3D, r: Array, solve: Solve, u: Array | None = None) -> Array | None:

@@ -112,7 +112,21 @@ class Solution(NamedTuple):
     def judge(
         problem: FC3D, r: Array, tol: float, iterations: int, time: float, otherwise: Status = Status.STALLED
     ) -> Solution:
-        """Solution of impulse r; converged only if the problem's own measures say so."""
+        """Solution of an impulse; converged only if the problem's own measures say so.
+
+        Parameters
+        ----------
+        problem : FC3D
+        r : ndarray, shape (3 nc,)
+            N·s.
+        tol : float
+            On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+        iterations : int
+        time : float
+            s.
+        otherwise : Status
+            Where it is finite and has not converged.
+        """
         _, error, residual, u = problem.solved(r, tol)
         return Solution.measured(r, u, error, residual, tol, iterations, time, otherwise)
 
@@ -120,7 +134,10 @@ class Solution(NamedTuple):
     def measured(
         r: Array, u: Array, error: float, residual: float, tol: float, iterations: int, time: float, otherwise: Status
     ) -> Solution:
-        """Solution of an impulse with the velocity and the measures that its problem gives it."""
+        """Solution of an impulse with the velocity and the measures that its problem gives it.
+
+        Parameters are those of `judge`, and the velocity u (3 nc,) [m/s], error [-] and residual [m/s].
+        """
         if error <= tol and residual <= tol:
             status = Status.CONVERGED
         else:

@@ -17,8 +17,6 @@ from nsdyn.solvers.nesterov import Sweeps
 from nsdyn.solvers.newton import DENSE, MARGIN, PENALTY, Multipliers, part
 from nsdyn.tools.arrays import Array
 
-CONVERGED = Status.CONVERGED  # to look it up takes 70 ns
-
 
 @dataclass(frozen=True)
 class Tuning:
@@ -67,6 +65,14 @@ LIMITS = (DENSE, *TUNING.small)
 
 class Search:
     """The best impulse of one island so far, and what it has cost.
+
+    Parameters
+    ----------
+    problem : FC3D
+    r : ndarray, shape (3 nc,)
+        Where it begins, N·s.
+    tol, loose, effort : float
+        As of `Auto`.
 
     Attributes
     ----------
@@ -194,19 +200,16 @@ class Auto:
         all means.
     effort : float
         Bound on the effort beyond `loose`, as a multiple of that for `loose`; `Tuning.free` where the start meets it.
-    accept : float
-        Fraction of the tolerance within which a warm start is the solution of an island.
     """
 
     tol: float = 1e-8
     loose: float = 1e-4
     effort: float = 4.0
-    accept: float = 1.0
 
     @property
     def aims(self) -> tuple[float, float]:
         """What islands of few coordinates are solved to where Newton gets there, and at least; measures in m/s or -."""
-        return sharp(self.tol), MARGIN * self.accept * self.tol
+        return sharp(self.tol), MARGIN * self.tol
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
@@ -246,7 +249,7 @@ class Auto:
         given, (enough, good) = (problem.q, problem.mu, problem.scales), self.aims
         if blocks is None:
             most = TUNING.cost * TUNING.sweep
-            count, error, residual = _start.by_matrix(problem.csr, *given, problem.q_norm, r, u, good, most)
+            count, error, residual = _start.by_matrix((problem.csr, *given, problem.q_norm), r, u, good, most)
             left = not max(error, residual) <= self.tol
         else:
             label, islands = np.empty(nc, np.int64), np.empty((3, nc))
@@ -255,9 +258,6 @@ class Auto:
             )
             error /= problem.q_norm
         if not left:
-            if error <= self.tol and residual <= self.tol:
-                # As `Solution.measured`, in a third of the time
-                return tuple.__new__(Solution, (r, u, CONVERGED, error, residual, count, clock() - start))
             return self._measured(r, u, error, residual, count, start)
         if blocks is None:
             label = problem.islands()

@@ -36,13 +36,12 @@ class Sweeps:
         self._free = blocks is not None and bool((np.diff(blocks.offset) == 6).all())
         if blocks is not None and self._free:
             best_r = r.reshape(-1, 3)
-            *given, y, v, self.best = _kernels.begin(blocks.arrays, q.reshape(-1, 3), mu, scales, q_norm, best_r)
-            self._given = (*given, q_norm)
+            self._given, y, v, self.best = _kernels.begin(blocks.arrays, q.reshape(-1, 3), mu, scales, q_norm, best_r)
             self._state: tuple[Any, ...] = (best_r, y, y.copy(), v, np.ones(mu.size))
         else:
             W = problem.csr
             self.best = float(_cones.measure_at(scales, problem.velocity(r), r, mu, q_norm))
-            self._given = *W, _kernels.steps_of_matrix(*W, mu), q, mu, scales, q_norm
+            self._given = W, _kernels.steps_of_matrix(W, mu), q, mu, scales, q_norm
             self._state = r, r.copy(), r.copy(), np.ones(mu.size)
         self.count, self._last, self._keep = 0, 0, 0.5
 

@@ -61,8 +61,8 @@ class Multipliers:
                     break
             return
         p = self.problem
-        given = self._dense, p.q, p.mu, p.scales, self.r, tol, p.q_norm, self._penalty, most
-        used, self.best = _kernels.dense(*given)
+        given = self._dense, p.q, p.mu, p.scales, p.q_norm
+        used, self.best = _kernels.dense(given, self.r, tol, self._penalty, most)
         self.count, self.ended = self.count + used, used < most
 
     def _taken(self) -> Iterator[bool]:
@@ -109,7 +109,19 @@ class Multipliers:
 
 
 def newton(problem: FC3D, W: Operator, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
-    """Newton for any W, in place of r: (factorisations, measure of r)."""
+    """Newton for any W: (factorisations, measure of r).
+
+    Parameters
+    ----------
+    problem : FC3D
+    W : Operator
+    r : ndarray, shape (3 nc,)
+        Where it begins, N·s, and what it finds.
+    tol, penalty : float
+        As of `Newton`.
+    most : int
+        Factorisations.
+    """
     run = Multipliers(problem, W, r, penalty)
     run.run(tol, most)
     return run.count, run.best

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from nsdyn.collision.contacts import ContactSet
-from nsdyn.problem import cones, fclib
+from nsdyn.problem import cones
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
+from nsdyn.recording import fclib
 from nsdyn.stepping.instant import Impulses, take
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array

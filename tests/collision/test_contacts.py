@@ -12,8 +12,9 @@ import pytest
 from nsdyn._kernels.collision import broadphase
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.collision import distances
+from nsdyn.collision.candidates import MARGIN, SKIN
 from nsdyn.collision.contacts import ContactMemory
-from nsdyn.collision.detector import MARGIN, SKIN, Detector
+from nsdyn.collision.detector import Detector
 from nsdyn.scene import shapes
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.materials import Material

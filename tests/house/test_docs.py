@@ -17,7 +17,7 @@ import nsdyn as nd
 
 PUBLIC = [getattr(nd, name) for name in nd.__all__ if name not in nd._MODULES]
 ROOT = Path(__file__).parents[2]
-MODULES = sorted({value.__module__ for value in PUBLIC} | {"nsdyn.problem.fclib"})
+MODULES = sorted({value.__module__ for value in PUBLIC} | {"nsdyn.recording.fclib"})
 
 
 @pytest.mark.parametrize("name", MODULES)

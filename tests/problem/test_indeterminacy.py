@@ -10,7 +10,6 @@ from mechanisms import at
 from scipy.optimize import linprog
 
 import nsdyn as nd
-from nsdyn._kernels.problem import paradox as kernels
 from nsdyn.problem import paradox
 from nsdyn.problem.solution import TOLD
 
@@ -18,15 +17,33 @@ GRIP = nd.Material(mu=0.5)
 SMOOTH = nd.Material(mu=0.0)
 
 
-def test_no_contact_with_several_solutions_is_passed_over():
-    """Those of one contact are counted by directions of slip; all of them are roots of a quartic."""
-    rng, several = np.random.default_rng(3), 0
+def slips(W, q, mu):
+    """Impulses with u_T = -α r_T, α > 0, u_N = 0 on the edge of K: by Cramer's rule α is a root of a quartic."""
+
+    def impulse(alpha):
+        return -np.linalg.solve(W + alpha * np.diag([0.0, 1.0, 1.0]), q)
+
+    at, values = np.trace(W[1:, 1:]) * np.arange(5.0), []
+    for alpha in at:
+        r = impulse(alpha) * np.linalg.det(W + alpha * np.diag([0.0, 1.0, 1.0]))
+        values.append(r[1] ** 2 + r[2] ** 2 - (mu * r[0]) ** 2)
+    roots = np.roots(np.polyfit(np.arange(5.0), np.array(values) / np.abs(values).max(), 4))
+    real = roots[np.abs(roots.imag) <= 1e-9 * (1.0 + np.abs(roots))].real * at[1]
+    return [r for r in map(impulse, real[real > 0.0]) if r[0] > 0.0]
+
+
+def test_all_solutions_of_a_contact_are_found(rng):
+    """Those that slip, bracketed by directions, are the roots of a quartic; all solve the law."""
+    several = 0
     for _ in range(1500):
         A, mu, q = rng.normal(size=(3, 3)), rng.uniform(0.3, 3.0), rng.normal(size=3)
         W = A @ A.T
-        if W[0, 0] < mu * np.hypot(W[0, 1], W[0, 2]) and len(paradox.all_of_one(W, q, mu)) > 1:
-            several += 1
-            assert kernels._count(W, q, mu) > 1, (W, q, mu)
+        found = paradox.all_of_one(W, q, mu)
+        problem = nd.FC3D(W, q, [mu])
+        assert all(problem.solved(r, 1e-9 * (1.0 + np.abs(W).max() * np.abs(r).max()))[0] for r in found)
+        for r in slips(W, q, mu):
+            assert np.abs(found - r).max(axis=1).min(initial=np.inf) <= 1e-6 * np.abs(r).max(), (W, q, mu)
+        several += len(found) > 1
     assert several > 30
 
 

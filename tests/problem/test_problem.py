@@ -22,6 +22,15 @@ def corner_box(mu=0.5, push=(0.0, 0.0)):
     return nd.FC3D(H.T @ np.linalg.solve(M, H), H.T @ v, np.full(BOX, mu)), M, H
 
 
+def one_block(H):
+    """The factors M = I and H (n, 3 nc), all coordinates in one block."""
+    n, nc = H.shape[0], H.shape[1] // 3
+    block, start = np.full((nc, 2), -1), np.zeros((nc, 2), np.int64)
+    block[:, 0], start[:, 0] = 0, 3 * n * np.arange(nc)
+    eye = np.eye(n).ravel()
+    return Blocks(np.array([0, n]), block, start, H.T.ravel(), np.array([0]), eye, eye)
+
+
 def test_solution_on_paper():
     problem, _, _ = corner_box()
     r = np.tile([0.25, 0.0, 0.0], BOX)
@@ -124,13 +133,6 @@ def test_blocks_against_dense(rng):
     expected = [np.linalg.eigvalsh(W.toarray()[3 * c : 3 * c + 3, 3 * c : 3 * c + 3])[-1] for c in range(nc)]
     problem = nd.FC3D.from_blocks(blocks, np.zeros(3 * nc), np.ones(nc))
     np.testing.assert_allclose(problem.scales, expected, rtol=1e-13)
-
-
-def test_factors_of_a_given_matrix():
-    problem, _, _ = corner_box()
-    blocks = Blocks.from_delassus(problem.W)
-    assert blocks.n == 6
-    np.testing.assert_allclose(blocks.delassus().toarray(), problem.W.toarray(), rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,8 @@
 
 import math
 
-import numpy as np
-
 from nsdyn._kernels.collision.broadphase import at_least_apart, contains
-from nsdyn._kernels.collision.geometry import Geometry, Placed, place
+from nsdyn._kernels.collision.geometry import Placed, place
 from nsdyn._kernels.collision.separation import gap_along
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
@@ -99,15 +97,12 @@ def may_touch(fields, arm, least, pairs, motion, placed, out):
     return count
 
 
-@kernel
+@in_place
 def carried(f, p, x0, R0, x1, R1):
     """Where the point p fixed in frame f goes when the frame goes from its pose 0 to pose 1."""
     if f < 0:
         return p
-    a, b = np.empty(3), minus(p, row(x0, f))
-    for k in range(3):
-        a[k] = R0[f, 0, k] * b[0] + R0[f, 1, k] * b[1] + R0[f, 2, k] * b[2]
-    return along(row(x1, f), 1.0, to_world(R1, f, (a[0], a[1], a[2])))
+    return along(row(x1, f), 1.0, to_world(R1, f, to_local(R0, f, minus(p, row(x0, f)))))
 
 
 @in_place
@@ -133,7 +128,7 @@ def turn_normals(fields, contacts, R0, end, room, out, apart):
     normal), `end` the poses (x, R) of the frames, `room` is for those (R, t) of the geoms.
     """
     (frame1, frame2, geom1, geom2, normal), (x1, R1), (R, t) = contacts, end, room
-    place(Geometry(*fields), x1, R1, R, t)
+    place(fields, x1, R1, R, t)
     geometry = Placed(*fields, R, t)
     for c in range(geom1.size):
         apart[c] = -math.inf

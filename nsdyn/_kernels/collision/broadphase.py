@@ -38,7 +38,7 @@ def follow(fields, frames, base, placed, boxes, fat):
     """
     (x, R_frames, frame_reach), (R, t, reach), (lower, upper), (fat_lower, fat_upper) = frames, placed, boxes, fat
     geometry = Placed(*fields, R, t)
-    place(Geometry(*fields), x, R_frames, R, t)
+    place(fields, x, R_frames, R, t)
     out = False
     for g in range(geometry.kind.size):
         if geometry.frame[g] >= 0:
@@ -56,7 +56,7 @@ def bounds(fields, x, R_frames, lower, upper):
     """Bounds of the geoms on moving frames at these poses, into their rows; `fields` as in `follow`."""
     geometry = Geometry(*fields)
     R, t = np.empty((geometry.kind.size, 3, 3)), np.empty((geometry.kind.size, 3))
-    place(geometry, x, R_frames, R, t)
+    place(fields, x, R_frames, R, t)
     placed = Placed(*fields, R, t)
     for g in range(geometry.kind.size):
         if geometry.frame[g] >= 0:

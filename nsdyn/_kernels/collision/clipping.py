@@ -16,6 +16,7 @@ from nsdyn._kernels.collision.kinds import (
     has_rim,
     incident,
     other_feature,
+    side,
 )
 from nsdyn._kernels.collision.separation import INSIDE
 from nsdyn._kernels.compiled import in_place, kernel
@@ -65,11 +66,11 @@ def clip_to_face(geometry, g, face, n, poly, count, other, heights):
     a = to_world(geometry.R, g, row(geometry.vertices, first + geometry.loop[end - 1]))
     for p in range(begin, end):
         b = to_world(geometry.R, g, row(geometry.vertices, first + geometry.loop[p]))
-        side, _ = unit(cross(minus(b, a), n))
+        outward, _ = unit(cross(minus(b, a), n))
         corner = along(c, 1.0, a)
         outside = False
         for q in range(count):
-            heights[q] = dot(side, minus(row(poly, q), corner))
+            heights[q] = dot(outward, minus(row(poly, q), corner))
             outside = outside or heights[q] > tol
         if outside:
             count = cut(poly, count, heights, tol, other)
@@ -88,15 +89,12 @@ def on_border(geometry, g, face, p, tol):
         return math.hypot(q[0], q[1]) >= radius - tol
     if geometry.kind[g] != POLYTOPE:
         return False
-    first, f = geometry.vertex_ptr[g], geometry.face_ptr[g] + face
-    begin, end, n = geometry.loop_ptr[f], geometry.loop_ptr[f + 1], face_normal(geometry, g, face)
-    a = row(geometry.vertices, first + geometry.loop[end - 1])
-    for k in range(begin, end):
-        b = row(geometry.vertices, first + geometry.loop[k])
-        side, _ = unit(cross(minus(b, a), n))
-        if dot(side, minus(q, a)) >= -tol:
+    f, n = geometry.face_ptr[g] + face, face_normal(geometry, g, face)
+    for k in range(geometry.loop_ptr[f], geometry.loop_ptr[f + 1]):
+        a, b = side(geometry, g, f, k)
+        outward, _ = unit(cross(minus(b, a), n))
+        if dot(outward, minus(q, a)) >= -tol:
             return True
-        a = b
     return False
 
 

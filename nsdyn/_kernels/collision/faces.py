@@ -3,7 +3,7 @@
 import math
 
 from nsdyn._kernels.collision.geometry import smaller
-from nsdyn._kernels.collision.kinds import face_count, face_normal
+from nsdyn._kernels.collision.kinds import face_count, face_normal, has_corner
 from nsdyn._kernels.collision.separation import INSIDE, SHARP, separation
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import dot, minus, row, times, to_local, to_world, unit
@@ -66,12 +66,9 @@ def next_feature(geometry, g, face, main, m, low):
         if face != main and dot(row(geometry.face_normals, face), m) < -SHARP:
             for p in range(geometry.loop_ptr[face], geometry.loop_ptr[face + 1]):
                 corner = geometry.loop[p]
-                if dot(row(geometry.vertices, geometry.vertex_ptr[g] + corner), m) <= low:
-                    shared = False
-                    for q in range(geometry.loop_ptr[main], geometry.loop_ptr[main + 1]):
-                        shared = shared or corner == geometry.loop[q]
-                    if not shared:
-                        return face
+                height = dot(row(geometry.vertices, geometry.vertex_ptr[g] + corner), m)
+                if height <= low and not has_corner(geometry, main, corner):
+                    return face
         face += 1
     return last
 

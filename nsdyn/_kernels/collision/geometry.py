@@ -49,8 +49,9 @@ def smaller(geometry, i, j):
 
 
 @in_place
-def place(geometry, x, R, out_R, out_t):
-    """World pose of every geom on a moving frame; the others keep theirs."""
+def place(fields, x, R, out_R, out_t):
+    """World pose of every geom on a moving frame; the others keep theirs. `fields` are those of `Geometry`."""
+    geometry = Geometry(*fields)
     for g in range(geometry.kind.size):
         f = geometry.frame[g]
         if f < 0:

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from nsdyn._kernels.collision.geometry import Geometry, Placed, place
+from nsdyn._kernels.collision.geometry import Placed, place
 from nsdyn._kernels.collision.separation import gap_along
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.sorting import order as order_of
+from nsdyn._kernels.sorting import place_of
 from nsdyn._kernels.vectors import dot, minus, put, row, to_local
 
 
@@ -134,32 +135,20 @@ def gaps(fields, frames, room, contacts, found, out):
     (x, R_frames), (R, t) = frames, room
     geom1, geom2, normal, key = contacts
     found1, found2, found_key, found_gap = found
-    order = order_of(found_key)
-    placed = False
+    order, n, placed = order_of(found_key), R.shape[0], False
+    known, pairs = found_key[order], found1 * n + found2
     for c in range(key.size):
-        low, high = 0, order.size
-        while low < high:
-            middle = (low + high) // 2
-            if found_key[order[middle]] < key[c]:
-                low = middle + 1
-            else:
-                high = middle
-        if low < order.size and found_key[order[low]] == key[c]:
-            out[c] = found_gap[order[low]]
-        else:
-            if not placed:
-                place(Geometry(*fields), x, R_frames, R, t)
-                placed = True
-            low, high = 0, found1.size
-            while low < high:
-                middle = (low + high) // 2
-                if found1[middle] < geom1[c] or (found1[middle] == geom1[c] and found2[middle] < geom2[c]):
-                    low = middle + 1
-                else:
-                    high = middle
-            least = np.inf
-            while low < found1.size and found1[low] == geom1[c] and found2[low] == geom2[c]:
-                least = min(least, found_gap[low])
-                low += 1
-            apart = gap_along(Placed(*fields, R, t), geom1[c], geom2[c], row(normal, c))
-            out[c] = max(apart, least if least < np.inf else 0.0)
+        at = place_of(known, key[c])
+        if at < known.size and known[at] == key[c]:
+            out[c] = found_gap[order[at]]
+            continue
+        if not placed:
+            place(fields, x, R_frames, R, t)
+            placed = True
+        code, least = geom1[c] * n + geom2[c], np.inf
+        at = place_of(pairs, code)
+        while at < pairs.size and pairs[at] == code:
+            least = min(least, found_gap[at])
+            at += 1
+        apart = gap_along(Placed(*fields, R, t), geom1[c], geom2[c], row(normal, c))
+        out[c] = max(apart, least if least < np.inf else 0.0)

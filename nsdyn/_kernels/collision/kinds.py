@@ -155,6 +155,22 @@ def segment(geometry, g, n, angle):
     return along(c, 1.0, to_world(geometry.R, g, p)), along(c, 1.0, to_world(geometry.R, g, q)), 0.0, valid
 
 
+@in_place
+def has_corner(geometry, face, corner):
+    """Whether a face (a row) has the corner, counted from the first vertex of its geom."""
+    for k in range(geometry.loop_ptr[face], geometry.loop_ptr[face + 1]):
+        if geometry.loop[k] == corner:
+            return True
+    return False
+
+
+@in_place
+def side(geometry, g, face, k):
+    """The ends (shape frame) of the edge of geom g that begins at entry k of the loop of a face (a row)."""
+    first, after = geometry.vertex_ptr[g], k + 1 if k + 1 < geometry.loop_ptr[face + 1] else geometry.loop_ptr[face]
+    return row(geometry.vertices, first + geometry.loop[k]), row(geometry.vertices, first + geometry.loop[after])
+
+
 @in_place(forceinline=True)
 def incident(geometry, g, n, whole, rim, poly):
     """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius).
@@ -187,10 +203,8 @@ def incident(geometry, g, n, whole, rim, poly):
     best, face = -math.inf, -1
     for f in range(geometry.face_ptr[g], geometry.face_ptr[g + 1]):
         e = dot(row(geometry.face_normals, f), m)
-        if e > best:
-            for p in range(geometry.loop_ptr[f], geometry.loop_ptr[f + 1]):
-                if geometry.loop[p] == deepest:
-                    best, face = e, f
+        if e > best and has_corner(geometry, f, deepest):
+            best, face = e, f
     return corners(geometry, g, face, poly), 0.0, face
 
 

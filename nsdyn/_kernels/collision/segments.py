@@ -1,7 +1,7 @@
 """Edges, corners, spheres, capsules and sides of cylinders: segments with a radius, and where two touch."""
 
 from nsdyn._kernels.collision.geometry import smaller
-from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_rim, is_round, segment
+from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_corner, has_rim, is_round, segment, side
 from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, separation
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import (
@@ -117,22 +117,6 @@ def segments(geometry, i, j, lines, n, out, at):
     touch(a, radius1, b, radius2, m, out, at)
     m = row(out.normal, at)
     return 0 if (flat1 and abs(dot(m, d)) > INSIDE) or (flat2 and abs(dot(m, e)) > INSIDE) else 1
-
-
-@in_place
-def has_corner(geometry, face, corner):
-    """Whether a face (a row) has the corner, counted from the first vertex of its geom."""
-    for k in range(geometry.loop_ptr[face], geometry.loop_ptr[face + 1]):
-        if geometry.loop[k] == corner:
-            return True
-    return False
-
-
-@in_place
-def side(geometry, g, face, k):
-    """The ends (shape frame) of the edge of geom g that begins at entry k of the loop of a face (a row)."""
-    first, after = geometry.vertex_ptr[g], k + 1 if k + 1 < geometry.loop_ptr[face + 1] else geometry.loop_ptr[face]
-    return row(geometry.vertices, first + geometry.loop[k]), row(geometry.vertices, first + geometry.loop[after])
 
 
 @in_place

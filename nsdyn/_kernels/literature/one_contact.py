@@ -269,7 +269,7 @@ def sweep(indptr, indices, data, q, mu, scales, order, kind, omega, goal, most, 
                 for j in range(3):
                     for k in range(3):
                         W[j, k] = data[p, j, k] / omega
-        b[0], b[1], b[2] = velocity_of(indptr, indices, data, q, r, c)
+        b[0], b[1], b[2] = velocity_of((indptr, indices, data), q, r, c)
         for j in range(3):
             x[j] = r[i + j]
             b[j] -= W[j, 0] * r[i] + W[j, 1] * r[i + 1] + W[j, 2] * r[i + 2]

@@ -189,7 +189,7 @@ def _sweep_of(W, q, mu, r):
 def _velocity(W, q, r, u):
     """u = W r + q, into u."""
     if isinstance(W, Matrix):
-        velocity(W.indptr, W.indices, W.data, q, r, u)
+        velocity((W.indptr, W.indices, W.data), q, r, u)
     else:
         relative_velocity(W.blocks, change_of(W, r), u)
         u += q
@@ -198,7 +198,7 @@ def _velocity(W, q, r, u):
 @overload(_velocity)
 def _velocity_of(W, q, r, u):
     if W.instance_class is Matrix:
-        return lambda W, q, r, u: velocity(W.indptr, W.indices, W.data, q, r, u)
+        return lambda W, q, r, u: velocity((W.indptr, W.indices, W.data), q, r, u)
 
     def by_factors(W, q, r, u):
         relative_velocity(W.blocks, change_of(W, r), u)

@@ -10,7 +10,7 @@ from nsdyn._kernels.problem.given import velocity, velocity_of
 @in_place
 def operator(indptr, indices, data, q, mu, r, out):
     """F(r) = W r + q + mu |u_T| e_N, into out (3 nc,)."""
-    velocity(indptr, indices, data, q, r, out)
+    velocity((indptr, indices, data), q, r, out)
     for c in range(mu.size):
         i = 3 * c
         out[i] += mu[c] * math.sqrt(out[i + 1] * out[i + 1] + out[i + 2] * out[i + 2])
@@ -42,7 +42,7 @@ def cone_sweep(indptr, indices, data, q, mu, scales, r):
     """One projected Gauss–Seidel sweep of min ½ rᵀ W r + qᵀ r on the cones, in place of r."""
     for c in range(mu.size):
         i = 3 * c
-        u0, u1, u2 = velocity_of(indptr, indices, data, q, r, c)
+        u0, u1, u2 = velocity_of((indptr, indices, data), q, r, c)
         rho = 1.0 / scales[c]
         r[i], r[i + 1], r[i + 2] = project(r[i] - rho * u0, r[i + 1] - rho * u1, r[i + 2] - rho * u2, mu[c])
 
@@ -63,7 +63,7 @@ def cylinder_sweep(indptr, indices, data, q, radius, scales, normal, tangent, r)
     """
     for c in range(radius.size):
         i = 3 * c
-        u0, u1, u2 = velocity_of(indptr, indices, data, q, r, c)
+        u0, u1, u2 = velocity_of((indptr, indices, data), q, r, c)
         rho = 1.0 / scales[c]
         if normal:
             r[i] = max(0.0, r[i] - rho * u0)

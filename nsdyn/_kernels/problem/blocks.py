@@ -19,23 +19,29 @@ SMALLEST, LARGEST = 1e-150, 1e150
 
 
 @in_place
+def relative_velocity_of(blocks, v, c):
+    """Hᵀ v of contact c: three scalars."""
+    offset, block, start, H = blocks[:4]
+    u0, u1, u2 = 0.0, 0.0, 0.0
+    for s in range(2):
+        k = block[c, s]
+        if k >= 0:
+            # Unsigned indices spare the test whether they count from the end: a third of the time.
+            o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+            d, e = a + n, a + n + n
+            for j in range(n):
+                x = v[o + j]
+                u0 += H[a + j] * x
+                u1 += H[d + j] * x
+                u2 += H[e + j] * x
+    return u0, u1, u2
+
+
+@in_place
 def relative_velocity(blocks, v, u):
     """u = Hᵀ v, into u (3 nc,)."""
-    offset, block, start, H = blocks[:4]
-    for c in range(block.shape[0]):
-        u0, u1, u2 = 0.0, 0.0, 0.0
-        for s in range(2):
-            k = block[c, s]
-            if k >= 0:
-                # Unsigned indices spare the test whether they count from the end: a third of the time.
-                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
-                d, e = a + n, a + n + n
-                for j in range(n):
-                    x = v[o + j]
-                    u0 += H[a + j] * x
-                    u1 += H[d + j] * x
-                    u2 += H[e + j] * x
-        u[3 * c], u[3 * c + 1], u[3 * c + 2] = u0, u1, u2
+    for c in range(blocks[1].shape[0]):
+        u[3 * c], u[3 * c + 1], u[3 * c + 2] = relative_velocity_of(blocks, v, c)
 
 
 @in_place
@@ -166,24 +172,16 @@ def delassus(blocks):
                         seen[a] = b
                         indices[fill[a]] = b
                         fill[a] += 1
+    # Row b has got its blocks left of the diagonal, those of rows a < b transposed, when its turn comes.
     copy(indptr[:-1], fill)
     for a in range(nc):
-        for p in range(indptr[a], indptr[a + 1]):
+        for p in range(fill[a], indptr[a + 1]):
             b = indices[p]
-            if b < a:
-                # Rows are filled in ascending order of a, so row b has reached its entry for column a.
-                while indices[fill[b]] != a:
-                    fill[b] += 1
-                mirror = data[fill[b]]
-                for i in range(3):
-                    for j in range(3):
-                        data[p, i, j] = mirror[j, i]
-            else:
-                _add_coupling(blocks, y, a, b, data[p])
-                if a == b:
-                    for i in range(3):
-                        for j in range(i):
-                            data[p, i, j] = data[p, j, i]
+            _add_coupling(blocks, y, a, b, data[p])
+            for i in range(3):
+                for j in range(3):
+                    data[fill[b], j, i] = data[p, i, j]
+            fill[b] += 1
     return indptr, indices, data
 
 
@@ -206,22 +204,23 @@ def respond(blocks, r, v_free, p, v):
         v[i] = v_free[i] + v[i]
 
 
+@in_place
+def velocity(blocks, q, r, y, u, work):
+    """y = M⁻¹ H r and u = Hᵀ y + q, into y (n,) and u (3 nc,); `work` (n,) is for H r."""
+    offset, _, _, _, m_start, _, minv = blocks
+    momentum(blocks, r, work)
+    block_product(offset, m_start, minv, work, y)
+    relative_velocity(blocks, y, u)
+    for i in range(q.size):
+        u[i] += q[i]
+
+
 @kernel
 def judged(blocks, q, mu, scales, r, u):
     """u = Hᵀ M⁻¹ H r + q, into u; returns the two `measures` of r."""
-    v = np.empty(blocks[0][-1])
-    velocity_change(blocks, r, v)
-    relative_velocity(blocks, v, u)
-    u += q
+    y, work = np.empty(blocks[0][-1]), np.empty(blocks[0][-1])
+    velocity(blocks, q, r, y, u, work)
     return measures(scales, u, r, mu)
-
-
-@in_place
-def prepare(blocks, q, mu, scales):
-    """`delassus_scales`; returns the norm of q, and whether q, mu and the scales are what they have to be."""
-    delassus_scales(blocks, scales)
-    norm, good = size_of(q, mu)
-    return norm, good and in_range(scales)
 
 
 @in_place
@@ -325,23 +324,16 @@ def number(parent, label):
 
 @kernel
 def islands(block, count, label):
-    """Connected components of the graph of blocks and contacts; contacts are connected when they share a block.
+    """Islands of contacts, which are connected when they share one of so many blocks, into label (nc,); how many.
 
-    The label of every contact into label (nc,), ascending in the order of first contact; returns their number.
+    Their labels ascend in the order of their first contacts.
     """
-    parent = np.arange(count)
-    for c in range(block.shape[0]):
-        a, b = block[c, 0], block[c, 1]
-        if a >= 0 and b >= 0:
-            unite(parent, a, b)
-    label_of_root = np.full(count, -1, np.int64)
-    found = 0
-    for c in range(block.shape[0]):
-        k = block[c, 0] if block[c, 0] >= 0 else block[c, 1]
-        while parent[k] != k:
-            k = parent[k]
-        if label_of_root[k] < 0:
-            label_of_root[k] = found
-            found += 1
-        label[c] = label_of_root[k]
-    return found
+    parent, first = np.arange(label.size), np.full(count, -1, np.int64)
+    for c in range(label.size):
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0 and first[k] < 0:
+                first[k] = c
+            elif k >= 0:
+                unite(parent, first[k], c)
+    return number(parent, label)

@@ -5,8 +5,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem import unit_mass
-from nsdyn._kernels.problem.blocks import block_product, relative_velocity
+from nsdyn._kernels.problem.blocks import block_product, relative_velocity, relative_velocity_of, weighted_rows
 from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
 
 UNITS = 4.0
@@ -185,7 +184,7 @@ def least_opening(o, b, mu):
     return least
 
 
-@in_place
+@kernel
 def relax(blocks, mu, b, aim, enough, sweeps, d):
     """Change d (n,) until κ(Hᵀ d - b) ≥ `enough` < `aim` at every contact, by projections; whether that was reached.
 
@@ -193,80 +192,38 @@ def relax(blocks, mu, b, aim, enough, sweeps, d):
     `aim`: with o = Hᵀ d - b along the impulse g = (1, -μ o_T/|o_T|), the gradient of κ = o_N - μ|o_T|. Where directions
     with κ > `aim` exist, d comes closer to all of them with every change, and finitely many do.
     """
-    offset, block, start, H, m_start, _, minv = blocks
-    for _ in range(sweeps):
-        found = True
-        for c in range(mu.size):
-            o0, o1, o2 = -b[3 * c], -b[3 * c + 1], -b[3 * c + 2]
-            for s in range(2):
-                k = block[c, s]
-                if k >= 0:
-                    o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
-                    e, f = a + n, a + n + n
-                    for j in range(n):
-                        x = d[o + j]
-                        o0 += H[a + j] * x
-                        o1 += H[e + j] * x
-                        o2 += H[f + j] * x
-            slip = math.sqrt(o1 * o1 + o2 * o2)
-            kappa = o0 - mu[c] * slip
-            if kappa >= enough:
-                continue
-            found = False
-            g1, g2 = (-mu[c] * o1 / slip, -mu[c] * o2 / slip) if slip > 0.0 else (0.0, 0.0)
-            # First p = H g and p·M⁻¹ p, then the change along M⁻¹ p.
-            square, change = 0.0, 0.0
-            for stage in range(2):
-                for s in range(2):
-                    k = block[c, s]
-                    if k >= 0:
-                        o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
-                        e, f, row = a + n, a + n + n, np.uint64(m_start[k])
-                        for i in range(n):
-                            w = 0.0
-                            for j in range(n):
-                                w += minv[row + j] * (H[a + j] + g1 * H[e + j] + g2 * H[f + j])
-                            row += n
-                            if stage == 0:
-                                square += w * (H[a + i] + g1 * H[e + i] + g2 * H[f + i])
-                            else:
-                                d[o + i] += change * w
-                if not square > 0.0:
-                    return False
-                change = (aim - kappa) / square
-        if found:
-            return True
-    return False
-
-
-@kernel
-def relax_free(blocks, mu, b, aim, enough, sweeps, d):
-    """`relax` of free bodies."""
-    G, order = unit_mass.factors(blocks), unit_mass.independent(blocks)
-    rows, body = unit_mass.rows_in_unit_mass(blocks, G, mu, order)
-    v, W, now = unit_mass.room(blocks), np.empty((mu.size, 3, 3)), False
-    unit_mass.from_velocity(blocks, G, d, v)
-    for e in range(mu.size):
-        unit_mass.diagonal(rows, e, W[e])
+    offset, block, start, H = blocks[:4]
+    y, now = weighted_rows(blocks), False
     for _ in range(sweeps):
         now = True
-        for e in range(mu.size):
-            c = order[e]
-            o0, o1, o2 = unit_mass.read(rows, e, body, v)
+        for c in range(mu.size):
+            o0, o1, o2 = relative_velocity_of(blocks, d, c)
             o0, o1, o2 = o0 - b[3 * c], o1 - b[3 * c + 1], o2 - b[3 * c + 2]
             slip = math.sqrt(o1 * o1 + o2 * o2)
             kappa = o0 - mu[c] * slip
             if kappa >= enough:
                 continue
             now = False
-            x, y = (-mu[c] * o1 / slip, -mu[c] * o2 / slip) if slip > 0.0 else (0.0, 0.0)
-            w = W[e]
-            square = w[0, 0] + 2.0 * (x * w[0, 1] + y * w[0, 2] + x * y * w[1, 2]) + x * x * w[1, 1] + y * y * w[2, 2]
+            g1, g2 = (-mu[c] * o1 / slip, -mu[c] * o2 / slip) if slip > 0.0 else (0.0, 0.0)
+            # κ changes by g·W_cc g with d by M⁻¹ H g; once for a contact whose sides share a block, too.
+            square = 0.0
+            for s in range(2):
+                for t in range(2):
+                    k = block[c, s]
+                    if k >= 0 and k == block[c, t]:
+                        n, p, q = offset[k + 1] - offset[k], start[c, s], start[c, t]
+                        for j in range(n):
+                            change = y[p + j] + g1 * y[p + n + j] + g2 * y[p + 2 * n + j]
+                            square += change * (H[q + j] + g1 * H[q + n + j] + g2 * H[q + 2 * n + j])
             if not square > 0.0:
                 return False
-            change = (aim - kappa) / square
-            unit_mass.apply((change, change * x, change * y), rows, e, body, v)
+            z = (aim - kappa) / square
+            for s in range(2):
+                k = block[c, s]
+                if k >= 0:
+                    o, n, p = offset[k], offset[k + 1] - offset[k], start[c, s]
+                    for j in range(n):
+                        d[o + j] += z * (y[p + j] + g1 * y[p + n + j] + g2 * y[p + 2 * n + j])
         if now:
             break
-    unit_mass.to_velocity(blocks, G, v, d)
     return now

@@ -1,4 +1,4 @@
-"""Products with a W that is given in 3 x 3 blocks: rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3)."""
+"""Products with a W that is given in 3 x 3 blocks: (rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3))."""
 
 import numpy as np
 
@@ -9,8 +9,9 @@ FUSED = {"contract"}  # products and sums in one instruction
 
 
 @in_place(fastmath=FUSED)
-def velocity_of(indptr, indices, data, q, r, c):
+def velocity_of(W, q, r, c):
     """u_c = (W r + q)_c of contact c: three scalars."""
+    indptr, indices, data = W
     u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
     for p in range(indptr[c], indptr[c + 1]):
         d = 3 * indices[p]
@@ -22,18 +23,18 @@ def velocity_of(indptr, indices, data, q, r, c):
 
 
 @in_place(fastmath=FUSED)
-def velocity(indptr, indices, data, q, r, u):
+def velocity(W, q, r, u):
     """u = W r + q, into u (3 nc,)."""
-    for c in range(indptr.size - 1):
-        u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(indptr, indices, data, q, r, c)
+    for c in range(W[0].size - 1):
+        u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(W, q, r, c)
 
 
 @kernel
-def islands(indptr, indices, label):
+def islands(W, label):
     """Connected components of the pattern of W, by first contact, into label (nc,); returns their number."""
-    nc = indptr.size - 1
-    parent = np.arange(nc)
-    for c in range(nc):
+    indptr, indices, _ = W
+    parent = np.arange(label.size)
+    for c in range(label.size):
         for p in range(indptr[c], indptr[c + 1]):
             unite(parent, c, indices[p])
     return number(parent, label)

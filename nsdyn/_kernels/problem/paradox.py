@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.problem.blocks import diagonal_block, widest
 
 
 @in_place
@@ -19,30 +20,11 @@ def stopped(q, u, r, nc):
     return load, change
 
 
-@in_place
-def _add(blocks, c, i, y, W):
-    """Row i of W_cc, from its diagonal on, into W (3, 3), with room y for what a row does to a block."""
-    offset, block, start, H, m_start, _, minv = blocks
-    for s in range(2):
-        k = block[c, s]
-        if k < 0:
-            continue
-        n, first = offset[k + 1] - offset[k], start[c, s]
-        for q in range(n):
-            y[q] = 0.0
-        for p in range(n):
-            x = H[first + i * n + p]
-            if x != 0.0:
-                base = m_start[k] + p * n
-                for q in range(n):
-                    y[q] += x * minv[base + q]
-        for j in range(i, 3):
-            for q in range(n):
-                W[i, j] += y[q] * H[first + j * n + q]
-
-
 DIRECTIONS = 180
 """Of slip, in which solutions of one contact are looked for; of two that are closer than 2° none is seen."""
+
+BISECTIONS, MOST = 50, 6
+"""Of such a direction, to round-off, and most solutions: open, stick, and four directions of slip."""
 
 ROUND_OFF = 1e-12
 """Of velocities of a contact, from which on they are of one sign."""
@@ -54,38 +36,45 @@ def ambiguous(blocks, mu, u, r, out):
 
     Only where W_NN < μ‖W_NT‖: friction presses the contact on faster than the normal impulse opens it.
     """
-    offset = blocks[0]
-    W, q, some, widest = np.empty((3, 3)), np.empty(3), 0, 0
-    for k in range(offset.size - 1):
-        widest = max(widest, offset[k + 1] - offset[k])
-    y = np.empty(widest)
+    most, some = widest(blocks[0]), 0
+    x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
+    q, all_of_one = np.empty(3), np.empty((MOST, 3))
     for c in range(mu.size):
         if mu[c] == 0.0:
             continue
-        for i in range(3):
-            for j in range(3):
-                W[i, j] = 0.0
-        _add(blocks, c, 0, y, W)
+        diagonal_block(blocks, c, x, y, W)
         if W[0, 0] >= mu[c] * math.sqrt(W[0, 1] ** 2 + W[0, 2] ** 2):
             continue
-        _add(blocks, c, 1, y, W)
-        _add(blocks, c, 2, y, W)
-        W[1, 0], W[2, 0], W[2, 1] = W[0, 1], W[0, 2], W[1, 2]
         for i in range(3):
             q[i] = u[3 * c + i]
             for j in range(3):
                 q[i] -= W[i, j] * r[3 * c + j]
-        if _count(W, q, mu[c]) > 1:
+        if solutions(W, q, mu[c], all_of_one) > 1:
             out[some] = c
             some += 1
     return some
 
 
 @in_place
-def _count(W, q, mu):
-    """How many solutions u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K has of one contact: open, stick, and slip."""
-    size = abs(q[0]) + abs(q[1]) + abs(q[2])
-    found = 1 if q[0] >= -ROUND_OFF * size else 0
+def _slipping(W, q, mu, t1, t2):
+    """(s, s u_T) of slip along t under an impulse r_N (1, -μ t) that leaves u_N = s r_N + q_N = 0."""
+    s = W[0, 0] - mu * (W[0, 1] * t1 + W[0, 2] * t2)
+    u1 = s * q[1] - q[0] * (W[0, 1] - mu * (W[1, 1] * t1 + W[1, 2] * t2))
+    u2 = s * q[2] - q[0] * (W[0, 2] - mu * (W[1, 2] * t1 + W[2, 2] * t2))
+    return s, u1, u2
+
+
+@in_place
+def solutions(W, q, mu, out):
+    """All impulses that solve u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K of one contact, into out (6, 3); how many.
+
+    It opens where q_N ≥ 0; sticks where -W⁻¹ q is in K; and slips along t where the u_T of `_slipping` is along t.
+    There are at most four such t, the roots of a quartic. They are bracketed by directions and bisected.
+    """
+    size, found = abs(q[0]) + abs(q[1]) + abs(q[2]), 0
+    if q[0] >= -ROUND_OFF * size:
+        out[0, 0] = out[0, 1] = out[0, 2] = 0.0
+        found = 1
     x0, x1 = W[1, 1] * W[2, 2] - W[1, 2] ** 2, W[0, 2] * W[1, 2] - W[0, 1] * W[2, 2]
     x2 = W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1]
     det = W[0, 0] * x0 + W[0, 1] * x1 + W[0, 2] * x2
@@ -95,21 +84,29 @@ def _count(W, q, mu):
         normal = -(x0 * q[0] + x1 * q[1] + x2 * q[2]) / det
         first, second = -(x1 * q[0] + y1 * q[1] + z * q[2]) / det, -(x2 * q[0] + z * q[1] + y2 * q[2]) / det
         if normal > 0.0 and math.sqrt(first * first + second * second) <= (1.0 + ROUND_OFF) * mu * normal:
+            out[found, 0], out[found, 1], out[found, 2] = normal, first, second
             found += 1
-    last, known = 0.0, False
-    t1, t2, cos, sin = 1.0, 0.0, math.cos(2.0 * math.pi / DIRECTIONS), math.sin(2.0 * math.pi / DIRECTIONS)
-    for _ in range(DIRECTIONS + 1):
-        # Slip along t takes the impulse r_N (1, -μ t), of which r_N leaves u_N = 0, and is across t nowhere else.
-        t1, t2 = cos * t1 - sin * t2, sin * t1 + cos * t2
-        stiff = W[0, 0] - mu * (W[0, 1] * t1 + W[0, 2] * t2)
-        normal = -q[0] / stiff if stiff != 0.0 else -1.0
-        if normal <= 0.0:
-            known = False
+    cos, sin = math.cos(2.0 * math.pi / DIRECTIONS), math.sin(2.0 * math.pi / DIRECTIONS)
+    b1, b2, after = 1.0, 0.0, 0.0
+    for turn in range(DIRECTIONS + 1):
+        a1, a2, before = b1, b2, after
+        b1, b2 = cos * a1 - sin * a2, sin * a1 + cos * a2
+        _, u1, u2 = _slipping(W, q, mu, b1, b2)
+        after = b1 * u2 - b2 * u1
+        if turn == 0 or (after > 0.0) == (before > 0.0):
             continue
-        u1 = q[1] + normal * (W[0, 1] - mu * (W[1, 1] * t1 + W[1, 2] * t2))
-        u2 = q[2] + normal * (W[0, 2] - mu * (W[1, 2] * t1 + W[2, 2] * t2))
-        across = t1 * u2 - t2 * u1
-        if known and (across > 0.0) != (last > 0.0) and t1 * u1 + t2 * u2 > 0.0:
+        c1, c2 = b1, b2
+        for _ in range(BISECTIONS):
+            t1, t2 = a1 + c1, a2 + c2
+            size = math.sqrt(t1 * t1 + t2 * t2)
+            t1, t2 = t1 / size, t2 / size
+            s, u1, u2 = _slipping(W, q, mu, t1, t2)
+            if (t1 * u2 - t2 * u1 > 0.0) == (before > 0.0):
+                a1, a2 = t1, t2
+            else:
+                c1, c2 = t1, t2
+        if s * q[0] < 0.0 and s * (t1 * u1 + t2 * u2) > 0.0 and found < MOST:
+            normal = -q[0] / s
+            out[found, 0], out[found, 1], out[found, 2] = normal, -mu * normal * t1, -mu * normal * t2
             found += 1
-        last, known = across, True
     return found

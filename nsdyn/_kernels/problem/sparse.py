@@ -1,4 +1,4 @@
-"""The matrix K = M + Σ H_c A_c H_cᵀ of `newton` in compressed columns: its pattern and its entries."""
+"""The matrix K = M + Σ H_c A_c H_cᵀ of Newton's methods: its pattern and its entries, sparse or dense."""
 
 import numpy as np
 
@@ -8,11 +8,11 @@ from nsdyn._kernels.sorting import order, place_of
 
 @kernel
 def pattern(offset, block):
-    """Sparsity of K, compressed columns: (indptr, indices, slot).
+    """Sparsity of K, compressed rows: (indptr, indices, slot, diagonal).
 
     Entry (i, j) of the coupling of block[c, s] (rows) with block[c, t] (columns) is stored at
-    indptr[offset[block[c, t]] + j] + slot[c, s, t] + i; of a diagonal block k at indptr[offset[k] + j] +
-    diagonal[k] + i.
+    indptr[offset[block[c, s]] + i] + slot[c, t, s] + j; of a diagonal block k at indptr[offset[k] + i] +
+    diagonal[k] + j.
     """
     nb, nc = offset.size - 1, block.shape[0]
     pairs = np.empty(nb + 2 * nc, np.int64)
@@ -28,7 +28,7 @@ def pattern(offset, block):
             count += 2
     pairs = pairs[:count]
     pairs = pairs[order(pairs)]
-    codes = np.empty(count, np.int64)  # ascending: column block first, then row block
+    codes = np.empty(count, np.int64)  # ascending: row block first, then column block
     found = 0
     for code in pairs:
         if found == 0 or code > codes[found - 1]:
@@ -63,49 +63,61 @@ def pattern(offset, block):
     return indptr, indices, slot, diagonal
 
 
+@kernel
+def dense_pattern(offset, block):
+    """(indptr, slot, diagonal) of `pattern` for a dense K."""
+    n, nc = offset[-1], block.shape[0]
+    slot = np.full((nc, 2, 2), -1, np.int64)
+    for c in range(nc):
+        for s in range(2):
+            for t in range(2):
+                if block[c, s] >= 0 and block[c, t] >= 0:
+                    slot[c, s, t] = offset[block[c, s]]
+    return n * np.arange(n), slot, offset
+
+
 @in_place
-def assemble_sparse(blocks, A, indptr, begin, slot, diagonal, data):
+def assemble(blocks, A, indptr, begin, slot, diagonal, data):
     """K = M + Σ H_c A_c H_cᵀ in the layout of `pattern`, where block k begins at begin[k], into data."""
     offset, block, start, H, m_start, m, _ = blocks
     data[:] = 0.0
     for k in range(offset.size - 1):
         o, n = begin[k], offset[k + 1] - offset[k]
-        for j in range(n):
-            for i in range(n):
-                data[indptr[o + j] + diagonal[k] + i] = m[m_start[k] + i * n + j]
+        for i in range(n):
+            at, row = indptr[o + i] + diagonal[k], m_start[k] + i * n
+            for j in range(n):
+                data[at + j] = m[row + j]
     for c in range(block.shape[0]):
         a = A[c]
         rubs = a[1, 1] != 0.0 or a[2, 2] != 0.0  # else it has one row
         if a[0, 0] == 0.0 and not rubs:
             continue
-        for t in range(2):
-            l = block[c, t]
-            if l < 0:
+        for s in range(2):
+            k = block[c, s]
+            if k < 0:
                 continue
-            ol, nl, hl = begin[l], offset[l + 1] - offset[l], start[c, t]
-            for j in range(nl):
-                if not rubs:
-                    y0 = a[0, 0] * H[hl + j]
-                    for s in range(2):
-                        k = block[c, s]
-                        if k >= 0:
-                            # Unsigned: the compiler need not ask whether an index counts from the end.
-                            base, hk = np.uint64(indptr[ol + j] + slot[c, s, t]), np.uint64(start[c, s])
-                            for i in range(np.uint64(offset[k + 1] - offset[k])):
-                                data[base + i] += H[hk + i] * y0
+            ok, nk, hk = begin[k], offset[k + 1] - offset[k], start[c, s]
+            for t in range(2):
+                l = block[c, t]
+                if l < 0:
                     continue
-                x0, x1, x2 = H[hl + j], H[hl + nl + j], H[hl + 2 * nl + j]
-                y0 = a[0, 0] * x0 + a[0, 1] * x1 + a[0, 2] * x2
-                y1 = a[1, 0] * x0 + a[1, 1] * x1 + a[1, 2] * x2
-                y2 = a[2, 0] * x0 + a[2, 1] * x1 + a[2, 2] * x2
-                for s in range(2):
-                    k = block[c, s]
-                    if k < 0:
+                nl, hl, shift = offset[l + 1] - offset[l], start[c, t], slot[c, t, s]
+                # Views, so that no index may count from the end and loops along them become vectors.
+                h0, h1, h2 = H[hl : hl + nl], H[hl + nl : hl + 2 * nl], H[hl + 2 * nl : hl + 3 * nl]
+                for i in range(nk):
+                    at = indptr[ok + i] + shift
+                    row = data[at : at + nl]
+                    if not rubs:
+                        y0 = H[hk + i] * a[0, 0]
+                        for j in range(nl):
+                            row[j] += y0 * h0[j]
                         continue
-                    nk, h0 = np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
-                    base, h1, h2 = np.uint64(indptr[ol + j] + slot[c, s, t]), h0 + nk, h0 + nk + nk
-                    for i in range(nk):
-                        data[base + i] += H[h0 + i] * y0 + H[h1 + i] * y1 + H[h2 + i] * y2
+                    x0, x1, x2 = H[hk + i], H[hk + nk + i], H[hk + 2 * nk + i]
+                    y0 = x0 * a[0, 0] + x1 * a[1, 0] + x2 * a[2, 0]
+                    y1 = x0 * a[0, 1] + x1 * a[1, 1] + x2 * a[2, 1]
+                    y2 = x0 * a[0, 2] + x1 * a[1, 2] + x2 * a[2, 2]
+                    for j in range(nl):
+                        row[j] += y0 * h0[j] + y1 * h1[j] + y2 * h2[j]
 
 
 @in_place

@@ -81,29 +81,6 @@ def room(blocks):
     return np.zeros(WIDTH * (blocks[0].size - 1 + STILL))
 
 
-@in_place
-def from_velocity(blocks, G, v, out):
-    """v̂ of v, into out."""
-    offset, m_start = blocks[0], blocks[4]
-    for k in range(offset.size - 1):
-        for i in range(6):
-            total = v[6 * k + i]
-            for j in range(i):
-                total -= G[m_start[k] + 6 * i + j] * out[WIDTH * k + j]
-            out[WIDTH * k + i] = total / G[m_start[k] + 7 * i]
-
-
-@in_place
-def to_velocity(blocks, G, v, out):
-    """v of v̂, into out."""
-    offset, m_start = blocks[0], blocks[4]
-    for k in range(offset.size - 1):
-        for i in range(6):
-            out[6 * k + i] = 0.0
-            for j in range(i + 1):
-                out[6 * k + i] += G[m_start[k] + 6 * i + j] * v[WIDTH * k + j]
-
-
 @in_place(inline="always")
 def read(rows, c, body, v):
     """Ĥ_cᵀ v̂: normal, first and second tangent."""

@@ -25,23 +25,28 @@ ALERT = 2.0  # times its last change that the opening speed of a contact must be
 CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
 
 
+@in_place
+def _local_step(w, mu, out):
+    """1/W_NN, W_TN and 1/lambda_max(W_TT) of a contact, into out (4,); zeros for a missing row."""
+    out[0] = 1.0 / w[0, 0] if w[0, 0] > 0.0 else 0.0
+    mean, half, mixed = 0.5 * (w[1, 1] + w[2, 2]), 0.5 * (w[1, 1] - w[2, 2]), 0.5 * (w[1, 2] + w[2, 1])
+    largest = mean + math.sqrt(half * half + mixed * mixed)
+    if mu > 0.0 and largest > 0.0:
+        out[1], out[2], out[3] = w[1, 0], w[2, 0], 1.0 / largest
+
+
 @kernel
 def local_steps(rows, mu):
-    """1/W_NN, W_TN and 1/lambda_max(W_TT) of every contact, shape (nc, 4); zeros for a missing row."""
+    """`_local_step` of every contact, shape (nc, 4)."""
     out, w = np.zeros((mu.size, 4)), np.empty((3, 3))
     for c in range(mu.size):
         diagonal(rows, c, w)
-        out[c, 0] = 1.0 / w[0, 0]
-        if mu[c] == 0.0:
-            continue
-        mean, half = 0.5 * (w[1, 1] + w[2, 2]), 0.5 * (w[1, 1] - w[2, 2])
-        out[c, 1], out[c, 2] = w[1, 0], w[2, 0]
-        out[c, 3] = 1.0 / (mean + math.sqrt(half * half + w[2, 1] * w[2, 1]))
+        _local_step(w, mu[c], out[c])
     return out
 
 
 @in_place
-def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
+def sweep(awake, factors, q, mu, v, r, x, t, keep):
     """One sweep over the contacts that are awake, in place of r = y and of v = Ĥ y.
 
     A contact takes its normal impulse exactly and its friction by a projected gradient step.
@@ -49,8 +54,8 @@ def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
     Parameters
     ----------
     awake : ndarray of uint, shape (any,)
-    rows, body, steps : ndarray
-        As of `begin`.
+    factors : tuple of ndarray
+        rows, body and steps, as of `begin`.
     q, r, x : ndarray, shape (nc, 3)
         Free velocity, y, and the last sweep's result.
     mu, t : ndarray, shape (nc,)
@@ -59,6 +64,7 @@ def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
         Ĥ y.
     keep : float
     """
+    rows, body, steps = factors
     for c in awake:
         # Unsigned: the compiler need not ask whether an index counts from the end.
         o, a, b = CONTACT * np.uint64(c), body[c, 0], body[c, 1]
@@ -84,8 +90,9 @@ def sweep(awake, rows, body, steps, q, mu, v, r, x, t, keep):
 
 
 @in_place
-def extrapolate(awake, rows, body, mu, v, r, x, t):
+def extrapolate(awake, factors, mu, v, r, x, t):
     """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it; of contacts awake."""
+    rows, body, _ = factors
     for c in awake:
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
         b = (t[c] - 1.0) / (t[c] + 1.0)
@@ -99,8 +106,9 @@ def extrapolate(awake, rows, body, mu, v, r, x, t):
 
 
 @in_place
-def sweep_normals(awake, rows, body, steps, q, v, r, x, t, keep):
+def sweep_normals(awake, factors, q, v, r, x, t, keep):
     """`sweep` where no contact has friction."""
+    rows, body, steps = factors
     for c in awake:
         r0 = r[c, 0]
         u0 = dot(rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
@@ -113,8 +121,9 @@ def sweep_normals(awake, rows, body, steps, q, v, r, x, t, keep):
 
 
 @in_place
-def extrapolate_normals(awake, rows, body, v, r, x, t):
+def extrapolate_normals(awake, factors, v, r, x, t):
     """`extrapolate` where no contact has friction."""
+    rows, body, _ = factors
     for c in awake:
         r0 = r[c, 0]
         z0 = (t[c] - 1.0) / (t[c] + 1.0) * (r0 - x[c, 0])
@@ -126,8 +135,9 @@ def extrapolate_normals(awake, rows, body, v, r, x, t):
 
 
 @in_place
-def refresh(rows, body, r, v):
+def refresh(factors, r, v):
     """v = Ĥ r."""
+    rows, body, _ = factors
     v[:] = 0.0
     for c in range(r.shape[0]):
         if r[c, 0] != 0.0:
@@ -135,8 +145,9 @@ def refresh(rows, body, r, v):
 
 
 @in_place
-def measure(rows, body, q, mu, scales, q_norm, r, v, u):
-    """Larger of the literature's error and the residual in m/s of an impulse r, given v = Ĥ r."""
+def measure(factors, given, r, v, u):
+    """Larger of the error of the literature and the residual in m/s of an impulse r, given v = Ĥ r, into u W r + q."""
+    (rows, body, _), (q, mu, scales, q_norm) = factors, given
     for c in range(mu.size):
         u0, u1, u2 = read(rows, c, body, v)
         u[c, 0], u[c, 1], u[c, 2] = q[c, 0] + u0, q[c, 1] + u1, q[c, 2] + u2
@@ -172,7 +183,7 @@ def solve(given, state, so_far, limits):
     Parameters
     ----------
     given : tuple
-        order, rows, body, steps, q, mu, scales and q_norm, as of `begin`.
+        order, factors and (q, mu, scales, q_norm), as of `begin`.
     state : tuple of ndarray
         best_r, y, x and v = Ĥ y, and t (nc,) of each contact; all are changed.
     so_far : tuple
@@ -180,7 +191,7 @@ def solve(given, state, so_far, limits):
     limits : tuple
         tol, most, check and patience.
     """
-    order, rows, body, steps, q, mu, scales, q_norm = given
+    order, factors, (q, mu, scales, q_norm) = given
     best_r, y, x, v, t = state
     count, last, best, keep = so_far
     tol, most, check, patience = limits
@@ -190,13 +201,13 @@ def solve(given, state, so_far, limits):
     while best > tol and count < most and count - last < patience:
         count += 1
         if rough:
-            sweep(awake, rows, body, steps, q, mu, v, y, x, t, keep)
+            sweep(awake, factors, q, mu, v, y, x, t, keep)
         else:
-            sweep_normals(awake, rows, body, steps, q, v, y, x, t, keep)
+            sweep_normals(awake, factors, q, v, y, x, t, keep)
         if count % check == 0:
-            refresh(rows, body, y, v)  # what the updates leave of round-off
+            refresh(factors, y, v)  # what the updates leave of round-off
             before, u = u, before
-            now = measure(rows, body, q, mu, scales, q_norm, y, v, u)
+            now = measure(factors, (q, mu, scales, q_norm), y, v, u)
             if now < best:
                 best, last = now, count
                 for c in range(mu.size):
@@ -205,9 +216,9 @@ def solve(given, state, so_far, limits):
         if count - last > CYCLE:
             keep = 0.0
         if rough:
-            extrapolate(awake, rows, body, mu, v, y, x, t)
+            extrapolate(awake, factors, mu, v, y, x, t)
         else:
-            extrapolate_normals(awake, rows, body, v, y, x, t)
+            extrapolate_normals(awake, factors, v, y, x, t)
     return count, last, best, keep
 
 
@@ -215,41 +226,36 @@ def solve(given, state, so_far, limits):
 def begin(blocks, q, mu, scales, q_norm, r):
     """What sweeps from r (nc, 3) need, whose missing rows become 0, in the order of `independent`.
 
-    Order, rows, bodies and steps of the contacts, their q, mu, scales and impulses, v̂ = Ĥ r, and the measure of r.
+    (order, (rows, bodies, steps), (q, mu, scales, q_norm)), then impulses, v̂ = Ĥ r, and the measure of r.
     """
     order = independent(blocks)
     rows, body = rows_in_unit_mass(blocks, factors(blocks), mu, order)
     for c in range(mu.size):
         if mu[c] == 0.0:
             r[c, 1] = r[c, 2] = 0.0
-    q, mu, scales, y, v = q[order], mu[order], scales[order], r[order], room(blocks)
-    refresh(rows, body, y, v)
-    best = measure(rows, body, q, mu, scales, q_norm, y, v, np.empty((mu.size, 3)))
-    return order, rows, body, local_steps(rows, mu), q, mu, scales, y, v, best
+    given, y, v = (q[order], mu[order], scales[order], q_norm), r[order], room(blocks)
+    own = rows, body, local_steps(rows, given[1])
+    refresh(own, y, v)
+    best = measure(own, given, y, v, np.empty((mu.size, 3)))
+    return (order, own, given), y, v, best
 
 
 @kernel
-def steps_of_matrix(indptr, indices, data, mu):
+def steps_of_matrix(W, mu):
     """`local_steps` of a block-sparse W."""
-    out = np.zeros((mu.size, 4))
+    (indptr, indices, data), out = W, np.zeros((mu.size, 4))
     for c in range(mu.size):
         for p in range(indptr[c], indptr[c + 1]):
-            if indices[p] != c:
-                continue
-            w = data[p]
-            out[c, 0] = 1.0 / w[0, 0] if w[0, 0] > 0.0 else 0.0
-            mean, half = 0.5 * (w[1, 1] + w[2, 2]), 0.5 * (w[1, 1] - w[2, 2])
-            largest = mean + math.hypot(half, 0.5 * (w[1, 2] + w[2, 1]))
-            if mu[c] > 0.0 and largest > 0.0:
-                out[c, 1], out[c, 2], out[c, 3] = w[1, 0], w[2, 0], 1.0 / largest
+            if indices[p] == c:
+                _local_step(data[p], mu[c], out[c])
     return out
 
 
 @in_place
-def sweep_matrix(indptr, indices, data, steps, q, mu, r, x, t, keep):
+def sweep_matrix(W, steps, q, mu, r, x, t, keep):
     """`sweep` over all contacts of a block-sparse W, in place of r = y."""
     for c in range(mu.size):
-        u0, u1, u2 = velocity_of(indptr, indices, data, q, r, c)
+        u0, u1, u2 = velocity_of(W, q, r, c)
         r0, r1, r2 = r[3 * c], r[3 * c + 1], r[3 * c + 2]
         z0 = max(-r0, -u0 * steps[c, 0])
         x0 = r0 + z0
@@ -270,18 +276,18 @@ def sweep_matrix(indptr, indices, data, steps, q, mu, r, x, t, keep):
 def solve_matrix(given, state, so_far, limits):
     """`solve` for a block-sparse W, which need not be symmetric; all contacts are awake.
 
-    `given` are (indptr, indices, data) of W, steps, q, mu, scales and q_norm, `state` best_r, y, x and t.
+    `given` are W, steps, q, mu, scales and q_norm, `state` best_r, y, x and t.
     """
-    indptr, indices, data, steps, q, mu, scales, q_norm = given
+    W, steps, q, mu, scales, q_norm = given
     best_r, y, x, t = state
     count, last, best, keep = so_far
     tol, most, check, patience = limits
     u = np.empty(y.size)
     while best > tol and count < most and count - last < patience:
         count += 1
-        sweep_matrix(indptr, indices, data, steps, q, mu, y, x, t, keep)
+        sweep_matrix(W, steps, q, mu, y, x, t, keep)
         if count % check == 0:
-            velocity(indptr, indices, data, q, y, u)
+            velocity(W, q, y, u)
             now = measure_at(scales, u, y, mu, q_norm)
             if now < best:
                 best, last = now, count

@@ -15,9 +15,10 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity
+from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity, velocity
 from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_residual
 from nsdyn._kernels.problem.linear import factorise, substitute
+from nsdyn._kernels.problem.sparse import assemble, dense_pattern
 from nsdyn._kernels.reductions import copy
 
 PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
@@ -75,48 +76,6 @@ def stiffness(u, r, rho, mu, A):
 
 
 @in_place
-def assemble_dense(blocks, A, K):
-    """K = M + Σ H_c A_c H_cᵀ as a dense matrix, into K (n, n)."""
-    offset, block, start, H, m_start, m, _ = blocks
-    K[:] = 0.0
-    for k in range(offset.size - 1):
-        o, n = offset[k], offset[k + 1] - offset[k]
-        for i in range(n):
-            for j in range(n):
-                K[o + i, o + j] = m[m_start[k] + i * n + j]
-    for c in range(block.shape[0]):
-        a = A[c]
-        rubs = a[1, 1] != 0.0 or a[2, 2] != 0.0  # else it has one row
-        if a[0, 0] == 0.0 and not rubs:
-            continue
-        for s in range(2):
-            k = block[c, s]
-            if k < 0:
-                continue
-            ok, nk, hk = offset[k], offset[k + 1] - offset[k], start[c, s]
-            for t in range(2):
-                l = block[c, t]
-                if l < 0:
-                    continue
-                ol, nl, hl = offset[l], offset[l + 1] - offset[l], start[c, t]
-                # Views, so that no index may count from the end and loops along them become vectors.
-                h0, h1, h2 = H[hl : hl + nl], H[hl + nl : hl + 2 * nl], H[hl + 2 * nl : hl + 3 * nl]
-                for i in range(nk):
-                    row = K[ok + i, ol : ol + nl]
-                    if not rubs:
-                        y0 = H[hk + i] * a[0, 0]
-                        for j in range(nl):
-                            row[j] += y0 * h0[j]
-                        continue
-                    x0, x1, x2 = H[hk + i], H[hk + nk + i], H[hk + 2 * nk + i]
-                    y0 = x0 * a[0, 0] + x1 * a[1, 0] + x2 * a[2, 0]
-                    y1 = x0 * a[0, 1] + x1 * a[1, 1] + x2 * a[2, 1]
-                    y2 = x0 * a[0, 2] + x1 * a[1, 2] + x2 * a[2, 2]
-                    for j in range(nl):
-                        row[j] += y0 * h0[j] + y1 * h1[j] + y2 * h2[j]
-
-
-@in_place
 def defect(blocks, y, P, F, work):
     """F = M y - H P, into F (n,)."""
     offset, _, _, _, m_start, m, _ = blocks
@@ -127,20 +86,10 @@ def defect(blocks, y, P, F, work):
 
 
 @in_place
-def velocity_of(blocks, q, r, y, u, work):
-    """y = M⁻¹ H r and u = Hᵀ y + q, into y and u."""
-    offset, _, _, _, m_start, _, minv = blocks
-    momentum(blocks, r, work)
-    block_product(offset, m_start, minv, work, y)
-    relative_velocity(blocks, y, u)
-    for i in range(q.size):
-        u[i] += q[i]
-
-
-@in_place
-def measure_of(blocks, q, mu, scales, q_norm, r, y, u, work):
+def measure_of(problem, r, y, u, work):
     """Larger of the literature's error and the residual in m/s of impulse r, with its own y and u."""
-    velocity_of(blocks, q, r, y, u, work)
+    blocks, q, mu, scales, q_norm = problem
+    velocity(blocks, q, r, y, u, work)
     return measure_at(scales, u, r, mu, q_norm)
 
 
@@ -189,30 +138,31 @@ def settled(scales, u, shown, own, P, estimate):
 
 
 @kernel
-def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
-    """Solve by dense factorisations, in place of r; returns (factorisations, measure of r).
+def dense(problem, r, tol, penalty, most):
+    """Solve (blocks, q, mu, scales, q_norm) by dense factorisations, in place of r; (factorisations, measure of r).
 
     Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and where F
     has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, doubles with every quick
     success and falls after a failure, which goes back to where F had settled last. The loop is that of
     `nsdyn.solvers.newton`, compiled: 2 us a step for one body, and 25 for ten bodies, where that takes 35 and 60.
     """
+    blocks, q, mu, scales, _ = problem
     n, nr = blocks[0][-1], q.size
     y, kept, F, work, own_y = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     u, own, shown, P = np.empty(nr), np.empty(nr), np.empty(nr), np.empty(nr)
-    A, K = np.empty((mu.size, 3, 3)), np.empty((n, n))
+    (indptr, slot, diagonal), A, K = dense_pattern(*blocks[:2]), np.empty((mu.size, 3, 3)), np.empty((n, n))
     pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    best = measure_of(blocks, q, mu, scales, q_norm, r, y, u, work)
+    best = measure_of(problem, r, y, u, work)
     estimate = r.copy()
     copy(y, kept)
     copy(u, own)
     count, inner, before = 0, 0, np.inf
     rho = penalty / scales
     projected(u, estimate, rho, mu, P)
-    while best > tol and count < max_iter and penalty > LEAST:
+    while best > tol and count < most and penalty > LEAST:
         defect(blocks, y, P, F, work)
         stiffness(u, estimate, rho, mu, A)
-        assemble_dense(blocks, A, K)
+        assemble(blocks, A, indptr, blocks[0], slot, diagonal, K.reshape(-1))
         if not factorise(K, pivot, low, end):
             return count, best
         substitute(K, pivot, low, end, F)
@@ -222,7 +172,7 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
         relative_velocity(blocks, y, u)
         u += q
         projected(u, estimate, rho, mu, P)
-        measure = measure_of(blocks, q, mu, scales, q_norm, P, own_y, shown, work)
+        measure = measure_of(problem, P, own_y, shown, work)
         if measure < best:
             best = measure
             copy(P, r)
@@ -248,59 +198,31 @@ def dense(blocks, q, mu, scales, r, tol, q_norm, penalty, max_iter):
 
 @kernel
 def extract(blocks, label, island):
-    """Contacts and blocks of one island: (contacts, blocks)."""
+    """Contacts and blocks of one island: (contacts, blocks), whose rows and masses stay where they are."""
     offset, block, start, H, m_start, m, minv = blocks
     contacts = np.flatnonzero(label == island)
-    nb = offset.size - 1
-    new = np.full(nb, -1, np.int64)
-    for c in contacts:
+    own, new = block[contacts], np.full(offset.size - 1, -1, np.int64)
+    for c in range(contacts.size):
         for s in range(2):
-            if block[c, s] >= 0:
-                new[block[c, s]] = 0
+            if own[c, s] >= 0:
+                new[own[c, s]] = 0
     kept = np.flatnonzero(new == 0)
-    o = np.zeros(kept.size + 1, np.int64)
-    ms = np.zeros(kept.size + 1, np.int64)
-    for e in range(kept.size):
-        n = offset[kept[e] + 1] - offset[kept[e]]
-        new[kept[e]] = e
-        o[e + 1] = o[e] + n
-        ms[e + 1] = ms[e] + n * n
-    mm, mi = np.empty(ms[-1]), np.empty(ms[-1])
-    for e in range(kept.size):
-        a = m_start[kept[e]]
-        mm[ms[e] : ms[e + 1]] = m[a : a + ms[e + 1] - ms[e]]
-        mi[ms[e] : ms[e + 1]] = minv[a : a + ms[e + 1] - ms[e]]
-    b = np.full((contacts.size, 2), -1, np.int64)
-    st = np.zeros((contacts.size, 2), np.int64)
-    size = 0
-    for e in range(contacts.size):
+    begin = np.zeros(kept.size + 1, np.int64)
+    for k in range(kept.size):
+        new[kept[k]] = k
+        begin[k + 1] = begin[k] + offset[kept[k] + 1] - offset[kept[k]]
+    for c in range(contacts.size):
         for s in range(2):
-            k = block[contacts[e], s]
-            if k >= 0:
-                b[e, s], st[e, s] = new[k], size
-                size += 3 * (offset[k + 1] - offset[k])
-    rows = np.empty(size)
-    for e in range(contacts.size):
-        for s in range(2):
-            k = block[contacts[e], s]
-            if k >= 0:
-                n = 3 * (offset[k + 1] - offset[k])
-                a = start[contacts[e], s]
-                rows[st[e, s] : st[e, s] + n] = H[a : a + n]
-    return contacts, (o, b, st, rows, ms[:-1].copy(), mm, mi)
+            if own[c, s] >= 0:
+                own[c, s] = new[own[c, s]]
+    return contacts, (begin, own, start[contacts], H, m_start[kept], m, minv)
 
 
 @kernel
 def gather(contacts, q, mu, scales, r):
     """(q, mu, scales, r) of some contacts."""
-    nc = contacts.size
-    own_q, own_mu, own_scales, x = np.empty(3 * nc), np.empty(nc), np.empty(nc), np.empty(3 * nc)
-    for e in range(nc):
-        c = contacts[e]
-        own_mu[e], own_scales[e] = mu[c], scales[c]
-        for i in range(3):
-            x[3 * e + i], own_q[3 * e + i] = r[3 * c + i], q[3 * c + i]
-    return own_q, own_mu, own_scales, x
+    own_q, own_r = q.reshape((-1, 3))[contacts], r.reshape((-1, 3))[contacts]
+    return own_q.reshape(-1), mu[contacts], scales[contacts], own_r.reshape(-1)
 
 
 @in_place

@@ -22,34 +22,31 @@ NEARLY, CLOSE = 2.0, 0.9
 
 
 @kernel
-def small(blocks, q, mu, scales, r, measure, enough, good, q_norm, limits):
+def small(problem, r, measure, aims, limits):
     """Solve one island of few coordinates by `newton.dense` in place of r, of that measure; (factorisations, measure).
 
-    A few steps from a warm start; if they are not `good`, or from nothing, many, and `MORE` times as many to what is
-    good only, which redundant contacts may take; then, as long as it gains, step by step with a new penalty: the one
-    that has grown on the way would lose the last digits. What nearly was `enough` only comes close to that. At rest it
-    missed what velocities an imbalance of the impulses, far smaller, has added up to in many steps; impulses that take
-    these back in one give the next as much of the other sign, and so its start misses.
+    It is to be `enough` or at least `good`, the aims. A few steps from a warm start; if they are not good, or from
+    nothing, many, and `MORE` times as many to what is good only, which redundant contacts may take; then, as long as it
+    gains, step by step with a new penalty: the one that has grown on the way would lose the last digits. What nearly
+    was `enough` only comes close to that. At rest it missed what velocities an imbalance of the impulses, far smaller,
+    has added up to in many steps; impulses that take these back in one give the next as much of the other sign, and so
+    its start misses.
     """
-    _, penalty, max_iter, few = limits
+    (enough, good), (_, penalty, max_iter, few) = aims, limits
     start, missed, count = r.copy(), measure, 0
-    if measure > good and r.any():
-        count, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, few)
-    if measure > good:
-        used, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, max_iter)
-        count += used
-    if measure > good:
-        used, measure = newton.dense(blocks, q, mu, scales, r, good, q_norm, penalty, MORE * max_iter)
-        count += used
+    for tol, most in ((enough, few if r.any() else 0), (enough, max_iter), (good, MORE * max_iter)):
+        if measure > good and most > 0:
+            used, measure = newton.dense(problem, r, tol, penalty, most)
+            count += used
     before, steps = np.inf, 0
     while enough < measure <= good and measure <= POLISHED * before and steps < few:
         before = measure
-        used, measure = newton.dense(blocks, q, mu, scales, r, enough, q_norm, penalty, 1)
+        used, measure = newton.dense(problem, r, enough, penalty, 1)
         steps += used
     if measure <= enough < missed <= NEARLY * enough:
-        y, work, u = np.empty(blocks[0][-1]), np.empty(blocks[0][-1]), np.empty(q.size)
+        n = problem[0][0][-1]
         closer = start + (1.0 - CLOSE * enough / missed) * (r - start)
-        now = newton.measure_of(blocks, q, mu, scales, q_norm, closer, y, u, work)
+        now = newton.measure_of(problem, closer, np.empty(n), np.empty(r.size), np.empty(n))
         if now <= enough:
             copy(closer, r)
             measure = now
@@ -65,8 +62,9 @@ def closed_form(W, q, mu, r, u):
 
 
 @kernel
-def only_contact(blocks, c, q, mu, scales, r, q_norm):
+def only_contact(problem, c, r):
     """An island of one contact in closed form, in place of r; its measure."""
+    blocks, q, mu, scales, q_norm = problem
     most, own, at = _blocks.widest(blocks[0]), slice(c, c + 1), slice(3 * c, 3 * c + 3)
     x, y, w, u = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3)), np.empty(3)
     _blocks.diagonal_block(blocks, c, x, y, w)
@@ -75,13 +73,14 @@ def only_contact(blocks, c, q, mu, scales, r, q_norm):
 
 
 @kernel
-def part(blocks, label, k, q, mu, scales, r, measure, enough, good, q_norm, limits):
-    """`small` for island k of several."""
+def part(problem, label, k, r, measure, aims, limits):
+    """`small` for island k of several, whose norm of q is that of the problem."""
+    blocks, q, mu, scales, q_norm = problem
     contacts, own = newton.extract(blocks, label, k)
     if own[0][-1] > limits[0]:
         return 0, measure
     own_q, own_mu, own_scales, x = newton.gather(contacts, q, mu, scales, r)
-    count, measure = small(own, own_q, own_mu, own_scales, x, measure, enough, good, q_norm, limits)
+    count, measure = small((own, own_q, own_mu, own_scales, q_norm), x, measure, aims, limits)
     newton.scatter(contacts, x, r)
     return count, measure
 
@@ -90,12 +89,30 @@ def part(blocks, label, k, q, mu, scales, r, measure, enough, good, q_norm, limi
 def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits):
     """Solve every island of few coordinates in place of r, where r is not good `enough`.
 
-    One contact in closed form, more by `small`, to be `enough` or at least `good`. (So is one whose W_cc is singular,
-    as at the tip of an arm of two joints, where the closed form may miss.) Every island is a problem of its own, with
-    its own norm of q: what one gets does not depend on the others, and all together are as good as the worst. The
-    islands into label (nc,), into islands (3, nc) their measures, 0 for those that end `good`, norms and contacts.
-    Returns their number, whether one is left, the factorisations, and, where none is left, the defect of the literature
-    and the residual of r; then its u = W r + q is in u. limits = (most coordinates, penalty, most steps, a few steps).
+    One contact in closed form, more by `small`. (So is one whose W_cc is singular, as at the tip of an arm of two
+    joints, where the closed form may miss.) Every island is a problem of its own, with its own norm of q: what one gets
+    does not depend on the others, and all together are as good as the worst.
+
+    Parameters
+    ----------
+    blocks : tuple
+    q, r, u : ndarray, shape (3 nc,)
+        Free velocity, m/s, impulse, N s, and room for W r + q.
+    mu, scales : ndarray, shape (nc,)
+    label : ndarray of int, shape (nc,)
+        Room for the islands of the contacts.
+    islands : ndarray, shape (3, nc)
+        Room for their measures, 0 for those that end `good`, their norms and contacts.
+    enough, good : float
+        What an island is solved to, and at least.
+    limits : tuple
+        Most coordinates, penalty, most steps, a few steps.
+
+    Returns
+    -------
+    tuple
+        Number of islands, whether one is left, factorisations, and, where none is left, the defect of the literature
+        and the residual of r; then its velocity is in u.
     """
     top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
     offset, block = blocks[:2]
@@ -108,23 +125,20 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits
         size[label[c]] += 1.0
     count, left, changed, c = 0, False, False, 0
     for k in range(found):
-        wanted = enough
+        wanted, problem = enough, (blocks, q, mu, scales, norms[k])
         while label[c] != k:  # the first contact of an island comes after that of the one before
             c += 1
         if measures[k] > enough and size[k] == 1.0:
-            measures[k] = only_contact(blocks, c, q, mu, scales, r, norms[k])
+            measures[k] = only_contact(problem, c, r)
             wanted = good
             count += 1
             changed = True
         if not measures[k] <= wanted:
-            if found == 1 and offset.size == 2:  # one body, nothing to extract
-                if offset[-1] <= limits[0]:
-                    used, measures[k] = small(blocks, q, mu, scales, r, measures[k], enough, good, norms[k], limits)
-                    count += used
-            else:
-                used, measures[k] = part(
-                    blocks, label, k, q, mu, scales, r, measures[k], enough, good, norms[k], limits
-                )
+            if found > 1 or offset.size > 2:
+                used, measures[k] = part(problem, label, k, r, measures[k], (enough, good), limits)
+                count += used
+            elif offset[-1] <= limits[0]:  # one body, nothing to extract
+                used, measures[k] = small(problem, r, measures[k], (enough, good), limits)
                 count += used
             changed = True
         if measures[k] <= good:
@@ -151,31 +165,30 @@ def widest(blocks):
 
 
 @kernel
-def by_matrix(W, q, mu, scales, q_norm, r, u, tol, most):
-    """Solve a block-sparse W = (indptr, indices, data) in place of r: lone contacts in closed form, others by sweeps.
+def by_matrix(problem, r, u, tol, most):
+    """Solve (W, q, mu, scales, q_norm) in place of r: lone contacts in closed form, others by sweeps.
 
-    These are at most so many, with momentum, and on all islands at once. Returns their number, the error of the
-    literature and the residual of r; its u = W r + q is in u.
+    W = (indptr, indices, data) in blocks. The sweeps are at most so many, with momentum, and on all islands at once.
+    Returns their number, the error of the literature and the residual of r; its u = W r + q is in u.
     """
-    indptr, indices, data = W
+    W, q, mu, scales, q_norm = problem
+    indptr, _, data = W
     nc, count = mu.size, 0
     if nc == 1:
         closed_form(data[0], q, mu, r, u)
         top, residual = cones.measures(scales, u, r, mu)
         return 1, top / q_norm, residual
-    given.velocity(indptr, indices, data, q, r, u)
+    given.velocity(W, q, r, u)
     best = cones.measure_at(scales, u, r, mu, q_norm)
     if not best <= tol:
         for c in range(nc):
             if indptr[c + 1] == indptr[c] + 1:
                 at = slice(3 * c, 3 * c + 3)
                 closed_form(data[indptr[c]], q[at], mu[c : c + 1], r[at], u[at])
-        given.velocity(indptr, indices, data, q, r, u)
+        given.velocity(W, q, r, u)
         best = cones.measure_at(scales, u, r, mu, q_norm)
-        steps = nesterov.steps_of_matrix(indptr, indices, data, mu)
-        begun, state = (*W, steps, q, mu, scales, q_norm), (r, r.copy(), r.copy(), np.ones(nc))
-        so_far, limits = (0, 0, best, 0.5), (tol, most, CHECK, most)
-        count, _, best, _ = nesterov.solve_matrix(begun, state, so_far, limits)
-        given.velocity(indptr, indices, data, q, r, u)
+        begun, state = (W, nesterov.steps_of_matrix(W, mu), q, mu, scales, q_norm), (r, r.copy(), r.copy(), np.ones(nc))
+        count, _, best, _ = nesterov.solve_matrix(begun, state, (0, 0, best, 0.5), (tol, most, CHECK, most))
+        given.velocity(W, q, r, u)
     top, residual = cones.measures(scales, u, r, mu)
     return count, top / q_norm, residual

@@ -8,8 +8,9 @@ from typing import Any
 
 from serve import serve
 
-from nsdyn.problem import fclib, linear
+from nsdyn.problem import linear
 from nsdyn.problem.fc3d import FC3D
+from nsdyn.recording import fclib
 from nsdyn.solvers import by_name
 
 read = lru_cache(maxsize=1)(fclib.read)

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn.problem import fclib
+from nsdyn.recording import fclib
 
 HARD = Path(__file__).resolve().parents[3] / "shared" / "hard"
 

@@ -28,10 +28,9 @@ import h5py
 import numpy as np
 import scipy.sparse as sp
 
-from nsdyn.problem.blocks import Blocks
-from nsdyn.problem.condensation import condensed, embedded, factors, is_symmetric, planar, solver_of
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
+from nsdyn.recording.condensation import condensed, embedded, factors, is_symmetric, planar, solver_of
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.datasets import check_heaps, created, dataset
@@ -291,7 +290,9 @@ def write(
             mathematics = "u = W r + q, normal first"
         else:
             v = np.zeros(blocks.n) if v_free is None else v_free
-            M, H = _sparse(blocks)
+            M, H = blocks.mass(), sp.csr_array(blocks.jacobian().T)
+            M.eliminate_zeros()
+            H.eliminate_zeros()
             _put_matrix(group, "M", M)
             _put_matrix(group, "H", H)
             _put(group, "vectors/f", M @ v)
@@ -387,26 +388,3 @@ def _check_planar(problem: FC3D, spacedim: int) -> None:
     out = W.row != W.col
     if W.data[out & ((W.row % 3 == 2) | (W.col % 3 == 2))].any() or problem.q[2::3].any():
         raise ValueError("spacedim must be 3: the second tangents of W or q are not zero")
-
-
-def _sparse(blocks: Blocks) -> tuple[Any, Any]:
-    """(M, H) of factors as sparse matrices of shapes (n, n) and (n, 3 nc), without stored zeros."""
-    size = np.diff(blocks.offset)
-    mass, rows = [], []  # (row, column, value) of every block
-    for o, n, s in zip(blocks.offset, size, blocks.m_start, strict=False):
-        i, j = np.divmod(np.arange(n * n), n)
-        mass.append((o + i, o + j, blocks.m[s : s + n * n]))
-    for c, slot in zip(*np.nonzero(blocks.block >= 0), strict=True):
-        k, s = blocks.block[c, slot], blocks.start[c, slot]
-        i, j = np.divmod(np.arange(3 * size[k]), size[k])
-        rows.append((blocks.offset[k] + j, 3 * c + i, blocks.H[s : s + 3 * size[k]]))
-    return _assembled(mass, (blocks.n, blocks.n)), _assembled(rows, (blocks.n, 3 * blocks.nc))
-
-
-def _assembled(parts: list[tuple[Any, Any, Array]], shape: tuple[int, int]) -> Any:
-    if not parts:
-        return sp.csr_array(shape)
-    i, j, x = (np.concatenate(column) for column in zip(*parts, strict=True))
-    out = sp.coo_array((x, (i, j)), shape=shape).tocsr()
-    out.eliminate_zeros()
-    return out

@@ -1,0 +1,223 @@
+"""Candidate pairs: geoms in place, bounding boxes that serve for several steps, and the distances of their pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn._kernels.collision import broadphase
+from nsdyn._kernels.collision.geometry import Geometry, Placed
+from nsdyn._kernels.packing import pack
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.collision.distances import SHRINK, Batch, empty_model, split
+from nsdyn.scene.bodies import Geom
+from nsdyn.scene.shapes import HALFSPACE, ROUND
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["MARGIN", "TOLERANCE", "Candidates"]
+
+MARGIN = 1e-3
+"""Contacts start at a gap of this fraction of the smaller bounding radius, plus what the bodies may move in a step."""
+
+SKIN = 0.05
+"""The candidate pairs serve until a geom has moved this fraction of its bounding radius, and beyond that as far as it
+may in as many steps as the pairs before them served, at most `AHEAD`: where bodies knock each other about, a list that
+looks far ahead is long and outlived in a step all the same."""
+
+AHEAD = 4
+
+TOLERANCE = 0.05
+"""A contact keeps its key while it moves less than this fraction of the smaller bounding radius, on either geom, beyond
+what the geoms themselves may move in the step."""
+
+
+class Candidates:
+    """Pairs of a fixed list of geoms that may touch in a configuration.
+
+    Parameters
+    ----------
+    geoms : sequence of Geom
+        Half-spaces must be fixed.
+    pair_material : callable
+        ``pair_material(i, j) -> (mu, restitution)`` for index arrays of pairs.
+    excluded : collection of (int, int)
+        Pairs of geoms that never touch. Pairs of fixed geoms and those on one frame are left out anyway.
+    max_points : int
+        Most contacts of one pair, at least 4. More are reduced to those that hold the area of the patch.
+    """
+
+    def __init__(
+        self,
+        geoms: Sequence[Geom],
+        pair_material: Callable[[Index, Index], tuple[Array, Array]],
+        excluded: Collection[tuple[int, int]] = (),
+        max_points: int = 8,
+    ) -> None:
+        if max_points < 4:
+            raise ValueError(f"max_points must be at least 4, got {max_points}")
+        for g in geoms:
+            if g.shape.kind == HALFSPACE and g.frame >= 0:
+                raise ValueError(f"halfspace {g.name!r} must be fixed, not on a moving frame")
+        n = len(geoms)
+        self._geoms, self._max_points = list(geoms), max_points
+        self._pair_material = pair_material
+        self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
+        self._geometry = _flatten(geoms)
+        self.fields = self._fields = tuple(self._geometry)
+        cores: dict[int, Any] = {id(g.shape): g.shape.core(SHRINK) for g in geoms}
+        self._solids = [g.shape.geometry for g in geoms]
+        for solid in (*cores.values(), *self._solids):
+            solid.computeLocalAABB()
+        self._cores = [cores[id(g.shape)] for g in geoms]
+        self._slack = np.where(np.isin(self._geometry.kind, ROUND), 0.0, 2.0 * SHRINK * self._geometry.radius)
+        self.frame = self._frame = self._geometry.frame
+        self._moving = self._frame >= 0
+        self._R = self._geometry.placement_R.copy()
+        self._t = self._geometry.placement_t.copy()
+        arm = np.linalg.norm(self._t, axis=1) + self._geometry.radius
+        self._arm = np.where(self._moving, arm, 0.0)  # farthest any point is from the origin of its frame
+        self.base = self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
+        self._reach = np.zeros(n)
+        self._lower, self._upper = np.empty((n, 3)), np.empty((n, 3))
+        for k in range(n):
+            broadphase.bound(Placed._make((*self._geometry, self._R, self._t)), k, self._lower, self._upper)
+        self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+        self._served = 0  # calls served by the present candidates
+        self._batches: list[Batch] = []
+        self._models: list[pin.GeometryModel] = []
+        # Largest polygon: a face clipped by a face or by a circle, or all vertices against a half-space.
+        loops = np.diff(self._geometry.loop_ptr).max(initial=max_points)
+        room = int(max(4 * max(loops, max_points), np.diff(self._geometry.vertex_ptr).max(initial=0)))
+        faces = int(np.diff(self._geometry.face_ptr).max(initial=2))
+        points = np.empty((faces * room, 3)), np.empty(faces * room)
+        self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room), *points
+        self._pack_geoms()
+        self._set_pairs(np.empty(0, dtype=np.int64))
+
+    def only(self, geoms: Index, frame: Index) -> Self:
+        """That of some geoms, ascending, which finds the same contacts among them.
+
+        Parameters
+        ----------
+        geoms : ndarray of int, shape (k,)
+        frame : ndarray of int, shape (k,)
+            Frames they hang on there.
+        """
+        some = [replace(self._geoms[g], frame=f) for g, f in zip(geoms.tolist(), frame.tolist(), strict=True)]
+        place = np.full(len(self._geoms), -1)
+        place[geoms] = np.arange(geoms.size)
+        apart = place[np.array(np.divmod(self._excluded, len(self._geoms)))].T
+        excluded = [(int(i), int(j)) for i, j in apart if i >= 0 and j >= 0]
+        return type(self)(some, lambda i, j: self._pair_material(geoms[i], geoms[j]), excluded, self._max_points)
+
+    def boxes(self, x: Array, R: Array) -> tuple[Array, Array]:
+        """Least boxes about the geoms of frames at such poses, along the axes: (lower, upper), (geoms, 3) each, m."""
+        lower, upper = self._lower.copy(), self._upper.copy()
+        broadphase.bounds(self._fields, x, R, lower, upper)
+        return lower, upper
+
+    @property
+    def pairs(self) -> tuple[Index, Index]:
+        """The candidate pairs of geoms, sorted."""
+        return self._first, self._second
+
+    @property
+    def asks(self) -> bool:
+        """Whether Coal is asked of any candidate pair."""
+        return bool(self._batches)
+
+    @property
+    def searches(self) -> tuple[Any, ...]:
+        """What `nsdyn._kernels.collision.search.search` takes first: geoms, pairs, most points of a pair, tolerance."""
+        return self._search
+
+    def codes(self, contacts: ContactSet) -> Index:
+        """One number for the pair of geoms of every contact, shape (nc,)."""
+        return contacts.geom1 * len(self._cores) + contacts.geom2
+
+    def ask(self, x: Array, R: Array, reach: Array) -> None:
+        """Place the geoms, and ask Coal for the distances of the candidate pairs."""
+        self._renew(x, R, reach)
+        for batch in self._batches:
+            batch.run(self._fields, (self._R, self._t, self._reach), (self._lower, self._upper))
+
+    def _renew(self, x: Array, R: Array, reach: Array) -> None:
+        """Place the geoms, and renew the candidate pairs if one has left its fat box."""
+        fields, boxes = self._fields, (self._lower, self._upper)
+        placed, fat = (self._R, self._t, self._reach), (self._fat_lower, self._fat_upper)
+        if broadphase.follow(fields, (x, R, reach), self._base, placed, boxes, fat):
+            ahead = 1 + min(self._served, AHEAD)
+            broadphase.fatten(fields, self._base, self._reach, SKIN, ahead, boxes, fat)
+            self._served = 0
+            codes = broadphase.candidates(fields, self._R, self._t, *fat, self._excluded)
+            if not np.array_equal(codes, self._codes):
+                self._set_pairs(codes)
+        self._served += 1
+
+    def _set_pairs(self, codes: Index) -> None:
+        """Everything that depends on the candidate list alone."""
+        self._codes = codes
+        first, second = np.divmod(codes, len(self._cores))
+        kind1, kind2 = self._geometry.kind[first], self._geometry.kind[second]
+        both_round = np.isin(kind1, ROUND) & np.isin(kind2, ROUND)
+        asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | both_round)
+        self._first, self._second, self._asked = first, second, asked
+        slot = np.where(asked, np.cumsum(asked) - 1, -1)
+        radius = np.where(self._moving, self._geometry.radius, np.inf)
+        self._pair_base = base = MARGIN * np.minimum(radius[first], radius[second])
+        room, material = len(codes) * self._max_points, self._pair_material(first, second)
+        found, asks = (np.empty((room, 3)), np.empty((room, 3)), np.empty(room)), np.empty((int(asked.sum()), 10))
+        floats, integers, f, i = pack([*found, asks, base, *material], [np.empty(room, np.int64), first, second, slot])
+        self._search = (self._packed, (floats, integers), self._max_points, TOLERANCE)
+        geoms = self._frame, (self._geometry.radius, self._R, self._t, self._reach)
+        self._found = geoms, (first, second, *material), (*f[:3], i[0]), TOLERANCE
+        self._coal, self._batches = f[3], []
+        of_coal = first[asked], second[asked], base[asked]
+        for k, (lo, hi) in enumerate(split(*of_coal[:2])):
+            if k == len(self._models):
+                self._models.append(empty_model(len(self._cores)))
+            one, other, margin = (part[lo:hi] for part in of_coal)
+            self._batches.append(Batch(self._models[k], self._cores, one, other, margin, self._coal[lo:hi]))
+
+    def _pack_geoms(self) -> None:
+        """What does not change with the candidates, as `search` takes it; the arrays become views of that."""
+        g, pose = self._geometry, (self._R, self._t, self._reach, self._slack, self._base)
+        boxes = self._lower, self._upper, self._fat_lower, self._fat_upper
+        shapes = g.size, g.offset, g.radius, g.vertices, g.face_normals, g.face_offsets, g.placement_R, g.placement_t
+        *packed, f, _ = pack(
+            [*shapes, *pose, *boxes, *self._scratch],
+            [g.kind, g.vertex_ptr, g.face_ptr, g.loop_ptr, g.loop, g.frame],
+        )
+        self._packed = tuple(packed)
+        self._R, self._t, self._reach, self._slack, self._base = f[8:13]
+        self._lower, self._upper, self._fat_lower, self._fat_upper = f[13:17]
+        self._scratch = tuple(f[17:])
+
+
+def _flatten(geoms: Sequence[Geom]) -> Geometry:
+    """The shapes of all geoms in flat arrays."""
+    all_shapes = [g.shape for g in geoms]
+
+    def pointer(lengths: list[int]) -> Index:
+        return np.cumsum([0, *lengths], dtype=np.int64)
+
+    return Geometry(
+        kind=np.array([s.kind for s in all_shapes], dtype=np.int64),
+        size=np.array([s.size for s in all_shapes]).reshape(-1, 3),
+        offset=np.array([s.offset for s in all_shapes], dtype=float),
+        radius=np.array([s.bounding_radius for s in all_shapes], dtype=float),
+        vertex_ptr=pointer([len(s.vertices) for s in all_shapes]),
+        vertices=np.concatenate([np.zeros((0, 3)), *(s.vertices for s in all_shapes)]),
+        face_ptr=pointer([len(s.face_normals) for s in all_shapes]),
+        face_normals=np.concatenate([np.zeros((0, 3)), *(s.face_normals for s in all_shapes)]),
+        face_offsets=np.concatenate([np.zeros(0), *(s.face_offsets for s in all_shapes)]),
+        loop_ptr=pointer([n for s in all_shapes for n in np.diff(s.face_ptr)]),
+        loop=np.concatenate([np.zeros(0, dtype=np.int64), *(s.face_loop for s in all_shapes)]),
+        frame=np.array([g.frame for g in geoms], dtype=np.int64),
+        placement_R=np.array([g.placement_R for g in geoms], dtype=float).reshape(-1, 3, 3),
+        placement_t=np.array([g.placement_t for g in geoms], dtype=float).reshape(-1, 3),
+    )

@@ -1,0 +1,186 @@
+"""Where a scene is and goes without forces: flows, frames, their velocities, and how far shapes reach."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn._kernels import reductions as _few
+from nsdyn._kernels.dynamics import links as _links
+from nsdyn._kernels.dynamics import motion as _motion
+from nsdyn.dynamics.layout import Layout
+from nsdyn.dynamics.tree_values import Links, TreeEnd
+from nsdyn.dynamics.values import Forces, Middle, Placement, Position
+from nsdyn.tools.arrays import Array
+
+__all__ = ["Kinematics"]
+
+
+class Kinematics(Layout):
+    """Motion of a scene between the instants at which forces act."""
+
+    def halfway(self, position: Position, v: Array, h: float, theta: float, twist: Array) -> Middle:
+        """Where the forces of a step of h act: after (1 - θ) h of motion without any, Φ.
+
+        Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it.
+
+        Parameters
+        ----------
+        position : Position
+        v : ndarray, shape (n,)
+        h, theta : float
+            Step, s, and θ.
+        twist : ndarray, shape (surfaces, 2, 3)
+            Linear and angular velocities of driven bodies, world axes.
+        """
+        ahead = (1.0 - theta) * h
+        if self._lone:
+            only = self.trees[0].halfway(position.trees[0], v, h, theta)
+            return Middle(position.bent(only.q), only.v, Placement.of(only.links), (only,))
+        x, quaternion, after, X, R = self._flow(position, v, ahead)
+        if self._bodies_only:
+            return Middle(position.moved(x, quaternion), after, Placement(X, R, ()), ())
+        halves = tuple(
+            [t.halfway(q, v[t.coordinates], h, theta) for t, q in zip(self.trees, position.trees, strict=True)]
+        )
+        for t, half in zip(self.trees, halves, strict=True):
+            after[t.coordinates] = half.v
+        driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, ahead * twist)
+        there = Position(x, quaternion, tuple([half.q for half in halves]), *driven)
+        return Middle(there, after, self._with_others(there, X, R, [half.links for half in halves]), halves)
+
+    def end(
+        self, middle: Middle, forces: Forces, v: Array, impulse: Array, h: float, twist: Array
+    ) -> tuple[Position, Array, Placement, tuple[TreeEnd, ...]]:
+        """(position, velocity, frames, trees) after a step's second part, without forces.
+
+        Parameters
+        ----------
+        middle : Middle
+        forces : Forces
+        v : ndarray, shape (n,)
+            Velocity that forces and impulses leave in the middle.
+        impulse : ndarray, shape (n,)
+            H r of contacts and joint rows, which tells which trees are pushed.
+        h : float
+            Length of that part, s.
+        twist : ndarray, shape (surfaces, 2, 3)
+            Linear and angular velocities of driven bodies, world axes.
+        """
+        position = middle.position
+        if self._lone:
+            free = forces.trees[0]
+            pushed = free.loads.implicit or _few.largest(impulse) > 0.0
+            only = self.trees[0].end(middle.trees[0], free, v, pushed)
+            return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
+        x, quaternion, after, X, R = self._flow(position, v, h)
+        if self._bodies_only:
+            return position.moved(x, quaternion), after, Placement(X, R, ()), ()
+        ends = []
+        for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
+            pushed = free.loads.implicit or _few.largest(impulse[t.coordinates]) > 0.0
+            ends.append(t.end(half, free, v[t.coordinates], pushed))
+            after[t.coordinates] = ends[-1].v
+        driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
+        there = Position(x, quaternion, tuple([e.q for e in ends]), *driven)
+        links = [t.links(q) for t, q in zip(self.trees, there.trees, strict=True)]
+        return there, after, self._with_others(there, X, R, links), tuple(ends)
+
+    def _flow(self, position: Position, v: Array, h: float) -> tuple[Array, Array, Array, Array, Array]:
+        """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
+        x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
+        X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
+        moments, axes = self._principal
+        _motion.flow(moments, axes, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
+        return x, quaternion, after, X, R
+
+    def shift(self, position: Position, step: Array) -> Position:
+        """Position ⊕ a small displacement `step` (n,) in the coordinates of velocities, loops closed."""
+        x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
+        _motion.integrate(position.x, position.quaternion, step, 1.0, x, quaternion)
+        moved = zip(self.trees, position.trees, strict=True)
+        trees = tuple([t.close(pin.integrate(t.model, q, step[t.coordinates])) for t, q in moved])
+        return Position(x, quaternion, trees, position.driven_x, position.driven_quaternion)
+
+    def place(self, position: Position) -> Placement:
+        """Frames and Jacobians at a position."""
+        if self._lone:
+            return Placement.of(self.trees[0].links(position.trees[0]))
+        x, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
+        _motion.place(position.x, position.quaternion, x, R)
+        links = [t.links(q) for t, q in zip(self.trees, position.trees, strict=True)]
+        return self._with_others(position, x, R, links)
+
+    def _with_others(self, position: Position, x: Array, R: Array, links: list[Links]) -> Placement:
+        """The placement whose free bodies are in x and R."""
+        if position.driven_x.size:
+            nd = len(position.driven_x)
+            _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])
+        for t, at in zip(self.trees, links, strict=True):
+            x[t.frames], R[t.frames] = at.x, at.R
+        return Placement(x, R, tuple(links))
+
+    def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
+        """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
+        if self._lone:
+            return self.trees[0].twists(place.links[0], v)
+        linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
+        if self.free:
+            _motion.twists(place.R, v, self.free, linear, angular)
+        for t, links in zip(self.trees, place.links, strict=True):
+            own = linear[t.frames], angular[t.frames]
+            _links.twists(links.x, t.support, links.J, v[t.coordinates], *own)
+        return linear, angular
+
+    def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
+        """How far any point of each frame's shapes may move, m, shape (frames,).
+
+        Parameters
+        ----------
+        place : Placement
+        v : ndarray, shape (n,)
+        h, dt : float
+            How long they move, and how long of that under gravity, s.
+        twist : ndarray, shape (surfaces, 2, 3)
+            Linear and angular velocities of driven bodies, world axes.
+        """
+        out = np.zeros(self.frames)
+        fall = h * dt * self.weight
+        if self.free:
+            _motion.reach(v, h, fall, self.radius, out)
+        for t, links in zip(self.trees, place.links, strict=True):
+            at = links.x, t.support, links.J, v[t.coordinates], h, t.radius, fall
+            _links.reach(*at, out[t.frames])
+        if self.surfaces.count:
+            self.surfaces.reach(h * np.abs(twist), out)
+        return out
+
+    def angles(self, place: Placement) -> Array:
+        """Joint coordinates, shape (n,), 0 where there are none."""
+        if self._lone:
+            return place.links[0].angle
+        out = np.zeros(self.n)
+        for t, links in zip(self.trees, place.links, strict=True):
+            out[t.coordinates] = links.angle
+        return out
+
+    def pinocchio_state(self, position: Position, v: Array) -> tuple[Array, Array]:
+        """(q, v) in Pinocchio's layout: per free body (x, quaternion) and velocity in body axes, then the trees."""
+        if self._lone:
+            return position.trees[0].copy(), v.copy()
+        q, out = np.empty(7 * len(position.x)), np.empty(v.size)
+        _motion.pinocchio_layout(position.x, position.quaternion, v, q, out)
+        return np.concatenate((q, *position.trees)) if position.trees else q, out
+
+    def poses(self, position: Position, place: Placement) -> tuple[Array, Array] | tuple[None, None]:
+        """Positions (frames, 3) and quaternions (frames, 4) of all frames; None where all are free bodies."""
+        if self.frames == self.free:
+            return None, None
+        quaternion = np.empty((self.frames, 4))
+        links = slice(self.free, self.frames - len(position.driven_x))
+        _links.quaternions(place.R[links], quaternion[links])
+        if self.free:
+            quaternion[: self.free] = position.quaternion
+        if links.stop < self.frames:
+            quaternion[links.stop :] = position.driven_quaternion
+        return place.x, quaternion

@@ -1,0 +1,168 @@
+"""The coordinates and frames of a scene, and what in it has mass: the layout that its motion and forces share.
+
+Free bodies are batched in arrays; each articulated tree has its own Pinocchio model. The velocity is one vector v
+(n,) in blocks: 6 per free body (linear in world axes, angular in body axes), then nv per tree. Bodies that move as
+prescribed have a frame, but no block.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any, Self
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn._kernels.dynamics.rotation import principal
+from nsdyn.dynamics.actuators import Actuators
+from nsdyn.dynamics.forests import parts
+from nsdyn.dynamics.joints import JointLaws
+from nsdyn.dynamics.surfaces import Surfaces
+from nsdyn.dynamics.trees import Tree
+from nsdyn.dynamics.values import Position
+from nsdyn.scene.control import Axes
+from nsdyn.scene.scene import Scene
+from nsdyn.tools.arrays import Array, Index
+
+__all__ = ["Layout", "rotation"]
+
+NO_VECTORS = np.empty((0, 3))
+
+
+def rotation(quaternion: Array) -> Array:
+    """Rotation matrix of a unit quaternion xyzw."""
+    return np.array(pin.Quaternion(quaternion).toRotationMatrix())
+
+
+class Layout:
+    """What moves in a scene, in the order of its coordinates and frames.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Attributes
+    ----------
+    held : ndarray of bool, shape (frames,)
+        Frames that nothing but prescribed motion moves.
+    prescribed : bool
+        Whether there are such frames or joint coordinates.
+    node : ndarray of int, shape (frames + 1,)
+        Block of coordinates that moves each frame, -1 for none, as for the world, which is the last.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        bodies, driven = scene.free_bodies, scene.driven_bodies
+        self.gravity: Array = np.array(scene.gravity)
+        self.weight = float(np.linalg.norm(self.gravity))
+        self.surfaces, self._driven = Surfaces(scene), len(driven)
+        self.names = {b.name: k for k, b in enumerate(bodies)}
+        self._forests: dict[str, tuple[int, Actuators]] = {}
+        trees = self._planted(scene)
+        mass, J = np.array([b.mass for b in bodies]), np.array([b.inertia for b in bodies]).reshape(-1, 3, 3)
+        radius = np.array([b.shape.bounding_radius + float(np.linalg.norm(b.com)) for b in bodies])
+        m, minv = np.zeros((2, mass.size, 6, 6))
+        of_mass, eye = mass[:, None, None], np.eye(3)
+        inverse = np.linalg.inv(J)
+        m[:, :3, :3], m[:, 3:, 3:] = of_mass * eye, J
+        minv[:, :3, :3], minv[:, 3:, 3:] = eye / of_mass, 0.5 * (inverse + inverse.swapaxes(1, 2))
+        self._compose((mass, J, radius, *principal(J), m, minv), trees)
+        self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
+        starts = [t.start(t.articulation.q, t.articulation.v) for t in self.trees]
+        self._start = (
+            Position(
+                np.array([b.position for b in bodies]).reshape(-1, 3),
+                np.array([b.quaternion for b in bodies]).reshape(-1, 4),
+                tuple(q for q, _ in starts),
+                np.array([b.position for b in driven]).reshape(-1, 3),
+                np.array([b.quaternion for b in driven]).reshape(-1, 4),
+            ),
+            np.concatenate([self._velocity(b) for b in bodies] + [v for _, v in starts] + [np.empty(0)]),
+        )
+
+    def _planted(self, scene: Scene) -> list[Tree]:
+        """The trees of all articulations; the first of each, and what controls them, into `_forests`."""
+        trees: list[Tree] = []
+        for name, a in scene.articulations.items():
+            carriers = [joint for owner, joint in scene.link_frames() if owner == name]
+            driven = {
+                a.model.getJointId(joint): m
+                for key, m in scene.motions.items()
+                for owner, _, joint in [key.partition("/")]
+                if owner == name and m.kind == "joint"
+            }
+            forest, planted = parts(a), len(trees)
+            for part in forest:
+                before = part.joints.start - 1
+                joints = [joint - before for joint in carriers if joint in part.joints]
+                motions = {a.model.idx_vs[j] - part.v.start: m for j, m in driven.items() if j in part.joints}
+                trees.append(Tree(part.articulation, self.gravity, joints, motions))
+            scalar = np.concatenate([t.scalar for t in trees[planted:]])
+            axes = Axes.of(name, a.model, scalar, a.coordinates)
+            self._forests[name] = planted, Actuators(axes, a.effort, [part.v for part in forest], a.actuators)
+        return trees
+
+    def only(self, bodies: Index, trees: Index, geoms: Index) -> Self:
+        """Those of some free bodies and trees, and of what moves as prescribed, which nothing else moves.
+
+        The shapes of all these are `geoms`, ascending, and counted anew.
+        """
+        out = copy(self)
+        out.surfaces = self.surfaces.only(geoms)
+        out._compose(tuple([a[bodies] for a in self._own]), [self.trees[k] for k in trees.tolist()])
+        return out
+
+    def during(self, t: float, h: float) -> Self:
+        """The same with surfaces whose velocities change linearly in the h s from t on."""
+        if not self.surfaces.count:
+            return self
+        out = copy(self)
+        out.surfaces = self.surfaces.during(t, h)
+        return out
+
+    def _compose(self, own: tuple[Array, ...], trees: list[Tree]) -> None:
+        """The layout of coordinates and frames, and all that follows from it and what free bodies have of their `own`.
+
+        That is their masses, inertias, radii, principal moments and axes, M and its inverse.
+        """
+        self._own, (self.mass, self.J, self.radius, *self._principal, m, minv) = own, own
+        mass, self.free, self.trees = self.mass, self.mass.size, []
+        start, first = 6 * self.free, self.free
+        for t in trees:
+            self.trees.append(t.at(start, first))
+            start, first = start + t.model.nv, first + len(t.joints)
+        self.frames = first + self._driven
+        self.nowhere, self.no_works = np.zeros(self.frames), np.zeros(self.free)
+        self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((self.free, 3))
+        self._bodies_only = self.frames == self.free and not trees
+        # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
+        self._lone = len(trees) == 1 and not self.free and not self._driven
+        self._constrained = any(t.constrained for t in trees)
+        sizes = [6] * self.free + [t.model.nv for t in trees]
+        self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
+        self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
+        owner = [self.free + k for k, t in enumerate(trees) for _ in t.joints]
+        self.block_of_frame = np.array([*range(self.free), *owner, *([-1] * self._driven)], dtype=np.int64)
+        self.node = np.append(self.block_of_frame, -1)
+        self.n = int(self.offset[-1])
+        self._m, self._minv = m.ravel(), minv.ravel()
+        self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
+        self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
+        self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radius
+        self.no_impulses = NO_VECTORS, np.zeros((7, self.n))
+        self.links, self.no_push = sum(t.model.njoints - 1 for t in self.trees), np.zeros((0, 6))
+        self.joints = JointLaws(self.trees, self.free)
+        self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]
+        self.held = np.concatenate(
+            [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(self._driven, np.bool_)]
+        )
+        self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
+        self.alone = self._bodies_only and not self.surfaces.count
+
+    @staticmethod
+    def _velocity(body: Any) -> Array:
+        return np.concatenate((body.linear_velocity, rotation(body.quaternion).T @ body.angular_velocity))
+
+    def start(self) -> tuple[Position, Array]:
+        """Initial position and velocity of the scene."""
+        return self._start
