@@ -43,7 +43,7 @@ def given(problem):
 @pytest.mark.parametrize("form", [lambda p: p, given], ids=["factors", "matrix"])
 @pytest.mark.parametrize("mu", [0.0, 0.3, 1.0, 10.0])
 def test_kicked_stack_from_nothing(solver, form, mu):
-    solution = nd.solve(form(kicked_stack(mu=mu)), solver, tol=1e-9)
+    solution = nd.solve(form(kicked_stack(mu=mu, seed=1)), solver, tol=1e-9)
     assert solution.converged, (solution.error, solution.residual)
 
 

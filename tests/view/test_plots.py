@@ -272,11 +272,10 @@ def test_coordinates_in_two_units_can_be_told_apart():
     figure = drawn(lambda figure: plots.draw(run, "joint", figure=figure))
     looks = {line.get_label(): (line.get_color(), line.get_linestyle()) for ax in figure.axes for line in ax.lines}
     assert len(set(looks.values())) == len(looks) == 15
-    # The page has the colours of frames: of the trunk, and of what the knees carry.
-    for name, frame in (("root_joint x", 0), ("FL_knee", 1), ("FR_knee", 2), ("HL_knee", 3), ("HR_knee", 4)):
-        assert run.scene["frames"][frame].endswith(name.partition(" ")[0]) and looks[name] == (
-            *panels.look(frame).values(),
-        )
+    # The page has the colours of frames, of which there are six: of the trunk, and of what the first joints carry.
+    for name in ("root_joint x", "FL_abduction", "FL_hip", "FL_knee", "FR_abduction", "FR_hip"):
+        frame = list(run.scene["frames"]).index("quadruped/" + name.partition(" ")[0])
+        assert looks[name] == (*panels.look(frame).values(),)
     free = run.table("joints", "*root_joint")
     assert free["coordinate"][:7].tolist() == ["x", "y", "z", "rx", "ry", "rz", "rw"]
     assert free["unit"][:7].tolist() == ["m"] * 3 + [""] * 4
