@@ -35,7 +35,11 @@ OF_SNAKES = {
 
 @pytest.mark.parametrize(
     ("name", "columns"),
-    [("arm", None), ("dominoes", None), ("snake", OF_SNAKES), pytest.param("snake", None, marks=pytest.mark.slow)],
+    [
+        ("dominoes", None),
+        ("snake", OF_SNAKES),
+        *(pytest.param(name, None, marks=pytest.mark.slow) for name in ("arm", "snake")),
+    ],
 )
 def test_a_column_that_is_a_hundredth_larger_does_not_pass(name, columns):
     run = RUNS[name]()

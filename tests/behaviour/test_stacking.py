@@ -57,6 +57,7 @@ def test_wall_of_a_hundred_bricks():
     assert (trajectory.solver.status == nd.Status.CONVERGED).all()
 
 
+@pytest.mark.slow
 def test_house_of_cards_needs_its_friction():
     assert drift(nd.simulate(nd.scenes.load("cards")(mu=0.4), 0.5, dt=5e-3)) <= 1e-9
     # A frame leaning by 20 degrees needs tan(20°)/2 = 0.18.

@@ -155,6 +155,7 @@ def measured():
         return engines.measure(["tumble", "slip"], peers, limit=60.0)
 
 
+@pytest.mark.slow
 def test_ours_converges_at_its_order(measured):
     """Sixth order in free rotation, down to the 3e-13 of the reference; constant forces are exact."""
     ours = [r for r in measured.runs if r.engine == "nsdyn"]
@@ -179,6 +180,7 @@ def test_peers_get_the_same_scene(peer, monkeypatch):
     assert all(r.seconds > 0.0 for r in found.runs)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not engines.PEERS["mujoco"].installed, reason="MuJoCo is not installed (extra `peers`)")
 def test_free_rotation_of_mujoco_is_of_fourth_order(measured):
     free = [r for r in measured.runs if r.case == "tumble" and r.variant == "rk4" and r.dt < 0.05]

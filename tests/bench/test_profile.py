@@ -97,6 +97,7 @@ def test_solvers_are_judged_by_the_problem(folder):
     assert hopeless.table().splitlines()[1].split()[:3] == ["pgs", "0/2", "0.00"]
 
 
+@pytest.mark.slow
 def test_all_solvers_and_small_problems(folder, monkeypatch):
     monkeypatch.setattr(profiles, "SOLVERS", {"auto": None, "pgs": None})
     nd.fclib.write(folder / "one.hdf5", nd.FC3D(np.eye(3), np.array([-1.0, 0.2, 0.0]), np.array([0.5])))

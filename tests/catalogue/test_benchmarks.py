@@ -60,6 +60,7 @@ def test_elastic_ball_under_gravity_keeps_its_energy(steps):
 # -- case 44: rolling --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.case(44)
 @pytest.mark.parametrize("heading", [*(pytest.param(angle, marks=pytest.mark.slow) for angle in (0.0, 60.0)), 137.0])
 def test_box_and_balls_pushed(heading):

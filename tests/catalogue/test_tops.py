@@ -194,6 +194,7 @@ def rattle(dt, duration, **parameters):
     return trajectory.t, trajectory.body("rattleback").angular_velocity[:, 2], total_energy(trajectory)
 
 
+@pytest.mark.slow
 @pytest.mark.case(27)
 def test_rattleback_turns_back_from_the_wrong_sense_only():
     t, spin, energy = rattle(1e-3, 1.2)
@@ -214,6 +215,7 @@ def test_rattleback_mirrored():
     assert np.abs(spin + mirrored).max() <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.case(27)
 def test_rattleback_converges_to_rolling():
     """Spin against the equations of rolling without sliding: second order; its energy stays."""

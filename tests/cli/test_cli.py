@@ -406,6 +406,7 @@ def test_failing_run_dumps_a_problem_that_solve_reads(run):
     assert code == 0 and json.loads(out)["contacts"] == 4
 
 
+@pytest.mark.slow
 def test_profile(run, problem, tmp_path):
     tolerances = ("--tol", "1e-4", "--tol", "1e-8")
     code, out, err = run("profile", ".", "--solver", "pgs", *tolerances, "--csv", "p.csv", "--plot", "p.png")
@@ -424,6 +425,7 @@ def test_profile(run, problem, tmp_path):
     assert code == 2 and "no problem in . has 20 contacts" in err
 
 
+@pytest.mark.slow
 def test_bench(run, monkeypatch):
     from nsdyn.bench import cases
 

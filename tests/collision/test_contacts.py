@@ -640,6 +640,7 @@ def test_mesh_touches_as_its_hull(rng):
     np.testing.assert_allclose(c.gap, 0.0, rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_what_a_process_did_before_changes_no_bit():
     """Coal's answers for boxes that collide once depended on the scenes made before."""
     code = """

@@ -87,6 +87,7 @@ def test_what_swings_too_fast_for_the_step_dies_down(stiffness):
     assert np.abs(path[-1]).max() <= 0.25
 
 
+@pytest.mark.slow
 def test_a_trot_is_of_second_order():
     """The quadruped's joints against a fine step; below 5 ms the times at which feet land show."""
     module = nd.scenes.module("quadruped")

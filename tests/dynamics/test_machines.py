@@ -99,6 +99,7 @@ def pecks(dt, duration):
     return np.array(out)
 
 
+@pytest.mark.slow
 @pytest.mark.case(33)
 def test_woodpecker_pecks_periodically():
     """Each period it jams below, flies up, pecks the pole and falls a little: always the same."""
@@ -154,6 +155,7 @@ def test_gripper_does_not_slip(seconds, gripping):
     assert np.ptp(held[:, 3:7], axis=0).max() <= 1e-9, "nor does it turn"
 
 
+@pytest.mark.slow
 def test_gripper_drops_what_is_too_heavy():
     """Two fingers of 20 N carry 2 mu 20 N = 24 N: 2 kg, not 3 kg."""
     end = {mass: run("gripper", 2.0, 5e-3, {"mass": mass})[1][-1].q[2] - 0.03 for mass in (2.0, 3.0)}

@@ -49,6 +49,7 @@ def test_tipping():
     np.testing.assert_array_equal(tipping.run(mu, slenderness), exact)
 
 
+@pytest.mark.slow
 def test_the_gallery_is_what_its_script_writes(tmp_path, monkeypatch, capsys):
     """One section anew, but for times; of the others title, law and command."""
     gallery = demo("gallery")

@@ -113,6 +113,7 @@ def test_the_time_of_solving_is_without_loading():
     assert 0.0 < times.min() and times.max() < 0.3
 
 
+@pytest.mark.slow
 def test_a_terminal_gets_a_bar_and_several_processes_compile_each_kernel_once(tmp_path):
     main, end = pty.openpty()
     termios.tcsetwinsize(end, (24, 80))
@@ -147,12 +148,14 @@ def package(tmp_path):
     return tmp_path / "a"
 
 
+@pytest.mark.slow
 def test_another_environment_compiles_nothing(package, tmp_path):
     for path in (package, shutil.copytree(package, tmp_path / "b")):
         done = python("-c", COMMAND, PYTHONPATH=str(path), NSDYN_CACHE_DIR=str(tmp_path / "cache"))
     assert done.stdout.endswith(" 0\n")
 
 
+@pytest.mark.slow
 def test_an_edited_callee_is_seen_and_nothing_else_compiled(package, tmp_path):
     kernels, environment = package / "nsdyn" / "_kernels", {"PYTHONPATH": str(package)}
     environment["NSDYN_CACHE_DIR"] = str(tmp_path / "cache")
@@ -166,6 +169,7 @@ def test_an_edited_callee_is_seen_and_nothing_else_compiled(package, tmp_path):
     assert python("-c", both, **environment).stdout == "2.0 0\n(2.0, 0.3, 0.4) 0\n"
 
 
+@pytest.mark.slow
 def test_without_a_cache_it_works(tmp_path):
     (tmp_path / "file").touch()
     for _ in range(2):
@@ -185,6 +189,7 @@ def test_examples_run_as_python():
     assert {"search", "workless", "motion"} <= set(python("-c", code).stdout.split())
 
 
+@pytest.mark.slow
 def test_machine_code_is_made_of_what_python_calls(package, tmp_path):
     """Of a callee with its callers only, until Python calls it; the second time all is from the cache."""
     kernels, environment = package / "nsdyn" / "_kernels", {"PYTHONPATH": str(package)}
@@ -197,6 +202,7 @@ def test_machine_code_is_made_of_what_python_calls(package, tmp_path):
         assert done.stdout == f"2.0 {misses}\n[] 1.0 [(float64,)]\n"
 
 
+@pytest.mark.slow
 def test_a_run_waits_for_no_kernel_that_it_can_do_without(package, tmp_path):
     """Another process compiles it, which goes on when the run ends; one that goes on loads it."""
     (package / "nsdyn" / "_kernels" / "callee.py").write_text(CALLEE)

@@ -44,6 +44,7 @@ def test_command_line(tmp_path, monkeypatch):
     assert slide().meta["command"] == ""  # what follows is no command
 
 
+@pytest.mark.slow
 def test_scenes_by_name_and_by_function():
     assert parameters(slide()) == SLIDE
     assert parameters(nd.simulate(nd.scenes.load("slide")(0.3), 0.01)) == SLIDE | {"mu": 0.3}

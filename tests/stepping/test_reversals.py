@@ -100,6 +100,7 @@ def test_a_block_that_its_belt_overtakes_is_exact():
         np.testing.assert_allclose(run(n), exact, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_dry_joint_past_its_reversals_is_second_order():
     """A rod that swings against a dry hinge, turning twice, by an integration from reversal to reversal."""
     J, most = 1 / 3 + 1e-9, 0.5

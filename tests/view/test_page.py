@@ -216,6 +216,7 @@ def test_all_that_moves_is_in_the_picture_of_every_window(opened, falling):
             assert 0.8 < reach.max() < 1.0, (size, preset)  # all in it, and it is not empty
 
 
+@pytest.mark.slow
 def test_forces_at_the_edge_of_their_cone_are_red(opened, sliding):
     scene = nd.Scene()
     scene.add_halfspace("ground")
@@ -486,6 +487,7 @@ def test_nothing_is_loaded_and_nothing_goes_wrong(opened, sliding, tmp_path):
 REST = "new Promise(done => setTimeout(done, 400))"
 
 
+@pytest.mark.slow
 def test_the_address_points_at_the_time_shown(opened, sliding, window):
     page = opened(sliding, at="")
     # It plays when it opens.
@@ -536,6 +538,7 @@ def test_checks_that_are_round_off_are_told(opened):
     assert page.run(lanes) == [["less than 10⁻¹¹: round-off", 1e-11]] * 3
 
 
+@pytest.mark.slow
 def test_scale_of_forces(opened, sliding):
     """The bar is as long as an arrow of its force across the middle of the picture."""
     page = opened(sliding, forces=True)
@@ -591,6 +594,7 @@ def cameras(page):
     )
 
 
+@pytest.mark.slow
 def test_two_recordings_are_seen_from_one_place(opened, falling, sliding):
     page = opened(sliding, beside=falling)
     one, other = cameras(page)
@@ -658,12 +662,14 @@ def test_headings_tell_what_differs(opened, slow_slide, fast_slide, at):
     assert text(page, ".heading small") == "slide, steps of 10 ms, contacts solved to 1e-8 m/s by auto"
 
 
+@pytest.mark.slow
 def test_headings_of_several_scenes_name_them(opened, slow_slide, fast_slide, room):
     page = opened(slow_slide, beside=[fast_slide, room])
     assert text(page, ".heading").startswith("slide, mu=0.2steps of 10 ms")
     assert opened(room, beside=slow_slide).run(HEADINGS) == ["pile", "slide"]
 
 
+@pytest.mark.slow
 def test_a_room_is_drawn_where_it_is(opened, slow_slide, room):
     """The lines along which walls meet stand in the pane of their own recording."""
     page = opened(room, beside=slow_slide)
@@ -673,6 +679,7 @@ def test_a_room_is_drawn_where_it_is(opened, slow_slide, room):
     assert page.run(shadows) is False
 
 
+@pytest.mark.slow
 def test_forces_of_two_recordings_have_one_scale(opened, sliding):
     scene = nd.Scene()
     scene.add_halfspace("ground")
@@ -685,6 +692,7 @@ def test_forces_of_two_recordings_have_one_scale(opened, sliding):
     assert page.run("nsdyn.recordings.map(r => r.units.forces)")[0] > 19.0  # of the box of 2 kg
 
 
+@pytest.mark.slow
 def test_curves_of_the_other_recording_are_laid_over(opened, sliding):
     faster = nd.Scene(name="sliding")
     faster.add_halfspace("ground", material=nd.Material(mu=0.3))
@@ -737,6 +745,7 @@ def test_what_is_not_recorded_is_told(opened, tmp_path):
     assert set(table(page)) == {"mass", "speed", "kinetic energy", "potential energy"}
 
 
+@pytest.mark.slow
 def test_links_have_masses_and_energies(opened):
     """Of what their joint carries: those of all links and bodies add up to the ledger's."""
     t = nd.simulate(nd.scenes.load("arm_pushes_box")(), duration=0.02, dt=2e-3)

@@ -210,6 +210,7 @@ def test_dark_as_the_system_is_or_as_one_asks(opened, sliding):
         page.call("Emulation.setEmulatedMedia", features=[])
 
 
+@pytest.mark.slow
 def test_open_contacts_are_shown_if_one_asks(opened):
     page = opened(nd.simulate(nd.scenes.load("bounce")(), 0.48, dt=1e-3))
     page.run("nsdyn.show(nsdyn.dock.impacts[0].t + 0.002)")
@@ -235,6 +236,7 @@ def test_motion_of_joints(opened):
     assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == ["pole angle", "pole torque"]
 
 
+@pytest.mark.slow
 def test_many_plots_have_more_room(opened):
     setup = nd.scenes.setup("gripper")
     page = opened(nd.simulate(setup.scene, 0.1, **setup.options(dt=1e-2)))
@@ -252,6 +254,7 @@ def falling_row():
     return nd.simulate(nd.scenes.load("domino")(), 0.3, dt=2e-3)
 
 
+@pytest.mark.slow
 def test_of_many_bodies_those_that_move_most_have_names(opened, falling_row):
     page = opened(falling_row)
     press(page, "motion")
@@ -278,6 +281,7 @@ TWO_LINKS = """<robot name="r">
 </robot>"""
 
 
+@pytest.mark.slow
 def test_a_joint_that_carries_several_links_has_one_curve(opened, tmp_path):
     (tmp_path / "r.urdf").write_text(TWO_LINKS)
     scene = nd.Scene()
@@ -322,6 +326,7 @@ def test_a_lone_number_on_an_axis_is_that_of_its_line(opened, falling_row):
     assert "0.020" in page.run(words) or "0.02" in page.run(words)
 
 
+@pytest.mark.slow
 def test_more_than_two_recordings(opened):
     one, *others = [nd.simulate(nd.scenes.load("slide")(mu=mu), 0.1, dt=1e-2) for mu in (0.2, 0.35, 0.5)]
     page = opened(one, beside=others)

@@ -66,6 +66,7 @@ def test_film_has_a_picture_for_each_moment(falling, tmp_path, monkeypatch):
     assert len(shown) == len(set(shown)) == 5  # of 1 s, both ends; no two alike
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_films_are_drawn_as_pages_are(falling, tmp_path, window):
     """The ground of a film is drawn once, behind the bodies: the picture is that of the page, shadows too."""
@@ -93,6 +94,7 @@ def test_films_are_drawn_as_pages_are(falling, tmp_path, window):
     assert window.picture() != first and window.run("count") == 1
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_film_that_fails_is_told(falling, tmp_path, monkeypatch):
     stand_in(tmp_path, monkeypatch, "sys.exit('no such encoder')")

@@ -228,6 +228,7 @@ def test_friction_of_impacts_is_marked_at_the_edge(arm):
     assert part == pytest.approx(table["impulse_T"][row] / (table["mu"][row] * table["impulse_N"][row]), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_what_is_alone_and_what_has_not_begun():
     """A free body, which nothing touches, and a recording that a kill left before its first step."""
     scene = nd.Scene()
@@ -334,6 +335,7 @@ def test_sweep_is_drawn_over_its_numbers():
         varied({"mu": [0.1], "shape": ["a", "b"]})
 
 
+@pytest.mark.slow
 def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
     from PIL import Image
 

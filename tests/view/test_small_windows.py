@@ -88,6 +88,7 @@ def check(page, size, count, name, folder):
     return min(shares)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sizes",
     [

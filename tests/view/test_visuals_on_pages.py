@@ -98,6 +98,7 @@ def ball(share):
     return corners, np.arange(len(corners)).reshape(-1, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 @pytest.mark.parametrize("share", [pytest.param(1.0, id="solid", marks=pytest.mark.slow), pytest.param(0.5, id="open")])
 def test_films_show_meshes_as_fine_as_pixels(share, tmp_path, window):
@@ -156,6 +157,7 @@ def test_films_leave_nothing_out(tmp_path, window):
     assert wide * high < 0.7 * 640 * 360
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_meshes_are_whole_where_nothing_moves(tmp_path, window):
     """Coarse while pictures are late, whole again with the first of a scene at rest."""
@@ -173,6 +175,7 @@ def test_meshes_are_whole_where_nothing_moves(tmp_path, window):
     assert 100 < later < late < 0.5 * whole and whole > 10_000 and both
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_all_buttons_there_can_be_have_one_row(run, opened):
     page = opened(run, (1280, 720), beside=run)
