@@ -381,6 +381,13 @@ def test_what_has_turned_before_it_touches_is_not_met(tmp_path):
     assert figures["normal"] < TOLERANCES["normal"]
 
 
+@pytest.mark.parametrize("scene", [7_770_000_900, 42_420_000_200, 313_370_000_250])
+def test_contacts_that_turn_and_go_far_create_no_energy(scene, tmp_path):
+    """Bodies that turn by a radian a step, and a contact found again under the name of another: 1e-6 to 3e-5 before."""
+    _, figures = anything.outcome(*anything.random_scene(scene, tmp_path), 25)
+    assert figures["created"] <= 1e-7  # the bar of the script
+
+
 @pytest.mark.slow
 def test_many_random_scenes():
     tally, _, failures = tried(250, begin=20)
