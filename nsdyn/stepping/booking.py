@@ -13,7 +13,8 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Half
-from nsdyn.stepping.instant import Impulses, Instant, System, account
+from nsdyn.stepping.impulses import Impulses, account
+from nsdyn.stepping.instant import Instant, System
 from nsdyn.stepping.move import Response, Trial
 from nsdyn.stepping.projection import project
 from nsdyn.stepping.rounds import Impact

@@ -11,7 +11,8 @@ from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Round
-from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Impulses, Instant, System, account, among, take
+from nsdyn.stepping.impulses import Impulses, account
+from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Instant, System, among, take
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.tools.arrays import Array, Bools

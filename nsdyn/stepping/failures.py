@@ -12,7 +12,8 @@ from nsdyn.problem import cones
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
 from nsdyn.recording import fclib
-from nsdyn.stepping.instant import Impulses, take
+from nsdyn.stepping.impulses import Impulses
+from nsdyn.stepping.instant import take
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import check_folder

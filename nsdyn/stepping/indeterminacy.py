@@ -13,7 +13,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Solver
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.instant import Impulses
+from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.state import Step
 from nsdyn.tools.arrays import Array
 

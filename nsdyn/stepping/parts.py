@@ -16,7 +16,8 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.half import Callbacks, Given, Loads
-from nsdyn.stepping.instant import Impulses, Instant, System, among
+from nsdyn.stepping.impulses import Impulses
+from nsdyn.stepping.instant import Instant, System, among
 from nsdyn.stepping.state import State
 from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index

@@ -16,7 +16,8 @@ from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
-from nsdyn.stepping.instant import DEEP, SHALLOW, Impulses, Instant, System, among, take
+from nsdyn.stepping.impulses import Impulses
+from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among, take
 from nsdyn.stepping.move import Trial, trial
 from nsdyn.stepping.quiet_trees import quiet_trees
 from nsdyn.stepping.sight import approach

@@ -14,7 +14,8 @@ from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.stepping.booking import Passage, tree_works
 from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
-from nsdyn.stepping.instant import NOTHING, Instant, System, account
+from nsdyn.stepping.impulses import account
+from nsdyn.stepping.instant import NOTHING, Instant, System
 from nsdyn.stepping.persistence import NO_COUPLE, unfinished
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import approach

@@ -13,7 +13,8 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.scene import checks
 from nsdyn.stepping.energy import Ledger
-from nsdyn.stepping.instant import Impulses, Instant
+from nsdyn.stepping.impulses import Impulses
+from nsdyn.stepping.instant import Instant
 from nsdyn.stepping.names import Names
 from nsdyn.tools.arrays import Array
 

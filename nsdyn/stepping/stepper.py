@@ -31,9 +31,9 @@ from nsdyn.stepping.failures import Failures, worst
 from nsdyn.stepping.flat import Flat, Untold
 from nsdyn.stepping.functions import Callback, Functions
 from nsdyn.stepping.impacts import Law, as_law
+from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
-from nsdyn.stepping.instant import Impulses
 from nsdyn.stepping.islands import Islands
 from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet

@@ -1,0 +1,167 @@
+"""What acted at one configuration, and what it did: works, and what it leaves to the next move."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels.stepping import account as _account
+from nsdyn._kernels.stepping import law as _law
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.values import Forces
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.energy import Works
+from nsdyn.stepping.instant import NOTHING, System
+from nsdyn.stepping.persistence import Couple
+from nsdyn.stepping.rounds import Impact
+from nsdyn.stepping.warm import Basis, Warm
+from nsdyn.tools.arrays import Array, Bools
+
+__all__ = ["Impulses", "account"]
+
+
+class Impulses(NamedTuple):
+    """What acted at one configuration.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    frame : ndarray, shape (nc, 3, 3)
+    u, r : ndarray, shape (nc, 3)
+        Relative velocities afterwards [m/s], and impulses on body 2 [N·s], normal first.
+    status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    couple : ndarray, shape (nc, 3)
+        On body 2, world axes, N·m·s: `nsdyn.stepping.persistence`.
+    normal, friction : ndarray, shape (nc,)
+        Works, J; that of the couple with the normal one.
+    joints : ndarray, shape (7, n)
+        On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
+        wrenches, N m s or N s; displacement by the position projection, rad or m; the most that actuators may give,
+        N m s or N s, infinite where they have no limit; and the change of velocity of driven joints, rad/s or m/s.
+    links : ndarray, shape (links, 6)
+        Of external wrenches on the links of trees, one by joint: force and moment about the world's origin, N·s, N m s.
+    created : float
+        Energy that impacts created, J.
+    time : ndarray, shape (nc,)
+        When it acted, s after the beginning of the move, or of the step.
+    duration : float
+        Of the move, s; 0 of impacts in no time.
+    begin : float
+        When the move begins, s after the beginning of the step.
+    moves : ndarray of bool, shape (n,), or None
+        Coordinates of the island that it is of; None for all.
+    """
+
+    contacts: ContactSet
+    frame: Array
+    u: Array
+    r: Array
+    status: NDArray[np.int8]
+    couple: Array
+    normal: Array
+    friction: Array
+    joints: Array
+    links: Array
+    created: float
+    time: Array
+    duration: float
+    begin: float = 0.0
+    moves: Bools | None = None
+
+    @staticmethod
+    def joined(done: list[Impulses]) -> Impulses:
+        """All that acted in a step, one after the other."""
+        contacts = ContactSet._make(
+            np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True)
+        )
+        columns = list(zip(*done, strict=True))[1:8]
+        frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns)
+        joints, links = (np.sum([getattr(a, name) for a in done], axis=0) for name in ("joints", "links"))
+        time = np.concatenate([a.time for a in done])
+        created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
+        return Impulses(contacts, frame, u, r, status, couple, normal, friction, joints, links, created, time, duration)
+
+
+def account(
+    s: System,
+    met: Encounter,
+    forces: Forces,
+    velocities: tuple[Array, Array, Array],
+    r: Array,
+    h: float,
+    impact: Impact | None,
+    problem: FC3D | None,
+    couple: Couple,
+    mass: Array,
+) -> tuple[Impulses, Works, Warm]:
+    """What the impulses of a move and its impacts did, their works, and what they leave.
+
+    Parameters
+    ----------
+    s : System
+    met : Encounter
+        What the impulses acted on.
+    forces : Forces
+    velocities : three ndarrays of shape (n,)
+        Before the impacts, after them, and after the impulses.
+    r : ndarray, shape (3 nr,)
+        Impulses of contacts and joint rows, N·s; empty for none.
+    h : float
+        The move, s; 0 of impacts alone.
+    impact : Impact, optional
+    problem : FC3D, optional
+        Which r solves.
+    couple : Couple
+    mass : ndarray, shape (free,)
+        Of the free bodies, on which gravity works, kg.
+    """
+    d, c, nc, nr = s.dynamics, met.contacts, met.frame.shape[0], met.mu.size
+    external = beyond = normal_work = friction_work = rest = created = 0.0
+    struck = NOTHING if impact is None else impact.r[0::3]
+    if h > 0.0:
+        out = status, normal, friction, u_end, world = (
+            np.empty(nc, np.int8),
+            np.empty(nr),
+            np.empty(nr),
+            np.empty(3 * nr),
+            np.empty((nc, 3)),
+        )
+        bodies = mass, d.gravity, forces.force, forces.torque
+        rows, lasting = (
+            (met.rows.full.arrays, met.transport, met.mu, met.local, met.frame),
+            (met.stays, met.sticks, couple.work, struck),
+        )
+        external, beyond, normal_work, friction_work, rest = _account.account(
+            bodies, (h, s.theta), velocities, rows, r, lasting, s.solver.tol, out
+        )
+        total = r
+    else:
+        status, normal, friction, world = np.empty(nc, np.int8), np.zeros(nr), np.zeros(nr), np.zeros((nc, 3))
+        total, u_end = np.zeros(3 * nr), met.local[1]
+    if impact is not None:
+        total, u_end = total + impact.r, u_end if h > 0.0 else impact.u
+        normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
+        normal_work += float(impact.normal.sum())
+        friction_work += float(impact.friction.sum())
+        _law.states(total, met.mu, status)
+    if met.joints is not None:
+        actuation = float(friction[nc:][met.joints.actuated].sum())
+        external, friction_work = external + actuation, friction_work - actuation
+    constraint = -float(met.transport @ total) if met.transport.size else 0.0
+    works = Works(external, normal_work, friction_work, 0.0, constraint, beyond + rest, 0.0)
+    u, impulse = u_end.reshape(-1, 3), total.reshape(-1, 3)
+    slots, on_joints = d.joints.impulses(met.joints, impulse[nc:], d.n) if d.trees else d.no_impulses
+    if met.joints is not None and h > 0.0:
+        slots = slots / h
+    if nr > nc:
+        u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
+    basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
+    time = np.empty(nc)
+    time.fill((1.0 - s.theta) * h)
+    links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))
+    impulses = Impulses(c, met.frame, u, impulse, status, turned, normal, friction, on_joints, links, created, time, h)
+    return impulses, works, Warm(c.key, s.detector.codes(c), world, status, slots, basis)
