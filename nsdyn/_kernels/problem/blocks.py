@@ -244,8 +244,8 @@ def size_of(q, mu):
 
 
 @in_place
-def diagonal_block(blocks, c, x, y, w):
-    """W_cc of a contact, without the rest of W, into w (3, 3); x and y (3, n) are for work."""
+def diagonal_block(blocks, c, rows, x, y, w):
+    """W_cc of a contact, without the rest of W, its first rows or all, into w (3, 3); x and y (3, n) are for work."""
     offset, block, start, H, m_start, _, minv = blocks
     w[:] = 0.0
     twice = block[c, 0] == block[c, 1]  # both sides on one block: their rows add up
@@ -257,13 +257,15 @@ def diagonal_block(blocks, c, x, y, w):
         for i in range(3):
             for j in range(n):
                 x[i, j] = H[start[c, s] + i * n + j] + (H[start[c, 1] + i * n + j] if twice else 0.0)
+        for i in range(rows):
+            for j in range(n):
                 y[i, j] = 0.0
             for l in range(n):
                 f, base = x[i, l], m_start[k] + l * n
                 if f != 0.0:
                     for j in range(n):
                         y[i, j] += f * minv[base + j]
-        for i in range(3):
+        for i in range(rows):
             for j in range(i, 3):
                 total = 0.0
                 for l in range(n):
@@ -287,7 +289,7 @@ def delassus_scales(blocks, out):
     most = widest(blocks[0])
     x, y, w = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
     for c in range(out.size):
-        diagonal_block(blocks, c, x, y, w)
+        diagonal_block(blocks, c, 3, x, y, w)
         out[c] = largest_eigenvalue(w)
 
 

@@ -23,8 +23,8 @@ def stopped(q, u, r, nc):
 DIRECTIONS = 180
 """Of slip, in which solutions of one contact are looked for; of two that are closer than 2° none is seen."""
 
-BISECTIONS, MOST = 50, 6
-"""Of such a direction, to round-off, and most solutions: open, stick, and four directions of slip."""
+SECANTS, MOST = 12, 6
+"""Steps to such a direction, to round-off, and most solutions: open, stick, and four directions of slip."""
 
 ROUND_OFF = 1e-12
 """Of velocities of a contact, from which on they are of one sign."""
@@ -42,9 +42,10 @@ def ambiguous(blocks, mu, u, r, out):
     for c in range(mu.size):
         if mu[c] == 0.0:
             continue
-        diagonal_block(blocks, c, x, y, W)
+        diagonal_block(blocks, c, 1, x, y, W)
         if W[0, 0] >= mu[c] * math.sqrt(W[0, 1] ** 2 + W[0, 2] ** 2):
             continue
+        diagonal_block(blocks, c, 3, x, y, W)
         for i in range(3):
             q[i] = u[3 * c + i]
             for j in range(3):
@@ -65,11 +66,18 @@ def _slipping(W, q, mu, t1, t2):
 
 
 @in_place
+def _across(W, q, mu, t1, t2):
+    """How far that is across t."""
+    _, u1, u2 = _slipping(W, q, mu, t1, t2)
+    return t1 * u2 - t2 * u1
+
+
+@in_place
 def solutions(W, q, mu, out):
     """All impulses that solve u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K of one contact, into out (6, 3); how many.
 
     It opens where q_N ≥ 0; sticks where -W⁻¹ q is in K; and slips along t where the u_T of `_slipping` is along t.
-    There are at most four such t, the roots of a quartic. They are bracketed by directions and bisected.
+    There are at most four such t, the roots of a quartic, bracketed by directions and found by secants (Illinois).
     """
     size, found = abs(q[0]) + abs(q[1]) + abs(q[2]), 0
     if q[0] >= -ROUND_OFF * size:
@@ -88,23 +96,33 @@ def solutions(W, q, mu, out):
             found += 1
     cos, sin = math.cos(2.0 * math.pi / DIRECTIONS), math.sin(2.0 * math.pi / DIRECTIONS)
     b1, b2, after = 1.0, 0.0, 0.0
-    for turn in range(DIRECTIONS + 1):
-        a1, a2, before = b1, b2, after
+    may, known = False, False
+    for _ in range(DIRECTIONS + 1):
+        a1, a2, might, before = b1, b2, may, after
         b1, b2 = cos * a1 - sin * a2, sin * a1 + cos * a2
-        _, u1, u2 = _slipping(W, q, mu, b1, b2)
-        after = b1 * u2 - b2 * u1
-        if turn == 0 or (after > 0.0) == (before > 0.0):
+        may = (W[0, 0] - mu * (W[0, 1] * b1 + W[0, 2] * b2)) * q[0] < 0.0
+        if not (may or might):
+            known = False
             continue
-        c1, c2 = b1, b2
-        for _ in range(BISECTIONS):
-            t1, t2 = a1 + c1, a2 + c2
+        if not known:
+            before = _across(W, q, mu, a1, a2)
+        after, known = _across(W, q, mu, b1, b2), True
+        if (after > 0.0) == (before > 0.0):
+            continue
+        c1, c2, f, g, side = b1, b2, abs(before), abs(after), 0
+        for _ in range(SECANTS):
+            t1, t2 = g * a1 + f * c1, g * a2 + f * c2
             size = math.sqrt(t1 * t1 + t2 * t2)
             t1, t2 = t1 / size, t2 / size
-            s, u1, u2 = _slipping(W, q, mu, t1, t2)
-            if (t1 * u2 - t2 * u1 > 0.0) == (before > 0.0):
-                a1, a2 = t1, t2
+            across = _across(W, q, mu, t1, t2)
+            if abs(across) <= 1e-16 * (abs(before) + abs(after)):
+                break
+            # An end that stays weighs half as much.
+            if (across > 0.0) == (before > 0.0):
+                a1, a2, f, g, side = t1, t2, abs(across), 0.5 * g if side < 0 else g, -1
             else:
-                c1, c2 = t1, t2
+                c1, c2, g, f, side = t1, t2, abs(across), 0.5 * f if side > 0 else f, 1
+        s, u1, u2 = _slipping(W, q, mu, t1, t2)
         if s * q[0] < 0.0 and s * (t1 * u1 + t2 * u2) > 0.0 and found < MOST:
             normal = -q[0] / s
             out[found, 0], out[found, 1], out[found, 2] = normal, -mu * normal * t1, -mu * normal * t2

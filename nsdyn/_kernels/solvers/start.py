@@ -67,7 +67,7 @@ def only_contact(problem, c, r):
     blocks, q, mu, scales, q_norm = problem
     most, own, at = _blocks.widest(blocks[0]), slice(c, c + 1), slice(3 * c, 3 * c + 3)
     x, y, w, u = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3)), np.empty(3)
-    _blocks.diagonal_block(blocks, c, x, y, w)
+    _blocks.diagonal_block(blocks, c, 3, x, y, w)
     closed_form(w, q[at], mu[own], r[at], u)
     return cones.measure_at(scales[own], u, r[at], mu[own], q_norm)
 
