@@ -20,7 +20,7 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among, take
 from nsdyn.stepping.move import Trial, trial
 from nsdyn.stepping.quiet_trees import quiet_trees
-from nsdyn.stepping.sight import approach
+from nsdyn.stepping.sight import approach, parting
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -338,11 +338,13 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float
     there, joints, before = a.moved.placement, d.joints, begin.contacts
     slots = joints.limits[-1 - barred[barred < 0]]
     gap = np.concatenate((c.gap, joints.gaps(slots, d.angles(there)) if slots.size else NOTHING))
-    u, fall = (np.concatenate((approach(d, c, there, w), joints.rates(slots, w))) for w in (a.v_end, rate))
+    driven, surfaces = a.moved.position.driven_x, m.half.surfaces
+    u = np.concatenate((parting(d, c, there, a.v_end, driven, surfaces[2]), joints.rates(slots, a.v_end)))
+    fall = np.concatenate((approach(d, c, there, rate), joints.rates(slots, rate)))
     least = float(gap[(np.abs(gap) > s.closed) | (u < -s.solver.tol)].min(initial=wide))
     began = np.concatenate((np.full(c.gap.size, np.nan), joints.rates(slots, begin.v)))
     _, here, was = np.intersect1d(c.key, before.key, return_indices=True)
-    began[here] = approach(d, before, begin.placement, begin.v)[was]
+    began[here] = parting(d, before, begin.placement, begin.v, begin.position.driven_x, surfaces[0])[was]
     change = np.where(np.isnan(began), m.half.h * fall, u - began)
     # Bodies go θ of the way as fast as they end.
     u, fall = u + (2.0 * s.theta - 1.0) * change, 2.0 * s.theta / m.half.h * change
