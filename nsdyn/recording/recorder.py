@@ -152,8 +152,8 @@ class Recorder:
         versions = [name for name in given if name.endswith("_version")]
         told = {*versions, "parameters", "command"}  # what they make of the scene and the options is compared
         _refuse(path, {k: v for k, v in found.items() if k not in told}, given, "option")
-        described, new = ({k: v for k, v in s.items() if k not in PICTURES} for s in (described, scene))
-        _refuse(path, described, json.loads(json.dumps(new)), "scene")
+        old, new = ({k: v for k, v in s.items() if k not in PICTURES} for s in (described, scene))
+        _refuse(path, old, json.loads(json.dumps(new)), "scene")
         for name in ("q", "v"):
             if columns[name][0].tobytes() != begun[name][0].tobytes():
                 raise ValueError(f"{path} cannot be resumed: its initial {name} is another")

@@ -322,7 +322,8 @@ def _next(aims: list[tuple[float, float]]) -> float:
     far = aim - time
     if time == before or not (abs(far) > LINEAR * abs(time - before) and math.isfinite(last + aim)):
         return aim
-    return time + far / (1.0 - (aim - last) / (time - before))
+    slope = (aim - last) / (time - before)
+    return time + far / (1.0 - slope) if slope < 1.0 else aim
 
 
 def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float) -> tuple[float, float]:

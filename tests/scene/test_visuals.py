@@ -204,6 +204,8 @@ def test_a_recording_keeps_them(folder):
     assert loaded.body("r/arm").position.shape == (3, 3)
     (folder / "box.stl").write_bytes(fuzz.text_stl())
     assert nd.simulate(robot(folder), 0.03, dt=0.01, resume=path).steps == 3
+    went_on = nd.Trajectory.load(path)
+    assert went_on.scene["meshes"] == run.scene["meshes"] and went_on.scene["visuals"] == run.scene["visuals"]
     for where, value, words in (
         ("vertices", "?", r"meshes\[0\] is no text of numbers"),
         ("vertices", to_text(np.zeros((1, 3)), "<f4"), r"meshes\[0\] has triangles whose corners it does not have"),

@@ -90,3 +90,5 @@ def test_newtons_method_that_doubles_its_digits_is_followed():
     assert passage._next(aims) == aims[1][1]
     assert passage._next(aims[:1]) == aims[0][1]
     assert passage._next([(0.35, np.inf), aims[1]]) == aims[1][1]
+    # Neither tells a root: what is aimed at runs away as fast as one follows.
+    assert passage._next([(0.2, 0.5), (0.3, 0.6)]) == 0.6

@@ -598,7 +598,8 @@ def cameras(page):
 def test_two_recordings_are_seen_from_one_place(opened, falling, sliding):
     page = opened(sliding, beside=falling)
     one, other = cameras(page)
-    assert one == other
+    # But for round-off: controls turn places into angles and back whenever a picture is drawn.
+    assert one == pytest.approx(other, rel=1e-14, abs=1e-15)
     balls = page.run("nsdyn.recordings.map(r => Array.from(r.arrays.outline))")
     assert balls[0] == balls[1] and max(balls[0][2::4]) == 5.0  # where the falling box begins
     left, top, width, height = place(page, ".pane + .pane .view")
