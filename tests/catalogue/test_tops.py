@@ -203,7 +203,7 @@ def test_rattleback_turns_back_from_the_wrong_sense_only():
     turns, should = (t[np.flatnonzero(s > 0)[0]] for s in (spin, expected))
     assert turns == pytest.approx(should, rel=0.1)
     # In the sense it likes it goes on.
-    _, spin, _ = rattle(1e-3, 0.6, spin=5.0)
+    _, spin, _ = rattle(1e-3, 1.2, spin=5.0)
     assert spin.min() > 3.0
 
 

@@ -12,7 +12,7 @@ from numba.extending import overload
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.literature.anderson import mix
-from nsdyn._kernels.problem.blocks import momentum, relative_velocity, weighted_rows
+from nsdyn._kernels.problem.blocks import momentum, relative_velocity, relative_velocity_of, weighted_rows
 from nsdyn._kernels.problem.cones import coulomb, measure_at, project_all, slide
 from nsdyn._kernels.problem.given import velocity
 
@@ -130,21 +130,11 @@ def sweep_matrix(W, q, mu, r):
 def sweep_factors(W, q, mu, v, r):
     """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
     blocks, y, diagonal, inverse = W
-    offset, block, start, H = blocks[:4]
+    offset, block, start = blocks[:3]
     for c in range(mu.size):
         i = 3 * c
-        b0, b1, b2 = q[i], q[i + 1], q[i + 2]
-        for s in range(2):
-            k = block[c, s]
-            if k >= 0:
-                # Unsigned: the compiler need not ask whether an index counts from the end.
-                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
-                d, e = a + n, a + n + n
-                for l in range(n):
-                    z = v[o + l]
-                    b0 += H[a + l] * z
-                    b1 += H[d + l] * z
-                    b2 += H[e + l] * z
+        u0, u1, u2 = relative_velocity_of(blocks, v, c)
+        b0, b1, b2 = q[i] + u0, q[i + 1] + u1, q[i + 2] + u2
         D, r0, r1, r2 = diagonal, r[i], r[i + 1], r[i + 2]
         b0 -= D[c, 0, 0] * r0 + D[c, 0, 1] * r1 + D[c, 0, 2] * r2
         b1 -= D[c, 1, 0] * r0 + D[c, 1, 1] * r1 + D[c, 1, 2] * r2
@@ -156,6 +146,7 @@ def sweep_factors(W, q, mu, v, r):
             for s in range(2):
                 k = block[c, s]
                 if k >= 0:
+                    # Unsigned: the compiler need not ask whether an index counts from the end.
                     o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
                     d, e = a + n, a + n + n
                     for l in range(n):
