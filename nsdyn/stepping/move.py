@@ -24,7 +24,7 @@ from nsdyn.stepping.projection import Placed, place
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, parting, reached, shown, touched
-from nsdyn.stepping.solving import SOLVES, TOGETHER, Apart, Way
+from nsdyn.stepping.solving import SOLVES, Way
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Response", "Trial", "attempt", "trial"]
@@ -270,9 +270,9 @@ def _respond(
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     alone, couple = met, NO_COUPLE
-    apart = TOGETHER if label is None else Apart(_of_rows(s, met, label))
+    off: Bools | None = None
     for left in reversed(range(GAPS + 1 if barred is not None else 1)):
-        met, problem, solution, otherwise, couple = solve_workless(s, alone, half, known, slides, way, couple, apart)
+        met, problem, solution, otherwise, couple = solve_workless(s, alone, half, known, slides, way, couple, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if impact is None else v + kick
         impulse, v = met.rows.response(solution.r, v)
@@ -300,7 +300,7 @@ def _respond(
         further = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended)
         if further is None:
             break
-        alone, known, apart = further, solution, apart._replace(off=off)
+        alone, known = further, solution
     return half, Response(
         met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved
     )
@@ -312,14 +312,6 @@ def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:
         return NOTHING
     gaps = s.dynamics.joints.gaps(joints.slot, s.dynamics.angles(there))
     return np.where(joints.mu > 0.0, np.inf, gaps)
-
-
-def _of_rows(s: System, met: Encounter, label: Index) -> Index:
-    """The islands of contacts and joint rows."""
-    nodes = s.nodes(met.contacts)
-    if met.joints is not None:
-        nodes = np.concatenate((nodes, s.dynamics.joints.block[met.joints.slot]))
-    return label[nodes]
 
 
 def _resume(met: Encounter, slides: Bools, last: Response) -> None:

@@ -26,14 +26,14 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.solving import Apart, Way, pose, solve
+from nsdyn.stepping.solving import Way, pose, solve
 from nsdyn.tools.arrays import Array, Bools
 
 if TYPE_CHECKING:
     from nsdyn.stepping.half import Half
     from nsdyn.stepping.instant import System
 
-__all__ = ["NO_COUPLE", "Apart", "Couple", "solve_workless", "unfinished"]
+__all__ = ["NO_COUPLE", "Couple", "solve_workless", "unfinished"]
 
 PASSES = 8
 """Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω."""
@@ -128,19 +128,18 @@ def solve_workless(
     slides: Bools,
     way: Way,
     start: Couple,
-    apart: Apart,
+    off: Bools | None,
 ) -> tuple[Encounter, FC3D, Solution, bool, Couple]:
     """`solve`, and couples with which contacts that persist do no work, from `start`; what is met with these.
 
-    Of islands `apart` only those of which a contact is off, or has another couple, change. A kernel does all this where
-    `Auto` solves all islands in one, and else asks for a solve when it needs one.
+    Only islands of which a row is `off` (rows,), or has another couple, change; all where nothing is known of that. A
+    kernel does all this where `Auto` solves all islands in one, and else asks for a solve when it needs one.
     """
     d, c, rows, alone = s.dynamics, met.contacts, met.rows, met
     nc, made, first, otherwise = c.gap.size, start.dv.size > 0, True, False
     if made:
         met = alone.turned(start.dv, alone.local[4])
     passes, problem, solution = PASSES if d.free and met.stays.any() else 0, pose(met, slides, way.closing), last
-    label, off = apart
     couple, dv = (start.impulse.copy(), start.dv.copy()) if made else (np.zeros((nc, 3)), np.zeros(d.n))
     local, b, r, u = met.local.copy(), problem.q.copy(), met.local[4].copy(), np.empty_like(problem.q)
     state = couple, dv, np.empty(d.n), np.full(nc, np.inf), np.empty(nc, np.bool_), local, b, r, u
@@ -156,7 +155,7 @@ def solve_workless(
                 (met.mu, problem.scales, alone.local, *((u, u) if last is None else (last.r, last.u))),
                 (met.stays, met.sticks, slides),
                 (met.end_gap, met.restitution, met.rebound, met.late, tuple(way.closing)),
-                (label, NO_ROWS if last is None or off is None else off),
+                NO_ROWS if last is None or off is None else off,
                 solver,
                 (first, way.back, passes),
                 state,
@@ -175,8 +174,7 @@ def solve_workless(
         first = first and left == passes
         which, before = (off, last) if first else (state[4], solution)
         own = way if first else way._replace(back=True)
-        of = apart._replace(off=which)
-        met, problem, again, changed = solve(met, s.solver, solution, slides, own, of, before)
+        met, problem, again, changed = solve(met, s.solver, solution, slides, own, which, before)
         otherwise = otherwise or changed
         solution, passes, first = again, left if again.accepted else 0, False
         r[:], u[:], state[2][:] = again.r, again.u, rows.velocity_change(again.r)

@@ -6,15 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import workless as _workless
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Graded, Solver
 from nsdyn.stepping.ball_joints import SHARES, Search, angles
 from nsdyn.stepping.encounter import Closing, Encounter
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import Bools
 
-__all__ = ["TOGETHER", "Apart", "SOLVES", "Way", "pose", "solve"]
+__all__ = ["SOLVES", "Way", "pose", "solve"]
 
 SOLVES = 3
 """Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
@@ -44,35 +45,6 @@ class Way(NamedTuple):
     shares: int = SHARES
 
 
-class Apart(NamedTuple):
-    """Islands that are solved together, of which none changes because of another.
-
-    Attributes
-    ----------
-    label : ndarray of int, shape (rows,)
-        Island of each contact and joint row.
-    off : ndarray of bool, shape (rows,) or (nc,), optional
-        Rows that end otherwise than they should: of islands without one nothing changes.
-    """
-
-    label: Index
-    off: Bools | None = None
-
-    def thawed(self, last: Solution, solution: Solution, islands: Bools) -> Solution:
-        """The solution in the islands with rows that are off, the last one in all others, to the last bit.
-
-        Into `islands`, one for each label, goes which have such a row.
-        """
-        assert self.off is not None  # else all changes
-        r, u = solution.r.copy(), solution.u.copy()
-        _workless.thaw(self.label, self.off, islands, (last.r, last.u), (r, u))
-        return solution._replace(r=r, u=u)
-
-
-TOGETHER = Apart(np.empty(0, np.int64))
-"""No islands: all is one."""
-
-
 def pose(met: Encounter, slides: Bools, closing: Closing) -> FC3D:
     """The problem of what is met, where the contacts `slides` (nc,) slide through."""
     if met.posed is not None:
@@ -88,7 +60,7 @@ def solve(
     last: Solution | None,
     slides: Bools,
     way: Way,
-    apart: Apart = TOGETHER,
+    off: Bools | None = None,
     kept: Solution | None = None,
 ) -> tuple[Encounter, FC3D, Solution, bool]:
     """What is met, impulses that make it obey the contact law, their problem, and whether some slip otherwise.
@@ -103,45 +75,46 @@ def solve(
     slides : ndarray of bool, shape (nc,)
         Which contacts slide through, as `foresee` says; changed to what the impulses show.
     way : Way
-    apart : Apart, optional
+    off : ndarray of bool, shape (rows,) or (nc,), optional
+        Rows that end otherwise than they should.
     kept : Solution, optional
-        Of all islands, from which those that are off in `apart` are to change.
+        From which the islands without such rows do not change.
     """
     if not met.rows.balls.size:
-        return met, *_solve(met, solver, last, slides, way, apart, kept)
+        return met, *_solve(met, solver, last, slides, way, off, kept)
     rows, local = met.rows, met.local
     pushed, free = rows.ball_axes(local[4]), rows.ball_axes(local[2])
     met = met.sharing(angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free)), local[4])
-    problem, solution, otherwise = _solve(met, solver, last, slides, way, apart, kept)
+    problem, solution, otherwise = _solve(met, solver, last, slides, way, off, kept)
     search = Search()
     for _ in range(way.shares):
         if (angle := search.next(met.rows, solution.r, solution.u, problem.scales)) is None:
             break
         met = met.sharing(angle, solution.r)
-        problem, solution, otherwise = _solve(met, solver, solution, slides, way, apart, None)
+        problem, solution, otherwise = _solve(met, solver, solution, slides, way, None, None)
     return met, problem, solution, otherwise
 
 
 def _solve(
-    met: Encounter, solver: Solver, last: Solution | None, slides: Bools, way: Way, apart: Apart, kept: Solution | None
+    met: Encounter, solver: Solver, last: Solution | None, slides: Bools, way: Way, off: Bools | None, kept: Solution | None
 ) -> tuple[FC3D, Solution, bool]:
     """The same with the shares that the friction of ball joints has."""
     closing, back, most, rough, _ = way
-    if not apart.label.size:
-        apart = Apart(np.zeros(met.mu.size, np.int64), apart.off)
-    label = apart.label
-    islands, changed = np.ones(int(label.max(initial=-1)) + 1, np.bool_), np.empty(slides.size, np.bool_)
+    label, changed, full = np.empty(met.mu.size, np.int64), np.empty(slides.size, np.bool_), met.rows.full
+    islands = np.ones(_blocks.islands(full.block, full.offset.size - 1, label), np.bool_)
     problem = pose(met, slides, closing)
     solution = _again(solver, last, problem, met.local[4], rough)
     for k in range(most + 1):
-        if kept is not None and apart.off is not None:
-            solution = apart.thawed(kept, solution, islands)
+        if kept is not None and off is not None:
+            r, u = solution.r.copy(), solution.u.copy()
+            _workless.thaw(label, off, islands, (kept.r, kept.u), (r, u))
+            solution = solution._replace(r=r, u=u)
         shown = solution.r, solution.u, problem.q
         own = label, islands, changed
         if not _workless.reconsider_some(*shown, met.mu, met.local, slides, back or k > 0, *own):
             return problem, _held(met, solver, problem, solution), False
         if k < most:
-            kept, apart = solution, Apart(label, changed.copy())
+            kept, off = solution, changed.copy()
             problem = problem.with_velocity(met.offsets(slides, closing))
             solution = _again(solver, solution, problem, solution.r, rough)
     return problem, _held(met, solver, problem, solution), True

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem.blocks import size_of, velocity_change
+from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.solvers.start import by_factors, widest
 from nsdyn._kernels.stepping.law import offsets, reconsider
@@ -45,7 +45,7 @@ def reconsider_some(r, u, b, mu, local, slides, back, label, islands, changed):
 
 
 @kernel
-def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, solver, begin, state, work):
+def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solver, begin, state, work):
     """Couples as of `persistence.turn`, and impulses with them, in turns until no other couples do less work.
 
     Parameters
@@ -57,9 +57,8 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
     given : tuple
         mu and scales, shape (rows,), - and kg⁻¹; local, shape (5, 3 rows), without couples; r and u of the last solve,
         if any, shape (3 rows,), N·s and m/s.
-    apart : tuple
-        Islands that are solved together, of which none changes because of another: label, (rows,), empty where all is
-        one; and rows of whose islands the first solution changes that of the last solve, empty where it changes all.
+    off : ndarray of bool, shape (rows,)
+        Rows of whose islands the first solution changes that of the last solve; empty where it changes all.
     solver : tuple
         Whether problems of islands of few coordinates are solved here; `enough`, `good` and `limits` of `by_factors`;
         the tolerance; and how many more solves there are for contacts that slip otherwise.
@@ -80,19 +79,18 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
         and error, residual and factorisations of the last one.
     """
     (before, free), (first, back, passes) = velocities, begin
-    (mu, scales, alone, last_r, last_u), (stays, _, slides), (label, off) = given, flags, apart
+    (mu, scales, alone, last_r, last_u), (stays, _, slides) = given, flags
     own, enough, good, limits, tol, most = solver
     couple, dv, change, left, other, local, b, r, u = state
     names, measures = np.empty(mu.size, np.int64), np.empty((3, mu.size))
-    if label.size == 0:
-        label = np.zeros(mu.size, np.int64)
-    islands, changed = np.empty(label.max() + 1 if label.size else 0, np.bool_), np.empty(mu.size, np.bool_)
+    label, changed = np.empty(mu.size, np.int64), np.empty(slides.size, np.bool_)
+    islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
     otherwise, solved, error, residual, count = False, 0, 0.0, 0.0, 0
     own = own and widest(blocks) <= limits[0]
     while True:
         if not first:
             if own:
-                velocity_change(blocks, r, change)
+                _blocks.velocity_change(blocks, r, change)
             turned, acting, met, q = couple.copy(), dv.copy(), alone.copy(), b.copy()
             moving, found = (before, free, dv, change), (turned, acting, left, other)
             if passes == 0 or not turn(blocks, contacts, moving, bodies, (r, mu), flags, laws, found, (met, q)):
@@ -110,7 +108,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, apart, so
         islands[:] = True
         some, kept_r, kept_u = off, last_r, last_u
         for k in range(most + 1):
-            norm, _ = size_of(b, mu)
+            norm, _ = _blocks.size_of(b, mu)
             _, missed, count, error, residual = by_factors(
                 blocks, b, mu, scales, r, u, names, measures, enough, good, limits
             )
