@@ -171,10 +171,8 @@ class Candidates:
         self._pair_base = base = MARGIN * np.minimum(radius[first], radius[second])
         room, material = len(codes) * self._max_points, self._pair_material(first, second)
         found, asks = (np.empty((room, 3)), np.empty((room, 3)), np.empty(room)), np.empty((int(asked.sum()), 10))
-        floats, integers, f, i = pack([*found, asks, base, *material], [np.empty(room, np.int64), first, second, slot])
+        floats, integers, f, _ = pack([*found, asks, base, *material], [np.empty(room, np.int64), first, second, slot])
         self._search = (self._packed, (floats, integers), self._max_points, TOLERANCE)
-        geoms = self._frame, (self._geometry.radius, self._R, self._t, self._reach)
-        self._found = geoms, (first, second, *material), (*f[:3], i[0]), TOLERANCE
         self._coal, self._batches = f[3], []
         of_coal = first[asked], second[asked], base[asked]
         for k, (lo, hi) in enumerate(split(*of_coal[:2])):

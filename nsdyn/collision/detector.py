@@ -70,7 +70,7 @@ class Detector(Candidates):
         names, points, scalars = out
         if count != names.shape[1]:
             names, points, scalars = _room(count)
-            next_key = keys.collect(*self._found, before, memory.next_key, (names, points, scalars))
+            next_key = search.gather(*self._search[:2], TOLERANCE, before, memory.next_key, (names, points, scalars))
         # By index: to unpack an array takes twice as long.
         found = ContactSet(
             names[0], names[1], names[2], names[3], points[0], points[1], scalars[0], scalars[1], scalars[2], names[4]

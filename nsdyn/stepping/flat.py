@@ -1,4 +1,4 @@
-"""States of free bodies as a few arrays, as `nsdyn._kernels.stepping.quiet` takes them, and views of these."""
+"""States of free bodies as a few arrays, as `nsdyn._kernels.stepping.quiet` takes them, and what they tell."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn._kernels.stepping import quiet as _quiet
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
+from nsdyn._kernels.stepping import columns as _col
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
@@ -45,12 +45,16 @@ class Found(NamedTuple):
     @classmethod
     def room(cls, nc: int) -> Found:
         """For so many contacts."""
-        return cls(np.empty(_quiet.FOUND * nc), np.empty(_quiet.FOUND_NAMES * nc + 2, np.int64))
+        return cls(np.empty(_col.FOUND * nc), np.empty(_col.FOUND_NAMES * nc + 2, np.int64))
+
+    def of(self, nc: int) -> Found:
+        """The same, with as many contacts as there are in a room for more."""
+        return Found(self.floats[: _col.FOUND * nc], self.integers[: _col.FOUND_NAMES * nc + 2])
 
     @property
     def nc(self) -> int:
         """Number of contacts."""
-        return self.integers.size // _quiet.FOUND_NAMES
+        return self.integers.size // _col.FOUND_NAMES
 
     @property
     def names(self) -> Index:
@@ -75,18 +79,18 @@ class Found(NamedTuple):
     @property
     def frame(self) -> Array:
         """Directions of the contacts, shape (nc, 3, 3)."""
-        return self.floats[_quiet.FRAMES * self.nc : _quiet.ROWS * self.nc].reshape(-1, 3, 3)
+        return self.floats[_col.FRAMES * self.nc : _col.ROWS * self.nc].reshape(-1, 3, 3)
 
     @property
     def scales(self) -> Array:
         """λ_max(W_cc), shape (nc,), 1/kg."""
-        return self.floats[_quiet.SCALES * self.nc :]
+        return self.floats[_col.SCALES * self.nc :]
 
     def blocks(self, d: Dynamics) -> Blocks:
         """Factors of W."""
         nc, i = self.nc, self.integers
-        block, start = (i[k * nc : (k + 2) * nc].reshape(-1, 2) for k in (_quiet.BLOCKS, _quiet.STARTS))
-        H = self.floats[_quiet.ROWS * nc :][: i[_quiet.SIZE - 2]]
+        block, start = (i[k * nc : (k + 2) * nc].reshape(-1, 2) for k in (_col.BLOCKS, _col.STARTS))
+        H = self.floats[_col.ROWS * nc :][: i[_col.SIZE - 2]]
         return d.free_rows(block, start, H).full
 
 
@@ -130,7 +134,7 @@ class Flat(NamedTuple):
     @property
     def energies(self) -> tuple[float, float]:
         """Kinetic and potential, J."""
-        return float(self.floats[_quiet.KINETIC]), float(self.floats[_quiet.POTENTIAL])
+        return float(self.floats[_col.KINETIC]), float(self.floats[_col.POTENTIAL])
 
     @classmethod
     def of(cls, state: State) -> Flat | None:
@@ -144,12 +148,12 @@ class Flat(NamedTuple):
         found = Found.room(nc)
         found.names[:], found.points[:], found.scalars[:] = m.names, m.points, (c.gap, c.mu, c.restitution)
         found.integers[-2:] = 0
-        floats = np.empty(_quiet.RESULTS + _quiet.BODY * n + _quiet.CONTACT * nw)
-        floats[: _quiet.BOUND] = 0.0
-        floats[_quiet.KINETIC], floats[_quiet.POTENTIAL] = state.energies
+        floats = np.empty(_col.RESULTS + _col.BODY * n + _col.CONTACT * nw)
+        floats[: _col.BOUND] = 0.0
+        floats[_col.KINETIC], floats[_col.POTENTIAL] = state.energies
         p, R = s.position, s.placement.R
         columns = p.x, p.quaternion, s.v, R, *s.twists, *s.looked, state.rate, w.force
-        at = _quiet.RESULTS
+        at = _col.RESULTS
         for column in columns:
             floats[at : at + column.size] = column.ravel()
             at += column.size
@@ -161,29 +165,29 @@ class Flat(NamedTuple):
     def body(self, first: int, width: int) -> Array:
         """So many columns of the bodies from one on, as one array."""
         n = self.like.placement.x.shape[0]
-        begin = _quiet.RESULTS + first * n
+        begin = _col.RESULTS + first * n
         return self.floats[begin : begin + width * n]
 
     def contact(self, first: int, width: int = 1) -> Array:
         """So many columns of the contacts from one on, as one array."""
         nc, n = self.status.size, self.like.placement.x.shape[0]
-        begin = _quiet.RESULTS + _quiet.BODY * n + first * nc
+        begin = _col.RESULTS + _col.BODY * n + first * nc
         return self.floats[begin : begin + width * nc]
 
     def instant(self) -> Instant:
         """Its end."""
-        x, quaternion = self.body(_quiet.X, 3).reshape(-1, 3), self.body(_quiet.QUATERNION, 4).reshape(-1, 4)
-        R = self.body(_quiet.R, 9).reshape(-1, 3, 3)
+        x, quaternion = self.body(_col.X, 3).reshape(-1, 3), self.body(_col.QUATERNION, 4).reshape(-1, 4)
+        R = self.body(_col.R, 9).reshape(-1, 3, 3)
         looked = (
-            self.body(_quiet.LOOKED, 3).reshape(-1, 3),
-            self.body(_quiet.LOOKED + 3, 9).reshape(-1, 3, 3),
-            self.body(_quiet.LOOKED + 12, 1),
+            self.body(_col.LOOKED, 3).reshape(-1, 3),
+            self.body(_col.LOOKED + 3, 9).reshape(-1, 3, 3),
+            self.body(_col.LOOKED + 12, 1),
         )
         nc, like = self.status.size, self.like
-        force = self.contact(_quiet.FORCE, 3).reshape(-1, 3)
+        force = self.contact(_col.FORCE, 3).reshape(-1, 3)
         return Instant(
             like.position.moved(x, quaternion),
-            self.body(_quiet.V, 6),
+            self.body(_col.V, 6),
             Placement(x, R, ()),
             self.found.contacts(),
             like.limits,
@@ -197,23 +201,28 @@ class Flat(NamedTuple):
     @property
     def twists(self) -> tuple[Array, Array]:
         """Velocities of the bodies, m/s and rad/s, (n, 3) each, world axes."""
-        return self.body(_quiet.LINEAR, 3).reshape(-1, 3), self.body(_quiet.ANGULAR, 3).reshape(-1, 3)
+        return self.body(_col.LINEAR, 3).reshape(-1, 3), self.body(_col.ANGULAR, 3).reshape(-1, 3)
+
+    @property
+    def poses(self) -> Poses:
+        """Where the bodies are."""
+        return Poses(self.body(_col.X, 3).reshape(-1, 3), self.body(_col.R, 9).reshape(-1, 3, 3))
 
     def problem(self, d: Dynamics) -> FC3D:
         """The problem of the step."""
-        b, norm = self.contact(_quiet.FREE, 3), float(self.floats[_quiet.NORM])
+        b, norm = self.contact(_col.FREE, 3), float(self.floats[_col.NORM])
         return FC3D.prepared(self.met.blocks(d), b, self.met.scalars[1], self.met.scales, norm)
 
     def solution(self, tol: float) -> Solution:
         """Its solution, to a solver's tolerance or accepted all the same."""
-        error, residual, count, time = self.floats[_quiet.ERROR : _quiet.CERTIFIED].tolist()
-        r, u = self.contact(_quiet.IMPULSE, 3), self.contact(_quiet.U, 3)
+        error, residual, count, time = self.floats[_col.ERROR : _col.CERTIFIED].tolist()
+        r, u = self.contact(_col.IMPULSE, 3), self.contact(_col.U, 3)
         status = Status.CONVERGED if max(error, residual) <= tol else Status.LOOSE
         return Solution(r, u, status, error, residual, int(count), time)
 
     def state(self) -> State:
         """The state as the general step takes it."""
-        rate = self.body(_quiet.RATE, 6)
+        rate = self.body(_col.RATE, 6)
         return State(self.origin, self.dt, self.count, self.instant(), rate, self.energies, self.opening)
 
 
@@ -244,9 +253,9 @@ class Untold(NamedTuple):
     def told(self) -> dict[str, Any]:
         """What the step did, by the names of `Step`."""
         flat, d, nc = self.flat, self.dynamics, self.nc
-        x, quaternion = flat.body(_quiet.X, 3).reshape(-1, 3), flat.body(_quiet.QUATERNION, 4).reshape(-1, 4)
-        q, v = d.pinocchio_state(flat.like.position.moved(x, quaternion), flat.body(_quiet.V, 6))
-        ledger, certificate = _sums(self.before, flat.floats[: _quiet.RESULTS].tolist(), 0.0)
+        x, quaternion = flat.body(_col.X, 3).reshape(-1, 3), flat.body(_col.QUATERNION, 4).reshape(-1, 4)
+        q, v = d.pinocchio_state(flat.like.position.moved(x, quaternion), flat.body(_col.V, 6))
+        ledger, certificate = _sums(self.before, flat.floats[: _col.RESULTS].tolist(), 0.0)
         return {
             "q": q,
             "v": v,
@@ -261,7 +270,7 @@ class Untold(NamedTuple):
             "problem": flat.problem(d),
             "solution": flat.solution(self.scheme[1]),
             "twists": flat.twists,
-            **_contacts(flat.met.names, flat.met.floats, flat.contact(0, _quiet.CONTACT), flat.status, self._time(nc)),
+            **_contacts(flat.met.names, flat.met.floats, flat.contact(0, _col.CONTACT), flat.status, self._time(nc)),
         }
 
     def _time(self, *shape: int) -> Array:
@@ -275,12 +284,12 @@ class Untold(NamedTuple):
         """What m steps of a scene did but for their contacts, every array with a leading axis of m."""
         like, d, m = some[0].flat.like, some[0].dynamics, len(some)
         n, nothing = like.placement.x.shape[0], np.zeros(m)
-        f: Any = np.concatenate([one.flat.floats[: _quiet.RESULTS + _quiet.R * n] for one in some]).reshape(m, -1)
-        results, bodies = f[:, : _quiet.RESULTS].T, f[:, _quiet.RESULTS :]
+        f: Any = np.concatenate([one.flat.floats[: _col.RESULTS + _col.R * n] for one in some]).reshape(m, -1)
+        results, bodies = f[:, : _col.RESULTS].T, f[:, _col.RESULTS :]
         x, quaternion = bodies[:, : 3 * n].reshape(-1, 3), bodies[:, 3 * n : 7 * n].reshape(-1, 4)
         q, v = d.pinocchio_state(like.position.moved(x, quaternion), bodies[:, 7 * n :].ravel())
         ledger, certificate = _sums(np.array([one.before for one in some]).T, results, nothing)
-        error, residual, count, time = results[_quiet.ERROR : _quiet.CERTIFIED]
+        error, residual, count, time = results[_col.ERROR : _col.CERTIFIED]
         good = np.maximum(error, residual) <= some[0].scheme[1]
         status: Any = np.where(good, Status.CONVERGED, Status.LOOSE).astype(np.int8)
         return Step(
@@ -305,17 +314,17 @@ class Untold(NamedTuple):
         if all(each is met[0] for each in met):  # what rests touches where it touched
             met = met[:1]
         names = np.stack([each.names for each in met], axis=1)
-        found = np.concatenate([each.floats[: _quiet.ROWS * nc] for each in met]).reshape(len(met), -1)
-        acted = np.concatenate([one.flat.contact(0, _quiet.CONTACT) for one in some]).reshape(m, -1)
+        found = np.concatenate([each.floats[: _col.ROWS * nc] for each in met]).reshape(len(met), -1)
+        acted = np.concatenate([one.flat.contact(0, _col.CONTACT) for one in some]).reshape(m, -1)
         status = np.concatenate([one.flat.status for one in some]).reshape(m, nc)
         return Step(**_contacts(names, found, acted, status, some[0]._time(1, nc)))
 
 
 def _sums(before: Any, results: Any, nothing: Any) -> tuple[Ledger, Certificate]:
     """Ledger and certificate of a step, or of many as arrays, from the energies before it and from its results."""
-    external, normal, friction, numerics = results[_quiet.EXTERNAL : _quiet.NORM]
+    external, normal, friction, numerics = results[_col.EXTERNAL : _col.NORM]
     works = Works(external, normal, friction, nothing, nothing, numerics, nothing)
-    return Ledger.of(before, results[: _quiet.EXTERNAL], works), Certificate(*results[_quiet.GAP : _quiet.WENT])
+    return Ledger.of(before, results[: _col.EXTERNAL], works), Certificate(*results[_col.GAP : _col.WENT])
 
 
 def _contacts(names: Index, found: Array, acted: Array, status: Any, time: Array) -> dict[str, Any]:
@@ -333,13 +342,13 @@ def _contacts(names: Index, found: Array, acted: Array, status: Any, time: Array
     gap, mu, restitution = (scalars(found, column) for column in (12, 13, 14))
     return {
         "contacts": ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key),
-        "gap": scalars(acted, _quiet.GAP_END),
-        "frame": vectors(found, _quiet.FRAMES, 3, 3),
-        "u": vectors(acted, _quiet.U_END, 3),
-        "r": vectors(acted, _quiet.IMPULSE, 3),
-        "couple": np.zeros((*time.shape, 3)),
+        "gap": scalars(acted, _col.GAP_END),
+        "frame": vectors(found, _col.FRAMES, 3, 3),
+        "u": vectors(acted, _col.U_END, 3),
+        "r": vectors(acted, _col.IMPULSE, 3),
+        "couple": vectors(acted, _col.COUPLE, 3),
         "contact_status": status,
         "contact_time": time,
-        "work_normal": scalars(acted, _quiet.NORMAL_WORK),
-        "work_friction": scalars(acted, _quiet.FRICTION_WORK),
+        "work_normal": scalars(acted, _col.NORMAL_WORK),
+        "work_friction": scalars(acted, _col.FRICTION_WORK),
     }

@@ -247,7 +247,7 @@ class Islands:
         fast = d.node[:-1][tried.half.reach > FAST * s.smallest] if tried.half.fast else d.node[:0]
         if not opened[label[fast[fast >= 0]]].all():
             poses = [Poses(*p[:2]) for p in (begin.placement, tried.half.middle.placement, a.moved.placement)]
-            known = followed(s, begin, found)
+            known = followed(s, begin.contacts, found)
             for one, other in pairwise(poses):
                 met = s.touches(one, other, tried.reach.memory, known).contacts
                 opened[label[self._nodes(met, np.ones(met.gap.size, np.bool_))[0]]] = True

@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
+from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import touching as _touching
+from nsdyn._kernels.stepping.workless import SOLVES
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import TreeEnd
@@ -24,15 +26,12 @@ from nsdyn.stepping.projection import Placed, place
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, parting, reached, shown, touched
-from nsdyn.stepping.solving import SOLVES, Way
+from nsdyn.stepping.solving import Way
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Response", "Trial", "attempt", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
-
-GAPS = 3
-"""Most times that the gaps which persistent contacts are found to end with are closed."""
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
@@ -189,8 +188,9 @@ def trial(
         r, slots = response.normal, NO_SLOTS if reach.joints is None else reach.joints.slot
         unmet = others(s, moved.contacts, response.met.contacts, r, limits, slots)
         if half.fast and not barred.size:
-            places = half.middle.placement, moved.placement
-            until = touched(s, begin, moved.contacts, places, reach.memory, h, half.reach / half.ahead)
+            first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
+            own = begin.contacts, moved.contacts, (first, second, third), reach.memory
+            until = touched(s, *own, h, half.reach / half.ahead)
         if not barred.size:
             turned = h * reversal(response.met, s.solver, response.problem, response.solution)
     return Trial(half, reach, response, unmet, until, turned)
@@ -271,7 +271,7 @@ def _respond(
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     alone, couple = met, NO_COUPLE
     off: Bools | None = None
-    for left in reversed(range(GAPS + 1 if barred is not None else 1)):
+    for left in reversed(range(_law.GAPS + 1 if barred is not None else 1)):
         met, problem, solution, otherwise, couple = solve_workless(s, alone, half, known, slides, way, couple, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if impact is None else v + kick

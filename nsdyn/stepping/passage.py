@@ -9,6 +9,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.law import TURNS
+from nsdyn._kernels.stepping.quiet import GAIN
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
@@ -24,7 +25,7 @@ from nsdyn.stepping.sight import approach, parting
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["GAIN", "through", "turns_far", "undisturbed"]
+__all__ = ["through", "turns_far", "undisturbed"]
 
 WORK, EVENT = 400, 8
 """Most contacts in all moves that an island tries in a step to locate its events, so that the effort is bounded, and
@@ -33,9 +34,6 @@ the moves that one takes, about; what it cannot afford it catches within the res
 SOON, AGAIN = 1e-6, 0.1
 """Fractions of a move in which slip that turns round is not located: before it is nothing but round-off, and where slip
 has just been cut, which is located to second order, what is left of it."""
-
-GAIN = 1e-5
-"""Of the kinetic energy with which it begins, most that contacts that persist and projections may add in a step."""
 
 SHALLOWER = 0.125
 """By what fraction bodies may run less far into each other in halves of a step in which they sank, were lifted far, or
@@ -232,18 +230,21 @@ def _until_event(
     def capture() -> tuple[float, Trial]:
         return h, _try(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None)
 
-    if not effort.affords(begin, EVENT):
+    # The first move is tried however many contacts it has: most meet no event.
+    if not (affords := effort.affords(begin, EVENT)) and effort.left < WORK:
         return capture()
     effort.spend(begin)
     m = _try(s, loads, begin, t, h, NONE, half)
-    if _jammed(m.response.solution):
+    met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
+    if _jammed(m.response.solution) or not affords and (met or m.touched < h or soon < m.turned < h):
         return capture()
     if m.touched < h:
         return _until_event(s, loads, begin, t, m.touched, soon, effort)
     if soon < m.turned < h:
         return _until_event(s, loads, begin, t, m.turned, h, effort)
-    if m.unmet is None or not (hit := m.unmet.gap < -m.unmet.limit).any():
+    if m.unmet is None or not met:
         return h, m
+    hit = m.unmet.gap < -m.unmet.limit
     barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
     return _located(s, loads, begin, t, {h: m}, barred, limit, effort) or capture()
 

@@ -35,9 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = ["NO_COUPLE", "Couple", "solve_workless", "unfinished"]
 
-PASSES = 8
-"""Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω."""
-
 
 class Couple(NamedTuple):
     """Couples of the contacts of a move; all empty for none.
@@ -139,7 +136,11 @@ def solve_workless(
     nc, made, first, otherwise = c.gap.size, start.dv.size > 0, True, False
     if made:
         met = alone.turned(start.dv, alone.local[4])
-    passes, problem, solution = PASSES if d.free and met.stays.any() else 0, pose(met, slides, way.closing), last
+    passes, problem, solution = (
+        _workless.PASSES if d.free and met.stays.any() else 0,
+        pose(met, slides, way.closing),
+        last,
+    )
     couple, dv = (start.impulse.copy(), start.dv.copy()) if made else (np.zeros((nc, 3)), np.zeros(d.n))
     local, b, r, u = met.local.copy(), problem.q.copy(), met.local[4].copy(), np.empty_like(problem.q)
     state = couple, dv, np.empty(d.n), np.full(nc, np.inf), np.empty(nc, np.bool_), local, b, r, u

@@ -43,10 +43,6 @@ PAST = 0.05
 where they would by more than twice that: a shorter move touches at another time."""
 
 
-LEAST = 5e-324
-"""The least impulse there is, N·s."""
-
-
 class Unmet(NamedTuple):
     """Contacts and joint limits that a move leaves alone, at one instant.
 
@@ -126,10 +122,10 @@ def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Arra
     slot : ndarray of int
         Joint rows that are met.
     """
-    if not limits.size and (found is met or _touching.all_known(found.key, met.key, -r, -LEAST)):
+    if not limits.size and (found is met or _touching.all_known(found.key, met.key, -r, -_touching.LEAST)):
         return None
     pressed, known = np.empty(found.gap.size, np.bool_), np.empty(found.gap.size, np.bool_)
-    _touching.known(found.key, met.key, -r, -LEAST, pressed)
+    _touching.known(found.key, met.key, -r, -_touching.LEAST, pressed)
     _touching.known(found.key, met.key, -r, np.inf, known)
     left, rests = take(found, ~pressed), known[~pressed]
     code, gap = s.detector.codes(left), left.gap
@@ -179,12 +175,12 @@ def reached(
     return _merged(others, first, s.detector), touches.memory
 
 
-def followed(s: System, begin: Instant, end: ContactSet) -> ContactSet:
+def followed(s: System, begin: ContactSet, end: ContactSet) -> ContactSet:
     """Contacts where a move begins of pairs that do not pass through each other unseen, of the contacts at its end.
 
     They are closed, or the same features are on the same sides there.
     """
-    c = begin.contacts
+    c = begin
     where = np.empty(c.gap.size, np.int64)
     _touching.places(end.key, c.key, where)
     same = where >= 0
@@ -194,9 +190,9 @@ def followed(s: System, begin: Instant, end: ContactSet) -> ContactSet:
 
 def touched(
     s: System,
-    begin: Instant,
+    begin: ContactSet,
     end: ContactSet,
-    places: tuple[Placement, Placement],
+    places: tuple[Poses, Poses, Poses],
     memory: ContactMemory,
     h: float,
     speed: Array,
@@ -204,9 +200,9 @@ def touched(
     """Time just after a pair that is open where a move of h s begins touches on its way unseen, s; h if none does.
 
     Not much after it, so that what is hit is seen from the side where it is: the frames move with `speed` (frames,).
+    The places are those where the move begins, where its impulses act and where it ends.
     """
-    known = followed(s, begin, end)
-    first, second, third = [Poses(*place[:2]) for place in (begin.placement, *places)]
+    known, (first, second, third) = followed(s, begin, end), places
     before, length = 0.0, (1.0 - s.theta) * h
     touches = s.touches(first, second, memory, known)
     if not touches.fraction.size:

@@ -15,11 +15,7 @@ from nsdyn.stepping.ball_joints import SHARES, Search, angles
 from nsdyn.stepping.encounter import Closing, Encounter
 from nsdyn.tools.arrays import Bools
 
-__all__ = ["SOLVES", "Way", "pose", "solve"]
-
-SOLVES = 3
-"""Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
-that stop, whose slip would else be turned round."""
+__all__ = ["Way", "pose", "solve"]
 
 
 class Way(NamedTuple):
@@ -96,7 +92,13 @@ def solve(
 
 
 def _solve(
-    met: Encounter, solver: Solver, last: Solution | None, slides: Bools, way: Way, off: Bools | None, kept: Solution | None
+    met: Encounter,
+    solver: Solver,
+    last: Solution | None,
+    slides: Bools,
+    way: Way,
+    off: Bools | None,
+    kept: Solution | None,
 ) -> tuple[FC3D, Solution, bool]:
     """The same with the shares that the friction of ball joints has."""
     closing, back, most, rough, _ = way

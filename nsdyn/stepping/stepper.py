@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nsdyn._kernels.stepping.quiet import RATE
+from nsdyn._kernels.stepping.columns import RATE
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics

@@ -41,33 +41,10 @@ PAIR, FIRST, SECOND, SLOT = range(4)
 
 
 @in_place
-def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out):
-    """Number of contacts, or `LEFT`, and the next key; the contacts into `out` if it has room for just so many.
-
-    `follow` first unless the geoms are `placed`, then `manifolds` and, if there is room, `collect`.
-
-    Parameters
-    ----------
-    geoms, pairs : (ndarray, ndarray)
-        Real numbers and integers, packed by the detector.
-    limit : int
-        Most contacts of a pair.
-    tolerance : float
-        m, within which a contact is found again.
-    placed : bool
-        Whether the geoms are where `poses` has them already.
-    poses : tuple
-        x (frames, 3), R (frames, 3, 3), reach (frames,) of the moving frames, m.
-    memory : tuple
-        names and points of the contacts of the last configuration.
-    next_key : int
-        Key of the next new contact.
-    out : tuple
-        names, points and scalars of the contacts.
-    """
+def fields_of(geoms):
+    """What `Geometry` has of the geoms."""
     f, i = geoms
-    frame, R, t, reach = indices(i, FRAME, GEOMS), matrices(f, i, ROTATION), triples(f, i, ORIGIN), numbers(f, i, REACH)
-    fields = (
+    return (
         indices(i, KIND, GEOMS),
         triples(f, i, SIZE),
         numbers(f, i, OFFSET),
@@ -79,14 +56,39 @@ def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out)
         numbers(f, i, OFFSETS),
         indices(i, LOOP_PTR, GEOMS),
         indices(i, LOOP, GEOMS),
-        frame,
+        indices(i, FRAME, GEOMS),
         matrices(f, i, PLACEMENT_R),
         triples(f, i, PLACEMENT_T),
     )
+
+
+@in_place
+def room_of(geoms):
+    """Room for the rotations and the origins of the geoms: R, t."""
+    f, i = geoms
+    return matrices(f, i, ROTATION), triples(f, i, ORIGIN)
+
+
+@in_place
+def seek(geoms, pairs, limit, placed, poses):
+    """Number of contacts, or `LEFT`: `follow` first unless the geoms are `placed`, then `manifolds`.
+
+    Parameters
+    ----------
+    geoms, pairs : (ndarray, ndarray)
+        Real numbers and integers, packed by the detector, where the contacts are then.
+    limit : int
+        Most contacts of a pair.
+    placed : bool
+        Whether the geoms are where `poses` has them already.
+    poses : tuple
+        x (frames, 3), R (frames, 3, 3), reach (frames,) of the moving frames, m.
+    """
+    (f, i), (p, j) = geoms, pairs
+    fields, (R, t), reach = fields_of(geoms), room_of(geoms), numbers(f, i, REACH)
     boxes, fat = (triples(f, i, LOWER), triples(f, i, UPPER)), (triples(f, i, FAT_LOWER), triples(f, i, FAT_UPPER))
     if not placed and follow(fields, poses, numbers(f, i, BASE), (R, t, reach), boxes, fat):
-        return LEFT, next_key
-    p, j = pairs
+        return LEFT
     found = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)
     first, second, coal = indices(j, FIRST, PAIRS), indices(j, SECOND, PAIRS), numbers(p, j, COAL)
     asked = indices(j, SLOT, PAIRS), coal.reshape((coal.size // 10, 10)), numbers(p, j, MARGIN)
@@ -97,9 +99,41 @@ def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out)
         triples(f, i, POINTS),
         numbers(f, i, HEIGHTS),
     )
-    count = manifolds((fields, R, t, reach, numbers(f, i, SLACK)), (first, second, *asked), (limit, *room), found)
+    return manifolds((fields, R, t, reach, numbers(f, i, SLACK)), (first, second, *asked), (limit, *room), found)
+
+
+@in_place
+def gather(geoms, pairs, tolerance, memory, next_key, out):
+    """`collect` the contacts that were sought into out = (names, points, scalars), with room for just so many.
+
+    Parameters
+    ----------
+    geoms, pairs : (ndarray, ndarray)
+        As of `seek`.
+    tolerance : float
+        m, within which a contact is found again.
+    memory : tuple
+        names and points of the contacts of the last configuration.
+    next_key : int
+        Key of the next new contact.
+    out : tuple
+
+    Returns
+    -------
+    int
+        The next key.
+    """
+    (f, i), (p, j) = geoms, pairs
+    found = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)
+    own = indices(j, FIRST, PAIRS), indices(j, SECOND, PAIRS), numbers(p, j, MU), numbers(p, j, RESTITUTION)
+    shapes = numbers(f, i, RADIUS), *room_of(geoms), numbers(f, i, REACH)
+    return collect((indices(i, FRAME, GEOMS), shapes), own, found, tolerance, memory, next_key, out)
+
+
+@in_place
+def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out):
+    """`seek`, and `gather` if there is room for just so many; the number of contacts and the next key."""
+    count = seek(geoms, pairs, limit, placed, poses)
     if count == out[0].shape[1]:
-        material = numbers(p, j, MU), numbers(p, j, RESTITUTION)
-        shapes = numbers(f, i, RADIUS), R, t, reach
-        next_key = collect((frame, shapes), (first, second, *material), found, tolerance, memory, next_key, out)
+        next_key = gather(geoms, pairs, tolerance, memory, next_key, out)
     return count, next_key

@@ -22,6 +22,9 @@ TURNS = 0.5
 """Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
 the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
 
+GAPS = 3
+"""Most times that the gaps which persistent contacts are found to end with are closed."""
+
 NO_SLIP = 1e-14
 """Slip, m/s, that is round-off: what rests on the edge of its cone slips on by less for good."""
 

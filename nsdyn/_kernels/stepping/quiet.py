@@ -1,8 +1,6 @@
-"""A step of free bodies that meets nothing new, its stages in a row in one call.
+"""A step of free bodies that meets no event, its stages in a row in one call.
 
 Each stage is made of the kernels that the general step of `nsdyn.stepping.move` calls, so that both give the same bits.
-What a call takes for its arguments is more than all that is done for a few bodies: a state is an array of floats, its
-results first, then what it has of the bodies and of the contacts, one column after the other.
 """
 
 import math
@@ -10,222 +8,163 @@ import math
 import numpy as np
 
 from nsdyn._kernels.clock import seconds
-from nsdyn._kernels.collision.search import LEFT, search
+from nsdyn._kernels.collision import keys
+from nsdyn._kernels.collision.search import LEFT, fields_of, gather, room_of, seek
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.dynamics import motion
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
+from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.gauss import certificate_of
-from nsdyn._kernels.reductions import least
-from nsdyn._kernels.solvers.start import by_factors
+from nsdyn._kernels.reductions import copy, least
 from nsdyn._kernels.stepping import account as _account
-from nsdyn._kernels.stepping import free, persistence, reversal, touching
+from nsdyn._kernels.stepping import columns as col
+from nsdyn._kernels.stepping import free, law, persistence, reversal, sight, touching
+from nsdyn._kernels.stepping.workless import PASSES, SOLVES, workless
+from nsdyn._kernels.stepping.workless import SOLVE as UNSOLVED
 
-DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD = range(5)
+DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD, MORE = range(6)
 """How a call ends: the step is made; it is not quiet; geoms are to be placed, or Coal asked, where the impulses act;
-the problem is to be solved; the geoms where it ends. After the last three it goes on with what Python has done."""
+the problem is to be solved; the geoms where it ends; there is no room for so many contacts. After LOOK, SOLVE and
+LOOK_AHEAD it goes on with what Python has done."""
 
-# The packed arrays of the system: floats, then integers.
-(
-    MOMENTS,
-    AXES,
-    INVERSE_MASS,
-    INVERSE_J,
-    RADIUS,
-    MASS,
-    INERTIA,
-    M,
-    MINV,
-    GRAVITY,
-    NO_LOAD,
-    ARM,
-    NOWHERE,
-    NUMBERS,
-    SYSTEM,
-) = range(15)
-BLOCK_OF_FRAME, OFFSET, M_START = range(3)
+GAIN = 1e-5
+"""Of the kinetic energy with which it begins, most that contacts that persist and projections may add in a step."""
 
-# The last of the floats: numbers, with the names that they have in `System`, `Closing`, `Auto` and `gauss`.
-(
-    WEIGHT,
-    STEP,
-    THETA,
-    CLOSED,
-    SHALLOW,
-    UNTIL,
-    FASTEST,
-    SLOW,
-    STILL,
-    ELASTIC,
-    HALF,
-    LEAST,
-    TOL,
-    OWN,
-    ENOUGH,
-    GOOD,
-    DENSE,
-    PENALTY,
-    MAX_ITER,
-    FEW,
-    WEAK,
-    GEOMS,
-) = range(22)
-
-# The results of a step.
-(
-    KINETIC,
-    POTENTIAL,
-    EXTERNAL,
-    NORMAL,
-    FRICTION,
-    NUMERICS,
-    NORM,
-    ERROR,
-    RESIDUAL,
-    COUNT,
-    TIME,
-    CERTIFIED,
-    GAP,
-    SHIFT,
-    BOUND,
-    COULOMB,
-    WENT,
-    GOES,
-    RESULTS,
-) = range(19)
-
-# First columns of a body in a state, of a contact, of a contact in what was found, and of both in what is at work.
-X, QUATERNION, V, R, LINEAR, ANGULAR, LOOKED, RATE, BODY = 0, 3, 7, 13, 22, 25, 28, 41, 47
-FORCE, IMPULSE, U, FREE, U_END, NORMAL_WORK, FRICTION_WORK, GAP_END, CONTACT = 0, 3, 6, 9, 12, 15, 16, 17, 18
-FRAMES, ROWS, SCALES, FOUND = 15, 24, 60, 61
-BLOCKS, STARTS, FOUND_NAMES, SIZE, MADE = 5, 7, 9, 0, 1
-R_THERE, V_THERE, V_FREE, V_PLUS, REACH, LOOKED_THERE, TURN, BODY_WORK = 7, 16, 22, 28, 34, 35, 48, 54
-LOCAL, FORESEEN, ISLANDS, PROJECTED, COUPLES, LEFT_OVER, CONTACT_WORK = 0, 15, 16, 19, 22, 25, 26
-
-
-@kernel(inline="always")
-def column(f, k, n):
-    """The column k of arrays of n numbers."""
-    return f[k * n : (k + 1) * n]
-
-
-@kernel(inline="always")
-def vectors(f, k, n):
-    """The columns from k on as (n, 3)."""
-    return f[k * n : (k + 3) * n].reshape((n, 3))
-
-
-@kernel(inline="always")
-def quaternions(f, k, n):
-    """The columns from k on as (n, 4)."""
-    return f[k * n : (k + 4) * n].reshape((n, 4))
-
-
-@kernel(inline="always")
-def rotations(f, k, n):
-    """The columns from k on as (n, 3, 3)."""
-    return f[k * n : (k + 9) * n].reshape((n, 3, 3))
-
-
-@kernel(inline="always")
-def velocity(f, k, n):
-    """The columns from k on as (6 n,)."""
-    return f[k * n : (k + 6) * n]
-
-
-@kernel(inline="always")
-def placed(f, k, n):
-    """(x, R, reach) of the columns from k on, as of `Looked`."""
-    return vectors(f, k, n), rotations(f, k + 3, n), column(f, k + 12, n)
-
-
-@kernel(inline="always")
-def contacts(found, nc):
-    """(names, points, scalars) of what was found, as `search` gives them."""
-    f, i = found
-    return i[: 5 * nc].reshape((5, nc)), f[: 12 * nc].reshape((4, nc, 3)), f[12 * nc : 15 * nc].reshape((3, nc))
-
-
-@kernel(inline="always")
-def rows(found, nc):
-    """(frame, block, start, H, scales, its size and whether they are made) of what was found, as of `free.meet`."""
-    f, i = found
-    return (
-        rotations(f, FRAMES, nc),
-        i[BLOCKS * nc : STARTS * nc].reshape((nc, 2)),
-        i[STARTS * nc : FOUND_NAMES * nc].reshape((nc, 2)),
-        f[ROWS * nc : SCALES * nc],
-        column(f, SCALES, nc),
-        i[FOUND_NAMES * nc :],
-    )
+SURELY = 0.5
+"""Part of `GAIN` that contacts joined by bodies may add, so that those of any larger island add less than that: its
+energy, at the velocity of all or at what gravity gives them, is at least half the sum of theirs."""
 
 
 @in_place
 def bounces(num, met, x, twists, rates):
-    """Whether anything that may rebound strikes or parts faster than what rests, as of `System.rests`."""
+    """Whether anything that is closed, and may rebound, strikes or parts faster than what rests, as `System.rests`."""
     names, points, scalars = met
     where = names[2], names[3], points[0], points[1], x
     for c in range(names.shape[1]):
         e = scalars[2, c]
-        if e > 0.0:
+        if e > 0.0 and scalars[0, c] <= num[col.CLOSED]:
             u = touching.approach_of(c, where, twists)
-            rests = num[HALF] * touching.weight_of(c, where, rates) * max(1.0 - e, num[LEAST])
-            if u > num[TOL] + rests or u < -(num[TOL] + rests / e):
+            rests = num[col.HALF] * touching.weight_of(c, where, rates) * max(1.0 - e, num[col.LEAST])
+            if u > num[col.TOL] + rests or u < -(num[col.TOL] + rests / e):
                 return True
     return False
 
 
 @in_place
 def depart(num, bodies, forces, arm, met, last, old, f, w):
-    """The first half of a step; (whether it may be quiet, whether contacts are those where it begins).
+    """The first half of a step: whether it may be quiet, whether contacts are those where it begins, how far it reaches.
 
     last = (keys, pairs of shapes, states) of what acted last.
     """
-    n, h = arm.size, num[STEP]
+    n, h = arm.size, num[col.STEP]
     names, points, scalars = met
-    x, twists, v = vectors(old, X, n), (vectors(old, LINEAR, n), vectors(old, ANGULAR, n)), velocity(old, V, n)
-    for c in range(names.shape[1]):
-        if not scalars[0, c] <= num[CLOSED]:
-            return False, False
-    closed = names[4], names[0], names[1], scalars[0], scalars[2]
-    where = names[2], names[3], points[0], points[1], x
-    if touching.striking_speed(closed, where, twists, last, int(num[GEOMS]), num[CLOSED]) < -num[SLOW] / h:
-        return False, False
-    there = vectors(w, X, n), quaternions(w, QUATERNION, n), velocity(w, V_THERE, n), rotations(w, R_THERE, n)
-    reach, far_rate, v_free = column(w, REACH, n), velocity(f, RATE, n), velocity(w, V_FREE, n)
+    x, v = col.vectors(old, col.X, n), col.velocity(old, col.V, n)
+    twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
+    closed, where = (
+        (names[4], names[0], names[1], scalars[0], scalars[2]),
+        (names[2], names[3], points[0], points[1], x),
+    )
+    if touching.striking_speed(closed, where, twists, last, int(num[col.GEOMS]), num[col.CLOSED]) < -num[col.SLOW] / h:
+        return False, False, 0.0
+    there = (
+        col.vectors(w, col.X, n),
+        col.quaternions(w, col.QUATERNION, n),
+        col.velocity(w, col.V_THERE, n),
+        col.rotations(w, col.R_THERE, n),
+    )
+    reach, far_rate, v_free = col.column(w, col.REACH, n), col.velocity(f, col.RATE, n), col.velocity(w, col.V_FREE, n)
     far, same = free.half(
         bodies,
         forces,
-        (x, quaternions(old, QUATERNION, n), v),
+        (x, col.quaternions(old, col.QUATERNION, n), v),
         h,
-        num[THETA],
-        placed(old, LOOKED, n),
-        (arm, num[STILL]),
+        num[col.THETA],
+        col.placed(old, col.LOOKED, n),
+        (arm, num[col.STILL]),
         (*there, v_free, far_rate, reach),
     )
-    if far > num[FASTEST]:
-        return False, False
-    if num[ELASTIC] > 0.0:
-        change, rates = velocity(w, V_PLUS, n), (vectors(w, LOOKED_THERE, n), vectors(w, LOOKED_THERE + 3, n))
+    if num[col.ELASTIC] > 0.0:
+        change = col.velocity(w, col.V_PLUS, n)
+        rates = col.vectors(w, col.TURN, n), col.vectors(w, col.TURN + 3, n)
         for i in range(change.size):
             change[i] = (v_free[i] - v[i]) / h
-        motion.twists(rotations(old, R, n), change, n, *rates)
+        motion.twists(col.rotations(old, col.R, n), change, n, *rates)
         if bounces(num, met, x, twists, rates):
-            return False, False
-    return True, same
+            return False, False, 0.0
+    return True, same, far
 
 
 @in_place
-def look(detection, ready, looked, before, next_key, met, known):
-    """Find contacts, which go on from those `before`: 0 if they are as many, all `known` and closed, else LEFT or 1.
-
-    known = (keys, gaps, largest gap of what is closed).
-    """
+def look(detection, ready, looked, before, next_key, into, head, which, most):
+    """Find contacts, which go on from those `before`, and `DONE`; else `LOOK` or, if they are too many, `MORE`."""
     geoms, pairs, limit, tolerance = detection
-    nc = met[0].shape[1]
-    count, _ = search(geoms, pairs, limit, tolerance, ready, looked, (before[0], before[1]), next_key, met)
+    count = seek(geoms, pairs, limit, ready, looked)
     if count == LEFT:
-        return LEFT
-    return 0 if count == nc and touching.all_known(met[0][4], *known) else 1
+        return LOOK
+    head[which] = head[col.NEEDED] = count
+    if count > most or col.FOUND * count > into[0].size:
+        return MORE
+    room = col.contacts(into, count)
+    head[col.KEY_MIDDLE + which - col.MIDDLE] = gather(geoms, pairs, tolerance, (before[0], before[1]), next_key, room)
+    into[1][col.FOUND_NAMES * count + col.MADE] = 0
+    return DONE
+
+
+@kernel
+def catch(num, bodies, first, found, last, old, w, out):
+    """Which contacts that are found the step meets, into out (nc,), as of `sight.caught`; how many.
+
+    bodies = (arm, radii of balls inside the shapes), old: the bodies where the step begins.
+    """
+    (arm, inscribed), h, size = bodies, num[col.STEP], int(num[col.GEOMS])
+    n = arm.size
+    (names, points, scalars), (before, _, gaps) = found, first
+    nc, v, x = names.shape[1], col.velocity(w, col.V_FREE, n), col.vectors(w, col.X, n)
+    pair, deep = np.empty(nc, np.int64), np.empty(nc)
+    for c in range(nc):
+        pair[c] = names[0, c] * size + names[1, c]
+        deep[c] = num[col.DEPTH] * min(inscribed[names[0, c]], inscribed[names[1, c]])
+    begun, rate = col.velocity(old, col.V, n), np.empty(v.size)
+    for i in range(rate.size):
+        rate[i] = (v[i] - begun[i]) / h
+    twists, R = np.empty((3, 2, n, 3)), col.rotations(w, col.R_THERE, n)
+    motion.twists(R, begun, n, twists[0, 0], twists[0, 1])
+    motion.twists(R, v, n, twists[1, 0], twists[1, 1])
+    motion.twists(R, rate, n, twists[2, 0], twists[2, 1])
+    sight.caught(
+        (names[4], pair, deep, scalars[0], scalars[2]),
+        (names[2], names[3], points[0], points[1], x),
+        np.zeros(nc),
+        ((twists[0, 0], twists[0, 1]), (twists[1, 0], twists[1, 1]), (twists[2, 0], twists[2, 1])),
+        (before[4], gaps[0], num[col.CLOSED]),
+        last,
+        (num[col.THETA] * h, h, num[col.TOL], (num[col.HALF], num[col.LEAST])),
+        pair[:0],
+        out,
+    )
+    return out.sum()
+
+
+@in_place
+def take(found, which, into):
+    """The contacts `which` (nc,) of those found."""
+    k = 0
+    for c in range(which.size):
+        if which[c]:
+            for i in range(5):
+                into[0][i, k] = found[0][i, c]
+            for i in range(4):
+                for j in range(3):
+                    into[1][i, k, j] = found[1][i, c, j]
+            for i in range(3):
+                into[2][i, k] = found[2][i, c]
+            k += 1
+
+
+@in_place
+def closing_of(num):
+    """As of `Closing`."""
+    return num[col.CLOSED], num[col.SHALLOW], num[col.THETA] * num[col.STEP], num[col.UNTIL]
 
 
 @in_place
@@ -237,50 +176,131 @@ def pose(num, masses, begin, last, met, rows, w, own, place, slides, b):
     """
     n, nc = masses[0].size, place.size
     (names, points, _), old = begin
-    key, scalars = met[0][4], met[2]
+    x, R = col.vectors(w, col.LOOKED_THERE, n), col.rotations(w, col.LOOKED_THERE + 3, n)
     return free.meet(
         masses,
-        (
-            key,
-            met[0][2],
-            met[0][3],
-            met[1][0],
-            met[1][1],
-            scalars[0],
-            vectors(w, LOOKED_THERE, n),
-            rotations(w, LOOKED_THERE + 3, n),
-        ),
+        (met[0][4], met[0][2], met[0][3], met[1][0], met[1][1], met[2][0], x, R),
         (
             names[4],
             points[0],
             points[1],
-            vectors(old, X, n),
-            vectors(old, LINEAR, n),
-            vectors(old, ANGULAR, n),
-            column(w, REACH, n),
+            col.vectors(old, col.X, n),
+            col.vectors(old, col.LINEAR, n),
+            col.vectors(old, col.ANGULAR, n),
+            col.column(w, col.REACH, n),
         ),
-        (velocity(old, V, n), velocity(w, V_THERE, n), velocity(w, V_FREE, n)),
-        (last[0], last[1], num[STEP], last[2]),
-        (scalars[1], scalars[2], (num[CLOSED], num[SHALLOW], num[THETA] * num[STEP], num[UNTIL])),
+        (col.velocity(old, col.V, n), col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_FREE, n)),
+        (last[0], last[1], num[col.STEP], last[2]),
+        (met[2][1], met[2][2], closing_of(num)),
         rows,
-        (own[: 15 * nc].reshape((5, 3 * nc)), column(own, FORESEEN, nc), place, slides, b),
+        (own[: 15 * nc].reshape((5, 3 * nc)), col.column(own, col.FORESEEN, nc), place, slides, b),
     )
 
 
-@in_place
-def solve(num, problem, r, u, own, label, out):
-    """Solve the problem (blocks, b, mu, scales) from r in place, u with it; whether that is all it takes."""
-    blocks, b, mu, scales = problem
-    nc = mu.size
-    out[COUNT], out[ERROR], out[RESIDUAL] = 0.0, 0.0, 0.0
+@kernel
+def strikes(num, met, local, rate, w):
+    """Whether any contact met strikes, as of `nsdyn.stepping.collisions.striking`, should its gap close."""
+    (names, points, scalars), n = met, rate.size // 6
+    rates, where = np.empty((2, n, 3)), (names[2], names[3], points[0], points[1], col.vectors(w, col.X, n))
+    motion.twists(col.rotations(w, col.R_THERE, n), rate, n, rates[0], rates[1])
+    for c in range(names.shape[1]):
+        if scalars[2, c] > 0.0 and local[1, 3 * c] < 0.0:
+            weight, bounces_of = touching.weight_of(c, where, (rates[0], rates[1])), (num[col.HALF], num[col.LEAST])
+            resting = num[col.TOL] + sight.rests_of(weight, scalars[2, c], bounces_of) / scalars[2, c]
+            if local[0, 3 * c] < -resting:
+                return True
+    return False
+
+
+@kernel
+def lasting(num, met, begin, acted, warm, own, flags, was, b):
+    """What persists, into the flags, as of `persistence.persists`, and the problem with that, if it has other gaps.
+
+    begin = (keys, gaps), acted = (keys, pairs), warm = (keys, pairs, states). What contacts were goes into was (nc,).
+    Returns whether the problem is valid.
+    """
+    nc, none = was.size, own[:0]
+    local, end_gap, late = (
+        own[: 15 * nc].reshape((5, 3 * nc)),
+        col.column(own, col.FORESEEN, nc),
+        col.column(own, col.LATE, nc),
+    )
+    slides, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
+    late[:] = 0.0
+    before, limits = (begin[0], begin[1], num[col.CLOSED], num[col.STEP]), (none, slides[:0])
+    if persistence.persists(acted, warm, before, limits, local, end_gap, False, (stays, sticks, was)):
+        law.offsets(local, (end_gap, met[2][2], none, late, closing_of(num)), stays, slides, b)
+        return _blocks.size_of(b, met[2][1])[1]
+    return True
+
+
+@kernel
+def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out):
+    """Impulses, and couples with which contacts that persist do no work; `DONE`, `SOLVE` or `OTHERWISE`.
+
+    From the gaps that they are found to end with, if those were corrected; `again` where Python has solved the problem.
+    bodies = (inverse_J, arm).
+    """
+    (inverse_J, arm), nc, none = bodies, scales.size, own[:0]
+    n, mu, laws_of = arm.size, met[2][1], met[2][2]
+    v, v_free, turned = (
+        col.velocity(w, col.V_THERE, n),
+        col.velocity(w, col.V_FREE, n),
+        col.velocity(w, col.V_TURNED, n),
+    )
+    copy(v_free, turned)
     if nc == 0:
-        return True
-    limits = int(num[DENSE]), num[PENALTY], int(num[MAX_ITER]), int(num[FEW])
-    islands = own[ISLANDS * nc : (ISLANDS + 3) * nc].reshape((3, nc))
-    given = blocks, b, mu, scales, r, u, label, islands, num[ENOUGH], num[GOOD], limits
-    _, left, count, top, residual = by_factors(*given)
-    out[COUNT], out[ERROR], out[RESIDUAL] = count, top / out[NORM], residual
-    return not left and out[ERROR] <= num[TOL] and residual <= num[TOL]
+        return DONE
+    local, alone = own[: 15 * nc].reshape((5, 3 * nc)), own[15 * nc : 30 * nc].reshape((5, 3 * nc))
+    end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
+    slides, stays, off = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.OFF, :nc]
+    couple, dv, change = col.vectors(a, col.COUPLE, nc), col.velocity(w, col.TURN, n), col.velocity(w, col.CHANGE, n)
+    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    laws, first = (end_gap, laws_of, none, late, closing_of(num)), head[col.GAPS_LEFT] == law.GAPS
+    kept_r, kept_u, left_over = r.copy(), u.copy(), col.column(own, col.LEFT_OVER, nc)
+    left_over[:] = np.inf
+    if again:
+        if law.reconsider(r, u, b, mu, local, slides, False):
+            return OTHERWISE
+        _blocks.velocity_change(blocks, r, change)
+    else:
+        for k in range(5):
+            copy(alone[k], local[k])
+        if head[col.TURNED]:
+            _blocks.relative_velocity(blocks, dv, u)
+            for i in range(u.size):
+                local[2, i] += u[i]
+        if not first:
+            law.offsets(local, laws, stays, slides, b)
+        copy(local[4], r)
+    passes = PASSES if stays.any() else 0
+    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
+    code, left, _, solved, error, residual, count = workless(
+        blocks,
+        (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
+        (v, v_free),
+        (col.rotations(w, col.R_THERE, n), inverse_J, arm, num[col.STEP]),
+        (mu, scales, alone, kept_r, kept_u),
+        (stays, flags[col.STICKS, :nc], slides),
+        laws,
+        off[:0] if first else off,
+        (num[col.OWN] > 0.0, num[col.ENOUGH], num[col.GOOD], limits, num[col.TOL], SOLVES),
+        (not again, False, passes),
+        (couple, dv, change, left_over, flags[col.OTHER, :nc], local, b, r, u),
+        col.column(own, col.COUPLE_WORK, nc),
+    )
+    if code == UNSOLVED:
+        return SOLVE if first and solved == 0 and not again else OTHERWISE
+    if solved > 0:
+        out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
+    if left < passes:
+        head[col.TURNED] = 1
+    if head[col.TURNED]:
+        for i in range(turned.size):
+            turned[i] = v_free[i] + dv[i]
+    norm, _ = _blocks.size_of(b, mu)
+    out[col.NORM] = norm if norm > 0.0 else 1.0
+    return DONE
 
 
 @in_place
@@ -290,95 +310,167 @@ def arrive(num, bodies, blocks, arm, nowhere, r, f, w):
     return free.end(
         blocks,
         r,
-        velocity(w, V_FREE, n),
+        col.velocity(w, col.V_TURNED, n),
         bodies,
-        (vectors(w, X, n), quaternions(w, QUATERNION, n)),
-        num[THETA] * num[STEP],
-        (placed(w, LOOKED_THERE, n), nowhere, arm, num[STILL]),
+        (col.vectors(w, col.X, n), col.quaternions(w, col.QUATERNION, n)),
+        num[col.THETA] * num[col.STEP],
+        (col.placed(w, col.LOOKED_THERE, n), nowhere, arm, num[col.STILL]),
         (
-            velocity(w, V_PLUS, n),
-            vectors(f, X, n),
-            quaternions(f, QUATERNION, n),
-            velocity(f, V, n),
-            rotations(f, R, n),
-            vectors(f, LINEAR, n),
-            vectors(f, ANGULAR, n),
+            col.velocity(w, col.V_PLUS, n),
+            col.vectors(f, col.X, n),
+            col.quaternions(f, col.QUATERNION, n),
+            col.velocity(f, col.V, n),
+            col.rotations(f, col.R, n),
+            col.vectors(f, col.LINEAR, n),
+            col.vectors(f, col.ANGULAR, n),
         ),
     )
 
 
 @in_place
-def unfinished(num, blocks, inverse_J, arm, met, r, flags, gap, f, w, own):
-    """Whether contacts that persist do work, or have gaps where the step ends: `nsdyn.stepping.persistence`."""
-    (names, points, scalars), (slides, stays, sticks, other), n, nc = met, flags, arm.size, gap.size
-    mean, v, v_plus = velocity(w, V_FREE, n), velocity(w, V_THERE, n), velocity(w, V_PLUS, n)
-    for i in range(mean.size):
-        mean[i] = 0.5 * (v[i] + v_plus[i])
-    couple, left = own[COUPLES * nc : (COUPLES + 3) * nc].reshape((nc, 3)), column(own, LEFT_OVER, nc)
+def end_gaps(geoms, met, now, f, n, gap):
+    """Gaps of the contacts met where the step ends, as of `Detector.gaps`, into gap (nc,)."""
+    (names, points, _), (found, _, scalars) = met, now
+    if not keys.kept(names[4], found[4], scalars[0], gap):
+        keys.gaps(
+            fields_of(geoms),
+            (col.vectors(f, col.X, n), col.rotations(f, col.R, n)),
+            room_of(geoms),
+            (names[0], names[1], points[1], names[4]),
+            (found[0], found[1], found[4], scalars[0]),
+            gap,
+        )
+
+
+@kernel
+def corrects(num, met, now, flags, gap, r, n, f, own):
+    """Whether contacts that persist end with gaps that are to be closed, as of `Encounter.corrected`."""
+    nc, (names, points, _) = gap.size, now
+    stays, off, alone = flags[col.STAYS, :nc], flags[col.OFF, :nc], own[15 * nc : 30 * nc].reshape((5, 3 * nc))
+    if not law.off(gap, r, stays, num[col.CLOSED], off):
+        return False
+    parts, twists = np.empty(names.shape[1]), (col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
+    touching.approach((names[2], names[3], points[0], points[1], col.vectors(f, col.X, n)), twists, parts)
+    ended, sizes = (names[4], parts, parts[:0]), (num[col.THETA] * num[col.STEP], num[col.CLOSED])
+    end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
+    if not law.end_otherwise(off, gap, met[0][4], ended, alone, sizes, end_gap, late):
+        return False
+    copy(r, alone[4])
+    return True
+
+
+@kernel
+def eventless(num, inscribed, met, now, flags, a, was, spins, own):
+    """Whether nothing has turned round, got deep, arrived or turned far on the way, as `passage` asks.
+
+    spins: angular velocities of the bodies, (n, 3), at both ends.
+    """
+    nc, (names, _, scalars) = was.size, met
+    local, stays = own[: 15 * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
+    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    deepest, deep = least(now[2][0]), min(num[col.CLOSED], num[col.SLOW])
+    if reversal.ending(r, u, b, scalars[1], local, was, stays[:0], np.empty(nc, np.int8)) or deepest < -num[col.CLOSED]:
+        return False
+    if deepest < -deep:
+        pressed, unpressed = np.empty(now[0].shape[1], np.bool_), np.empty(nc)
+        for c in range(nc):
+            unpressed[c] = -r[3 * c]
+        touching.known(now[0][4], names[4], unpressed, -touching.LEAST, pressed)
+        for c in range(pressed.size):
+            if not pressed[c] and now[2][0, c] < -deep:
+                return False
+    end_gap, far, state = col.column(own, col.FORESEEN, nc), np.empty(nc, np.bool_), np.empty(nc, np.int8)
     for c in range(nc):
-        couple[c, 0], couple[c, 1], couple[c, 2], left[c] = 0.0, 0.0, 0.0, np.inf
-    persistence.couples(
-        blocks,
-        (names[0], names[1], names[2], names[3], points[1]),
-        mean,
-        (rotations(w, R_THERE, n), inverse_J, arm, num[STEP]),
-        (r, scalars[1]),
-        (stays, sticks, slides),
-        (couple, velocity(w, TURN, n), left, other),
-    )
-    begun, ended = w[LOOKED_THERE * n :], f[LOOKED * n :]
+        radius = min(inscribed[names[0, c]], inscribed[names[1, c]])
+        if not stays[c] and end_gap[c] > num[col.THETA] * num[col.DEPTH] * radius:
+            return False
+        state[c] = r[3 * c] > 0.0
+    touch, most = (names[2], names[3], scalars[0], state, num[col.CLOSED]), law.TURNS / (num[col.THETA] * num[col.STEP])
+    touching.turns_far(touch, spins, most, far)
+    return not far.any()
+
+
+@kernel
+def gains(num, bodies, blocks, met, flags, status, works, velocities):
+    """Whether contacts that persist, and those that could only take energy, add too much to that of any island.
+
+    works = (normal, friction), velocities: those that the step begins with, and that gravity gives in it.
+    """
+    (mass, J), nc, (normal, friction), total = bodies, status.size, works, 0.0
+    added, label = np.zeros((2, nc)), np.empty(nc, np.int64)
+    found = _blocks.islands(blocks[1], blocks[0].size - 1, label)
     for c in range(nc):
-        if other[c] or (stays[c] and r[3 * c] > 0.0 and abs(gap[c]) > num[CLOSED]):
-            for b in (names[2, c], names[3, c]):
-                if b >= 0:
-                    for i in range(3 * b, 3 * b + 3):
-                        if begun[i] != ended[i]:
-                            return True
-                    for i in range(3 * n + 9 * b, 3 * n + 9 * b + 9):
-                        if begun[i] != ended[i]:
-                            return True
+        nothing = normal[c] if flags[col.STAYS, c] else 0.0
+        if flags[col.STICKS, c] and status[c] == 1:
+            nothing += friction[c]
+        added[0, label[c]] += nothing
+        added[1, label[c]] += normal[c] + friction[c] - nothing
+    for k in range(found):
+        if num[col.ELASTIC] == 0.0:
+            added[0, k] += max(0.0, added[1, k])
+        total = max(total, added[0, k])
+    if not total > 0.0:
+        return False
+    energies, counted = np.zeros((2, found)), np.zeros(mass.size, np.bool_)
+    for c in range(nc):
+        for s in range(2):
+            k = met[0][2 + s, c]
+            if k >= 0 and not counted[k]:
+                counted[k] = True
+                for j in range(2):
+                    v, i, twice = velocities[j], 6 * k, 0.0
+                    for l in range(3):
+                        twice += mass[k] * v[i + l] * v[i + l]
+                        for m in range(3):
+                            twice += v[i + 3 + l] * J[k, l, m] * v[i + 3 + m]
+                    energies[j, label[c]] += 0.5 * twice
+    for k in range(found):
+        if added[0, k] > SURELY * GAIN * max(energies[0, k], energies[1, k]):
+            return True
     return False
 
 
 @in_place
-def book(num, bodies, blocks, met, frame, flags, direction, scales, status, f, w, own, acted):
+def book(num, bodies, blocks, met, frame, flags, direction, scales, head, status, f, w, own, acted):
     """What the step did: works, states, forces, energies and the certificate."""
     mass, J, gravity, no_load, none = bodies
-    n, nc, out, h = mass.size, status.size, f, num[STEP]
-    b, mu, r = f[RESULTS:], met[2][1], acted[IMPULSE * nc : (IMPULSE + 3) * nc]
-    v, v_plus = velocity(w, V_THERE, n), velocity(w, V_PLUS, n)
-    out[EXTERNAL], beyond, out[NORMAL], out[FRICTION], rest = _account.account(
+    n, nc, out, h = mass.size, status.size, f, num[col.STEP]
+    b, mu, r = f[col.RESULTS :], met[2][1], acted[col.IMPULSE * nc : col.U * nc]
+    v, v_plus = col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_PLUS, n)
+    couples = col.column(own, col.COUPLE_WORK, nc) if head[col.TURNED] else none
+    out[col.EXTERNAL], beyond, out[col.NORMAL], out[col.FRICTION], rest = _account.account(
         (mass, gravity, no_load, no_load),
-        (h, num[THETA]),
+        (h, num[col.THETA]),
         (v, v, v_plus),
         (blocks, none, mu, own[: 15 * nc].reshape((5, 3 * nc)), frame),
         r,
-        (flags[1], flags[2], none, none),
-        num[TOL],
+        (flags[col.STAYS], flags[col.STICKS], couples, none),
+        num[col.TOL],
         (
             status,
-            column(acted, NORMAL_WORK, nc),
-            column(acted, FRICTION_WORK, nc),
-            acted[U_END * nc : (U_END + 3) * nc],
-            vectors(acted, FORCE, nc),
+            col.column(acted, col.NORMAL_WORK, nc),
+            col.column(acted, col.FRICTION_WORK, nc),
+            acted[col.U_END * nc : (col.U_END + 3) * nc],
+            col.vectors(acted, col.FORCE, nc),
         ),
     )
-    out[NUMERICS] = beyond + rest
-    out[KINETIC], out[POTENTIAL] = motion.free_energies(mass, J, gravity, vectors(b, X, n), velocity(b, V, n))
-    projected = own[PROJECTED * nc : (PROJECTED + 3) * nc]
+    out[col.NUMERICS] = beyond + rest
+    x, v_end = col.vectors(b, col.X, n), col.velocity(b, col.V, n)
+    out[col.KINETIC], out[col.POTENTIAL] = motion.free_energies(mass, J, gravity, x, v_end)
+    projected = own[col.PROJECTED * nc : (col.PROJECTED + 3) * nc]
     outside, gap, shift, speed, step, total, square = certificate_of(
-        blocks, acted[U * nc : (U + 3) * nc], r, mu, scales, direction, projected
+        blocks, acted[col.U * nc : col.FREE * nc], r, mu, scales, direction, projected
     )
-    certified = not outside and math.isfinite(gap + shift) and step <= num[WEAK] * speed
-    out[CERTIFIED], out[GAP], out[SHIFT], out[BOUND], out[COULOMB] = 0.0, gap, shift, np.inf, np.nan
+    certified = not outside and math.isfinite(gap + shift) and step <= num[col.WEAK] * speed
+    out[col.CERTIFIED], out[col.GAP], out[col.SHIFT], out[col.BOUND], out[col.COULOMB] = 0.0, gap, shift, np.inf, np.nan
     if certified:
         half = 0.5 * step * math.sqrt(square)
-        out[CERTIFIED], out[BOUND] = 1.0, half + math.sqrt(half * half + total)
+        out[col.CERTIFIED], out[col.BOUND] = 1.0, half + math.sqrt(half * half + total)
 
 
 @in_place
-def quiet(system, detection, old, begun, new, middle, end, next_key, direction, work, stage, ready, asks):
-    """Everything dt later, or as far as it goes without Python: `DONE`, `OTHERWISE`, `LOOK`, `SOLVE` or `LOOK_AHEAD`.
+def quiet(system, detection, old, begun, new, rooms, next_key, direction, work, stage, ready, asks):
+    """Everything dt later, or as far as it goes without Python.
 
     Parameters
     ----------
@@ -387,118 +479,152 @@ def quiet(system, detection, old, begun, new, middle, end, next_key, direction, 
     detection : tuple
         What `search` takes first: geoms, pairs, most points of a pair, tolerance.
     old, new : tuple
-        States: floats; keys, then pairs of shapes of the contacts that acted; what these were, of int8.
-    begun, middle, end : tuple
-        What was found where the step begins, where its impulses act and where it ends, with the rows of W for the
-        former two: floats, integers. The last two have no room until something moves.
+        States: floats; keys, then pairs of shapes of the contacts that acted; what these were, of int8. The latter with
+        room for so many contacts.
+    begun : tuple
+        What was found where the step begins, with rows of W: floats, integers.
+    rooms : tuple
+        Room, or none until something moves, for what is found where its impulses act, what it meets of that if not
+        all, and what is found where it ends.
     next_key : int
     direction : ndarray
         On which the last certificate rests.
     work : tuple
-        Room: floats, integers, flags (4, nc).
+        Room: floats, integers, flags (FLAGS, nc).
     stage : int
         0, or how the last call ended.
     ready : bool
         Whether Python has placed the geoms, and asked Coal of the pairs.
     asks : bool
         Whether Coal is asked of any pair.
+
+    Returns
+    -------
+    int
+        `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD` or `MORE`.
     """
-    (sf, si), (f, acted, status), (f_old, acted_old, status_old), (w, whole, flags) = system, new, old, work
-    num, arm, nowhere = numbers(sf, si, NUMBERS), numbers(sf, si, ARM), numbers(sf, si, NOWHERE)
-    n, nc, last, out = arm.size, status.size, status_old.size, f
-    bodies = (
-        triples(sf, si, MOMENTS),
-        matrices(sf, si, AXES),
-        numbers(sf, si, INVERSE_MASS),
-        matrices(sf, si, INVERSE_J),
-        numbers(sf, si, RADIUS),
+    (sf, si), (f, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = system, new, old, work
+    num, arm, nowhere = numbers(sf, si, col.NUMBERS), numbers(sf, si, col.ARM), numbers(sf, si, col.NOWHERE)
+    n, room, was, out, head = arm.size, states.size, status_old.size, f, whole[: col.HEAD]
+    moments, axes = triples(sf, si, col.MOMENTS), matrices(sf, si, col.AXES)
+    inverse_mass, inverse_J = numbers(sf, si, col.INVERSE_MASS), matrices(sf, si, col.INVERSE_J)
+    bodies, inscribed = (
+        (moments, axes, inverse_mass, inverse_J, numbers(sf, si, col.RADIUS)),
+        numbers(sf, si, col.INSCRIBED),
     )
-    gravity, no_load, mass = numbers(sf, si, GRAVITY), triples(sf, si, NO_LOAD), numbers(sf, si, MASS)
+    gravity, no_load, mass = numbers(sf, si, col.GRAVITY), triples(sf, si, col.NO_LOAD), numbers(sf, si, col.MASS)
     masses = (
-        indices(si, BLOCK_OF_FRAME, SYSTEM),
-        indices(si, OFFSET, SYSTEM),
-        indices(si, M_START, SYSTEM),
-        numbers(sf, si, M),
-        numbers(sf, si, MINV),
+        indices(si, col.BLOCK_OF_FRAME, col.SYSTEM),
+        indices(si, col.OFFSET, col.SYSTEM),
+        indices(si, col.M_START, col.SYSTEM),
+        numbers(sf, si, col.M),
+        numbers(sf, si, col.MINV),
     )
-    b, b_old, a = f[RESULTS : RESULTS + BODY * n], f_old[RESULTS : RESULTS + BODY * n], f[RESULTS + BODY * n :]
-    r, u, q = a[IMPULSE * nc : U * nc], a[U * nc : FREE * nc], a[FREE * nc : U_END * nc]
-    gap, own = column(a, GAP_END, nc), w[BODY_WORK * n :]
-    place, label, room = whole[:nc], whole[nc : 2 * nc], whole[2 * nc :]
-    first = contacts(begun, nc)
+    begin, bodies_at = col.RESULTS, col.RESULTS + col.BODY * n
+    b, b_old, a, own = f[begin:bodies_at], f_old[begin:bodies_at], f[bodies_at:], w[col.BODY_WORK * n :]
+    first, middle = col.contacts(begun, begun[1].size // col.FOUND_NAMES), rooms[0]
+    warm = acted_old[:was], acted_old[was:], status_old
 
     if stage == 0:
-        falling, before = (gravity, no_load, num[WEIGHT]), (acted_old[:last], acted_old[last:], status_old)
-        may_be, same = depart(num, bodies, falling, arm, first, before, b_old, b, w)
+        falling = gravity, no_load, num[col.WEIGHT]
+        may_be, same, far = depart(num, bodies, falling, arm, first, warm, b_old, b, w)
         if not may_be:
             return OTHERWISE
-        out[WENT], out[GOES] = 0.0 if same else 1.0, 0.0
-        there = vectors(w, X, n), rotations(w, R_THERE, n), column(w, REACH, n)
-        touching.look(placed(b_old, LOOKED, n), there, arm, num[STILL], placed(w, LOOKED_THERE, n))
-        if not same and (asks or middle[0].size < FOUND * nc):
+        out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
+        head[col.MIDDLE], head[col.KEY_MIDDLE], head[col.FAST] = first[0].shape[1], next_key, far > num[col.FASTEST]
+        there = col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), col.column(w, col.REACH, n)
+        looked = col.placed(w, col.LOOKED_THERE, n)
+        touching.look(col.placed(b_old, col.LOOKED, n), there, arm, num[col.STILL], looked)
+        if not same and asks:
             return LOOK
-    at = begun
-    if out[WENT] > 0.0:
-        at = middle
-        if stage == 0 or stage == LOOK:
-            known = first[0][4], first[2][0], num[CLOSED]
-            into = contacts(middle, nc)
-            found = look(detection, ready, placed(w, LOOKED_THERE, n), first, next_key, into, known)
-            if found != 0:
-                return LOOK if found == LEFT else OTHERWISE
-            middle[1][FOUND_NAMES * nc + MADE] = 0
-    met, (frame, block, start, H, scales, made) = contacts(at, nc), rows(at, nc)
-    if stage == 0 or stage == LOOK:
-        pressed = acted_old[:last], vectors(f_old[RESULTS + BODY * n :], FORCE, last), status_old
-        of = frame, block, start, H[: made[SIZE]] if made[MADE] else H, scales, made[MADE] > 0
-        made[SIZE], norm, good = pose(num, masses, (first, b_old), pressed, met, of, w, own, place, flags[0], q)
-        made[MADE], out[NORM] = 1, norm if norm > 0.0 else 1.0
-        if not good:
-            return OTHERWISE
-        guess = own[(LOCAL + 12) * nc : (LOCAL + 15) * nc]
-        for i in range(r.size):
-            r[i] = guess[i]
-    blocks = masses[1], block, start, H[: made[SIZE]], *masses[2:]
-    if stage == 0 or stage == LOOK:
-        began = seconds(room)
-        if num[OWN] == 0.0 or not solve(num, (blocks, q, met[2][1], scales), r, u, own, label, out):
-            return SOLVE
-        out[TIME] = seconds(room) - began
-    if stage != LOOK_AHEAD:
+    starts = stage == 0 or stage == LOOK
+    if starts and out[col.WENT] > 0.0:
+        looked = col.placed(w, col.LOOKED_THERE, n)
+        code = look(detection, ready, looked, first, next_key, middle, head, col.MIDDLE, room)
+        if code != DONE:
+            return code
+    met_of = begun
+    if out[col.WENT] > 0.0:
+        met_of = middle
+    found = col.contacts(met_of, head[col.MIDDLE])
+    if starts:
+        head[col.MET], head[col.SOME], head[col.NEEDED] = found[0].shape[1], 0, found[0].shape[1]
+        if not touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
+            kept = flags[col.OFF, : head[col.MET]]
+            head[col.MET] = catch(num, (arm, inscribed), first, found, warm, b_old, w, kept)
+            if head[col.MET] < found[0].shape[1]:
+                if col.FOUND * head[col.MET] > rooms[1][0].size:
+                    return MORE
+                take(found, kept, col.contacts(rooms[1], head[col.MET]))
+                rooms[1][1][col.FOUND_NAMES * head[col.MET] + col.MADE], head[col.SOME] = 0, 1
+    nc = head[col.MET]
+    if head[col.SOME]:
+        met_of = rooms[1]
+    met, (frame, block, start, H, scales, made) = col.contacts(met_of, nc), col.rows(met_of, nc)
+    r, u, q = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    gap, status, acted = col.column(a, col.GAP_END, nc), states[:nc], (keys_of[:nc], keys_of[nc : 2 * nc])
+    place = whole[col.HEAD : col.HEAD + nc]
+    if starts:
+        pressed = warm[0], col.vectors(f_old[bodies_at:], col.FORCE, was), status_old
+        of = frame, block, start, H[: made[col.SIZE]] if made[col.MADE] else H, scales, made[col.MADE] > 0
+        slides = flags[col.SLIDES, :nc]
+        made[col.SIZE], _, good = pose(num, masses, (first, b_old), pressed, met, of, w, own, place, slides, q)
+        made[col.MADE] = 1
         for c in range(nc):
-            acted[c], acted[nc + c] = met[0][4, c], met[0][0, c] * int(num[GEOMS]) + met[0][1, c]
-        if not reversal.goes_on(
-            (r, u, q, met[2][1]),
-            own[: 15 * nc].reshape((5, 3 * nc)),
-            flags[0],
-            (acted[:nc], acted[nc:]),
-            (acted_old[:last], acted_old[last:], status_old),
-            (first[0][4], first[2][0], num[CLOSED], num[STEP]),
-            column(own, FORESEEN, nc),
-            (flags[1], flags[2]),
-        ):
+            acted[0][c], acted[1][c] = met[0][4, c], met[0][0, c] * int(num[col.GEOMS]) + met[0][1, c]
+        if not good or not lasting(num, met, (first[0][4], first[2][0]), acted, warm, own, flags, status, q):
             return OTHERWISE
-        same = arrive(num, bodies, blocks, arm, nowhere, r, b, w)
-        out[GOES] = 0.0 if same else 1.0
-        there = vectors(b, X, n), rotations(b, R, n), nowhere
-        touching.look(placed(w, LOOKED_THERE, n), there, arm, num[STILL], placed(b, LOOKED, n))
-        if not same and (asks or end[0].size < FOUND * nc):
-            return LOOK_AHEAD
-    for c in range(nc):
-        gap[c] = met[2][0, c]
-    if out[GOES] > 0.0:
-        known, into = (met[0][4], met[2][0], np.inf), contacts(end, nc)
-        found = look(detection, ready and stage == LOOK_AHEAD, placed(b, LOOKED, n), met, next_key, into, known)
-        if found != 0:
-            return LOOK_AHEAD if found == LEFT else OTHERWISE
-        end[1][FOUND_NAMES * nc + MADE] = 0
-        touching.places(into[0][4], met[0][4], place)
-        for c in range(nc):
-            gap[c] = into[2][0, place[c]]
-    if least(gap) < -num[CLOSED]:
+        local, rate = own[: 15 * nc].reshape((5, 3 * nc)), col.velocity(b, col.RATE, n)
+        if num[col.ELASTIC] > 0.0 and strikes(num, met, local, rate, w):
+            return OTHERWISE
+        copy(own[: 15 * nc], own[15 * nc : 30 * nc])
+        a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0
+        col.velocity(w, col.TURN, n)[:] = 0.0
+        head[col.GAPS_LEFT], head[col.TURNED] = law.GAPS, 0
+        out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = 0.0, 0.0, 0.0
+        norm, _ = _blocks.size_of(q, met[2][1])
+        out[col.NORM] = norm if norm > 0.0 else 1.0
+    blocks, now = (masses[1], block, start, H[: made[col.SIZE]], *masses[2:]), found
+    while True:
+        if stage != LOOK_AHEAD:
+            began = seconds(head[col.CLOCK :])
+            code = respond(num, (inverse_J, arm), blocks, met, scales, flags, stage == SOLVE, a, w, own, head, out)
+            if code != DONE:
+                return code
+            out[col.TIME] += seconds(head[col.CLOCK :]) - began
+            same = arrive(num, bodies, blocks, arm, nowhere, r, b, w)
+            out[col.GOES] = 0.0 if same else 1.0
+            looked, there = (
+                col.placed(b, col.LOOKED, n),
+                (col.vectors(b, col.X, n), col.rotations(b, col.R, n), nowhere),
+            )
+            touching.look(col.placed(w, col.LOOKED_THERE, n), there, arm, num[col.STILL], looked)
+            if not same and asks:
+                return LOOK_AHEAD
+        now = found
+        if out[col.GOES] > 0.0:
+            placed, looked = ready and stage == LOOK_AHEAD, col.placed(b, col.LOOKED, n)
+            code = look(detection, placed, looked, found, head[col.KEY_MIDDLE], rooms[2], head, col.END, room)
+            if code != DONE:
+                return LOOK_AHEAD if code == LOOK else code
+            now = col.contacts(rooms[2], head[col.END])
+            end_gaps(detection[0], met, now, b, n, gap)
+        else:
+            copy(met[2][0], gap)
+        if head[col.GAPS_LEFT] == 0 or not corrects(num, met, now, flags, gap, r, n, b, own):
+            break
+        head[col.GAPS_LEFT], stage = head[col.GAPS_LEFT] - 1, 0
+    spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
+    if not eventless(num, inscribed, met, now, flags, a, status, spins, own):
         return OTHERWISE
-    if out[GOES] > 0.0 and unfinished(num, blocks, bodies[3], arm, met, r, flags, gap, b, w, own):
-        return OTHERWISE
-    inertia = mass, matrices(sf, si, INERTIA), gravity, no_load, nowhere[:0]
-    book(num, inertia, blocks, met, frame, flags, direction, scales, status, f, w, own, a)
-    return DONE
+    inertia = mass, matrices(sf, si, col.INERTIA), gravity, no_load, nowhere[:0]
+    book(num, inertia, blocks, met, frame, flags, direction, scales, head, status, f, w, own, a)
+    works, fallen = (
+        (col.column(a, col.NORMAL_WORK, nc), col.column(a, col.FRICTION_WORK, nc)),
+        col.velocity(w, col.CHANGE, n),
+    )
+    rate = col.velocity(b, col.RATE, n)
+    for i in range(fallen.size):
+        fallen[i] = num[col.STEP] * rate[i]
+    velocities = col.velocity(b_old, col.V, n), fallen
+    return OTHERWISE if gains(num, inertia[:2], blocks, met, flags, status, works, velocities) else DONE

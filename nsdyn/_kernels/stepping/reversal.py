@@ -2,11 +2,8 @@
 
 import math
 
-import numpy as np
-
-from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.stepping.law import reconsider, state
-from nsdyn._kernels.stepping.persistence import persists
+from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.stepping.law import state
 
 ROUND = 0.5
 """Cosine of the angle from which on slip has turned round in a move: by less than 60° its mean tells its direction."""
@@ -49,18 +46,3 @@ def ending(r, y, b, mu, local, was, slid, out):
         if found > 0:
             most = max(most, out[c])
     return most
-
-
-@kernel
-def goes_on(shown, local, slides, names, warm, begin, end_gap, out):
-    """Whether contacts slide on, or rest, as was foreseen, and none that persists leaves a gap of which b knew nothing.
-
-    shown = (r, y, b, mu); what persists, into out = (stays, sticks), is found as in `persists`.
-    """
-    (r, y, b, mu), (stays, sticks) = shown, out
-    if reconsider(r, y, b, mu, local, slides, False):
-        return False
-    was, ends = np.empty(mu.size, np.int8), np.empty(mu.size, np.int8)
-    if persists(names, warm, begin, (end_gap[:0], slides[:0]), local, end_gap, False, (stays, sticks, was)):
-        return False
-    return not ending(r, y, b, mu, local, was, stays[:0], ends)

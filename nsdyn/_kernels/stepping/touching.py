@@ -6,6 +6,9 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.sorting import order, place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, row
 
+LEAST = 5e-324
+"""The least impulse there is, N·s."""
+
 
 @in_place
 def places(old_key, new_key, out):

@@ -12,6 +12,13 @@ from nsdyn._kernels.stepping.persistence import turn, works
 DONE, SOLVE = 0, 1
 """What is to be done: nothing, or a problem is to be solved."""
 
+PASSES = 8
+"""Most times that couples and impulses are looked for in turns; each makes what is left smaller by about h ω."""
+
+SOLVES = 3
+"""Most solves more for contacts that slide through, or stop, against what was foreseen; after the first only for those
+that stop, whose slip would else be turned round."""
+
 
 @in_place
 def thaw(label, some, islands, before, after):

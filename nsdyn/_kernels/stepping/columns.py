@@ -1,0 +1,164 @@
+"""States of free bodies as a few arrays, and views of these.
+
+What a call takes for its arguments is more than all that is done for a few bodies: a state is an array of floats, its
+results first, then what it has of the bodies and of the contacts, one column after the other.
+"""
+
+from nsdyn._kernels.compiled import kernel
+
+# The packed arrays of the system: floats, then integers.
+(
+    MOMENTS,
+    AXES,
+    INVERSE_MASS,
+    INVERSE_J,
+    RADIUS,
+    MASS,
+    INERTIA,
+    M,
+    MINV,
+    GRAVITY,
+    NO_LOAD,
+    ARM,
+    NOWHERE,
+    INSCRIBED,
+    NUMBERS,
+    SYSTEM,
+) = range(16)
+BLOCK_OF_FRAME, OFFSET, M_START = range(3)
+
+# The last of the floats: numbers, with the names that they have in `System`, `Closing`, `Auto` and `gauss`.
+(
+    WEIGHT,
+    STEP,
+    THETA,
+    CLOSED,
+    SHALLOW,
+    UNTIL,
+    DEPTH,
+    FASTEST,
+    SLOW,
+    STILL,
+    ELASTIC,
+    HALF,
+    LEAST,
+    TOL,
+    OWN,
+    ENOUGH,
+    GOOD,
+    DENSE,
+    PENALTY,
+    MAX_ITER,
+    FEW,
+    WEAK,
+    GEOMS,
+) = range(23)
+
+# The results of a step.
+(
+    KINETIC,
+    POTENTIAL,
+    EXTERNAL,
+    NORMAL,
+    FRICTION,
+    NUMERICS,
+    NORM,
+    ERROR,
+    RESIDUAL,
+    COUNT,
+    TIME,
+    CERTIFIED,
+    GAP,
+    SHIFT,
+    BOUND,
+    COULOMB,
+    WENT,
+    GOES,
+    RESULTS,
+) = range(19)
+
+# First columns of a body in a state, of a contact, of a contact in what was found, and of both in what is at work.
+X, QUATERNION, V, R, LINEAR, ANGULAR, LOOKED, RATE, BODY = 0, 3, 7, 13, 22, 25, 28, 41, 47
+FORCE, IMPULSE, U, FREE, U_END, NORMAL_WORK, FRICTION_WORK, GAP_END, COUPLE, CONTACT = (
+    0,
+    3,
+    6,
+    9,
+    12,
+    15,
+    16,
+    17,
+    18,
+    21,
+)
+FRAMES, ROWS, SCALES, FOUND = 15, 24, 60, 61
+BLOCKS, STARTS, FOUND_NAMES, SIZE, MADE = 5, 7, 9, 0, 1
+R_THERE, V_THERE, V_FREE, V_PLUS, REACH, LOOKED_THERE = 7, 16, 22, 28, 34, 35
+TURN, CHANGE, V_TURNED, BODY_WORK = 48, 54, 60, 66
+LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, CONTACT_WORK = 0, 15, 30, 31, 32, 35, 36, 37
+
+# The first of the integers at work: how many contacts there are where the impulses act, where the step ends, and of the
+# former those that it meets; whether these are not all; keys of new ones; gaps to be corrected yet; whether couples
+# act; how many contacts there is no room for; whether anything is so fast that it might go unseen; and two of the clock.
+MIDDLE, END, MET, SOME, KEY_MIDDLE, KEY_END, GAPS_LEFT, TURNED, NEEDED, FAST, CLOCK = range(11)
+HEAD = CLOCK + 2
+
+# Flags of the contacts.
+SLIDES, STAYS, STICKS, OTHER, OFF, FLAGS = range(6)
+
+
+@kernel(inline="always")
+def column(f, k, n):
+    """The column k of arrays of n numbers."""
+    return f[k * n : (k + 1) * n]
+
+
+@kernel(inline="always")
+def vectors(f, k, n):
+    """The columns from k on as (n, 3)."""
+    return f[k * n : (k + 3) * n].reshape((n, 3))
+
+
+@kernel(inline="always")
+def quaternions(f, k, n):
+    """The columns from k on as (n, 4)."""
+    return f[k * n : (k + 4) * n].reshape((n, 4))
+
+
+@kernel(inline="always")
+def rotations(f, k, n):
+    """The columns from k on as (n, 3, 3)."""
+    return f[k * n : (k + 9) * n].reshape((n, 3, 3))
+
+
+@kernel(inline="always")
+def velocity(f, k, n):
+    """The columns from k on as (6 n,)."""
+    return f[k * n : (k + 6) * n]
+
+
+@kernel(inline="always")
+def placed(f, k, n):
+    """(x, R, reach) of the columns from k on, as of `Looked`."""
+    return vectors(f, k, n), rotations(f, k + 3, n), column(f, k + 12, n)
+
+
+@kernel(inline="always")
+def contacts(found, nc):
+    """(names, points, scalars) of what was found, as `search` gives them."""
+    f, i = found
+    return i[: 5 * nc].reshape((5, nc)), f[: 12 * nc].reshape((4, nc, 3)), f[12 * nc : 15 * nc].reshape((3, nc))
+
+
+@kernel(inline="always")
+def rows(found, nc):
+    """(frame, block, start, H, scales, its size and whether they are made) of what was found, as of `free.meet`."""
+    f, i = found
+    return (
+        rotations(f, FRAMES, nc),
+        i[BLOCKS * nc : STARTS * nc].reshape((nc, 2)),
+        i[STARTS * nc : FOUND_NAMES * nc].reshape((nc, 2)),
+        f[ROWS * nc : SCALES * nc],
+        column(f, SCALES, nc),
+        i[FOUND_NAMES * nc :],
+    )
