@@ -15,8 +15,8 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.impulses import Impulses, account
 from nsdyn.stepping.instant import Instant, System
-from nsdyn.stepping.move import Response, Trial
 from nsdyn.stepping.projection import project
+from nsdyn.stepping.response import Response, Trial
 from nsdyn.stepping.rounds import Impact
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement

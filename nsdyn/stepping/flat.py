@@ -25,7 +25,11 @@ from nsdyn.tools.arrays import Array, Index
 if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
 
-__all__ = ["Flat", "Found", "Untold"]
+__all__ = ["Acted", "Flat", "Found", "Untold", "packed"]
+
+
+Acted = tuple[Array, Index, NDArray[np.int8]]
+"""A state as the kernel has it: floats; keys, then pairs of shapes of what acted last; what these were."""
 
 
 class Found(NamedTuple):
@@ -41,11 +45,6 @@ class Found(NamedTuple):
 
     floats: Array
     integers: Index
-
-    @classmethod
-    def room(cls, nc: int) -> Found:
-        """For so many contacts."""
-        return cls(np.empty(_col.FOUND * nc), np.empty(_col.FOUND_NAMES * nc + 2, np.int64))
 
     def of(self, nc: int) -> Found:
         """The same, with as many contacts as there are in a room for more."""
@@ -139,28 +138,14 @@ class Flat(NamedTuple):
     @classmethod
     def of(cls, state: State) -> Flat | None:
         """The same as arrays; None where contacts are remembered that are not there."""
-        s, (m, c, w) = state.instant, (state.instant.memory, state.instant.contacts, state.instant.warm)
-        nc, n, nw = c.gap.size, s.placement.x.shape[0], w.key.size
-        if m.names.shape[1] != nc or not np.array_equal(m.names, [*c[:4], c.key]):
+        s = state.instant
+        if (given := packed(s, state.rate)) is None:
             return None
-        if not (np.array_equal(m.points[0], c.point) and np.array_equal(m.points[1], c.normal)):
-            return None
-        found = Found.room(nc)
-        found.names[:], found.points[:], found.scalars[:] = m.names, m.points, (c.gap, c.mu, c.restitution)
-        found.integers[-2:] = 0
-        floats = np.empty(_col.RESULTS + _col.BODY * n + _col.CONTACT * nw)
+        (floats, acted, status), found = given
         floats[: _col.BOUND] = 0.0
         floats[_col.KINETIC], floats[_col.POTENTIAL] = state.energies
-        p, R = s.position, s.placement.R
-        columns = p.x, p.quaternion, s.v, R, *s.twists, *s.looked, state.rate, w.force
-        at = _col.RESULTS
-        for column in columns:
-            floats[at : at + column.size] = column.ravel()
-            at += column.size
-        acted = np.concatenate((w.key, w.pair))
-        return cls(
-            state.origin, state.dt, state.count, floats, acted, w.status, found, found, m.next_key, state.opening, s
-        )
+        key = s.memory.next_key
+        return cls(state.origin, state.dt, state.count, floats, acted, status, found, found, key, state.opening, s)
 
     def body(self, first: int, width: int) -> Array:
         """So many columns of the bodies from one on, as one array."""
@@ -224,6 +209,22 @@ class Flat(NamedTuple):
         """The state as the general step takes it."""
         rate = self.body(_col.RATE, 6)
         return State(self.origin, self.dt, self.count, self.instant(), rate, self.energies, self.opening)
+
+
+def packed(s: Instant, rate: Array) -> tuple[Acted, Found] | None:
+    """A state of free bodies and what was found there, as the kernel takes them; its results are not set."""
+    m, c, w = s.memory, s.contacts, s.warm
+    nc, p, acted = c.gap.size, s.position, np.concatenate((w.key, w.pair))
+    if m.names.shape[1] != nc or not np.array_equal(m.names, [*c[:4], c.key]):
+        return None
+    if not (np.array_equal(m.points[0], c.point) and np.array_equal(m.points[1], c.normal)):
+        return None
+    floats = [m.points.ravel(), c.gap, c.mu, c.restitution, np.empty((_col.FOUND - _col.FRAMES) * nc)]
+    found = Found(np.concatenate(floats), np.concatenate((m.names.ravel(), np.zeros(4 * nc + 2, np.int64))))
+    bodies = p.x, p.quaternion, s.v, s.placement.R, *s.twists, *s.looked, rate, w.force
+    room = np.empty(_col.RESULTS), *[column.ravel() for column in bodies]
+    more = np.empty((_col.CONTACT - _col.IMPULSE) * w.key.size)
+    return (np.concatenate((*room, more)), acted, w.status), found
 
 
 class Untold(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from nsdyn.stepping.encounter import Closing
 from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
+
+if TYPE_CHECKING:
+    from nsdyn.stepping.mover import Mover
 
 __all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Instant", "System", "among", "take"]
 
@@ -70,6 +73,8 @@ class System(NamedTuple):
         Whether any contact or joint limit has restitution.
     depth : float
         Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a move.
+    mover : Mover, optional
+        Of systems of free bodies alone.
     """
 
     dynamics: Dynamics
@@ -84,6 +89,7 @@ class System(NamedTuple):
     impact: Law
     elastic: bool
     depth: float = DEEP
+    mover: Mover | None = None
 
     @property
     def slow(self) -> float:

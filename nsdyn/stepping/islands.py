@@ -14,6 +14,7 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import islands as _islands
+from nsdyn._kernels.stepping.quiet import GAIN
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
@@ -23,9 +24,10 @@ from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import striking
 from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System
-from nsdyn.stepping.move import Trial, attempt
+from nsdyn.stepping.move import attempt
 from nsdyn.stepping.parts import Part, driven, merged
-from nsdyn.stepping.passage import GAIN, through, turns_far, undisturbed
+from nsdyn.stepping.passage import through, turns_far, undisturbed
+from nsdyn.stepping.response import Trial
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import followed, parting
 from nsdyn.stepping.state import State

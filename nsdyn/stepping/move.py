@@ -2,135 +2,35 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.workless import SOLVES
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses
+from nsdyn.collision.contacts import Poses
 from nsdyn.dynamics.joints import JointRows
-from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.dynamics.values import Placement
-from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
 from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Instant, System, among, take
-from nsdyn.stepping.persistence import NO_COUPLE, Couple, solve_workless
+from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
 from nsdyn.stepping.projection import Placed, place
+from nsdyn.stepping.response import Reach, Response, Trial
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
-from nsdyn.stepping.sight import Unmet, caught, caught_limits, others, parting, reached, shown, touched
+from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
 from nsdyn.stepping.solving import Way
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Response", "Trial", "attempt", "trial"]
+__all__ = ["attempt", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
-
-
-class Reach(NamedTuple):
-    """What the second half of a move may need, of what was found where its impulses act.
-
-    Attributes
-    ----------
-    contacts : ContactSet
-    joints : JointRows or None
-    found : ContactSet
-        All that was found.
-    memory : ContactMemory
-    looked : Looked
-    """
-
-    contacts: ContactSet
-    joints: JointRows | None
-    found: ContactSet
-    memory: ContactMemory
-    looked: Looked
-
-
-class Response(NamedTuple):
-    """What the contacts of a move do, and where it then ends.
-
-    Attributes
-    ----------
-    met : Encounter
-    impact : Impact or None
-        Impacts that were caught, before the other impulses.
-    kick : ndarray or 0
-        Change of v by them.
-    slides : ndarray of bool, shape (nc,)
-        Contacts that slide through.
-    problem : FC3D
-    solution : Solution
-    otherwise : bool
-        Whether contacts slide otherwise than foreseen.
-    couple : Couple
-    v : ndarray, shape (n,)
-        v⁺.
-    impulse : ndarray, shape (n,)
-        H r of all.
-    v_end : ndarray, shape (n,)
-    trees : tuple of TreeEnd
-    twists : two ndarrays of shape (frames, 3)
-        Of the frames, where the motion ends.
-    moved : Placed
-        Where the motion ends, whatever overlaps there.
-    """
-
-    met: Encounter
-    impact: Impact | None
-    kick: Array | float
-    slides: Bools
-    problem: FC3D
-    solution: Solution
-    otherwise: bool
-    couple: Couple
-    v: Array
-    impulse: Array
-    v_end: Array
-    trees: tuple[TreeEnd, ...]
-    twists: tuple[Array, Array]
-    moved: Placed
-
-    @property
-    def normal(self) -> Array:
-        """Normal impulses of the contacts met, shape (nc,), N·s."""
-        out: Array = self.solution.r[0 : 3 * self.met.contacts.gap.size : 3]
-        return out
-
-
-class Trial(NamedTuple):
-    """A move whose end may still overlap, and what it ran into.
-
-    Attributes
-    ----------
-    half : Half
-    reach : Reach
-    response : Response
-    unmet : Unmet, optional
-        What the motion did not meet, where it ends; None where there is nothing or all was caught.
-    touched : float
-        Time just after a pair that is open where the move begins touches on its way, s; that of the move if none does,
-        if nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
-    turned : float
-        When the first slip turns round, s; that of the move if none does, or if all is caught.
-    """
-
-    half: Half
-    reach: Reach
-    response: Response
-    unmet: Unmet | None
-    touched: float
-    turned: float
 
 
 def trial(
@@ -159,6 +59,9 @@ def trial(
     half : Half, optional
         Where it is known.
     """
+    mover = s.mover if callbacks is None else None
+    if mover is not None and barred is not None and (made := mover.respond(s, begin, t, h, barred)) is not None:
+        return _met(s, begin, made, barred)
     half = half or first_half(s, begin, t, h, callbacks)
     reach = _reachable(s, begin, half, barred)
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
@@ -179,9 +82,15 @@ def trial(
         half, response = _respond(s, begin, half, reach, barred, response, rough)
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return trial(s, begin, t, h, None, barred, again)
+    return _met(s, begin, (half, reach, response), barred)
+
+
+def _met(s: System, begin: Instant, made: tuple[Half, Reach, Response], barred: Index | None) -> Trial:
+    """What a move runs into."""
+    half, reach, response = made
+    h, moved = half.h, response.moved
     unmet, until, turned = None, h, h
     if barred is not None:
-        moved = response.moved
         limits = moved.limits
         if limits.size and not barred.size and _few.least(limits) >= -s.closed:
             limits = NOTHING
@@ -202,6 +111,11 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: 
     Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
     nodes `skip`, whose contacts are passed over.
     """
+    mover, t, h = s.mover if callbacks is None else None, half.end - half.h, half.h
+    if mover is not None and not skip.any() and (made := mover.respond(s, begin, t, h, NO_SLOTS)) is not None:
+        _, reach, response = made
+        unmet = others(s, response.moved.contacts, reach.contacts, response.normal, NOTHING, NO_SLOTS)
+        return Trial(*made, unmet, h, h)
     reach = _reachable(s, begin, half, NO_SLOTS)
     if skip.any():
         reach = reach._replace(contacts=take(reach.contacts, ~skip[s.nodes(reach.contacts)]))

@@ -18,6 +18,7 @@ from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.half import Callbacks, Given, Loads
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import Instant, System, among
+from nsdyn.stepping.mover import Mover
 from nsdyn.stepping.state import State
 from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -64,12 +65,13 @@ class Part:
         block = d.joints.block
         self._slots = np.flatnonzero(among(block, nodes))
         self._limits = np.flatnonzero(among(block[d.joints.limits], nodes))
-        self.system = whole._replace(
+        own = whole._replace(
             dynamics=d.only(self._bodies, self._trees, self.geoms),
             detector=whole.detector.only(self.geoms, self._frame[frame_of_geom[self.geoms]]),
             inscribed=whole.inscribed[self.geoms],
             arm=whole.arm[frames],
         )
+        self.system = own._replace(mover=Mover(own)) if whole.mover is not None else own
 
     def _has(self, frame1: Index, frame2: Index) -> Bools:
         """Which contacts of such frames are of the part."""

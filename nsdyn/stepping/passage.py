@@ -19,8 +19,9 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among, take
-from nsdyn.stepping.move import Trial, trial
+from nsdyn.stepping.move import trial
 from nsdyn.stepping.quiet_trees import quiet_trees
+from nsdyn.stepping.response import Trial
 from nsdyn.stepping.sight import approach, parting
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -236,7 +237,7 @@ def _until_event(
     effort.spend(begin)
     m = _try(s, loads, begin, t, h, NONE, half)
     met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
-    if _jammed(m.response.solution) or not affords and (met or m.touched < h or soon < m.turned < h):
+    if _jammed(m.response.solution) or (not affords and (met or m.touched < h or soon < m.turned < h)):
         return capture()
     if m.touched < h:
         return _until_event(s, loads, begin, t, m.touched, soon, effort)

@@ -143,8 +143,8 @@ def solve_workless(
     )
     couple, dv = (start.impulse.copy(), start.dv.copy()) if made else (np.zeros((nc, 3)), np.zeros(d.n))
     local, b, r, u = met.local.copy(), problem.q.copy(), met.local[4].copy(), np.empty_like(problem.q)
-    state = couple, dv, np.empty(d.n), np.full(nc, np.inf), np.empty(nc, np.bool_), local, b, r, u
-    solver, work = _means(s, met, way.most), np.empty(nc)
+    change, mean, other = np.empty(d.n), np.empty(d.n), np.empty(nc, np.bool_)
+    state, solver = (couple, dv, change, mean, np.full(nc, np.inf), other, local, b, r, u), _means(s, met, way.most)
     while True:
         code, left, solved, begin = _workless.SOLVE, passes, 0, clock()
         if solver[0] or not first:
@@ -160,7 +160,6 @@ def solve_workless(
                 solver,
                 (first, way.back, passes),
                 state,
-                work,
             )
             otherwise = otherwise or changed
         if left < passes:
@@ -173,14 +172,15 @@ def solve_workless(
         if code == _workless.DONE:
             break
         first = first and left == passes
-        which, before = (off, last) if first else (state[4], solution)
+        which, before = (off, last) if first else (other, solution)
         own = way if first else way._replace(back=True)
         met, problem, again, changed = solve(met, s.solver, solution, slides, own, which, before)
         otherwise = otherwise or changed
         solution, passes, first = again, left if again.accepted else 0, False
-        r[:], u[:], state[2][:] = again.r, again.u, rows.velocity_change(again.r)
+        r[:], u[:], change[:] = again.r, again.u, rows.velocity_change(again.r)
     if made:
-        start = Couple(couple, work, dv)
+        start, R = Couple(couple, np.empty(nc), dv), half.middle.placement.R
+        _persistence.works(c.frame1, c.frame2, d.free, R, mean, couple, start.work)
     assert solution is not None  # there was none to go on from, and so a solve
     return met, problem, solution, otherwise, start
 

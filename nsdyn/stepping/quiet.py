@@ -7,29 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
-import numpy as np
-
-from nsdyn._kernels.compiled import is_ready
-from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn._kernels.stepping import quiet as _quiet
 from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.gauss import WEAK, Certificate, Opening
-from nsdyn.solvers.auto import LIMITS, Auto
-from nsdyn.stepping.flat import Flat, Found
-from nsdyn.stepping.instant import FAST, NOTHING, STILL, System
+from nsdyn.problem.gauss import Certificate, Opening
+from nsdyn.stepping.flat import Flat
+from nsdyn.stepping.instant import NOTHING, System
+from nsdyn.stepping.mover import NO_PAIRS, Made, Mover
 from nsdyn.stepping.sight import touched
 from nsdyn.stepping.state import State
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Quiet"]
 
 Certify = Callable[[FC3D, Array, Array, Opening | None], tuple[Certificate, Opening | None]]
-
-Rooms = tuple[tuple[Array, Index], ...]
 
 PAUSE = 16
 """Most steps that are made by stages after some that were not quiet, before the kernel is asked again."""
@@ -46,46 +38,17 @@ class Quiet:
     Parameters
     ----------
     system : System
+    mover : Mover
     polish : bool
         Whether certificates are polished: no one of the kernel is then enough.
     """
 
-    def __init__(self, system: System, polish: bool) -> None:
-        s, d, solver = system, system.dynamics, system.solver
-        closing, own = s.closing(s.dt, False), isinstance(solver, Auto)
-        moments, axes, inverse_mass, inverse_J, radius = d.bodies
-        block_of_frame, offset, m_start, m, minv = d.masses
-        numbers = (
-            d.weight,
-            s.dt,
-            s.theta,
-            s.closed,
-            closing.shallow,
-            closing.until,
-            s.depth,
-            FAST * s.smallest,
-            s.slow,
-            STILL * s.closed,
-            s.elastic,
-            *s.bounces,
-            solver.tol,
-            own,
-            *(solver.aims if isinstance(solver, Auto) else (0.0, 0.0)),
-            *LIMITS,
-            math.nan if polish else WEAK,
-            s.inscribed.size,
-        )
-        floats = [moments, axes, inverse_mass, inverse_J, radius, d.mass, d.J, m, minv, d.gravity, d.no_load, s.arm]
-        floats += [d.nowhere, s.inscribed, np.array(numbers, dtype=float)]
-        self._system = s
-        self._arrays, self._solver, self._detector = (
-            pack(floats, [block_of_frame, offset, m_start])[:2],
-            solver,
-            s.detector,
-        )
-        self._dynamics, self._size, self._moved, self._work = d, d.free, False, _room(d.free, 0)
-        self._most, self._ready, self._asked = 0, False, 0
+    def __init__(self, system: System, mover: Mover, polish: bool) -> None:
+        self._system, self._mover, self._moves, self._asked = system, mover, False, 0
+        self._length = system.dt, system.depth
         self._pause = self._left = 0
+        if polish:
+            mover.numbers[_col.WEAK] = math.nan
 
     def step(self, now: State | Flat, certify: Certify) -> tuple[Flat, Flat] | None:
         """The state and the next one; None where more may happen, or is likely to, as it did in the steps before."""
@@ -94,7 +57,7 @@ class Quiet:
             return None
         old = now if isinstance(now, Flat) else Flat.of(now)
         if old is not None:
-            if not (self._ready or self._is_ready(old)):
+            if not (Mover.ready or self._is_ready(old)):
                 return None
             if (new := self._next(old, certify)) is not None:
                 self._pause = 0
@@ -104,90 +67,34 @@ class Quiet:
 
     def _next(self, old: Flat, certify: Certify) -> Flat | None:
         """The next state, None where more may happen."""
-        n, detector = self._size, self._detector
-        before, direction = tuple(old[3:6]), old.opening.d if old.opening else NOTHING
-        self._most = max(self._most, old.found.nc)
-        new, rooms = self._rooms()
-        stage, ready = 0, False
-        while True:
-            floats, head = new[0], self._work[1]
-            code = _quiet.quiet(
-                self._arrays,
-                detector.searches,
-                before,
-                tuple(old.found),
-                new,
-                rooms,
-                old.next_key,
-                direction,
-                self._work,
-                stage,
-                ready,
-                detector.asks,
-            )
-            if code in (_quiet.DONE, _quiet.OTHERWISE):
-                break
-            if code == _quiet.MORE:
-                self._most, self._moved = max(self._most, int(head[_col.NEEDED])), True
-                new, rooms = self._rooms()
-                stage, ready = 0, False
-                continue
-            nc = int(head[_col.MET])
-            middle, some, _ = rooms
-            met = Found(*some).of(nc) if head[_col.SOME] else Found(*middle).of(nc) if floats[_col.WENT] else old.found
-            if code == _quiet.SOLVE:
-                if not self._solve(met, floats, nc):
-                    return None
-            else:
-                detector.ask(*self._looked(floats, code, n))
-            stage, ready = code, True
-        self._moved = bool(floats[_col.WENT] or floats[_col.GOES] or head[_col.SOME])
-        if code == _quiet.OTHERWISE or not math.isfinite(floats[_col.KINETIC] + floats[_col.POTENTIAL]):
+        direction = old.opening.d if old.opening else NOTHING
+        begun = old.floats, old.acted, old.status
+        made = self._mover(begun, old.found, old.next_key, self._length, direction, NO_PAIRS, True, self._moves)
+        if made is None:
             return None
-        out = self._made(old, certify, new, rooms)
-        middle = Found(*rooms[0]).of(int(head[_col.MIDDLE])) if floats[_col.WENT] else old.found
-        return None if head[_col.FAST] and self._passes(old, out, middle) else out
-
-    def _made(self, old: Flat, certify: Certify, new: tuple[Array, Index, Any], rooms: Rooms) -> Flat:
-        """The state that the kernel has made, as large as it is."""
-        (floats, acted, status), (middle, some, end), head = new, (Found(*room) for room in rooms), self._work[1]
-        nc, n = int(head[_col.MET]), self._size
-        found = middle.of(int(head[_col.MIDDLE])) if floats[_col.WENT] else old.found
-        met, goes = some.of(nc) if head[_col.SOME] else found, floats[_col.GOES] > 0.0
-        out = old._replace(
-            count=old.count + 1,
-            floats=floats[: _col.RESULTS + _col.BODY * n + _col.CONTACT * nc],
-            acted=acted[: 2 * nc],
-            status=status[:nc],
-            met=met,
-            found=end.of(int(head[_col.END])) if goes else found,
-            next_key=int(head[_col.KEY_END if goes else _col.KEY_MIDDLE]),
-        )
+        floats = made.floats
+        self._moves = bool(floats[_col.WENT] or floats[_col.GOES] or made.head[_col.SOME])
+        if not math.isfinite(floats[_col.KINETIC] + floats[_col.POTENTIAL]):
+            return None
+        state = floats, made.acted, made.status, made.met, made.end, made.end_key, old.opening, old.like
+        out = Flat(old.origin, old.dt, old.count + 1, *state)
+        if made.head[_col.FAST] and self._passes(old, out, made):
+            return None
         if not floats[_col.CERTIFIED]:
-            solution = out.solution(self._solver.tol)
-            certificate, opening = certify(out.problem(self._dynamics), solution.r, solution.u, old.opening)
+            solution = out.solution(self._system.solver.tol)
+            certificate, opening = certify(out.problem(self._system.dynamics), solution.r, solution.u, old.opening)
             floats[_col.GAP : _col.WENT] = certificate
             out = out._replace(opening=opening)
         return out
 
-    def _passes(self, old: Flat, new: Flat, middle: Found) -> bool:
-        """Whether anything touches on its way what it is not seen to meet; it found the contacts `middle` on it."""
-        s, n, w = self._system, self._size, self._work[0]
+    def _passes(self, old: Flat, new: Flat, made: Made) -> bool:
+        """Whether anything touches on its way what it is not seen to meet."""
+        s, n, w = self._system, self._system.dynamics.free, made.work
         there = Poses(w[: 3 * n].reshape(n, 3), w[_col.R_THERE * n : _col.V_THERE * n].reshape(n, 3, 3))
         places, reach = (old.poses, there, new.poses), w[_col.REACH * n : _col.LOOKED_THERE * n]
-        memory = ContactMemory(middle.names, middle.points, new.next_key)
+        memory = ContactMemory(made.found.names, made.found.points, made.next_key)
         own = old.found.contacts(), new.found.contacts(), places, memory
         return touched(s, *own, s.dt, reach / (s.theta * s.dt)) < s.dt
-
-    def _rooms(self) -> tuple[tuple[Array, Index, Any], Rooms]:
-        """Room for a state, and for what is found on the way there if anything moves."""
-        n, nc = self._size, self._most
-        if self._work[2].shape[1] != nc:
-            self._work = _room(n, nc)
-        floats = np.empty(_col.RESULTS + _col.BODY * n + _col.CONTACT * nc)
-        new = floats, np.empty(2 * nc, np.int64), np.empty(nc, np.int8)
-        most = nc if self._moved else 0
-        return new, tuple([tuple(Found.room(most)) for _ in range(3)])
 
     def _is_ready(self, old: Flat) -> bool:
         """Whether the kernel is compiled: that takes half a minute, in which general steps do the same.
@@ -197,34 +104,4 @@ class Quiet:
         self._asked += 1
         if self._asked % ASKS != 1:
             return False
-        state, found, detector = tuple(old[3:6]), tuple(old.found), self._detector
-        direction, rooms = old.opening.d if old.opening else NOTHING, (found, found, found)
-        given = self._arrays, detector.searches, state, found, state, rooms, old.next_key, direction, self._work
-        self._ready = is_ready(_quiet.quiet, self._asked > 1, *given, 0, False, detector.asks)
-        return self._ready
-
-    def _looked(self, floats: Array, code: int, n: int) -> tuple[Array, Array, Array]:
-        """Where contacts are looked for, (x, R, reach) of all bodies."""
-        columns = self._work[0][_col.LOOKED_THERE * n :]
-        if code == _quiet.LOOK_AHEAD:
-            columns = floats[_col.RESULTS + _col.LOOKED * n :]
-        return columns[: 3 * n].reshape(n, 3), columns[3 * n : 12 * n].reshape(n, 3, 3), columns[12 * n : 13 * n]
-
-    def _solve(self, met: Found, floats: Array, nc: int) -> bool:
-        """Solve the problem of a step where the kernel does not; whether that is an answer."""
-        own, a = self._work[0][_col.BODY_WORK * self._size :], floats[_col.RESULTS + _col.BODY * self._size :]
-        b = a[_col.FREE * nc : _col.U_END * nc]
-        blocks, norm = met.blocks(self._dynamics), float(floats[_col.NORM])
-        problem = FC3D.prepared(blocks, b, met.scalars[1], met.scales, norm)
-        solution = self._solver(problem, own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc])
-        if not solution.accepted:
-            return False
-        a[_col.IMPULSE * nc : _col.U * nc], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u
-        floats[_col.ERROR : _col.CERTIFIED] = solution[3:7]
-        return True
-
-
-def _room(n: int, nc: int) -> tuple[Array, Index, Bools]:
-    """What the kernel needs to work with so many bodies and contacts."""
-    floats = np.empty(_col.BODY_WORK * n + _col.CONTACT_WORK * nc)
-    return floats, np.empty(_col.HEAD + nc, np.int64), np.empty((_col.FLAGS, nc), np.bool_)
+        return self._mover.is_ready((old.floats, old.acted, old.status), old.found, self._asked > 1)

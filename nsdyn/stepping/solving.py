@@ -13,7 +13,7 @@ from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Graded, Solver
 from nsdyn.stepping.ball_joints import SHARES, Search, angles
 from nsdyn.stepping.encounter import Closing, Encounter
-from nsdyn.tools.arrays import Bools
+from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["Way", "pose", "solve"]
 

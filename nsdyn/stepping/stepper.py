@@ -169,8 +169,8 @@ class Stepper:
         if self.dynamics.prescribed:
             self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
         self._islands = Islands(self.system)
-        calm = self.dynamics.alone and self.dynamics.free and controller is None and external_force is None
-        self._quiet = Quiet(self.system, polish) if calm else None
+        mover, alone = self.system.mover, controller is None and external_force is None
+        self._quiet = Quiet(self.system, mover, polish) if mover is not None and alone else None
         self._names, self._begin = Names(scene, geoms), partial(begin, self.system, geoms, float(overlap), lift)
         self.reset()
 

@@ -15,6 +15,7 @@ from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Solver
 from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.instant import System
+from nsdyn.stepping.mover import Mover
 from nsdyn.tools.arrays import Array
 
 __all__ = ["check_options", "system_of"]
@@ -76,7 +77,8 @@ def system_of(
     rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
     elastic = any(e > 0.0 for e in rebounds) or bool(dynamics.joints.restitution.any())
     smallest, arm = float(inscribed.min(initial=np.inf)), _arms(geoms, dynamics.frames)
-    return System(dynamics, detector, solver, *scheme, closed, inscribed, smallest, arm, law, elastic)
+    out = System(dynamics, detector, solver, *scheme, closed, inscribed, smallest, arm, law, elastic)
+    return out._replace(mover=Mover(out)) if dynamics.alone and dynamics.free else out
 
 
 def _arms(geoms: list[Geom], frames: int) -> Array:

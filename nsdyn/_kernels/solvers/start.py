@@ -150,18 +150,18 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits
 
 
 @kernel
-def widest(blocks):
-    """Coordinates of the island that has the most."""
+def widest(blocks, label):
+    """Coordinates of the island that has the most, and how many there are; those of the contacts into label (nc,)."""
     offset, block = blocks[:2]
-    label, seen = np.empty(block.shape[0], np.int64), np.zeros(offset.size, np.bool_)
-    size, out = np.zeros(_blocks.islands(block, offset.size - 1, label), np.int64), 0
+    found, seen, out = _blocks.islands(block, offset.size - 1, label), np.zeros(offset.size, np.bool_), 0
+    size = np.zeros(found, np.int64)
     for c in range(label.size):
         for k in block[c]:
             if k >= 0 and not seen[k]:
                 seen[k] = True
                 size[label[c]] += offset[k + 1] - offset[k]
                 out = max(out, size[label[c]])
-    return out
+    return out, found
 
 
 @kernel

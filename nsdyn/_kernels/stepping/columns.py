@@ -94,12 +94,22 @@ FORCE, IMPULSE, U, FREE, U_END, NORMAL_WORK, FRICTION_WORK, GAP_END, COUPLE, CON
 FRAMES, ROWS, SCALES, FOUND = 15, 24, 60, 61
 BLOCKS, STARTS, FOUND_NAMES, SIZE, MADE = 5, 7, 9, 0, 1
 R_THERE, V_THERE, V_FREE, V_PLUS, REACH, LOOKED_THERE = 7, 16, 22, 28, 34, 35
-TURN, CHANGE, V_TURNED, BODY_WORK = 48, 54, 60, 66
-LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, CONTACT_WORK = 0, 15, 30, 31, 32, 35, 36, 37
+TURN, CHANGE, V_TURNED, V_MEAN, NEAR, BODY_WORK = 48, 54, 60, 66, 72, 73
+LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, CONTACT_WORK = (
+    0,
+    15,
+    30,
+    31,
+    32,
+    35,
+    36,
+    37,
+    40,
+)
 
 # The first of the integers at work: how many contacts there are where the impulses act, where the step ends, and of the
 # former those that it meets; whether these are not all; keys of new ones; gaps to be corrected yet; whether couples
-# act; how many contacts there is no room for; whether anything is so fast that it might go unseen; and two of the clock.
+# act; how many contacts there is no room for; whether anything is so fast that it might go unseen; two of the clock.
 MIDDLE, END, MET, SOME, KEY_MIDDLE, KEY_END, GAPS_LEFT, TURNED, NEEDED, FAST, CLOCK = range(11)
 HEAD = CLOCK + 2
 

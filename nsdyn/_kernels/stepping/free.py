@@ -57,17 +57,16 @@ def meet(masses, here, begin, velocities, warm, laws, rows, out):
 
 
 @in_place
-def end(blocks, r, v_free, bodies, position, h, looked, out):
-    """The second half of a move: v⁺ = v_f + M⁻¹ H r and a free flow; whether what was `looked` for is found there too.
+def end(v_free, change, bodies, position, h, looked, out):
+    """The second half of a move: v⁺ = v_f + change and a free flow; whether what was `looked` for is found there too.
 
     Into out = (v⁺, x, quaternion, v, R, linear, angular). looked = ((x, R, reach), reach, arm, tol), as of
     `touching.unmoved`.
     """
     begun, reach, arm, tol = looked
     v_plus, x, quaternion, v, R, linear, angular = out
-    _blocks.velocity_change(blocks, r, v_plus)
     for i in range(v_plus.size):
-        v_plus[i] = v_free[i] + v_plus[i]
+        v_plus[i] = v_free[i] + change[i]
     flow(bodies[0], bodies[1], position[0], position[1], v_plus, h, x, quaternion, v)
     motion.rotations(quaternion, R)
     motion.twists(R, v, x.shape[0], linear, angular)

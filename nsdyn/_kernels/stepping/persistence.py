@@ -186,16 +186,23 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     return some
 
 
+@in_place
+def turns(v, free, h):
+    """Whether any of the free bodies may turn on another by so much in h s that they have couples."""
+    most = 0.0
+    for f in range(free):
+        most = max(most, v[6 * f + 3] ** 2 + v[6 * f + 4] ** 2 + v[6 * f + 5] ** 2)
+    return 2.0 * h * math.sqrt(most) > NO_ARM
+
+
 @kernel
-def turn(blocks, contacts, velocities, bodies, pressed, flags, laws, found, out):
-    """`couples` at the mean of v⁻ and v_f + dv + change, velocities = (v⁻, v_f, dv, change), and what they then meet.
+def turn(blocks, contacts, mean, bodies, pressed, flags, laws, found, out):
+    """`couples`, and what contacts then meet.
 
     Parameters
     ----------
-    blocks, contacts, bodies, pressed, flags, found : tuple
+    blocks, contacts, mean, bodies, pressed, flags, found : tuple
         As of `couples`.
-    velocities : tuple
-        v⁻, v_f, the change of v by the couples that act and that by the impulses r.
     laws : tuple
         end_gap, restitution, rebound, late and closing, as of `offsets`.
     out : tuple
@@ -207,11 +214,6 @@ def turn(blocks, contacts, velocities, bodies, pressed, flags, laws, found, out)
         Whether others do.
     """
     local, b = out
-    before, free, acting, change = velocities
-    mean = np.empty(before.size)
-    for i in range(mean.size):
-        after = free[i] + acting[i] if acting.size else free[i]
-        mean[i] = 0.5 * (before[i] + after + change[i])
     if not couples(blocks, contacts, mean, bodies, pressed, flags, found):
         return False
     relative_velocity(blocks, found[1], b)

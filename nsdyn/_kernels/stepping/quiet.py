@@ -16,6 +16,7 @@ from nsdyn._kernels.packing import indices, matrices, numbers, triples
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.gauss import certificate_of
 from nsdyn._kernels.reductions import copy, least
+from nsdyn._kernels.solvers.start import by_factors, widest
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, persistence, reversal, sight, touching
@@ -51,47 +52,55 @@ def bounces(num, met, x, twists, rates):
 
 
 @in_place
-def depart(num, bodies, forces, arm, met, last, old, f, w):
-    """The first half of a step: whether it may be quiet, whether contacts are those where it begins, how far it reaches.
-
-    last = (keys, pairs of shapes, states) of what acted last.
-    """
-    n, h = arm.size, num[col.STEP]
+def strikes_at_once(num, met, last, old, n):
+    """Whether what is closed strikes where the step begins; last = (keys, pairs of shapes, states) of what acted."""
     names, points, scalars = met
-    x, v = col.vectors(old, col.X, n), col.velocity(old, col.V, n)
-    twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
-    closed, where = (
+    where = names[2], names[3], points[0], points[1], col.vectors(old, col.X, n)
+    closed, twists = (
         (names[4], names[0], names[1], scalars[0], scalars[2]),
-        (names[2], names[3], points[0], points[1], x),
+        (col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)),
     )
-    if touching.striking_speed(closed, where, twists, last, int(num[col.GEOMS]), num[col.CLOSED]) < -num[col.SLOW] / h:
-        return False, False, 0.0
+    least_speed = touching.striking_speed(closed, where, twists, last, int(num[col.GEOMS]), num[col.CLOSED])
+    return least_speed < -num[col.SLOW] / num[col.STEP]
+
+
+@in_place
+def depart(num, bodies, forces, arm, old, f, w):
+    """The first half of a move: how far it reaches, and whether contacts are those where it begins."""
+    n = arm.size
     there = (
         col.vectors(w, col.X, n),
         col.quaternions(w, col.QUATERNION, n),
         col.velocity(w, col.V_THERE, n),
         col.rotations(w, col.R_THERE, n),
     )
-    reach, far_rate, v_free = col.column(w, col.REACH, n), col.velocity(f, col.RATE, n), col.velocity(w, col.V_FREE, n)
-    far, same = free.half(
+    reach, rate, v_free = col.column(w, col.REACH, n), col.velocity(f, col.RATE, n), col.velocity(w, col.V_FREE, n)
+    return free.half(
         bodies,
         forces,
-        (x, col.quaternions(old, col.QUATERNION, n), v),
-        h,
+        (col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, n)),
+        num[col.STEP],
         num[col.THETA],
         col.placed(old, col.LOOKED, n),
         (arm, num[col.STILL]),
-        (*there, v_free, far_rate, reach),
+        (*there, v_free, rate, reach),
     )
-    if num[col.ELASTIC] > 0.0:
-        change = col.velocity(w, col.V_PLUS, n)
-        rates = col.vectors(w, col.TURN, n), col.vectors(w, col.TURN + 3, n)
-        for i in range(change.size):
-            change[i] = (v_free[i] - v[i]) / h
-        motion.twists(col.rotations(old, col.R, n), change, n, *rates)
-        if bounces(num, met, x, twists, rates):
-            return False, False, 0.0
-    return True, same, far
+
+
+@kernel
+def rebounds(num, met, old, w, n):
+    """Whether anything strikes where the step begins, or parts, faster than what rests, of what may rebound."""
+    v, v_free, change, rates = (
+        col.velocity(old, col.V, n),
+        col.velocity(w, col.V_FREE, n),
+        np.empty(6 * n),
+        np.empty((2, n, 3)),
+    )
+    for i in range(change.size):
+        change[i] = (v_free[i] - v[i]) / num[col.STEP]
+    motion.twists(col.rotations(old, col.R, n), change, n, rates[0], rates[1])
+    twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
+    return bounces(num, met, col.vectors(old, col.X, n), twists, (rates[0], rates[1]))
 
 
 @in_place
@@ -111,24 +120,38 @@ def look(detection, ready, looked, before, next_key, into, head, which, most):
 
 
 @kernel
-def catch(num, bodies, first, found, last, old, w, out):
-    """Which contacts that are found the step meets, into out (nc,), as of `sight.caught`; how many.
+def catch(num, bodies, first, found, last, old, w, barred, out):
+    """Which contacts that are found the move meets, into out (nc,), as of `nsdyn.stepping.sight.caught`; how many.
 
-    bodies = (arm, radii of balls inside the shapes), old: the bodies where the step begins.
+    bodies = (arm, radii of balls inside the shapes), old: the bodies where the move begins.
     """
     (arm, inscribed), h, size = bodies, num[col.STEP], int(num[col.GEOMS])
     n = arm.size
-    (names, points, scalars), (before, _, gaps) = found, first
-    nc, v, x = names.shape[1], col.velocity(w, col.V_FREE, n), col.vectors(w, col.X, n)
-    pair, deep = np.empty(nc, np.int64), np.empty(nc)
+    (names, points, scalars), (before, begun, known) = found, first
+    nc, v, v_begin, x = (
+        names.shape[1],
+        col.velocity(w, col.V_FREE, n),
+        col.velocity(old, col.V, n),
+        col.vectors(w, col.X, n),
+    )
+    rate, twists, gap = np.empty(v.size), np.empty((5, 2, n, 3)), known[0].copy()
+    for i in range(rate.size):
+        rate[i] = (v[i] - v_begin[i]) / h
+    closed, tol, bounces_of = num[col.CLOSED], num[col.TOL], (num[col.HALF], num[col.LEAST])
+    if num[col.ELASTIC] > 0.0 and known[2].any():
+        R, where = col.rotations(old, col.R, n), (before[2], before[3], begun[0], begun[1], col.vectors(old, col.X, n))
+        motion.twists(R, v_begin, n, twists[3, 0], twists[3, 1])
+        motion.twists(R, rate, n, twists[4, 0], twists[4, 1])
+        moving = (twists[3, 0], twists[3, 1]), (twists[4, 0], twists[4, 1])
+        sight.parting(where, np.zeros(gap.size), known[0], known[2], moving, (closed, tol, bounces_of), gap)
+    if touching.all_known(names[4], before[4], gap, closed):
+        out[:] = True
+        return nc
+    pair, deep, R = np.empty(nc, np.int64), np.empty(nc), col.rotations(w, col.R_THERE, n)
     for c in range(nc):
         pair[c] = names[0, c] * size + names[1, c]
         deep[c] = num[col.DEPTH] * min(inscribed[names[0, c]], inscribed[names[1, c]])
-    begun, rate = col.velocity(old, col.V, n), np.empty(v.size)
-    for i in range(rate.size):
-        rate[i] = (v[i] - begun[i]) / h
-    twists, R = np.empty((3, 2, n, 3)), col.rotations(w, col.R_THERE, n)
-    motion.twists(R, begun, n, twists[0, 0], twists[0, 1])
+    motion.twists(R, v_begin, n, twists[0, 0], twists[0, 1])
     motion.twists(R, v, n, twists[1, 0], twists[1, 1])
     motion.twists(R, rate, n, twists[2, 0], twists[2, 1])
     sight.caught(
@@ -136,10 +159,10 @@ def catch(num, bodies, first, found, last, old, w, out):
         (names[2], names[3], points[0], points[1], x),
         np.zeros(nc),
         ((twists[0, 0], twists[0, 1]), (twists[1, 0], twists[1, 1]), (twists[2, 0], twists[2, 1])),
-        (before[4], gaps[0], num[col.CLOSED]),
+        (before[4], gap, closed),
         last,
-        (num[col.THETA] * h, h, num[col.TOL], (num[col.HALF], num[col.LEAST])),
-        pair[:0],
+        (num[col.THETA] * h, h, tol, bounces_of),
+        barred,
         out,
     )
     return out.sum()
@@ -212,7 +235,7 @@ def strikes(num, met, local, rate, w):
     return False
 
 
-@kernel
+@in_place
 def lasting(num, met, begin, acted, warm, own, flags, was, b):
     """What persists, into the flags, as of `persistence.persists`, and the problem with that, if it has other gaps.
 
@@ -235,6 +258,44 @@ def lasting(num, met, begin, acted, warm, own, flags, was, b):
 
 
 @kernel
+def too_wide(num, blocks):
+    """Whether an island has more coordinates than are solved here."""
+    return num[col.OWN] == 0.0 or widest(blocks, np.empty(blocks[1].shape[0], np.int64))[0] > int(num[col.DENSE])
+
+
+@in_place
+def rests(num, n, blocks, met, scales, flags, label, a, w, own, out):
+    """Whether a solve is all it takes, since nothing turns, nor slips otherwise than foreseen; then it is made."""
+    nc, mu, h = scales.size, met[2][1], num[col.STEP]
+    v, v_free, change = col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_FREE, n), col.velocity(w, col.CHANGE, n)
+    mean, local, slides = col.velocity(w, col.V_MEAN, n), own[: 15 * nc].reshape((5, 3 * nc)), flags[col.SLIDES, :nc]
+    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    copy(v_free, col.velocity(w, col.V_TURNED, n))
+    change[:] = 0.0
+    if nc == 0:
+        return True
+    if num[col.OWN] == 0.0 or persistence.turns(v, n, h):
+        return False
+    copy(local[4], r)
+    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
+    islands = own[col.ISLANDS * nc : (col.ISLANDS + 3) * nc].reshape((3, nc))
+    given = blocks, b, mu, scales, r, u, label, islands, num[col.ENOUGH], num[col.GOOD], limits
+    _, left, count, top, residual = by_factors(*given)
+    error, before = top / out[col.NORM], flags[col.OTHER, :nc]
+    copy(slides, before)
+    if left or not (error <= num[col.TOL] and residual <= num[col.TOL]):
+        return False
+    if law.reconsider(r, u, b, mu, local, slides, False):
+        copy(before, slides)
+        return False
+    _blocks.velocity_change(blocks, r, change)
+    for i in range(mean.size):
+        mean[i] = 0.5 * (v[i] + v_free[i] + change[i])
+    out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
+    return not persistence.turns(mean, n, h)
+
+
+@kernel
 def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out):
     """Impulses, and couples with which contacts that persist do no work; `DONE`, `SOLVE` or `OTHERWISE`.
 
@@ -248,16 +309,14 @@ def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out
         col.velocity(w, col.V_FREE, n),
         col.velocity(w, col.V_TURNED, n),
     )
-    copy(v_free, turned)
-    if nc == 0:
-        return DONE
     local, alone = own[: 15 * nc].reshape((5, 3 * nc)), own[15 * nc : 30 * nc].reshape((5, 3 * nc))
     end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
     slides, stays, off = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.OFF, :nc]
     couple, dv, change = col.vectors(a, col.COUPLE, nc), col.velocity(w, col.TURN, n), col.velocity(w, col.CHANGE, n)
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    mean = col.velocity(w, col.V_MEAN, n)
     laws, first = (end_gap, laws_of, none, late, closing_of(num)), head[col.GAPS_LEFT] == law.GAPS
-    kept_r, kept_u, left_over = r.copy(), u.copy(), col.column(own, col.LEFT_OVER, nc)
+    kept_r, kept_u, left_over = r, u, col.column(own, col.LEFT_OVER, nc)
     left_over[:] = np.inf
     if again:
         if law.reconsider(r, u, b, mu, local, slides, False):
@@ -271,6 +330,7 @@ def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out
             for i in range(u.size):
                 local[2, i] += u[i]
         if not first:
+            kept_r, kept_u = r.copy(), u.copy()
             law.offsets(local, laws, stays, slides, b)
         copy(local[4], r)
     passes = PASSES if stays.any() else 0
@@ -286,8 +346,7 @@ def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out
         off[:0] if first else off,
         (num[col.OWN] > 0.0, num[col.ENOUGH], num[col.GOOD], limits, num[col.TOL], SOLVES),
         (not again, False, passes),
-        (couple, dv, change, left_over, flags[col.OTHER, :nc], local, b, r, u),
-        col.column(own, col.COUPLE_WORK, nc),
+        (couple, dv, change, mean, left_over, flags[col.OTHER, :nc], local, b, r, u),
     )
     if code == UNSOLVED:
         return SOLVE if first and solved == 0 and not again else OTHERWISE
@@ -296,6 +355,8 @@ def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out
     if left < passes:
         head[col.TURNED] = 1
     if head[col.TURNED]:
+        R, works = col.rotations(w, col.R_THERE, n), col.column(own, col.COUPLE_WORK, nc)
+        persistence.works(met[0][2], met[0][3], n, R, mean, couple, works)
         for i in range(turned.size):
             turned[i] = v_free[i] + dv[i]
     norm, _ = _blocks.size_of(b, mu)
@@ -304,17 +365,16 @@ def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out
 
 
 @in_place
-def arrive(num, bodies, blocks, arm, nowhere, r, f, w):
+def arrive(num, bodies, arm, f, w):
     """The second half of a step; whether contacts are those where the impulses acted."""
     n = arm.size
     return free.end(
-        blocks,
-        r,
         col.velocity(w, col.V_TURNED, n),
+        col.velocity(w, col.CHANGE, n),
         bodies,
         (col.vectors(w, col.X, n), col.quaternions(w, col.QUATERNION, n)),
         num[col.THETA] * num[col.STEP],
-        (col.placed(w, col.LOOKED_THERE, n), nowhere, arm, num[col.STILL]),
+        (col.placed(w, col.LOOKED_THERE, n), col.column(w, col.NEAR, n), arm, num[col.STILL]),
         (
             col.velocity(w, col.V_PLUS, n),
             col.vectors(f, col.X, n),
@@ -360,34 +420,68 @@ def corrects(num, met, now, flags, gap, r, n, f, own):
 
 
 @kernel
+def turns_round(r, u, b, mu, local, was):
+    """Whether any slip ends, or turns round, as of `reversal.ending`."""
+    return reversal.ending(r, u, b, mu, local, was, np.empty(0, np.bool_), np.empty(was.size, np.int8)) > 0
+
+
+@kernel
+def sinks(now, met, r, deep):
+    """Whether any contact that is not pressed is deeper than that."""
+    (found, _, scalars), nc = now, met[0].shape[1]
+    pressed, unpressed = np.empty(found.shape[1], np.bool_), np.empty(nc)
+    for c in range(nc):
+        unpressed[c] = -r[3 * c]
+    touching.known(found[4], met[0][4], unpressed, -touching.LEAST, pressed)
+    for c in range(pressed.size):
+        if not pressed[c] and scalars[0, c] < -deep:
+            return True
+    return False
+
+
+@in_place
 def eventless(num, inscribed, met, now, flags, a, was, spins, own):
     """Whether nothing has turned round, got deep, arrived or turned far on the way, as `passage` asks.
 
-    spins: angular velocities of the bodies, (n, 3), at both ends.
+    spins: angular velocities of the bodies, (n, 3), at both ends. What was is overwritten by what presses.
     """
     nc, (names, _, scalars) = was.size, met
     local, stays = own[: 15 * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
     deepest, deep = least(now[2][0]), min(num[col.CLOSED], num[col.SLOW])
-    if reversal.ending(r, u, b, scalars[1], local, was, stays[:0], np.empty(nc, np.int8)) or deepest < -num[col.CLOSED]:
+    if deepest < -num[col.CLOSED] or turns_round(r, u, b, scalars[1], local, was):
         return False
-    if deepest < -deep:
-        pressed, unpressed = np.empty(now[0].shape[1], np.bool_), np.empty(nc)
-        for c in range(nc):
-            unpressed[c] = -r[3 * c]
-        touching.known(now[0][4], names[4], unpressed, -touching.LEAST, pressed)
-        for c in range(pressed.size):
-            if not pressed[c] and now[2][0, c] < -deep:
-                return False
-    end_gap, far, state = col.column(own, col.FORESEEN, nc), np.empty(nc, np.bool_), np.empty(nc, np.int8)
+    if deepest < -deep and sinks(now, met, r, deep):
+        return False
+    end_gap, far, fastest = col.column(own, col.FORESEEN, nc), flags[col.OFF, :nc], 0.0
     for c in range(nc):
         radius = min(inscribed[names[0, c]], inscribed[names[1, c]])
         if not stays[c] and end_gap[c] > num[col.THETA] * num[col.DEPTH] * radius:
             return False
-        state[c] = r[3 * c] > 0.0
-    touch, most = (names[2], names[3], scalars[0], state, num[col.CLOSED]), law.TURNS / (num[col.THETA] * num[col.STEP])
-    touching.turns_far(touch, spins, most, far)
-    return not far.any()
+        was[c] = r[3 * c] > 0.0
+    most = law.TURNS / (num[col.THETA] * num[col.STEP])
+    for spin in spins:
+        for k in range(spin.shape[0]):
+            fastest = max(fastest, spin[k, 0] ** 2 + spin[k, 1] ** 2 + spin[k, 2] ** 2)
+    if fastest > most * most:
+        touching.turns_far((names[2], names[3], scalars[0], was, num[col.CLOSED]), spins, most, far)
+        for c in range(nc):
+            if far[c]:
+                return False
+    return True
+
+
+@in_place
+def may_gain(mass, works, fallen):
+    """Whether contacts add any energy that matters to that of any body, at the velocity `fallen` gravity gives it."""
+    most, slowest = 0.0, np.inf
+    for work in works:
+        for c in range(work.size):
+            most += max(0.0, work[c])
+    for k in range(mass.size):
+        i = 6 * k
+        slowest = min(slowest, 0.5 * mass[k] * (fallen[i] ** 2 + fallen[i + 1] ** 2 + fallen[i + 2] ** 2))
+    return most > SURELY * GAIN * slowest
 
 
 @kernel
@@ -396,7 +490,7 @@ def gains(num, bodies, blocks, met, flags, status, works, velocities):
 
     works = (normal, friction), velocities: those that the step begins with, and that gravity gives in it.
     """
-    (mass, J), nc, (normal, friction), total = bodies, status.size, works, 0.0
+    (mass, J), nc, (normal, friction) = bodies, status.size, works
     added, label = np.zeros((2, nc)), np.empty(nc, np.int64)
     found = _blocks.islands(blocks[1], blocks[0].size - 1, label)
     for c in range(nc):
@@ -405,12 +499,9 @@ def gains(num, bodies, blocks, met, flags, status, works, velocities):
             nothing += friction[c]
         added[0, label[c]] += nothing
         added[1, label[c]] += normal[c] + friction[c] - nothing
-    for k in range(found):
-        if num[col.ELASTIC] == 0.0:
+    if num[col.ELASTIC] == 0.0:
+        for k in range(found):
             added[0, k] += max(0.0, added[1, k])
-        total = max(total, added[0, k])
-    if not total > 0.0:
-        return False
     energies, counted = np.zeros((2, found)), np.zeros(mass.size, np.bool_)
     for c in range(nc):
         for s in range(2):
@@ -469,8 +560,8 @@ def book(num, bodies, blocks, met, frame, flags, direction, scales, head, status
 
 
 @in_place
-def quiet(system, detection, old, begun, new, rooms, next_key, direction, work, stage, ready, asks):
-    """Everything dt later, or as far as it goes without Python.
+def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred, work, stage, ready, asks, step):
+    """A move, or a whole step that is to meet no event, or as far as it goes without Python.
 
     Parameters
     ----------
@@ -482,21 +573,25 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, work, 
         States: floats; keys, then pairs of shapes of the contacts that acted; what these were, of int8. The latter with
         room for so many contacts.
     begun : tuple
-        What was found where the step begins, with rows of W: floats, integers.
+        What was found where the move begins, with rows of W: floats, integers.
     rooms : tuple
         Room, or none until something moves, for what is found where its impulses act, what it meets of that if not
         all, and what is found where it ends.
     next_key : int
     direction : ndarray
         On which the last certificate rests.
+    barred : ndarray of int
+        Pairs of shapes that are left alone where they are open, as of `nsdyn.stepping.move.trial`.
     work : tuple
         Room: floats, integers, flags (FLAGS, nc).
     stage : int
-        0, or how the last call ended.
+        `DONE` to begin with, then how the last call ended.
     ready : bool
         Whether Python has placed the geoms, and asked Coal of the pairs.
     asks : bool
         Whether Coal is asked of any pair.
+    step : bool
+        Whether it is a step, whose works and certificate are told. Of a move it is left to see what it runs into.
 
     Returns
     -------
@@ -508,11 +603,8 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, work, 
     n, room, was, out, head = arm.size, states.size, status_old.size, f, whole[: col.HEAD]
     moments, axes = triples(sf, si, col.MOMENTS), matrices(sf, si, col.AXES)
     inverse_mass, inverse_J = numbers(sf, si, col.INVERSE_MASS), matrices(sf, si, col.INVERSE_J)
-    bodies, inscribed = (
-        (moments, axes, inverse_mass, inverse_J, numbers(sf, si, col.RADIUS)),
-        numbers(sf, si, col.INSCRIBED),
-    )
-    gravity, no_load, mass = numbers(sf, si, col.GRAVITY), triples(sf, si, col.NO_LOAD), numbers(sf, si, col.MASS)
+    bodies = moments, axes, inverse_mass, inverse_J, numbers(sf, si, col.RADIUS)
+    mass, gravity, no_load = numbers(sf, si, col.MASS), numbers(sf, si, col.GRAVITY), triples(sf, si, col.NO_LOAD)
     masses = (
         indices(si, col.BLOCK_OF_FRAME, col.SYSTEM),
         indices(si, col.OFFSET, col.SYSTEM),
@@ -520,38 +612,43 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, work, 
         numbers(sf, si, col.M),
         numbers(sf, si, col.MINV),
     )
-    begin, bodies_at = col.RESULTS, col.RESULTS + col.BODY * n
+    begin, bodies_at, inscribed = col.RESULTS, col.RESULTS + col.BODY * n, numbers(sf, si, col.INSCRIBED)
     b, b_old, a, own = f[begin:bodies_at], f_old[begin:bodies_at], f[bodies_at:], w[col.BODY_WORK * n :]
-    first, middle = col.contacts(begun, begun[1].size // col.FOUND_NAMES), rooms[0]
-    warm = acted_old[:was], acted_old[was:], status_old
+    first, warm = col.contacts(begun, begun[1].size // col.FOUND_NAMES), (acted_old[:was], acted_old[was:], status_old)
 
-    if stage == 0:
-        falling = gravity, no_load, num[col.WEIGHT]
-        may_be, same, far = depart(num, bodies, falling, arm, first, warm, b_old, b, w)
-        if not may_be:
+    if stage == DONE:
+        if step and strikes_at_once(num, first, warm, b_old, n):
+            return OTHERWISE
+        far, same = depart(num, bodies, (gravity, no_load, num[col.WEIGHT]), arm, b_old, b, w)
+        if step and num[col.ELASTIC] > 0.0 and rebounds(num, first, b_old, w, n):
             return OTHERWISE
         out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
         head[col.MIDDLE], head[col.KEY_MIDDLE], head[col.FAST] = first[0].shape[1], next_key, far > num[col.FASTEST]
-        there = col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), col.column(w, col.REACH, n)
-        looked = col.placed(w, col.LOOKED_THERE, n)
+        reach, near = col.column(w, col.REACH, n), col.column(w, col.NEAR, n)
+        for k in range(n):
+            near[k] = 2.0 * reach[k] if barred.size else nowhere[k]
+        there, looked = (
+            (col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), reach),
+            col.placed(w, col.LOOKED_THERE, n),
+        )
         touching.look(col.placed(b_old, col.LOOKED, n), there, arm, num[col.STILL], looked)
         if not same and asks:
             return LOOK
-    starts = stage == 0 or stage == LOOK
+    starts = stage == DONE or stage == LOOK
     if starts and out[col.WENT] > 0.0:
         looked = col.placed(w, col.LOOKED_THERE, n)
-        code = look(detection, ready, looked, first, next_key, middle, head, col.MIDDLE, room)
+        code = look(detection, ready, looked, first, next_key, rooms[0], head, col.MIDDLE, room)
         if code != DONE:
             return code
     met_of = begun
     if out[col.WENT] > 0.0:
-        met_of = middle
+        met_of = rooms[0]
     found = col.contacts(met_of, head[col.MIDDLE])
     if starts:
         head[col.MET], head[col.SOME], head[col.NEEDED] = found[0].shape[1], 0, found[0].shape[1]
-        if not touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
+        if num[col.ELASTIC] > 0.0 or not touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
             kept = flags[col.OFF, : head[col.MET]]
-            head[col.MET] = catch(num, (arm, inscribed), first, found, warm, b_old, w, kept)
+            head[col.MET] = catch(num, (arm, inscribed), first, found, warm, b_old, w, barred, kept)
             if head[col.MET] < found[0].shape[1]:
                 if col.FOUND * head[col.MET] > rooms[1][0].size:
                     return MORE
@@ -561,13 +658,12 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, work, 
     if head[col.SOME]:
         met_of = rooms[1]
     met, (frame, block, start, H, scales, made) = col.contacts(met_of, nc), col.rows(met_of, nc)
-    r, u, q = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    r, q = a[col.IMPULSE * nc : col.U * nc], a[col.FREE * nc : col.U_END * nc]
     gap, status, acted = col.column(a, col.GAP_END, nc), states[:nc], (keys_of[:nc], keys_of[nc : 2 * nc])
-    place = whole[col.HEAD : col.HEAD + nc]
     if starts:
         pressed = warm[0], col.vectors(f_old[bodies_at:], col.FORCE, was), status_old
         of = frame, block, start, H[: made[col.SIZE]] if made[col.MADE] else H, scales, made[col.MADE] > 0
-        slides = flags[col.SLIDES, :nc]
+        slides, place = flags[col.SLIDES, :nc], whole[col.HEAD : col.HEAD + nc]
         made[col.SIZE], _, good = pose(num, masses, (first, b_old), pressed, met, of, w, own, place, slides, q)
         made[col.MADE] = 1
         for c in range(nc):
@@ -585,19 +681,21 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, work, 
         norm, _ = _blocks.size_of(q, met[2][1])
         out[col.NORM] = norm if norm > 0.0 else 1.0
     blocks, now = (masses[1], block, start, H[: made[col.SIZE]], *masses[2:]), found
+    if starts and not step and too_wide(num, blocks):
+        return OTHERWISE
     while True:
         if stage != LOOK_AHEAD:
             began = seconds(head[col.CLOCK :])
-            code = respond(num, (inverse_J, arm), blocks, met, scales, flags, stage == SOLVE, a, w, own, head, out)
-            if code != DONE:
-                return code
+            label, again = whole[col.HEAD + room : col.HEAD + room + nc], stage == SOLVE
+            if not starts or not rests(num, n, blocks, met, scales, flags, label, a, w, own, out):
+                code = respond(num, (inverse_J, arm), blocks, met, scales, flags, again, a, w, own, head, out)
+                if code != DONE:
+                    return code
             out[col.TIME] += seconds(head[col.CLOCK :]) - began
-            same = arrive(num, bodies, blocks, arm, nowhere, r, b, w)
+            same = arrive(num, bodies, arm, b, w)
             out[col.GOES] = 0.0 if same else 1.0
-            looked, there = (
-                col.placed(b, col.LOOKED, n),
-                (col.vectors(b, col.X, n), col.rotations(b, col.R, n), nowhere),
-            )
+            there = col.vectors(b, col.X, n), col.rotations(b, col.R, n), col.column(w, col.NEAR, n)
+            looked = col.placed(b, col.LOOKED, n)
             touching.look(col.placed(w, col.LOOKED_THERE, n), there, arm, num[col.STILL], looked)
             if not same and asks:
                 return LOOK_AHEAD
@@ -613,7 +711,9 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, work, 
             copy(met[2][0], gap)
         if head[col.GAPS_LEFT] == 0 or not corrects(num, met, now, flags, gap, r, n, b, own):
             break
-        head[col.GAPS_LEFT], stage = head[col.GAPS_LEFT] - 1, 0
+        head[col.GAPS_LEFT], stage, starts = head[col.GAPS_LEFT] - 1, DONE, False
+    if not step:
+        return DONE
     spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
     if not eventless(num, inscribed, met, now, flags, a, status, spins, own):
         return OTHERWISE
@@ -627,4 +727,6 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, work, 
     for i in range(fallen.size):
         fallen[i] = num[col.STEP] * rate[i]
     velocities = col.velocity(b_old, col.V, n), fallen
-    return OTHERWISE if gains(num, inertia[:2], blocks, met, flags, status, works, velocities) else DONE
+    if may_gain(mass, works, fallen) and gains(num, inertia[:2], blocks, met, flags, status, works, velocities):
+        return OTHERWISE
+    return DONE

@@ -5,9 +5,9 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.reductions import copy
-from nsdyn._kernels.solvers.start import by_factors, widest
+from nsdyn._kernels.solvers.start import by_factors
 from nsdyn._kernels.stepping.law import offsets, reconsider
-from nsdyn._kernels.stepping.persistence import turn, works
+from nsdyn._kernels.stepping.persistence import turn, turns
 
 DONE, SOLVE = 0, 1
 """What is to be done: nothing, or a problem is to be solved."""
@@ -38,13 +38,16 @@ def thaw(label, some, islands, before, after):
 
 @in_place
 def reconsider_some(r, u, b, mu, local, slides, back, label, islands, changed):
-    """`reconsider` the contacts of some `islands` alone, by labels (nc,); into changed (nc,) which slide otherwise."""
+    """`reconsider` the contacts of some `islands` alone, by labels (nc,), of all if it is empty.
+
+    Into changed (nc,) which slide otherwise.
+    """
     for c in range(slides.size):
         changed[c] = slides[c]
     reconsider(r, u, b, mu, local, slides, back)
     some = False
     for c in range(slides.size):
-        if not islands[label[c]]:
+        if islands.size > 0 and not islands[label[c]]:
             slides[c] = changed[c]
         changed[c] = slides[c] != changed[c]
         some = some or changed[c]
@@ -52,7 +55,7 @@ def reconsider_some(r, u, b, mu, local, slides, back, label, islands, changed):
 
 
 @kernel
-def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solver, begin, state, work):
+def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solver, begin, state):
     """Couples as of `persistence.turn`, and impulses with them, in turns until no other couples do less work.
 
     Parameters
@@ -74,10 +77,9 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
         looked for.
     state : tuple
         couple (nc, 3) and dv (n,), those that act; change (n,), that of v by r, made here if problems are solved here;
-        left and other, (nc,), as of `couples`; local (5, 3 rows), b, r and u, (3 rows,): what is met, its problem and
-        solution. All are changed in place.
-    work : ndarray, shape (nc,)
-        Works of the couples where nothing is left to do, J.
+        mean (n,), the mean velocity, ½ (v⁻ + v_f + dv + change), made where nothing is left to do; left and other,
+        (nc,), as of `couples`; local (5, 3 rows), b, r and u, (3 rows,): what is met, its problem and solution. All are
+        changed in place.
 
     Returns
     -------
@@ -88,19 +90,22 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
     (before, free), (first, back, passes) = velocities, begin
     (mu, scales, alone, last_r, last_u), (stays, _, slides) = given, flags
     own, enough, good, limits, tol, most = solver
-    couple, dv, change, left, other, local, b, r, u = state
+    couple, dv, change, mean, left, other, local, b, r, u = state
     names, measures = np.empty(mu.size, np.int64), np.empty((3, mu.size))
     label, changed = np.empty(mu.size, np.int64), np.empty(slides.size, np.bool_)
-    islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
+    islands = np.empty(0, np.bool_)
     otherwise, solved, error, residual, count = False, 0, 0.0, 0.0, 0
-    own = own and widest(blocks) <= limits[0]
     while True:
         if not first:
             if own:
                 _blocks.velocity_change(blocks, r, change)
+            for i in range(mean.size):
+                mean[i] = 0.5 * (before[i] + (free[i] + dv[i]) + change[i])
+            if passes == 0 or not turns(mean, bodies[1].shape[0], bodies[3]):
+                break
             turned, acting, met, q = couple.copy(), dv.copy(), alone.copy(), b.copy()
-            moving, found = (before, free, dv, change), (turned, acting, left, other)
-            if passes == 0 or not turn(blocks, contacts, moving, bodies, (r, mu), flags, laws, found, (met, q)):
+            others = turned, acting, left, other
+            if not turn(blocks, contacts, mean, bodies, (r, mu), flags, laws, others, (met, q)):
                 break
             passes, back = passes - 1, True
             copy(acting, dv)
@@ -112,6 +117,8 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
             last_r, last_u, off = r.copy(), u.copy(), other
         if not own:
             return SOLVE, passes, otherwise, solved, error, residual, count
+        if off.size > 0 and islands.size == 0:
+            islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
         islands[:] = True
         some, kept_r, kept_u = off, last_r, last_u
         for k in range(most + 1):
@@ -133,11 +140,9 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
             if k < most:
                 offsets(local, laws, stays, slides, b)
                 some, kept_r, kept_u = changed, r.copy(), u.copy()
+                if islands.size == 0:
+                    islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
             else:
                 otherwise = True
         first = False
-    mean = np.empty(before.size)
-    for i in range(mean.size):
-        mean[i] = 0.5 * (before[i] + free[i] + dv[i] + change[i])
-    works(contacts[2], contacts[3], bodies[1].shape[0], bodies[0], mean, couple, work)
     return DONE, passes, otherwise, solved, error, residual, count

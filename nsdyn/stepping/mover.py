@@ -1,0 +1,346 @@
+"""Moves of free bodies under gravity alone, in one call of a kernel: `nsdyn._kernels.stepping.quiet`."""
+
+from __future__ import annotations
+
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels.compiled import is_ready
+from nsdyn._kernels.packing import pack
+from nsdyn._kernels.stepping import columns as _col
+from nsdyn._kernels.stepping import quiet as _quiet
+from nsdyn.collision.contacts import ContactMemory, Looked
+from nsdyn.dynamics.values import Forces, Middle, Placement
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.gauss import WEAK
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.solvers.auto import LIMITS, Auto
+from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.flat import Acted, Found, packed
+from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
+from nsdyn.stepping.instant import FAST, STILL, Instant, System
+from nsdyn.stepping.persistence import NO_COUPLE, Couple
+from nsdyn.stepping.projection import Placed
+from nsdyn.stepping.response import Reach, Response
+from nsdyn.tools.arrays import Array, Bools, Index
+
+__all__ = ["NO_PAIRS", "Made", "Mover"]
+
+NO_PAIRS, NOTHING = np.empty(0, np.int64), np.empty(0)
+
+
+Rooms = tuple[tuple[Array, Index], tuple[Array, Index], tuple[Array, Index]]
+
+
+class Made(NamedTuple):
+    """What the kernel has made.
+
+    Attributes
+    ----------
+    floats, acted, status : ndarray
+        The state at the end, as of `Flat`.
+    work : ndarray
+        What it worked with, columns of the bodies and of the contacts met.
+    head : ndarray of int
+        The first integers at work.
+    flags : ndarray of bool, shape (FLAGS, nc)
+    found, met, end : Found
+        What was found where the impulses acted, what of that was met, and what was found at the end.
+    next_key : int
+        That after `found`; at the end it is of `end_key`.
+    end_key : int
+    """
+
+    floats: Array
+    acted: Index
+    status: NDArray[np.int8]
+    work: Array
+    head: Index
+    flags: Bools
+    found: Found
+    met: Found
+    end: Found
+    next_key: int
+    end_key: int
+
+
+class Mover:
+    """Moves of a system of free bodies alone.
+
+    Parameters
+    ----------
+    s : System
+    """
+
+    ready: ClassVar[bool] = False
+    """Whether the kernel is compiled: that takes half a minute, in which general moves do the same."""
+
+    def __init__(self, s: System) -> None:
+        d, solver, closing, own = s.dynamics, s.solver, s.closing(s.dt, False), isinstance(s.solver, Auto)
+        moments, axes, inverse_mass, inverse_J, radius = d.bodies
+        block_of_frame, offset, m_start, m, minv = d.masses
+        numbers = (
+            d.weight,
+            s.dt,
+            s.theta,
+            s.closed,
+            closing.shallow,
+            closing.until,
+            s.depth,
+            FAST * s.smallest,
+            s.slow,
+            STILL * s.closed,
+            s.elastic,
+            *s.bounces,
+            solver.tol,
+            own,
+            *(solver.aims if isinstance(solver, Auto) else (0.0, 0.0)),
+            *LIMITS,
+            WEAK,
+            s.inscribed.size,
+        )
+        floats = [moments, axes, inverse_mass, inverse_J, radius, d.mass, d.J, m, minv, d.gravity, d.no_load, s.arm]
+        floats += [d.nowhere, s.inscribed, np.array(numbers, dtype=float)]
+        *packed, views, _ = pack(floats, [block_of_frame, offset, m_start])
+        self._arrays, self.numbers = tuple(packed), views[-1]
+        self._dynamics, self._solver, self._detector, self._size = d, solver, s.detector, d.free
+        self._smallest, self._dt, self._length, self._most = s.smallest, s.dt, (s.dt, s.depth), 0
+        self._work = _work(d.free, 0)
+        self._given: tuple[Instant | None, tuple[Acted, Found] | None] = None, None
+
+    def __call__(
+        self,
+        old: Acted,
+        begun: Found,
+        next_key: int,
+        length: tuple[float, float],
+        direction: Array = NOTHING,
+        barred: Index = NO_PAIRS,
+        step: bool = False,
+        moves: bool = True,
+    ) -> Made | None:
+        """The move of length = (h [s], depth) from a state; None where the kernel does not make it.
+
+        Parameters
+        ----------
+        old : Acted
+        begun : Found
+            Contacts there.
+        next_key : int
+        length : (float, float)
+        direction : ndarray
+        barred : ndarray of int
+        step : bool
+            As of the kernel.
+        moves : bool
+            Whether anything is likely to move, so that there should be room for what is found then.
+        """
+        detector = self._detector
+        if length != self._length:
+            self._set(length)
+        self._most = max(self._most, begun.nc)
+        new, rooms, work = self._rooms(moves, step)
+        stage, ready, head = _quiet.DONE, False, work[1]
+        while True:
+            code = _quiet.quiet(
+                self._arrays,
+                detector.searches,
+                old,
+                tuple(begun),
+                new,
+                rooms,
+                next_key,
+                direction,
+                barred,
+                work,
+                stage,
+                ready,
+                detector.asks,
+                step,
+            )
+            if code == _quiet.DONE:
+                return self._made(new, rooms, work, begun)
+            if code == _quiet.OTHERWISE:
+                return None
+            if code == _quiet.MORE:
+                self._most = max(self._most, int(head[_col.NEEDED]))
+                new, rooms, work = self._rooms(True, step)
+                stage, ready, head = _quiet.DONE, False, work[1]
+                continue
+            if code != _quiet.SOLVE:
+                n, ahead = self._size, code == _quiet.LOOK_AHEAD
+                columns = new[0][_col.RESULTS :] if ahead else work[0]
+                detector.ask(*_looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, n))
+            elif not self._solve(self._made(new, rooms, work, begun)):
+                return None
+            stage, ready = code, True
+
+    def respond(
+        self, s: System, begin: Instant, t: float, h: float, barred: Index
+    ) -> tuple[Half, Reach, Response] | None:
+        """The move of h s from the time t, with `barred` as of `trial`; None where the kernel does not make it."""
+        if not Mover.ready:
+            return None
+        if self._given[0] is not begin:
+            self._given = begin, packed(begin, begin.v)
+        if (given := self._given[1]) is None:
+            return None
+        made = self(*given, begin.memory.next_key, (h, s.depth), barred=barred)
+        return None if made is None else self._told(s, begin, t, h, made)
+
+    def _told(self, s: System, begin: Instant, t: float, h: float, made: Made) -> tuple[Half, Reach, Response]:
+        """The move as values."""
+        d, n, nc, f, w, p = s.dynamics, self._size, made.status.size, made.floats, made.work, begin.position
+        b, a, own = f[_col.RESULTS :], f[_col.RESULTS + _col.BODY * n :], w[_col.BODY_WORK * n :]
+        went, goes = f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
+        found = made.found.contacts() if went else begin.contacts
+        memory = ContactMemory(made.found.names, made.found.points, made.next_key) if went else begin.memory
+        there = Placement(_vectors(w, _col.X, n), _matrices(w, _col.R_THERE, n), ())
+        middle = Middle(p.moved(_vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)), w[16 * n : 22 * n], there, ())
+        v_free, reach, ahead = (
+            w[_col.V_FREE * n : _col.V_PLUS * n],
+            w[_col.REACH * n : _col.LOOKED_THERE * n],
+            s.theta * h,
+        )
+        forces = Forces(v_free, v_free, d.no_load, d.no_load, d.masses[3], d.masses[4], ())
+        rate, fast = b[_col.RATE * n : _col.BODY * n], bool(made.head[_col.FAST])
+        half = Half(h, ahead, t + h, middle, forces, rate, reach, fast, not went, STILL_SURFACES, SILENT)
+        looked = _looked(w, _col.LOOKED_THERE, n) if went else begin.looked
+        met = made.met.contacts() if made.head[_col.SOME] else found
+        blocks = made.met.blocks(d)
+        rows, (slides, stays, sticks) = d.free_rows(blocks.block, blocks.start, blocks.H), made.flags[:3, :nc]
+        r, u, q = (a[k * nc : (k + 3) * nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
+        problem = FC3D.prepared(rows.full, q, met.mu, made.met.scales, float(f[_col.NORM]))
+        error, residual, count, time = f[_col.ERROR : _col.CERTIFIED].tolist()
+        solution = Solution(r, u, Status.CONVERGED, error, residual, int(count), time)
+        encounter = Encounter(
+            met,
+            None,
+            rows,
+            made.met.frame,
+            None,
+            met.mu,
+            met.restitution,
+            made.head[_col.HEAD : _col.HEAD + nc],
+            begin.warm.status,
+            own[: 15 * nc].reshape(5, 3 * nc),
+            own[_col.FORESEEN * nc : _col.LATE * nc],
+            stays=stays,
+            sticks=sticks,
+            was=made.status,
+            late=own[_col.LATE * nc : _col.PROJECTED * nc],
+        )
+        couple = NO_COUPLE
+        if made.head[_col.TURNED]:
+            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], w[_col.TURN * n : _col.CHANGE * n]
+            couple = Couple(_vectors(a, _col.COUPLE, nc), works, dv)
+        end = Placement(_vectors(b, _col.X, n), _matrices(b, _col.R, n), ())
+        position = p.moved(end.x, b[_col.QUATERNION * n : _col.V * n].reshape(n, 4))
+        moved = Placed(position, end, found, begin.limits, memory, looked, True)
+        if goes:
+            memory_there = ContactMemory(made.end.names, made.end.points, made.end_key)
+            moved = moved._replace(contacts=made.end.contacts(), memory=memory_there, looked=_looked(b, _col.LOOKED, n))
+        v_plus, v_end = w[_col.V_PLUS * n : _col.REACH * n], b[_col.V * n : _col.R * n]
+        twists = _vectors(b, _col.LINEAR, n), _vectors(b, _col.ANGULAR, n)
+        acted = None, 0.0, slides, problem, solution, False, couple, v_plus, NOTHING, v_end, (), twists, moved
+        return half, Reach(met, None, found, memory, looked), Response(encounter, *acted)
+
+    def _set(self, length: tuple[float, float]) -> None:
+        """Make moves of such a length."""
+        (h, depth), num, self._length = length, self.numbers, length
+        num[_col.STEP], num[_col.DEPTH], num[_col.SLOW] = h, depth, depth * self._smallest
+        num[_col.UNTIL] = num[_col.THETA] * h + (1.0 - num[_col.THETA]) * self._dt
+
+    def is_ready(self, old: Acted, begun: Found, begin: bool) -> bool:
+        """Whether the kernel is compiled; if not, and it may `begin`, another process does that."""
+        found, detector = tuple(begun), self._detector
+        given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
+        work = self._rooms(False, False)[2]
+        Mover.ready = is_ready(_quiet.quiet, begin, *given, work, 0, False, detector.asks, False)
+        return Mover.ready
+
+    def _rooms(self, moves: bool, step: bool) -> tuple[Acted, Rooms, tuple[Array, Index, Bools]]:
+        """Room for a state, for what is found on the way there, if anything moves, and to work in."""
+        n, nc, work = self._size, self._most, self._work
+        if not step or work[2].shape[1] != nc:  # of what a step has worked with nothing is kept
+            work = _work(n, nc)
+        if step:
+            self._work = work
+        floats = np.empty(_col.RESULTS + _col.BODY * n + _col.CONTACT * nc)
+        new = floats, np.empty(2 * nc, np.int64), np.empty(nc, np.int8)
+        return new, (_room(nc), _room(nc), _room(nc)) if moves else NO_ROOMS, work
+
+    def _made(
+        self,
+        new: Acted,
+        rooms: Rooms,
+        work: tuple[Array, Index, Bools],
+        begun: Found,
+    ) -> Made:
+        """What is made so far, as large as it is."""
+        (floats, acted, status), (own, head, flags), n = new, work, self._size
+        nc, went, goes = int(head[_col.MET]), floats[_col.WENT] > 0.0, floats[_col.GOES] > 0.0
+        found = Found(*rooms[0]).of(int(head[_col.MIDDLE])) if went else begun
+        if nc != status.size:
+            floats, acted, status = (
+                floats[: _col.RESULTS + _col.BODY * n + _col.CONTACT * nc],
+                acted[: 2 * nc],
+                status[:nc],
+            )
+        return Made(
+            floats,
+            acted,
+            status,
+            own,
+            head,
+            flags,
+            found,
+            Found(*rooms[1]).of(nc) if head[_col.SOME] else found,
+            Found(*rooms[2]).of(int(head[_col.END])) if goes else found,
+            int(head[_col.KEY_MIDDLE]),
+            int(head[_col.KEY_END if goes else _col.KEY_MIDDLE]),
+        )
+
+    def _solve(self, made: Made) -> bool:
+        """Solve the problem of a step where the kernel does not; whether that is an answer."""
+        n, nc, floats, met = self._size, made.status.size, made.floats, made.met
+        own, a = made.work[_col.BODY_WORK * n :], floats[_col.RESULTS + _col.BODY * n :]
+        b, norm = a[_col.FREE * nc : _col.U_END * nc], float(floats[_col.NORM])
+        problem = FC3D.prepared(met.blocks(self._dynamics), b, met.scalars[1], met.scales, norm)
+        solution = self._solver(problem, own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc])
+        if not solution.accepted:
+            return False
+        a[_col.IMPULSE * nc : _col.U * nc], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u
+        floats[_col.ERROR : _col.CERTIFIED] = solution[3:7]
+        return True
+
+
+def _work(n: int, nc: int) -> tuple[Array, Index, Bools]:
+    """Room to work in, for so many bodies and contacts."""
+    own = np.empty(_col.BODY_WORK * n + _col.CONTACT_WORK * nc)
+    return own, np.empty(_col.HEAD + 2 * nc, np.int64), np.empty((_col.FLAGS, nc), np.bool_)
+
+
+def _room(nc: int) -> tuple[Array, Index]:
+    """Room for what is found of so many contacts."""
+    return np.empty(_col.FOUND * nc), np.empty(_col.FOUND_NAMES * nc + 2, np.int64)
+
+
+NO_ROOMS = (_room(0),) * 3
+
+
+def _vectors(f: Array, k: int, n: int) -> Array:
+    """The columns from k on as (n, 3)."""
+    return f[k * n : (k + 3) * n].reshape(n, 3)
+
+
+def _matrices(f: Array, k: int, n: int) -> Array:
+    """The columns from k on as (n, 3, 3)."""
+    return f[k * n : (k + 9) * n].reshape(n, 3, 3)
+
+
+def _looked(f: Array, k: int, n: int) -> Looked:
+    """Where contacts are looked for, in the columns from k on."""
+    return Looked(_vectors(f, k, n), _matrices(f, k + 3, n), f[(k + 12) * n : (k + 13) * n])
