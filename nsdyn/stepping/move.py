@@ -14,7 +14,7 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee
-from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
+from nsdyn.stepping.half import SILENT, Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Instant, System, among, take
 from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
 from nsdyn.stepping.projection import Placed, place
@@ -59,7 +59,8 @@ def trial(
     half : Half, optional
         Where it is known.
     """
-    mover = s.mover if callbacks is None else None
+    # What the user's functions say the kernel knows nothing of.
+    mover = s.mover if callbacks is None and (half is None or half.given is SILENT) else None
     if mover is not None and barred is not None and (made := mover.respond(s, begin, t, h, barred)) is not None:
         return _met(s, begin, made, barred)
     half = half or first_half(s, begin, t, h, callbacks)
@@ -111,7 +112,7 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: 
     Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
     nodes `skip`, whose contacts are passed over.
     """
-    mover, t, h = s.mover if callbacks is None else None, half.end - half.h, half.h
+    mover, t, h = s.mover if callbacks is None and half.given is SILENT else None, half.end - half.h, half.h
     if mover is not None and not skip.any() and (made := mover.respond(s, begin, t, h, NO_SLOTS)) is not None:
         _, reach, response = made
         unmet = others(s, response.moved.contacts, reach.contacts, response.normal, NOTHING, NO_SLOTS)
