@@ -1,8 +1,7 @@
 """The state of a run as plain arrays, from which it goes on bit for bit.
 
 Everything of `nsdyn.stepping.stepper.State` is stored but what is found again to the last bit: the links of trees and
-their energies, which follow from their coordinates, and the basis of the warm start, which follows from the contacts
-and where they were looked for.
+their energies, which follow from their coordinates.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ def unpack(arrays: Arrays, like: State, dynamics: Dynamics) -> State:
 def _plain(state: State) -> State:
     """The state without what is stored apart or found again."""
     i = state.instant
-    i = i._replace(placement=i.placement._replace(links=()), warm=i.warm._replace(basis=None), energies=())
+    i = i._replace(placement=i.placement._replace(links=()), energies=())
     return state._replace(instant=i, opening=None, last=None)
 
 

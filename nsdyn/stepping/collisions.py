@@ -101,7 +101,7 @@ def collide(
     if impact.problem is None or impact.solution is None:
         return None
     v = at.v + met.rows.velocity_change(impact.r)
-    impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact, None, NO_COUPLE, d.mass)
+    impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact, NO_COUPLE, d.mass)
     if any(free.constraints is not None for free in forces.trees):
         push = met.rows.full.momentum(impact.r)
         for tree, free in zip(d.trees, forces.trees, strict=True):

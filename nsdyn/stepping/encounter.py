@@ -163,11 +163,7 @@ class Encounter(NamedTuple):
         """
         there = middle.placement
         old, driven_x, place, twists, v_begin, warm = begin
-        basis = warm.basis
-        if basis is not None and basis.contacts is contacts and joints is None and not dynamics.trees:
-            _, rows, frame, alike = basis
-        else:
-            (rows, frame), alike = dynamics.rows(contacts, there, forces, joints), None
+        rows, frame = dynamics.rows(contacts, there, forces, joints)
         full, nc = rows.full, contacts.gap.size
         if closing is not None and rows.blocks is full and full.nc == nc and not dynamics.surfaces.count:
             velocities = v_begin, middle.v, forces.v
@@ -195,7 +191,7 @@ class Encounter(NamedTuple):
             joints,
             rows,
             frame,
-            alike,
+            None,
             mu,
             restitution,
             where,

@@ -178,7 +178,7 @@ class Flat(NamedTuple):
             like.limits,
             ContactMemory(self.found.names, self.found.points, self.next_key),
             Looked(*looked),
-            Warm(self.acted[:nc], self.acted[nc:], force, self.status, like.warm.joints, None),
+            Warm(self.acted[:nc], self.acted[nc:], force, self.status, like.warm.joints),
             self.twists,
             (),
         )

@@ -11,13 +11,12 @@ from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.values import Forces
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.instant import NOTHING, System
 from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.rounds import Impact
-from nsdyn.stepping.warm import Basis, Warm
+from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["Impulses", "account"]
@@ -94,7 +93,6 @@ def account(
     r: Array,
     h: float,
     impact: Impact | None,
-    problem: FC3D | None,
     couple: Couple,
     mass: Array,
 ) -> tuple[Impulses, Works, Warm]:
@@ -113,8 +111,6 @@ def account(
     h : float
         The move, s; 0 of impacts alone.
     impact : Impact, optional
-    problem : FC3D, optional
-        Which r solves.
     couple : Couple
     mass : ndarray, shape (free,)
         Of the free bodies, on which gravity works, kg.
@@ -159,9 +155,8 @@ def account(
         slots = slots / h
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
-    basis = None if problem is None else Basis(met.contacts, met.rows, met.frame, problem)
     time = np.empty(nc)
     time.fill((1.0 - s.theta) * h)
     links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))
     impulses = Impulses(c, met.frame, u, impulse, status, turned, normal, friction, on_joints, links, created, time, h)
-    return impulses, works, Warm(c.key, s.detector.codes(c), world, status, slots, basis)
+    return impulses, works, Warm(c.key, s.detector.codes(c), world, status, slots)

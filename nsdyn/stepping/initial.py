@@ -61,7 +61,7 @@ def begin(
             raise ValueError(f"{where}, and nothing moves them apart: they are squeezed")
     none = np.empty((0, 3))
     nobody = np.empty(0, np.int64)
-    warm = Warm(nobody, nobody, none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)), None)
+    warm = Warm(nobody, nobody, none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
     at = placed.placement
     return Instant(
         placed.position,

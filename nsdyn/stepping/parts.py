@@ -104,9 +104,7 @@ class Part:
         geoms = np.divmod(w.pair, self._geom.size)
         kept = self._has(*(self._frame_of_geom[g] for g in geoms))
         first, second = (self._geom[g[kept]] for g in geoms)
-        warm = Warm(
-            w.key[kept], first * self.geoms.size + second, w.force[kept], w.status[kept], w.joints[self._slots], None
-        )
+        warm = Warm(w.key[kept], first * self.geoms.size + second, w.force[kept], w.status[kept], w.joints[self._slots])
         there = Placement(place.x[frames], place.R[frames], tuple([place.links[k] for k in trees]))
         return Instant(
             position,
@@ -231,7 +229,7 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
         energies=energies,
         contacts=ContactSet._make([column[order] for column in c]),
         memory=ContactMemory(all_names[:, ranks].copy(), all_points[:, ranks].copy(), next_key),
-        warm=Warm(key, pair, force, status, out.warm.joints, None),
+        warm=Warm(key, pair, force, status, out.warm.joints),
     )
 
 

@@ -69,7 +69,7 @@ def quiet_trees(s: System, begin: Instant, half: Half, callbacks: Callbacks) -> 
     found, memory, looked = seen
     if unfinished(s, met, begun, looked, found, there.R, h, 0.5 * (v + v_plus), r, slides) is not None:
         return None
-    impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, problem, NO_COUPLE, d.mass)
+    impulses, own, warm = account(s, met, forces, (v, v, v_plus), r, h, None, NO_COUPLE, d.mass)
     works, energies = tree_works(s, begin, half, v_plus, ends, impulse, position, impulses, own)
     twists = d.twists(place, v_end)
     end = Instant(position, v_end, place, found, limits, memory, looked, warm, twists, energies)

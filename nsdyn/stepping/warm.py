@@ -7,30 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn.collision.contacts import ContactSet
-from nsdyn.dynamics.joints import Rows
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Basis", "Warm"]
-
-
-class Basis(NamedTuple):
-    """Contacts and their rows, which serve as long as nothing moves.
-
-    Attributes
-    ----------
-    contacts : ContactSet
-    rows : Rows
-    frame : ndarray, shape (nc, 3, 3)
-    problem : FC3D
-        Of the last move.
-    """
-
-    contacts: ContactSet
-    rows: Rows
-    frame: Array
-    problem: FC3D
+__all__ = ["Warm"]
 
 
 class Warm(NamedTuple):
@@ -46,7 +25,6 @@ class Warm(NamedTuple):
         0 open, 1 stick, 2 slip.
     joints : ndarray, shape (slots, 3)
         Of joint limits, joint friction and actuators, by the slots of `nsdyn.dynamics.joints.JointLaws`, N m or N.
-    basis : Basis, optional
     """
 
     key: Index
@@ -54,4 +32,3 @@ class Warm(NamedTuple):
     force: Array
     status: NDArray[np.int8]
     joints: Array
-    basis: Basis | None

@@ -216,7 +216,7 @@ def pose(num, masses, begin, last, met, rows, w, own, place, slides, b):
         (last[0], last[1], num[col.STEP], last[2]),
         (met[2][1], met[2][2], closing_of(num)),
         rows,
-        (own[: 15 * nc].reshape((5, 3 * nc)), col.column(own, col.FORESEEN, nc), place, slides, b),
+        (own[: col.ALONE * nc].reshape((5, 3 * nc)), col.column(own, col.FORESEEN, nc), place, slides, b),
     )
 
 
@@ -244,7 +244,7 @@ def lasting(num, met, begin, acted, warm, own, flags, was, b):
     """
     nc, none = was.size, own[:0]
     local, end_gap, late = (
-        own[: 15 * nc].reshape((5, 3 * nc)),
+        own[: col.ALONE * nc].reshape((5, 3 * nc)),
         col.column(own, col.FORESEEN, nc),
         col.column(own, col.LATE, nc),
     )
@@ -268,7 +268,11 @@ def rests(num, n, blocks, met, scales, flags, label, a, w, own, out):
     """Whether a solve is all it takes, since nothing turns, nor slips otherwise than foreseen; then it is made."""
     nc, mu, h = scales.size, met[2][1], num[col.STEP]
     v, v_free, change = col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_FREE, n), col.velocity(w, col.CHANGE, n)
-    mean, local, slides = col.velocity(w, col.V_MEAN, n), own[: 15 * nc].reshape((5, 3 * nc)), flags[col.SLIDES, :nc]
+    mean, local, slides = (
+        col.velocity(w, col.V_MEAN, n),
+        own[: col.ALONE * nc].reshape((5, 3 * nc)),
+        flags[col.SLIDES, :nc],
+    )
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
     copy(v_free, col.velocity(w, col.V_TURNED, n))
     change[:] = 0.0
@@ -309,7 +313,10 @@ def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out
         col.velocity(w, col.V_FREE, n),
         col.velocity(w, col.V_TURNED, n),
     )
-    local, alone = own[: 15 * nc].reshape((5, 3 * nc)), own[15 * nc : 30 * nc].reshape((5, 3 * nc))
+    local, alone = (
+        own[: col.ALONE * nc].reshape((5, 3 * nc)),
+        own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc)),
+    )
     end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
     slides, stays, off = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.OFF, :nc]
     couple, dv, change = col.vectors(a, col.COUPLE, nc), col.velocity(w, col.TURN, n), col.velocity(w, col.CHANGE, n)
@@ -406,7 +413,11 @@ def end_gaps(geoms, met, now, f, n, gap):
 def corrects(num, met, now, flags, gap, r, n, f, own):
     """Whether contacts that persist end with gaps that are to be closed, as of `Encounter.corrected`."""
     nc, (names, points, _) = gap.size, now
-    stays, off, alone = flags[col.STAYS, :nc], flags[col.OFF, :nc], own[15 * nc : 30 * nc].reshape((5, 3 * nc))
+    stays, off, alone = (
+        flags[col.STAYS, :nc],
+        flags[col.OFF, :nc],
+        own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc)),
+    )
     if not law.off(gap, r, stays, num[col.CLOSED], off):
         return False
     parts, twists = np.empty(names.shape[1]), (col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
@@ -446,7 +457,7 @@ def eventless(num, inscribed, met, now, flags, a, was, spins, own):
     spins: angular velocities of the bodies, (n, 3), at both ends. What was is overwritten by what presses.
     """
     nc, (names, _, scalars) = was.size, met
-    local, stays = own[: 15 * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
+    local, stays = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
     deepest, deep = least(now[2][0]), min(num[col.CLOSED], num[col.SLOW])
     if deepest < -num[col.CLOSED] or turns_round(r, u, b, scalars[1], local, was):
@@ -533,7 +544,7 @@ def book(num, bodies, blocks, met, frame, flags, direction, scales, head, status
         (mass, gravity, no_load, no_load),
         (h, num[col.THETA]),
         (v, v, v_plus),
-        (blocks, none, mu, own[: 15 * nc].reshape((5, 3 * nc)), frame),
+        (blocks, none, mu, own[: col.ALONE * nc].reshape((5, 3 * nc)), frame),
         r,
         (flags[col.STAYS], flags[col.STICKS], couples, none),
         num[col.TOL],
@@ -670,10 +681,10 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
             acted[0][c], acted[1][c] = met[0][4, c], met[0][0, c] * int(num[col.GEOMS]) + met[0][1, c]
         if not good or not lasting(num, met, (first[0][4], first[2][0]), acted, warm, own, flags, status, q):
             return OTHERWISE
-        local, rate = own[: 15 * nc].reshape((5, 3 * nc)), col.velocity(b, col.RATE, n)
+        local, rate = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.velocity(b, col.RATE, n)
         if num[col.ELASTIC] > 0.0 and strikes(num, met, local, rate, w):
             return OTHERWISE
-        copy(own[: 15 * nc], own[15 * nc : 30 * nc])
+        copy(own[: col.ALONE * nc], own[col.ALONE * nc : col.FORESEEN * nc])
         a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0
         col.velocity(w, col.TURN, n)[:] = 0.0
         head[col.GAPS_LEFT], head[col.TURNED] = law.GAPS, 0
