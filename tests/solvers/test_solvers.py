@@ -130,7 +130,7 @@ def test_newton_matrix_dense_and_sparse(rng):
     K = np.empty((blocks.n, blocks.n))
     matrix.assemble(blocks.arrays, A, indptr, blocks.offset, slot, diagonal, K.ravel())
     np.testing.assert_allclose(K, expected, rtol=0, atol=1e-12)
-    indptr, indices, slot, diagonal = matrix.pattern(blocks.offset, blocks.block)
+    indptr, indices, slot, diagonal = linear.pattern(blocks.offset, blocks.block)
     data = np.empty(indices.size)
     matrix.assemble(blocks.arrays, A, indptr, blocks.offset[:-1], slot, diagonal, data)
     import scipy.sparse as sp
