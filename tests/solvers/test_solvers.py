@@ -7,9 +7,9 @@ import pytest
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn._kernels.literature import anderson
-from nsdyn._kernels.literature import pgs as sweeps
 from nsdyn._kernels.problem import sparse as matrix
+from nsdyn.literature._kernels import anderson
+from nsdyn.literature._kernels import pgs as sweeps
 from nsdyn.problem import linear, operators
 
 FILES = Path(__file__).resolve().parents[3] / "shared" / "fc3d"
