@@ -48,8 +48,8 @@ WEAK = 4.0
 """Where a direction found for other contacts needs a λ of so many times the largest -u_N, a new one is found."""
 
 AIM, ENOUGH, SWEEPS = 0.1, 0.01, 2000
-"""How far inside K* the velocity of one answer is brought, in units of its largest -u_N: changes are to the first, in at
-most so many sweeps, until all have the second. Where sweeps fail, Newton's method brings it that far."""
+"""How far inside K* the velocity of one answer is brought, in units of its largest -u_N: changes are to the first, in
+at most so many sweeps, until all have the second. Where sweeps fail, Newton's method brings it that far."""
 
 RESOLVED = 100.0 * ROUNDING
 """The least of that unit over the largest velocity."""
