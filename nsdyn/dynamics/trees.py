@@ -169,7 +169,7 @@ class Tree:
         q = self.close(q)
         F = factored(self.model, self.data, q)[1]
         # Without driven joints loops leave a freedom that a dead centre at q may hide; gears are the same everywhere.
-        Z = self._restrict(q, F)[2] if self.driven else admissible(GearGaps(self.model, gears).rows, F)[0]
+        Z = self._restrict(q, F).Z if self.driven else admissible(GearGaps(self.model, gears).rows, F)[0]
         J = self.links(q).J
         fields = np.einsum("ij,kj,jy->kiy", J, self.support, Z)
         # Of what constraints leave free a velocity of 1 is that of unit kinetic energy: no mass is so large.
@@ -249,12 +249,12 @@ class Tree:
 
         return rate
 
-    def _restrict(self, q: Array, F: Array) -> tuple[Array, Array, Array]:
-        """(B, P, Z) of `Constraints` at q, where M⁻¹ = Fᵀ F."""
+    def _restrict(self, q: Array, F: Array) -> Constraints:
+        """The constraints at q, where M⁻¹ = Fᵀ F."""
         loops = np.empty((0, self.model.nv)) if self._closures is None else self._closures.at(q)[1]
         B = np.concatenate((loops, self._driven_rows))
         Z, P = admissible(B, F)
-        return B, P, Z
+        return Constraints(B, P, Z)
 
     def constraint_acceleration(self, q: Array, v: Array, t: float) -> Array:
         """b of B v̇ = b, shape (m,): -Ġ v of the loops, then the accelerations of the driven joints at time t.
@@ -345,21 +345,17 @@ class Tree:
         """What loads do in a step; ValueError where a joint moves no mass."""
         v0, M, h = halfway.v, halfway.M, halfway.h
         n = v0.size
-        factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), v0.copy()
-        if self.constrained:
-            fine = _trees.implicit(M, loads.laws, h, factor, m, minv)
-        else:
-            fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, h, m, minv, v)
-        if not fine:
+        factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty(n)
+        if not _trees.implicit(M, loads.laws, h, factor, m, minv):
             raise indefinite(self.model, M)
-        if not self.constrained:
-            return FreeMotion(v, v, loads, m, minv, None)
-        B, P, Z = self._restrict(halfway.q, factor)
-        minv, b, acting = Z @ Z.T, np.zeros(len(B)), np.empty((3, n))
-        b[b.size - len(self.driven) :] = loads.rates
-        _trees.forces(loads.laws, loads.push, v0, v0, h, acting)
-        _trees.respond(minv @ (m @ v0) + P @ b, minv, acting.sum(axis=0), loads.weight, h, v)
-        return FreeMotion(v, v, loads, m, minv, Constraints(B, P, Z))
+        start, constraints = v0, None
+        if self.constrained:
+            constraints = B, P, Z = self._restrict(halfway.q, factor)
+            minv, b = Z @ Z.T, np.zeros(len(B))
+            b[b.size - len(self.driven) :] = loads.rates
+            start = minv @ (m @ v0) + P @ b
+        _trees.respond(start, minv, loads.laws, loads.push, loads.weight, v0, h, v)
+        return FreeMotion(v, v, loads, m, minv, constraints)
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
@@ -369,8 +365,8 @@ class Tree:
         loads = TreeLoads(np.zeros((2, 5, v.size)), zero, None, zero, rates, None, None, zero, False)
         if not self.constrained:
             return FreeMotion(v, v, loads, M, minv, None)
-        B, P, Z = self._restrict(q, factor)
-        return FreeMotion(v, v, loads, M, Z @ Z.T, Constraints(B, P, Z))
+        constraints = self._restrict(q, factor)
+        return FreeMotion(v, v, loads, M, constraints.Z @ constraints.Z.T, constraints)
 
     def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> TreeEnd:
         """Where a step ends whose forces leave the velocity v.
