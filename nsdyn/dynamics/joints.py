@@ -133,7 +133,7 @@ class JointLaws:
         h : float
         """
         rate = np.maximum(np.abs(v), np.abs(v_free))[self._passive]
-        slot = np.flatnonzero(self.gaps(slice(self.passive), angle) <= self.near[: self.passive] + 2.0 * h * rate)
+        (slot,) = (self.gaps(slice(self.passive), angle) <= self.near[: self.passive] + 2.0 * h * rate).nonzero()
         if not slot.size:
             return None
         friction = self.sign[slot] == 0.0
