@@ -23,9 +23,6 @@ __all__ = ["Linkage"]
 HELD = 1e-12
 """Velocity, per root of a kinetic energy of ½ J, that is round-off of 0: of a ball of 1e24 kg."""
 
-DIFFERENCE = 1e-5
-"""Step of central differences of smooth functions, rad, m or s: truncation and round-off are both of 1e-10."""
-
 
 class Linkage:
     """One articulated tree with Pinocchio's scratch data.
@@ -84,8 +81,8 @@ class Linkage:
         self.driven = tuple(driven.values())
         self._driven_at = np.array(list(driven), dtype=np.int64)
         self._driven_rows = np.eye(nv)[self._driven_at]
-        self._closures = Closures(self.model, a.loops, a.gears) if a.loops or a.gears else None
-        self.constrained = bool(driven) or self._closures is not None
+        self.closures = Closures(self.model, a.loops, a.gears) if a.loops or a.gears else None
+        self.constrained = bool(driven) or self.closures is not None
         kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
         self.bodies = {
             f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
@@ -179,7 +176,7 @@ class Linkage:
 
     def close(self, q: Array) -> Array:
         """The closest configuration whose loops are closed; q itself when they are."""
-        return q if self._closures is None else self._closures.close(q, self._driven_rows)
+        return q if self.closures is None else self.closures.close(q, self._driven_rows)
 
     def pushed(self, q: Array, body: str, force: Array, torque: Array) -> tuple[Array, Array]:
         """What a force [N] at the origin of a body's frame and a torque [N m] do at q; world axes.
@@ -195,27 +192,10 @@ class Linkage:
 
     def _restrict(self, q: Array, F: Array) -> Constraints:
         """The constraints at q, where M⁻¹ = Fᵀ F."""
-        loops = np.empty((0, self.model.nv)) if self._closures is None else self._closures.at(q)[1]
+        loops = np.empty((0, self.model.nv)) if self.closures is None else self.closures.at(q)[1]
         B = np.concatenate((loops, self._driven_rows))
         Z, P = admissible(B, F)
         return Constraints(B, P, Z)
-
-    def constraint_acceleration(self, q: Array, v: Array, t: float) -> Array:
-        """b of B v̇ = b, shape (m,): -Ġ v of the loops, then the accelerations of the driven joints at time t.
-
-        Central differences, Ġ v along the motion with v held and loops closed.
-        """
-        loops, fastest = np.empty(0), float(np.abs(v).max(initial=0.0))
-        if self._closures is not None:
-            loops = np.zeros(self._closures.size)
-            if fastest > 0.0:
-                step = DIFFERENCE / fastest
-                ahead, behind = (
-                    self._closures.at(self.close(pin.integrate(self.model, q, s * v)))[1] for s in (step, -step)
-                )
-                loops = -(ahead - behind) @ v / (2.0 * step)
-        rates = [(m.rate(t + DIFFERENCE) - m.rate(t - DIFFERENCE)) / (2.0 * DIFFERENCE) for m in self.driven]
-        return np.concatenate((loops, rates))
 
 
 def _radii(articulation: Articulation, joints: list[int]) -> Array:

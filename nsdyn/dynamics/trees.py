@@ -60,8 +60,8 @@ class Tree(Linkage):
             return Flow(q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v)), v, v, 0.0)
         if not speed < np.inf:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
-        if self._closures is not None:
-            return slide(self._weightless, self.data, self._closures, self._driven_rows, q, v, h)
+        if self.closures is not None:
+            return slide(self._weightless, self.data, self.closures, self._driven_rows, q, v, h)
         return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
@@ -179,7 +179,7 @@ class Tree(Linkage):
         beginning does: the same but for O(h³). At rest, where v and the velocity before it are 0, nothing moves.
         """
         h, theta, loads, begin_v = halfway.h, halfway.theta, free.loads, halfway.begin_v
-        if not (pushed or loads.implicit or self._closures is not None):
+        if not (pushed or loads.implicit or self.closures is not None):
             begin_speed, begin_turn = _trees.fastest(begin_v, self._turns)
             speed, turn = _trees.fastest(v, self._turns)
             if h * max(speed, begin_speed) > TOLERANCE:
