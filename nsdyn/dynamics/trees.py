@@ -245,9 +245,8 @@ class Tree(Linkage):
         kinetic, potential = after if lifted is end.q else self.energies(lifted, end.v)
         # In the order of the ledger, whose round-off then is that of the changes, not of the energies.
         projection = (kinetic - after[0]) + (potential - after[1])
-        change = (kinetic - before[0]) + (potential - before[1])
         integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
-        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection)
+        return TreeWorks(kinetic, potential, actuation, damping, constraint, integration, projection)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""
