@@ -42,13 +42,6 @@ class Tree(Linkage):
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self._turns = self._J[3:].any(axis=0)
 
-    def _deviation(self, angle: Array, target: Array) -> Array:
-        """Angle - target, for joints given by cos and sin the short way round."""
-        out: Array = angle - target
-        for j, _ in self._turning:
-            out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
-        return out
-
     def flow(self, q: Array, v: Array, h: float) -> Flow:
         """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
 
@@ -255,7 +248,8 @@ class Tree(Linkage):
         if self._armoured:
             kinetic += 0.5 * float(v @ (self._armature * v))
         if self._springs:
-            deviation = self._deviation(self.angle(q), self.rest)
+            deviation, turns = self.angle(q) - self.rest, self._round
+            deviation[turns] = np.remainder(deviation[turns] + np.pi, 2.0 * np.pi) - np.pi  # the short way round
             potential += 0.5 * float(deviation @ (self.stiffness * deviation))
         return kinetic, potential
 
